@@ -1,0 +1,1 @@
+"""Rough contacts: pressure [Pa] to stiffness per area [N/m^3]."""

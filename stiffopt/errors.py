@@ -1,0 +1,86 @@
+"""Errors of stiffopt: each message says what, where, what is allowed and what to do next.
+
+Everything a user can cause derives from `InputError`; the command line turns it into one message
+and exit code 2. Errors carry the data a program needs to react, not only a text.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class StiffoptError(Exception):
+    """Root of all errors raised on purpose."""
+
+
+class InputError(StiffoptError):
+    """Something the user gave cannot be used."""
+
+
+class InputFileError(InputError):
+    """A file cannot be read or has a wrong entry.
+
+    Parameters
+    ----------
+    path : str
+        The file.
+    where : str
+        Dotted key inside the file, "" for the file as a whole.
+    reason : str
+        What is wrong, what is allowed, and what to do next.
+    """
+
+    def __init__(self, path: object, where: str, reason: str) -> None:
+        self.path = str(path)
+        self.where = where
+        self.reason = reason
+        place = f"{path}, {where}" if where else f"{path}"
+        super().__init__(f"{place}: {reason}")
+
+
+class UnitError(InputError):
+    """A quantity has a unit of the wrong kind, or none that is known."""
+
+
+class RobotError(InputError):
+    """A robot description cannot be used."""
+
+
+class ProblemError(InputError):
+    """A problem is stated in a way that cannot be solved, or not honestly."""
+
+
+class OutOfValidityError(InputError):
+    """A value lies outside the range in which a model holds.
+
+    Parameters
+    ----------
+    name : str
+        The quantity.
+    value, lower, upper : float
+        In SI units.
+    hint : str
+        What to do next.
+    """
+
+    def __init__(self, name: str, value: float, lower: float, upper: float, hint: str = "") -> None:
+        self.name, self.value, self.lower, self.upper = name, value, lower, upper
+        text = f"{name} = {value:g} is outside the validity range {lower:g} to {upper:g}"
+        super().__init__(f"{text}. {hint}" if hint else f"{text}.")
+
+
+class NoSolutionFound(StiffoptError):
+    """A solve ended without a motion that can be used; `solution` holds the best so far."""
+
+    def __init__(self, message: str, solution: object = None) -> None:
+        self.solution = solution
+        super().__init__(message)
+
+
+def nearest(name: str, allowed: Iterable[str]) -> str:
+    """Sentence that names the closest allowed word and lists the rest."""
+    names = sorted(str(a) for a in allowed)
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    guess = f"Did you mean {close[0]!r}? " if close else ""
+    return f"{guess}Allowed: {', '.join(names)}."

@@ -1,0 +1,72 @@
+"""The one owner of CasADi conventions: formulas in plain NumPy serve floats, arrays, SX and MX.
+
+CasADi 3.8 answers `np.exp(SX)` and friends; `setNumpyMode(-1)` makes the result type follow the
+input and silences the warning. Import this module (not casadi) before evaluating a formula on
+symbols.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+ca.GlobalOptions.setNumpyMode(-1)
+
+# A float, an array, an SX or an MX: whatever np.* and arithmetic accept.
+Quantity = Any
+
+
+def is_symbolic(value: Quantity) -> bool:
+    """Whether `value` is an SX or MX expression."""
+    return isinstance(value, ca.SX | ca.MX)
+
+
+def softplus(x: Quantity) -> Quantity:
+    """Smooth max(x, 0) without overflow: log(1 + exp(x))."""
+    return np.logaddexp(x, 0.0) if not is_symbolic(x) else _softplus_symbolic(x)
+
+
+def _softplus_symbolic(x: Quantity) -> Quantity:
+    # fmax(x, 0) + log1p(exp(-|x|)) is the stable form, C-infinity although its parts are not.
+    return ca.fmax(x, 0) + ca.log1p(ca.exp(-ca.fabs(x)))
+
+
+def smooth_abs(x: Quantity, width: Quantity) -> Quantity:
+    """Smooth |x|: sqrt(x^2 + width^2)."""
+    return np.sqrt(x * x + width * width)
+
+
+def elementwise_derivative(
+    formula: Callable[[Quantity], Quantity], x: Quantity, order: int = 1
+) -> Quantity:
+    """Derivative of an elementwise formula by CasADi, for floats, arrays, SX and MX alike.
+
+    Parameters
+    ----------
+    formula : callable
+        Acts on each element of its argument independently.
+    x : scalar or array or SX or MX
+    order : int
+        1 or higher.
+
+    Returns
+    -------
+    same kind and shape as `x`
+    """
+    if is_symbolic(x):
+        symbol = type(x).sym("x", x.shape)
+        value = formula(symbol)
+        for _ in range(order):
+            value = ca.jtimes(value, symbol, type(x).ones(*x.shape))
+        return ca.substitute(value, symbol, x)
+    symbol = ca.SX.sym("x")
+    value = formula(symbol)
+    for _ in range(order):
+        value = ca.jacobian(value, symbol)
+    function = ca.Function("derivative", [symbol], [ca.densify(value)])
+    array = np.asarray(x, dtype=float)
+    result = np.asarray(function(array.reshape(1, -1))).reshape(array.shape)
+    return float(result) if array.ndim == 0 else result
