@@ -1,0 +1,199 @@
+"""The general optimal-control problem that a transcription turns into an NLP.
+
+Nothing here knows robots: states x, controls u, static variables z (epigraph bounds and the like),
+parameters p (what varies between solves without rebuilding), time scaled by free or fixed phase
+durations.
+
+    minimise    objective(I, T, z, x0, xf, p)          I = integral of the stage's integrands
+    subject to  dx/dt = dynamics(x, u, p)
+                path rows g(x, u, z, p), integral rows, waypoint rows, bounds
+
+Keep `objective` linear in I, or IPOPT's Hessian becomes dense: a root of an integral goes through a
+static variable and an integral row instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+
+def _full(value: object, size: int) -> np.ndarray:
+    return np.broadcast_to(np.asarray(value, dtype=float), (size,)).copy()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rows:
+    """A named block of constraint rows with bounds, one label a row.
+
+    Parameters
+    ----------
+    name : str
+        What is limited, for example "torque".
+    labels : sequence of str
+        One a row, for example "joint 2".
+    lower, upper : array_like (m,)
+        Bounds in the row's own unit; +-inf where there is none.
+    scale : array_like (m,)
+        Typical magnitude; the NLP row is divided by it, violations are reported relative to it.
+    unit : str
+        For messages.
+    midpoints : bool
+        Also enforced in the middle of each interval where the transcription has such points.
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    lower: np.ndarray
+    upper: np.ndarray
+    scale: np.ndarray
+    unit: str = ""
+    midpoints: bool = False
+
+    @classmethod
+    def make(
+        cls,
+        name: str,
+        labels: Sequence[str],
+        lower: object,
+        upper: object,
+        scale: object = 1.0,
+        unit: str = "",
+        midpoints: bool = False,
+    ) -> Rows:
+        """Rows with scalars broadcast to the number of labels."""
+        m = len(labels)
+        return cls(
+            name=name,
+            labels=tuple(labels),
+            lower=_full(lower, m),
+            upper=_full(upper, m),
+            scale=_full(scale, m),
+            unit=unit,
+            midpoints=midpoints,
+        )
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Waypoint:
+    """Rows that hold at one point: the start, the end, or the border between two phases.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        (x) -> (m,)
+    rows : tuple of Rows
+        Blocks of the m rows in order.
+    """
+
+    function: ca.Function
+    rows: tuple[Rows, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptimalControlProblem:
+    """Statement of an optimal-control problem; see the module's text for the form.
+
+    Parameters
+    ----------
+    dynamics : casadi.Function
+        (x, u, p) -> dx/dt
+    stage : casadi.Function
+        (x, u, z, p) -> (integrands (k,), path rows (m,)); either may be empty (0, 1).
+    objective : casadi.Function
+        (I (k,), T, z, x0, xf, p) -> scalar. T is the total duration.
+    integral_function : casadi.Function or None
+        (I, T, z, p) -> rows, bounded by `integral_rows`.
+    path_rows : tuple of Rows
+        Blocks of the path rows in order.
+    start, end : Waypoint or None
+        Nonlinear rows on the first and last state.
+    vias : tuple of Waypoint
+        Rows at the borders between phases; len(vias) + 1 phases.
+    duration : (lower, upper)
+        Of the whole; equal values fix it. [s]
+    phase_fraction_min : float
+        Smallest share of the upper duration that a phase may take (only with vias).
+    control_rate_lower, control_rate_upper : array (nu,)
+        Bounds of du/dt (jerk where u is an acceleration).
+    second_order : tuple of (position index, velocity index, control index)
+        States whose second derivative IS that control: integrated exactly by every transcription.
+        With these, piecewise-linear control gives positions that are C2 cubic splines.
+    parameters : array (np,)
+        Default value of p.
+    """
+
+    name: str
+    states: tuple[str, ...]
+    controls: tuple[str, ...]
+    dynamics: ca.Function
+    stage: ca.Function
+    objective: ca.Function
+    duration: tuple[float, float]
+    statics: tuple[str, ...] = ()
+    path_rows: tuple[Rows, ...] = ()
+    integral_function: ca.Function | None = None
+    integral_rows: tuple[Rows, ...] = ()
+    start: Waypoint | None = None
+    end: Waypoint | None = None
+    vias: tuple[Waypoint, ...] = ()
+    phase_fraction_min: float = 0.02
+    state_lower: np.ndarray
+    state_upper: np.ndarray
+    control_lower: np.ndarray
+    control_upper: np.ndarray
+    control_rate_lower: np.ndarray | None = None
+    control_rate_upper: np.ndarray | None = None
+    static_lower: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    static_upper: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    initial_lower: np.ndarray
+    initial_upper: np.ndarray
+    final_lower: np.ndarray
+    final_upper: np.ndarray
+    initial_control_lower: np.ndarray | None = None
+    initial_control_upper: np.ndarray | None = None
+    final_control_lower: np.ndarray | None = None
+    final_control_upper: np.ndarray | None = None
+    second_order: tuple[tuple[int, int, int], ...] = ()
+    parameters: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    state_scale: np.ndarray | None = None
+    control_scale: np.ndarray | None = None
+    static_scale: np.ndarray | None = None
+    objective_scale: float = 1.0
+
+    @property
+    def phases(self) -> int:
+        """Number of phases: one more than the vias."""
+        return len(self.vias) + 1
+
+    @property
+    def fixed_duration(self) -> bool:
+        """Whether the duration is given."""
+        return self.duration[0] == self.duration[1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Guess:
+    """Where to start: callables of the scaled time s in [0, 1] over the whole motion.
+
+    Parameters
+    ----------
+    states, controls : callable
+        s (k,) -> (k, nx), (k, nu)
+    statics : array (nz,)
+    duration : float
+    phase_fractions : array (phases,)
+        Share of the duration that each phase takes; sums to one.
+    """
+
+    states: object
+    controls: object
+    duration: float
+    statics: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    phase_fractions: np.ndarray = field(default_factory=lambda: np.ones(1))
