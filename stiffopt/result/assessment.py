@@ -1,0 +1,117 @@
+"""What a motion does to the robot on a fine grid: the quantities of certificate, report and files.
+
+Pure data. `stiffopt.certificate.assess` fills it for the optimised motion and for the baselines
+alike, so that the two are always compared with the same numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class PeakRms:
+    """Peak over time and root mean square over time of a deflection's magnitude [m]."""
+
+    peak: float
+    rms: float
+
+
+@dataclass(frozen=True)
+class Violation:
+    """How far a limit is exceeded, relative to the limit; negative means margin left.
+
+    `joint` is 1-based, None where the limit is not of one joint.
+    """
+
+    value: float
+    limit: str
+    joint: int | None
+    time: float
+
+    def describe(self) -> str:
+        """Text for messages: "torque of joint 2 at 0.21 s: 1.2 %"."""
+        owner = f" of joint {self.joint}" if self.joint else ""
+        return f"{self.limit.replace('_', ' ')}{owner} at {self.time:.3f} s: {100 * self.value:.2g} %"
+
+
+@dataclass(frozen=True)
+class LowestStiffness:
+    """Lowest tangent stiffness of a joint along the motion."""
+
+    value: float
+    joint: int
+    time: float
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """Fine-grid evaluation of one motion with the unsmoothed model.
+
+    Parameters
+    ----------
+    time : array (K,) [s]
+    position, velocity, acceleration, jerk : array (K, n) [rad, rad/s, rad/s^2, rad/s^3]
+    torque : array (K, n)
+        Drive torque [N m].
+    spring_torque : array (K, n)
+        Torque in the joint's spring [N m].
+    stiffness, windup : array (K, n)
+        Tangent stiffness [N m/rad] and wind-up [rad] at the spring torque.
+    tool : array (K, 3)
+        Planned tool position, base frame [m].
+    deflection : dict of array (K, 3)
+        Keys dynamic, static, process, total; base frame [m]. They add up.
+    violations : tuple of Violation
+        The worst of every limit, worst first.
+    lowest_stiffness : tuple of LowestStiffness
+        One a joint.
+    integrals : dict
+        Time integrals and means named as the objectives.
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+    torque: np.ndarray
+    spring_torque: np.ndarray
+    stiffness: np.ndarray
+    windup: np.ndarray
+    tool: np.ndarray
+    tool_speed: np.ndarray
+    deflection: dict[str, np.ndarray]
+    violations: tuple[Violation, ...]
+    lowest_stiffness: tuple[LowestStiffness, ...]
+    integrals: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return float(self.time[-1])
+
+    @property
+    def worst_violation(self) -> Violation:
+        """The limit that is exceeded most (or has the least margin)."""
+        return self.violations[0]
+
+    @property
+    def min_stiffness(self) -> LowestStiffness:
+        """The lowest stiffness of all joints."""
+        return min(self.lowest_stiffness, key=lambda low: low.value)
+
+    def feasible(self, tolerance: float) -> bool:
+        """Whether no limit is exceeded by more than `tolerance` (relative)."""
+        return self.worst_violation.value <= tolerance
+
+    def deflection_summary(self) -> dict[str, PeakRms]:
+        """Peak and rms of each part of the deflection; rms by the trapezoidal rule."""
+        summary = {}
+        for part, vectors in self.deflection.items():
+            square = np.sum(vectors**2, axis=1)
+            mean = np.trapezoid(square, self.time) / self.duration
+            summary[part] = PeakRms(float(np.sqrt(square.max())), float(np.sqrt(mean)))
+        return summary

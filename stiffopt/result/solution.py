@@ -1,0 +1,94 @@
+"""The outcome of a solve: motion, certificate, baselines, and what the solver did."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from stiffopt.result.assessment import Assessment
+from stiffopt.result.status import SolveStatus
+
+if TYPE_CHECKING:
+    from stiffopt.result.trajectory import Trajectory
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectiveValue:
+    """The certified value of the objective, in SI.
+
+    `terms` holds the value of each weighted term when there are several.
+    """
+
+    name: str
+    measure: str
+    value: float
+    unit: str
+    terms: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Baseline:
+    """A motion to compare with, or the reason why there is none.
+
+    `feasible` is False where a limit is exceeded; such a baseline is shown, never counted.
+    """
+
+    name: str
+    assessment: Assessment | None
+    objective: float | None
+    feasible: bool
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolverRecord:
+    """What the solver did: for reports and for regression of effort."""
+
+    iterations: int
+    build_s: float
+    solve_s: float
+    transcription: str
+    intervals: int
+    homotopy: tuple[dict[str, Any], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """Outcome of `stiffopt.solve`.
+
+    Parameters
+    ----------
+    status : SolveStatus
+    message : str
+        A sentence that says what happened and what to do next.
+    trajectory : Trajectory or None
+        Callable `trajectory(t, order=0)`; None where no motion was found at all.
+    assessment : Assessment or None
+        The certificate: fine grid, unsmoothed model.
+    objective : ObjectiveValue or None
+        Evaluated on the certificate's grid.
+    baselines : dict
+        "toppra" and "quintic".
+    ratio_to_better_baseline : float or None
+        Objective over the objective of the better feasible baseline; below one is a gain where the
+        objective is minimised. None where no baseline is feasible.
+    notes : tuple of str
+        Bounds that the objective cannot beat, estimated inputs, and the like.
+    """
+
+    status: SolveStatus
+    message: str
+    trajectory: Trajectory | None
+    assessment: Assessment | None
+    objective: ObjectiveValue | None
+    baselines: dict[str, Baseline]
+    ratio_to_better_baseline: float | None
+    solver: SolverRecord
+    notes: tuple[str, ...]
+    inputs_hash: str
+    versions: dict[str, str]
+
+    @property
+    def duration(self) -> float | None:
+        """Duration of the motion [s]."""
+        return None if self.assessment is None else self.assessment.duration

@@ -1,0 +1,62 @@
+"""How a solve ended: a word for programs, an exit code for shells, a sentence for people."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class SolveStatus(StrEnum):
+    """End of a solve; `usable` ones come with a certified motion."""
+
+    OPTIMAL = "optimal"
+    ACCEPTABLE = "acceptable"
+    INFEASIBLE = "infeasible"
+    ITERATION_LIMIT = "iteration_limit"
+    TIME_LIMIT = "time_limit"
+    INTERRUPTED = "interrupted"
+    CERTIFICATE_FAILED = "certificate_failed"
+
+    @property
+    def usable(self) -> bool:
+        """Whether the motion may be run."""
+        return self in (SolveStatus.OPTIMAL, SolveStatus.ACCEPTABLE)
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the command line: 0 usable, 130 interrupted, 3 for the rest."""
+        if self.usable:
+            return 0
+        return 130 if self is SolveStatus.INTERRUPTED else 3
+
+    @property
+    def sentence(self) -> str:
+        """What it means and what to do next."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    SolveStatus.OPTIMAL: "Solved and certified: every limit holds on the fine grid.",
+    SolveStatus.ACCEPTABLE: (
+        "Solved to the looser tolerance and certified; the motion may be used. Raise "
+        "method.intervals or method.time_limit for the full tolerance."
+    ),
+    SolveStatus.INFEASIBLE: (
+        "No motion near the initial guess meets all limits; relax the rows named here, or give a "
+        "longer duration."
+    ),
+    SolveStatus.ITERATION_LIMIT: (
+        "The iteration limit came before the optimum; the best motion so far is kept. Raise "
+        "method.max_iterations or start from fewer intervals."
+    ),
+    SolveStatus.TIME_LIMIT: (
+        "The time limit came before the optimum; the best motion so far is kept. Raise "
+        "method.time_limit or lower method.intervals."
+    ),
+    SolveStatus.INTERRUPTED: (
+        "Stopped by the user; the best motion so far is kept. Run the same command to start anew."
+    ),
+    SolveStatus.CERTIFICATE_FAILED: (
+        "The solver finished, but the fine grid shows a limit exceeded by more than 0.5 %. Do not "
+        "run this motion; raise method.intervals or lower the scale of that limit."
+    ),
+}
