@@ -1,0 +1,184 @@
+"""TrajectoryProblem: what to move, from where to where, how well, within which limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.errors import ProblemError
+from stiffopt.problem.objectives import Objective
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """A place to be: joint angles, a tool pose, or a tool position.
+
+    Parameters
+    ----------
+    joints : array (n,) or None [rad]
+    position : array (3,) or None [m]
+        Of the tool, base frame.
+    rpy : array (3,) or None [rad]
+        Fixed-axis roll, pitch, yaw of the tool; None leaves the orientation free.
+    near : array (n,) or None [rad]
+        Joint angles that choose between the solutions of the inverse kinematics.
+    tolerance : float [m] (a tool position) or [rad] (joints)
+        How far a via point may be missed.
+    angle_tolerance : float [rad]
+        How far the orientation of a via pose may be missed.
+    """
+
+    joints: np.ndarray | None = None
+    position: np.ndarray | None = None
+    rpy: np.ndarray | None = None
+    near: np.ndarray | None = None
+    tolerance: float = 1e-4
+    angle_tolerance: float = 0.01
+
+    def __post_init__(self) -> None:
+        if (self.joints is None) == (self.position is None):
+            raise ProblemError(
+                "A target needs either `joints` or `position`, not both and not neither; "
+                "`rpy` beside `position` makes it a pose."
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """Limits of the motion; arrays (n,), inf where there is none.
+
+    Parameters
+    ----------
+    position_lower, position_upper : array (n,) [rad]
+    velocity, acceleration, jerk, torque : array (n,) [rad/s, rad/s^2, rad/s^3, N m]
+        Magnitudes; torque is that of the drive.
+    velocity_map : (positions (k, n), limits (k, n)) or None
+        Velocity limit of each joint as a function of that joint's own position [rad, rad/s].
+    tool_speed : float [m/s]
+    dynamic_deflection, total_deflection : float [m]
+        Peak of the tool's deflection over the motion.
+    joint_stiffness : mapping joint number -> float [N m/rad]
+        Lowest tangent stiffness allowed; joints are numbered from 1.
+    """
+
+    position_lower: np.ndarray
+    position_upper: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+    torque: np.ndarray
+    velocity_map: tuple[np.ndarray, np.ndarray] | None = None
+    tool_speed: float = np.inf
+    dynamic_deflection: float = np.inf
+    total_deflection: float = np.inf
+    joint_stiffness: Mapping[int, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, robot: Robot) -> Limits:
+        """The robot's own limits."""
+        return cls(
+            position_lower=robot.position_lower,
+            position_upper=robot.position_upper,
+            velocity=robot.velocity_max,
+            acceleration=robot.acceleration_max,
+            jerk=robot.jerk_max,
+            torque=robot.torque_max,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """How to solve; the defaults suit most problems.
+
+    Parameters
+    ----------
+    transcription : str
+        "piecewise_linear_acceleration", "hermite_simpson" or "radau".
+    intervals : int
+        Of the whole motion.
+    time_limit : float [s]
+    max_iterations : int
+        Of IPOPT, each stage.
+    starts : int
+        Number of initial guesses; the best certified result wins.
+    tolerance : float
+        Of IPOPT.
+    seed : int
+        Of the further initial guesses.
+    """
+
+    transcription: str = "piecewise_linear_acceleration"
+    intervals: int = 60
+    time_limit: float = 300.0
+    max_iterations: int = 500
+    starts: int = 1
+    tolerance: float = 1e-8
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if self.intervals < 4:
+            raise ProblemError(f"method.intervals = {self.intervals} is too few; allowed: 4 or more.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrajectoryProblem:
+    """A motion to be optimised.
+
+    Parameters
+    ----------
+    robot : Robot
+        Payload and tool already attached.
+    start, end : Target
+    vias : tuple of Target
+        Passed in order; the time of passing is free.
+    path : array (k, n) or None [rad]
+        Waypoints of a fixed joint path (not-a-knot cubic spline); only the timing is then free.
+    duration : (lower, upper) [s]
+        Equal values fix it.
+    objectives : tuple of Objective
+    limits : Limits or None
+        None: the robot's own.
+    boundary_velocity : (start (n,), end (n,)) [rad/s]
+    boundary_acceleration : "zero" or "free"
+    process_force : array (3,) [N]
+        Acts on the tool, base frame.
+    """
+
+    robot: Robot
+    start: Target
+    end: Target
+    duration: tuple[float, float]
+    objectives: tuple[Objective, ...]
+    vias: tuple[Target, ...] = ()
+    path: np.ndarray | None = None
+    limits: Limits | None = None
+    boundary_velocity: tuple[np.ndarray, np.ndarray] | None = None
+    boundary_acceleration: str = "zero"
+    process_force: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    method: Method = field(default_factory=Method)
+    title: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.objectives:
+            raise ProblemError("The problem has no objective; add at least one [[minimise]].")
+        lower, upper = self.duration
+        if not 0 < lower <= upper:
+            raise ProblemError(
+                f"duration = ({lower:g}, {upper:g}) s is empty; allowed: 0 < lower <= upper."
+            )
+
+    @property
+    def active_limits(self) -> Limits:
+        """The limits in force."""
+        return Limits.of(self.robot) if self.limits is None else self.limits
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return len(self.robot.joint_names)
