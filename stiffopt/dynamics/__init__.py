@@ -1,1 +1,1 @@
-"""TODO"""
+"""Symbolic dynamics and kinematics of an arm, and its deflection; pin is the oracle."""

@@ -1,0 +1,120 @@
+"""Forward kinematics of a point fixed to a joint frame, and its position Jacobian.
+
+`joint` is pin's index (1 is the first joint), `offset` lies in pin's joint frame [m] and
+`rotation` turns tool vectors into that frame. Results are in the base frame.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.dynamics.joint_axes import AxisJoint, axis_joints
+from stiffopt.dynamics.newton_euler import joint_pose
+from stiffopt.symbolic import Quantity
+
+
+def forward_kinematics(
+    model: Any, joint: int, offset: object = (0.0, 0.0, 0.0), rotation: object = None
+) -> ca.Function:
+    """Pose of a tool frame as a CasADi function.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        A tree of revolute and prismatic joints.
+    joint : int
+        Pin's index of the joint that carries the point.
+    offset : array_like (3,)
+        Of the point in the joint frame. [m]
+    rotation : array_like (3, 3), optional
+        Tool frame seen from the joint frame; the joint frame itself if left out.
+
+    Returns
+    -------
+    casadi.Function
+        q (n,) -> (position (3,) [m], rotation (3, 3)), in the base frame.
+    """
+    q = ca.SX.sym("q", model.nv)
+    pose = tool_pose(model, q, joint, offset, rotation)
+    return ca.Function("forward_kinematics", [q], list(pose), ["q"], ["position", "rotation"])
+
+
+def tool_jacobian(model: Any, joint: int, offset: object = (0.0, 0.0, 0.0)) -> ca.Function:
+    """Position Jacobian of a point as a CasADi function.
+
+    Returns
+    -------
+    casadi.Function
+        q (n,) -> J (3, n) with d position/dt = J v, in base axes. [m/rad] or [1]
+    """
+    q = ca.SX.sym("q", model.nv)
+    jacobian = position_jacobian(model, q, joint, offset)
+    return ca.Function("tool_jacobian", [q], [jacobian], ["q"], ["jacobian"])
+
+
+def tool_pose(
+    model: Any,
+    q: Quantity,
+    joint: int,
+    offset: object = (0.0, 0.0, 0.0),
+    rotation: object = None,
+) -> tuple[Quantity, Quantity]:
+    """Position (3,) [m] and rotation (3, 3) of a tool frame as expressions of q (n,) (SX or MX)."""
+    if isinstance(q, ca.MX):
+        function: Any = forward_kinematics(model, joint, offset, rotation)
+        position, turn = function(q)
+        return position, turn
+    joints = axis_joints(model)
+    frames = _frames(joints, q, joint)
+    origin, turn = frames[joint]
+    to_axis_frame = joints[joint - 1].from_joint_frame
+    position = origin + ca.mtimes(turn, _vector(to_axis_frame @ _three(offset)))
+    tool = np.eye(3) if rotation is None else np.asarray(rotation, dtype=float)
+    turn = ca.mtimes(turn, ca.sparsify(ca.DM(to_axis_frame @ tool)))
+    return ca.densify(position), ca.densify(turn)
+
+
+def position_jacobian(
+    model: Any, q: Quantity, joint: int, offset: object = (0.0, 0.0, 0.0)
+) -> Quantity:
+    """Position Jacobian (3, n) of a point as an expression of q (n,) (SX or MX), base axes."""
+    if isinstance(q, ca.MX):
+        return tool_jacobian(model, joint, offset)(q)
+    joints = axis_joints(model)
+    frames = _frames(joints, q, joint)
+    origin, turn = frames[joint]
+    point = origin + ca.mtimes(turn, _vector(joints[joint - 1].from_joint_frame @ _three(offset)))
+    columns = [ca.SX.zeros(3) for _ in joints]
+    for i, (center, rotation) in frames.items():
+        if i:
+            axis = rotation[:, 2]
+            turning = not joints[i - 1].prismatic
+            columns[joints[i - 1].column] = ca.cross(axis, point - center) if turning else axis
+    return ca.densify(ca.horzcat(*columns))
+
+
+def _frames(
+    joints: tuple[AxisJoint, ...], q: Quantity, last: int
+) -> dict[int, tuple[Quantity, Quantity]]:
+    """Origin and rotation, in the base, of the axis frames from the base to joint `last`."""
+    support = [last]
+    while support[-1]:
+        support.append(joints[support[-1] - 1].parent)
+    frames: dict[int, tuple[Quantity, Quantity]] = {0: (ca.SX.zeros(3), ca.SX.eye(3))}
+    for i in reversed(support[:-1]):
+        joint = joints[i - 1]
+        rotation, origin = joint_pose(joint, q[joint.column])
+        center, turn = frames[joint.parent]
+        frames[i] = (center + ca.mtimes(turn, origin), ca.mtimes(turn, rotation))
+    return frames
+
+
+def _three(offset: object) -> np.ndarray:
+    return np.asarray(offset, dtype=float).reshape(3)
+
+
+def _vector(values: np.ndarray) -> ca.DM:
+    return ca.sparsify(ca.DM(values))

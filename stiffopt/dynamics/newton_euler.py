@@ -1,0 +1,136 @@
+"""Symbolic inverse dynamics of an arm: recursive Newton-Euler over the constants of `pin.Model`.
+
+Source: Luh, Walker, Paul (1980), in body coordinates and about the joint origins: the body's
+weight and inertia enter through mass, first moment and the inertia about the joint's origin, so
+that no centre of mass has to be accelerated separately.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from stiffopt.dynamics.joint_axes import AxisJoint, axis_joints
+from stiffopt.symbolic import Quantity
+
+
+def inverse_dynamics(model: Any, armature: bool = False) -> ca.Function:
+    """Inverse dynamics as a CasADi function of SX operations.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        A tree of revolute and prismatic joints.
+    armature : bool
+        Add the model's rotor inertia times the acceleration, as `pin.rnea` does.
+
+    Returns
+    -------
+    casadi.Function
+        (q (n,) [rad or m], v (n,) [rad/s or m/s], a (n,) [rad/s^2 or m/s^2]) -> tau (n,)
+        [N m or N].
+    """
+    q, v, a = (ca.SX.sym(name, model.nv) for name in ("q", "v", "a"))
+    tau = newton_euler(model, q, v, a, armature=armature)
+    return ca.Function("inverse_dynamics", [q, v, a], [tau], ["q", "v", "a"], ["tau"])
+
+
+def newton_euler(
+    model: Any, q: Quantity, v: Quantity, a: Quantity, armature: bool = False
+) -> Quantity:
+    """Joint torques that the motion of the links takes, without rotor inertia and friction.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        A tree of revolute and prismatic joints; gravity is `model.gravity`.
+    q, v, a : SX or MX or array (n,)
+        Position, velocity and acceleration of the joints. Zeros given as constants vanish from
+        the graph, so v = a = 0 gives the bare gravity torque.
+    armature : bool
+        Add the model's rotor inertia times the acceleration, as `pin.rnea` does.
+
+    Returns
+    -------
+    SX or MX or DM (n,)
+        Torque [N m] or force [N] that the joint exerts on its link.
+    """
+    if any(isinstance(x, ca.MX) for x in (q, v, a)):
+        return inverse_dynamics(model, armature)(q, v, a)
+    numeric = not any(isinstance(x, ca.SX) for x in (q, v, a))
+    q, v, a = (ca.SX(x) for x in (q, v, a))
+    joints = axis_joints(model)
+    poses = [joint_pose(joint, q[joint.column]) for joint in joints]
+    forces, moments = _outward(model, joints, poses, v, a)
+    tau = _inward(joints, poses, forces, moments)
+    if armature:
+        for joint in joints:
+            tau[joint.column] += joint.armature * a[joint.column]
+    return ca.DM(tau) if numeric else tau
+
+
+def joint_pose(joint: AxisJoint, angle: Quantity) -> tuple[Quantity, Quantity]:
+    """Rotation and origin of the joint's axis frame in its parent's."""
+    rotation = ca.sparsify(ca.DM(joint.rotation))
+    if joint.prismatic:
+        return rotation, joint.translation + ca.SX(rotation[:, 2]) * angle
+    c, s = ca.cos(angle + joint.angle_offset), ca.sin(angle + joint.angle_offset)
+    turn = ca.vertcat(ca.horzcat(c, -s, 0), ca.horzcat(s, c, 0), ca.horzcat(0, 0, 1))
+    return ca.mtimes(rotation, ca.sparsify(turn)), ca.SX(joint.translation)
+
+
+def _outward(
+    model: Any, joints: tuple[AxisJoint, ...], poses: list[Any], v: Quantity, a: Quantity
+) -> tuple[list[Quantity], list[Quantity]]:
+    """Force and moment about the joint origin that each body's own motion takes."""
+    still = ca.SX.zeros(3)
+    # Gravity enters as an upward acceleration of the base.
+    state = [(still, still, ca.SX(-model.gravity.linear))]
+    forces, moments = [], []
+    for joint, (rotation, origin) in zip(joints, poses, strict=True):
+        spin, spin_rate, acceleration = state[joint.parent]
+        carried = acceleration + ca.cross(spin_rate, origin)
+        carried += ca.cross(spin, ca.cross(spin, origin))
+        back = rotation.T
+        spin, spin_rate = ca.mtimes(back, spin), ca.mtimes(back, spin_rate)
+        acceleration = ca.mtimes(back, carried)
+        along_v = ca.vertcat(0, 0, v[joint.column])
+        along_a = ca.vertcat(0, 0, a[joint.column])
+        if joint.prismatic:
+            acceleration += 2 * ca.cross(spin, along_v) + along_a
+        else:
+            spin_rate += ca.cross(spin, along_v) + along_a
+            spin = spin + along_v
+        state.append((spin, spin_rate, acceleration))
+        first, inertia = ca.DM(joint.first_moment), ca.sparsify(ca.DM(joint.inertia))
+        forces.append(
+            joint.mass * acceleration
+            + ca.cross(spin_rate, first)
+            + ca.cross(spin, ca.cross(spin, first))
+        )
+        moments.append(
+            ca.mtimes(inertia, spin_rate)
+            + ca.cross(spin, ca.mtimes(inertia, spin))
+            + ca.cross(first, acceleration)
+        )
+    return forces, moments
+
+
+def _inward(
+    joints: tuple[AxisJoint, ...],
+    poses: list[Any],
+    forces: list[Quantity],
+    moments: list[Quantity],
+) -> Quantity:
+    """Sum what each joint carries from the tips to the base and project it on the axes."""
+    tau = ca.SX.zeros(len(joints))
+    for i in reversed(range(len(joints))):
+        joint, (rotation, origin) = joints[i], poses[i]
+        tau[joint.column] = forces[i][2] if joint.prismatic else moments[i][2]
+        if joint.parent:
+            force = ca.mtimes(rotation, forces[i])
+            moment = ca.mtimes(rotation, moments[i]) + ca.cross(origin, force)
+            forces[joint.parent - 1] = forces[joint.parent - 1] + force
+            moments[joint.parent - 1] = moments[joint.parent - 1] + moment
+    return ca.densify(tau)

@@ -1,0 +1,209 @@
+"""Joint motion whose acceleration is piecewise polynomial, integrated exactly.
+
+A trajectory is called like toppra's: `trajectory(t, order)`; both plot with the same code.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stiffopt.errors import OutOfValidityError, ProblemError
+
+# Rounding of a time computed elsewhere; not a licence to extrapolate.
+_TIME_SLACK = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Motion of n joints over K intervals.
+
+    Parameters
+    ----------
+    times : array (K + 1,)
+        Breaks, from 0, strictly increasing. [s]
+    acceleration : array (K, d + 1, n)
+        Coefficient j of interval k multiplies (t - times[k])**j. [rad/s^(2+j)] or [m/s^(2+j)]
+    q0, v0 : array (n,)
+        Position [rad] or [m] and velocity [rad/s] or [m/s] at time 0.
+
+    Notes
+    -----
+    Position and velocity are continuous by construction. At a break, acceleration and jerk are
+    those of the interval that begins there; at the end, those of the last interval.
+    """
+
+    times: np.ndarray
+    acceleration: np.ndarray
+    q0: np.ndarray
+    v0: np.ndarray
+    _position: np.ndarray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        times = np.array(self.times, dtype=float)
+        acceleration = np.array(self.acceleration, dtype=float)
+        q0, v0 = (np.array(x, dtype=float).reshape(-1) for x in (self.q0, self.v0))
+        _check(times, acceleration, q0, v0)
+        position = _integrate(times, acceleration, q0, v0)
+        names = ("times", "acceleration", "q0", "v0", "_position")
+        for name, array in zip(names, (times, acceleration, q0, v0, position), strict=True):
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @classmethod
+    def from_acceleration(
+        cls, times: object, coefficients: object, q0: object, v0: object
+    ) -> Trajectory:
+        """Trajectory from acceleration polynomials; parameters as for the class."""
+        return cls(*(np.asarray(x, dtype=float) for x in (times, coefficients, q0, v0)))
+
+    @classmethod
+    def piecewise_linear_acceleration(
+        cls, times: object, a_nodes: object, q0: object, v0: object
+    ) -> Trajectory:
+        """Trajectory whose acceleration is linear between nodes: a C2 cubic spline in position.
+
+        Parameters
+        ----------
+        times : array_like (K + 1,)
+            Nodes, from 0. [s]
+        a_nodes : array_like (K + 1, n)
+            Acceleration at the nodes. [rad/s^2] or [m/s^2]
+        q0, v0 : array_like (n,)
+            Position and velocity at time 0.
+        """
+        t, a = np.asarray(times, dtype=float), np.asarray(a_nodes, dtype=float)
+        if a.ndim != 2 or t.shape != a.shape[:1]:
+            raise ProblemError(
+                f"a trajectory needs one row of accelerations at each node; got times of shape "
+                f"{t.shape} and accelerations of shape {a.shape}."
+            )
+        slope = np.diff(a, axis=0) / np.diff(t)[:, None]
+        return cls.from_acceleration(t, np.stack([a[:-1], slope], axis=1), q0, v0)
+
+    @property
+    def duration(self) -> float:
+        """Time from start to end [s]."""
+        return float(self.times[-1])
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return int(self.q0.size)
+
+    def __call__(self, t: object, order: int = 0) -> np.ndarray:
+        """Position (order 0), velocity (1), acceleration (2) or jerk (3) at the times `t`.
+
+        Parameters
+        ----------
+        t : float or array_like (m,)
+            Within [0, duration]. [s]
+        order : int
+            Number of derivatives by time; any order, those beyond the degree are zero.
+
+        Returns
+        -------
+        array (n,) for a single time, (m, n) for several
+        """
+        time = np.asarray(t, dtype=float)
+        slack = _TIME_SLACK * self.duration
+        for outside in time[~((time >= -slack) & (time <= self.duration + slack))].flat:
+            raise OutOfValidityError(
+                "time", outside, 0.0, self.duration, "A trajectory is defined between its ends."
+            )
+        interval = np.clip(
+            np.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 2
+        )
+        coefficients = _differentiate(self._position, order)[interval]
+        local = (np.clip(time, 0.0, self.duration) - self.times[interval])[..., None]
+        value = coefficients[..., -1, :]
+        for j in range(coefficients.shape[-2] - 2, -1, -1):
+            value = value * local + coefficients[..., j, :]
+        return np.array(value)
+
+    def scaled_to(self, duration: float) -> Trajectory:
+        """Follow the same path at a uniformly changed speed.
+
+        Parameters
+        ----------
+        duration : float
+            New duration; velocities change by the ratio, accelerations by its square. [s]
+        """
+        if not (np.isfinite(duration) and duration > 0):
+            raise ProblemError(f"a trajectory cannot take {duration:g} s; give a positive time.")
+        factor = duration / self.duration
+        powers = 2.0 + np.arange(self.acceleration.shape[1])
+        times = self.times * factor
+        times[-1] = duration
+        return Trajectory(
+            times,
+            self.acceleration * (factor**-powers)[:, None],
+            self.q0,
+            self.v0 / factor,
+        )
+
+    def sample(self, step: float) -> np.ndarray:
+        """List times from 0 to the end, `step` apart, the end itself included.
+
+        Parameters
+        ----------
+        step : float
+            Distance of the times; the last one may be shorter. [s]
+
+        Returns
+        -------
+        array (m,)
+        """
+        if not step > 0:
+            raise ProblemError(f"a sampling step must be positive, got {step:g} s.")
+        count = int(np.floor(self.duration / step * (1 + 1e-12)))
+        times: np.ndarray = np.minimum(np.arange(count + 1) * step, self.duration)
+        if self.duration - times[-1] > 1e-9 * step:
+            return np.append(times, self.duration)
+        times[-1] = self.duration
+        return times
+
+
+def _check(times: np.ndarray, acceleration: np.ndarray, q0: np.ndarray, v0: np.ndarray) -> None:
+    if times.ndim != 1 or times.size < 2 or times[0] != 0.0 or not np.all(np.diff(times) > 0):
+        raise ProblemError(
+            "the times of a trajectory must begin at 0 and increase strictly, with two at least."
+        )
+    shape = (times.size - 1, q0.size)
+    if acceleration.ndim != 3 or acceleration.shape[::2] != shape or v0.size != q0.size:
+        raise ProblemError(
+            f"the acceleration of a trajectory must have the shape (intervals, coefficients, "
+            f"joints) = ({shape[0]}, any, {shape[1]}), got {acceleration.shape}; velocities: "
+            f"{v0.size}."
+        )
+    for name, array in (("acceleration", acceleration), ("q0", q0), ("v0", v0)):
+        if not np.all(np.isfinite(array)):
+            raise ProblemError(f"{name} of a trajectory holds a value that is not finite.")
+
+
+def _integrate(
+    times: np.ndarray, acceleration: np.ndarray, q0: np.ndarray, v0: np.ndarray
+) -> np.ndarray:
+    """Position coefficients (K, d + 3, n), continuous in position and velocity."""
+    step = np.diff(times)
+    j = np.arange(acceleration.shape[1])
+    position = np.zeros((len(step), len(j) + 2, q0.size))
+    position[:, 2:] = acceleration / ((j + 1.0) * (j + 2.0))[None, :, None]
+    powers = step[:, None] ** (j + 1.0)
+    gain = np.einsum("kj,kjn->kn", powers / (j + 1.0), acceleration)
+    shift = np.einsum("kj,kjn->kn", powers * step[:, None], position[:, 2:])
+    velocity = np.vstack([v0, v0 + np.cumsum(gain, axis=0)])
+    position[:, 1] = velocity[:-1]
+    travel = velocity[:-1] * step[:, None] + shift
+    position[:, 0] = np.vstack([q0, q0 + np.cumsum(travel, axis=0)])[:-1]
+    return position
+
+
+def _differentiate(coefficients: np.ndarray, order: int) -> np.ndarray:
+    for _ in range(order):
+        if coefficients.shape[1] == 1:
+            return np.zeros_like(coefficients)
+        factors = np.arange(1.0, coefficients.shape[1])
+        coefficients = coefficients[:, 1:] * factors[:, None]
+    return coefficients
