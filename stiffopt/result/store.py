@@ -1,0 +1,175 @@
+"""result.json and trajectory.csv: the files a solve leaves behind.
+
+Values are SI with full precision; what is not a finite number is null in JSON. Joint numbers are
+1-based.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stiffopt.files import atomic_write, write_csv
+from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
+from stiffopt.result.solution import Baseline, ObjectiveValue, Solution
+
+SCHEMA = 1
+EXPORT_RATE = 500.0
+RESULT_FILE = "result.json"
+TRAJECTORY_FILE = "trajectory.csv"
+
+
+def result_document(solution: Solution) -> dict[str, Any]:
+    """Content of result.json.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of any status; what does not exist (no motion, no certificate) is None.
+
+    Returns
+    -------
+    dict
+        Plain numbers, strings, lists and dicts; no NaN and no infinity.
+    """
+    document = {
+        "schema": SCHEMA,
+        "status": str(solution.status),
+        "message": solution.message,
+        "objective": _objective(solution.objective),
+        "duration": solution.duration,
+        "certificate": _certificate(solution.assessment),
+        "baselines": {name: _baseline(each) for name, each in solution.baselines.items()},
+        "ratio_to_better_baseline": solution.ratio_to_better_baseline,
+        "solver": vars(solution.solver),
+        "notes": solution.notes,
+        "inputs_hash": solution.inputs_hash,
+        "versions": solution.versions,
+    }
+    return {key: _plain(value) for key, value in document.items()}
+
+
+def write_result(solution: Solution, directory: str | Path) -> Path:
+    """Write result.json into `directory`; return its path."""
+    text = json.dumps(result_document(solution), indent=1, ensure_ascii=False, allow_nan=False)
+    path = Path(directory) / RESULT_FILE
+    atomic_write(path, text + "\n")
+    return path
+
+
+def export_times(duration: float, rate: float = EXPORT_RATE) -> np.ndarray:
+    """Instants of trajectory.csv: every 1/rate, the last one exactly the end.
+
+    Parameters
+    ----------
+    duration : float [s]
+    rate : float [Hz]
+
+    Returns
+    -------
+    array (K,) [s]
+    """
+    # A last step shorter than a millionth of the others is rounding, not a sample.
+    whole = math.floor(duration * rate - 1e-6)
+    return np.append(np.arange(whole + 1) / rate, duration)
+
+
+def trajectory_columns(joints: int) -> list[str]:
+    """Column names of trajectory.csv for a number of joints."""
+    names = ["t"]
+    for quantity in ("q", "qd", "qdd", "tau", "tau_spring", "k", "windup"):
+        names += [f"{quantity}{joint}" for joint in range(1, joints + 1)]
+    for vector in ("tool", "deflection", "deflection_dynamic"):
+        names += [f"{vector}_{axis}" for axis in "xyz"]
+    return names
+
+
+def write_trajectory(assessment: Assessment, directory: str | Path) -> Path:
+    """Write trajectory.csv into `directory`; return its path.
+
+    Parameters
+    ----------
+    assessment : Assessment
+        Evaluated at `export_times(duration)`.
+    directory : path
+    """
+    columns = [
+        assessment.time[:, None],
+        assessment.position,
+        assessment.velocity,
+        assessment.acceleration,
+        assessment.torque,
+        assessment.spring_torque,
+        assessment.stiffness,
+        assessment.windup,
+        assessment.tool,
+        assessment.deflection["total"],
+        assessment.deflection["dynamic"],
+    ]
+    path = Path(directory) / TRAJECTORY_FILE
+    names = trajectory_columns(assessment.position.shape[1])
+    write_csv(path, names, np.hstack(columns).tolist())
+    return path
+
+
+def _objective(objective: ObjectiveValue | None) -> dict[str, Any] | None:
+    return None if objective is None else dict(vars(objective))
+
+
+def _violation(violation: Violation) -> dict[str, Any]:
+    return dict(vars(violation))
+
+
+def _lowest(lowest: LowestStiffness) -> dict[str, Any]:
+    return dict(vars(lowest))
+
+
+def _deflection(assessment: Assessment) -> dict[str, Any]:
+    return {part: dict(vars(value)) for part, value in assessment.deflection_summary().items()}
+
+
+def _certificate(assessment: Assessment | None) -> dict[str, Any] | None:
+    if assessment is None:
+        return None
+    return {
+        "points": len(assessment.time),
+        "worst_violation": _violation(assessment.worst_violation),
+        "min_stiffness": _lowest(assessment.min_stiffness),
+        "deflection": _deflection(assessment),
+        "violations": [_violation(each) for each in assessment.violations],
+        "lowest_stiffness": [_lowest(each) for each in assessment.lowest_stiffness],
+        "integrals": assessment.integrals,
+    }
+
+
+def _baseline(baseline: Baseline) -> dict[str, Any]:
+    motion = baseline.assessment
+    return {
+        "feasible": baseline.feasible,
+        "duration": None if motion is None else motion.duration,
+        "objective": baseline.objective,
+        "deflection": None if motion is None else _deflection(motion),
+        "min_stiffness": None if motion is None else _lowest(motion.min_stiffness),
+        "worst_violation": None if motion is None else _violation(motion.worst_violation),
+        "reason": baseline.reason,
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Return the value as JSON knows it: plain Python types, null for what is not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(each) for key, each in value.items()}
+    if isinstance(value, np.ndarray | list | tuple):
+        return [_plain(each) for each in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value if value is None else str(value)
