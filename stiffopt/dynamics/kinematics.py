@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from stiffopt.dynamics.joint_axes import AxisJoint, axis_joints
+from stiffopt.dynamics.joint_axes import AxisJoint, axis_joints, clean
 from stiffopt.dynamics.newton_euler import joint_pose
 from stiffopt.symbolic import Quantity
 
@@ -38,31 +38,45 @@ def forward_kinematics(
         q (n,) -> (position (3,) [m], rotation (3, 3)), in the base frame.
     """
     q = ca.SX.sym("q", model.nv)
-    pose = tool_pose(model, q, joint, offset, rotation)
+    pose = tool_pose(model, joint, offset, rotation, q)
     return ca.Function("forward_kinematics", [q], list(pose), ["q"], ["position", "rotation"])
 
 
-def tool_jacobian(model: Any, joint: int, offset: object = (0.0, 0.0, 0.0)) -> ca.Function:
-    """Position Jacobian of a point as a CasADi function.
+def point_kinematics(model: Any, joint: int, offset: object = (0.0, 0.0, 0.0)) -> ca.Function:
+    """Position of a point and its Jacobian as a CasADi function.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        A tree of revolute and prismatic joints.
+    joint : int
+        Pin's index of the joint that carries the point.
+    offset : array_like (3,)
+        Of the point in the joint frame. [m]
 
     Returns
     -------
     casadi.Function
-        q (n,) -> J (3, n) with d position/dt = J v, in base axes. [m/rad] or [1]
+        q (n,) -> (position (3,) [m], J (3, n) [m/rad] or [1]) with d position/dt = J v, in base
+        axes.
     """
     q = ca.SX.sym("q", model.nv)
-    jacobian = position_jacobian(model, q, joint, offset)
-    return ca.Function("tool_jacobian", [q], [jacobian], ["q"], ["jacobian"])
+    return ca.Function(
+        "point_kinematics",
+        [q],
+        [point_position(model, joint, offset, q), point_jacobian(model, joint, offset, q)],
+        ["q"],
+        ["position", "jacobian"],
+    )
 
 
 def tool_pose(
-    model: Any,
-    q: Quantity,
-    joint: int,
-    offset: object = (0.0, 0.0, 0.0),
-    rotation: object = None,
+    model: Any, joint: int, offset: object, rotation: object, q: Quantity
 ) -> tuple[Quantity, Quantity]:
-    """Position (3,) [m] and rotation (3, 3) of a tool frame as expressions of q (n,) (SX or MX)."""
+    """Position (3,) [m] and rotation (3, 3) of a tool frame as expressions of q (n,) (SX or MX).
+
+    `rotation` None stands for the joint frame's own orientation.
+    """
     if isinstance(q, ca.MX):
         function: Any = forward_kinematics(model, joint, offset, rotation)
         position, turn = function(q)
@@ -73,16 +87,20 @@ def tool_pose(
     to_axis_frame = joints[joint - 1].from_joint_frame
     position = origin + ca.mtimes(turn, _vector(to_axis_frame @ _three(offset)))
     tool = np.eye(3) if rotation is None else np.asarray(rotation, dtype=float)
-    turn = ca.mtimes(turn, ca.sparsify(ca.DM(to_axis_frame @ tool)))
+    turn = ca.mtimes(turn, ca.sparsify(ca.DM(clean(to_axis_frame @ tool))))
     return ca.densify(position), ca.densify(turn)
 
 
-def position_jacobian(
-    model: Any, q: Quantity, joint: int, offset: object = (0.0, 0.0, 0.0)
-) -> Quantity:
+def point_position(model: Any, joint: int, offset: object, q: Quantity) -> Quantity:
+    """Position (3,) [m] of a point as an expression of q (n,) (SX or MX), base axes."""
+    return tool_pose(model, joint, offset, None, q)[0]
+
+
+def point_jacobian(model: Any, joint: int, offset: object, q: Quantity) -> Quantity:
     """Position Jacobian (3, n) of a point as an expression of q (n,) (SX or MX), base axes."""
     if isinstance(q, ca.MX):
-        return tool_jacobian(model, joint, offset)(q)
+        function: Any = point_kinematics(model, joint, offset)
+        return function(q)[1]
     joints = axis_joints(model)
     frames = _frames(joints, q, joint)
     origin, turn = frames[joint]
@@ -117,4 +135,4 @@ def _three(offset: object) -> np.ndarray:
 
 
 def _vector(values: np.ndarray) -> ca.DM:
-    return ca.sparsify(ca.DM(values))
+    return ca.sparsify(ca.DM(clean(values)))

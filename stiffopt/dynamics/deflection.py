@@ -1,0 +1,114 @@
+"""Deflection of the tool by the wind-up of the joints, split by its cause.
+
+The deflection is the elastic position minus the planned position, -J phi, to first order in the
+wind-up phi; J is the position Jacobian in base axes. Three parts add up to the total:
+
+- static: -J phi(tau_gravity), the sag at rest in the same pose, which calibration can remove;
+- dynamic: -J [phi(tau_0) - phi(tau_gravity)], what the motion itself adds;
+- process: -J [phi(tau_spring) - phi(tau_0)], what a force on the tool adds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.dynamics.kinematics import point_jacobian
+from stiffopt.dynamics.newton_euler import newton_euler
+from stiffopt.symbolic import Quantity
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpringTorques:
+    """Torques in the joints' springs, without rotor inertia and friction.
+
+    Parameters
+    ----------
+    gravity : (n,)
+        At rest in the same pose. [N m] or [N]
+    motion : (n,)
+        tau_0: links and payload in motion. [N m] or [N]
+    spring : (n,)
+        tau_0 minus J^T F; the same as `motion` without a process force. [N m] or [N]
+    """
+
+    gravity: Quantity
+    motion: Quantity
+    spring: Quantity
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deflection:
+    """Parts of the tool's deflection (3,) in base axes. [m]."""
+
+    static: Quantity
+    dynamic: Quantity
+    process: Quantity
+
+    @property
+    def total(self) -> Quantity:
+        """Elastic position minus planned position (3,) [m]."""
+        return self.static + self.dynamic + self.process
+
+
+def spring_torques(
+    model: Any,
+    joint: int,
+    offset: object,
+    q: Quantity,
+    v: Quantity,
+    a: Quantity,
+    process_force: Quantity = None,
+) -> SpringTorques:
+    """Torques in the springs of an arm in motion whose tool carries a process force.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        A tree of revolute and prismatic joints.
+    joint, offset : int, array_like (3,)
+        The tool point: pin's joint index and the place in that joint's frame. [m]
+    q, v, a : SX or MX (n,)
+        Position, velocity, acceleration of the joints.
+    process_force : array_like or SX or MX (3,), optional
+        Acts ON the tool, base axes. [N]
+    """
+    rest = np.zeros(model.nv)
+    gravity = newton_euler(model, q, rest, rest)
+    motion = newton_euler(model, q, v, a)
+    if process_force is None:
+        return SpringTorques(gravity=gravity, motion=motion, spring=motion)
+    jacobian = point_jacobian(model, joint, offset, q)
+    spring = motion - ca.mtimes(jacobian.T, process_force)
+    return SpringTorques(gravity=gravity, motion=motion, spring=spring)
+
+
+def tool_deflection(
+    jacobian: Quantity, torques: SpringTorques, windup: Callable[[Quantity], Quantity]
+) -> Deflection:
+    """Deflection of the tool from the torques in the springs.
+
+    Parameters
+    ----------
+    jacobian : array, SX or MX (3, n)
+        Position Jacobian of the tool, base axes. [m/rad] or [1]
+    torques : SpringTorques
+    windup : callable
+        Spring torques (n,) -> wind-up angles (n,) [rad] (or shortening [m]).
+    """
+    sag, moving = windup(torques.gravity), windup(torques.motion)
+    # Without a process force both are one expression, and the part is an exact zero.
+    loaded = moving if torques.spring is torques.motion else windup(torques.spring)
+    symbolic = isinstance(jacobian, ca.SX | ca.MX)
+
+    def at_tool(angles: Quantity) -> Quantity:
+        moved: Quantity = ca.mtimes(jacobian, angles) if symbolic else jacobian @ angles
+        return -moved
+
+    return Deflection(
+        static=at_tool(sag), dynamic=at_tool(moving - sag), process=at_tool(loaded - moving)
+    )
