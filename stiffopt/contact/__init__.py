@@ -1,1 +1,1 @@
-"""Rough contacts: pressure [Pa] to stiffness per area [N/m^3]."""
+"""Rough surfaces in contact: from nominal pressure [Pa] to stiffness per area [N/m^3]."""

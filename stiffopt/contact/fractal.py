@@ -1,0 +1,183 @@
+"""Normal stiffness of a rough contact as a function of pressure: the fractal model in closed form.
+
+The largest spot a_L is the hidden variable: load and stiffness are sums over all spots up to it.
+This is the exact law (NumPy only); optimisation uses the smooth fits of `surrogate`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from stiffopt.contact.spots import SpotLaw, spot_laws, total_force, total_stiffness
+from stiffopt.contact.surface import SurfacePair
+from stiffopt.contact.validate import require_one_of
+from stiffopt.errors import InputError, StiffoptError
+
+_LONGEST_SEARCH = 200
+_TOLERANCE = 1e-14
+
+
+@dataclass(frozen=True)
+class FractalLaw:
+    """Pressure and stiffness of a surface pair through the area of its largest spot.
+
+    Parameters
+    ----------
+    surface : SurfacePair
+    regimes : {3, 2}
+        Elastic, elastic-plastic and plastic spots (Kogut-Etsion), or elastic and plastic ones only
+        (Yan-Komvopoulos).
+    mode : {"hertz", "fractal"}
+        Incremental stiffness of an elastic spot, see `spots.spot_laws`.
+    domain_extension : bool
+        Use the factor psi of Wang and Komvopoulos (1994) in the size distribution. It changes
+        k_n(p) by about 3 % and is absorbed by the fractal roughness, hence off.
+    """
+
+    surface: SurfacePair
+    regimes: Literal[2, 3] = 3
+    mode: Literal["hertz", "fractal"] = "hertz"
+    domain_extension: bool = False
+
+    def __post_init__(self) -> None:
+        require_one_of("fractal law", (2, 3), regimes=self.regimes)
+        require_one_of("fractal law", ("hertz", "fractal"), mode=self.mode)
+
+    @cached_property
+    def spots(self) -> tuple[SpotLaw, ...]:
+        """Spot laws from plastic to elastic."""
+        surface = self.surface
+        return spot_laws(
+            surface.fractal_dimension,
+            surface.fractal_roughness,
+            surface.gamma,
+            surface.contact_modulus,
+            surface.softer.hardness,
+            surface.softer.poisson,
+            regimes=self.regimes,
+            mode=self.mode,
+        )
+
+    @cached_property
+    def extension_factor(self) -> float:
+        """psi^((3-D)/2) of the size distribution, 1 without domain extension."""
+        if not self.domain_extension:
+            return 1.0
+        dimension = self.surface.fractal_dimension
+        return float(domain_extension(dimension) ** ((3 - dimension) / 2))
+
+    @property
+    def elastic_limit(self) -> float:
+        """Spots above this truncated area are elastic [m^2]."""
+        return self.spots[-1].lower
+
+    @property
+    def plastic_limit(self) -> float:
+        """Spots below this truncated area are fully plastic [m^2]."""
+        return self.spots[0].upper
+
+    def pressure(self, largest_spot: np.ndarray) -> np.ndarray:
+        """Nominal pressure [Pa] on the reference patch when the largest spot is a_L [m^2]."""
+        force = total_force(self.spots, largest_spot, self.surface.fractal_dimension)
+        return self.extension_factor * force / self.surface.reference_area
+
+    def stiffness(self, largest_spot: np.ndarray) -> np.ndarray:
+        """Normal stiffness per area [N/m^3] when the largest spot is a_L [m^2]."""
+        total = total_stiffness(self.spots, largest_spot, self.surface.fractal_dimension)
+        return self.extension_factor * total / self.surface.reference_area
+
+    def real_area_ratio(self, largest_spot: np.ndarray) -> np.ndarray:
+        """Sum of the truncated spot areas over the nominal area [-]."""
+        dimension = self.surface.fractal_dimension
+        largest = np.asarray(largest_spot, dtype=float)
+        ratio = self.extension_factor * (dimension - 1) / (3 - dimension) * largest
+        return np.asarray(ratio / self.surface.reference_area)
+
+    def largest_spot(self, pressure: np.ndarray) -> np.ndarray:
+        """Invert `pressure`: area of the largest spot [m^2], shape as `pressure` (all above 0)."""
+        target = np.asarray(pressure, dtype=float)
+        if not np.all((target > 0.0) & np.isfinite(target)):
+            raise InputError(
+                "fractal law: the largest spot exists for finite pressures above 0 only; "
+                f"the smallest given is {np.min(target):g} Pa."
+            )
+        goal = np.log(target)
+        # If every spot were plastic the load would be hardness times real area.
+        dimension = self.surface.fractal_dimension
+        area = target * self.surface.reference_area / self.surface.softer.hardness
+        start = np.log(area * (3 - dimension) / (dimension - 1) / self.extension_factor)
+        lower, upper = self._bracket(start, goal)
+        x = np.clip(start, lower, upper)
+        for _ in range(_LONGEST_SEARCH):
+            excess = np.log(self.pressure(np.exp(x))) - goal
+            lower = np.where(excess < 0.0, x, lower)
+            upper = np.where(excess > 0.0, x, upper)
+            # Slope of ln P over ln a_L: the distribution's own growth plus the newest spots.
+            step = excess / self._log_slope(x)
+            following = x - step
+            inside = (following > lower) & (following < upper)
+            following = np.where(inside, following, 0.5 * (lower + upper))
+            following = np.where(excess == 0.0, x, following)
+            done = np.all(np.abs(following - x) <= _TOLERANCE * np.maximum(1.0, np.abs(x)))
+            x = following
+            if done:
+                return np.asarray(np.exp(x))
+        raise StiffoptError("fractal law: the largest spot could not be found.")
+
+    def _bracket(self, start: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        lower, upper = start - 1.0, start + 1.0
+        reach = 1.0
+        for _ in range(60):
+            low = np.log(self.pressure(np.exp(lower))) > goal
+            high = np.log(self.pressure(np.exp(upper))) < goal
+            if not (np.any(low) or np.any(high)):
+                break
+            reach *= 2.0
+            lower = np.where(low, start - reach, lower)
+            upper = np.where(high, start + reach, upper)
+        return lower, upper
+
+    def _log_slope(self, x: np.ndarray) -> np.ndarray:
+        largest = np.exp(x)
+        half = (self.surface.fractal_dimension - 1) / 2
+        force = np.zeros_like(largest)
+        for law in self.spots:
+            inside = (largest > law.lower) & (largest <= law.upper)
+            force = np.where(inside, law.force_factor * largest**law.force_exponent, force)
+        newest = half * force * self.extension_factor / self.surface.reference_area
+        return half + newest / self.pressure(largest)
+
+    def normal_stiffness_per_area(self, pressure: np.ndarray) -> np.ndarray:
+        """Exact k_n(p) [N/m^3] for nominal pressures p [Pa], shape as `pressure`.
+
+        Zero at zero pressure (no contact) and below the pressure where all spots are plastic.
+        """
+        p = np.asarray(pressure, dtype=float)
+        loaded = p > 0.0
+        safe = np.where(loaded, p, 1.0)
+        return np.where(loaded, self.stiffness(self.largest_spot(safe)), 0.0)
+
+
+def domain_extension(dimension: float) -> float:
+    """Factor psi of Wang and Komvopoulos, J. Tribol. 116 (1994) 812, for 2 < D < 3.
+
+    Root of [psi^((3-D)/2) - (1 + psi^(-(D-1)/2))^(-(3-D)/(D-1))] (D-1)/(3-D) = 1.
+    """
+    ratio = (3 - dimension) / (dimension - 1)
+
+    def excess(psi: float) -> float:
+        grown = psi ** ((3 - dimension) / 2)
+        return float((grown - (1 + psi ** (-(dimension - 1) / 2)) ** (-ratio)) / ratio - 1)
+
+    lower, upper = 1.0, 100.0
+    while upper - lower > 1e-13 * upper:
+        middle = 0.5 * (lower + upper)
+        if excess(middle) < 0.0:
+            lower = middle
+        else:
+            upper = middle
+    return 0.5 * (lower + upper)

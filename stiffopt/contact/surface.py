@@ -1,0 +1,147 @@
+"""Materials and pairs of machined surfaces in contact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from stiffopt.contact.spots import SpotLaw, spot_laws, total_force
+from stiffopt.contact.validate import require_between, require_not_negative, require_positive
+from stiffopt.errors import InputError, OutOfValidityError
+
+# Lowest nominal pressure [Pa] for which a surface must still have elastic spots.
+LOWEST_PRESSURE = 0.1e6
+# How many times larger than the all-plastic limit the largest spot must be at that pressure.
+_SPOT_RESERVE = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Material:
+    """One of two bodies in contact.
+
+    Parameters
+    ----------
+    name : str
+    modulus : float
+        Young's modulus [Pa].
+    poisson : float
+        Poisson's ratio, above 0 and below 0.5.
+    hardness : float
+        Indentation hardness, about 2.8 times the yield stress [Pa].
+    """
+
+    name: str = "material"
+    modulus: float
+    poisson: float
+    hardness: float
+
+    def __post_init__(self) -> None:
+        owner = f"material {self.name!r}"
+        require_positive(owner, modulus=self.modulus, hardness=self.hardness)
+        require_between(owner, 0.0, 0.5, poisson=self.poisson)
+
+    @property
+    def shear_modulus(self) -> float:
+        """E/(2 (1 + nu)) [Pa]."""
+        return self.modulus / (2 * (1 + self.poisson))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfacePair:
+    """Two rough surfaces pressed together, with the fractal description of their roughness.
+
+    Parameters
+    ----------
+    name : str
+    first, second : Material
+    fractal_dimension : float
+        D of the surface (profile dimension plus one), 2 < D < 3.
+    fractal_roughness : float
+        G [m].
+    friction : float
+        Coefficient of friction of the interface.
+    reference_area : float
+        A0 [m^2]: the patch for which D and G were found. The sum over spots does not grow in
+        proportion to the area, so stiffness per area belongs to this patch and is then used for
+        joint faces of any size.
+    gamma : float
+        Frequency ratio of the fractal surface.
+
+    Notes
+    -----
+    Refused when at 0.1 MPa the largest spot is not at least ten times above the all-plastic limit:
+    such a surface would have no stiffness at light load, which is an artefact of the model.
+    """
+
+    name: str = "surface"
+    first: Material
+    second: Material
+    fractal_dimension: float
+    fractal_roughness: float
+    friction: float = 0.15
+    reference_area: float = 1e-4
+    gamma: float = 1.5
+
+    def __post_init__(self) -> None:
+        owner = f"surface {self.name!r}"
+        require_between(owner, 2.0, 3.0, fractal_dimension=self.fractal_dimension)
+        require_between(owner, 0.0, np.inf, fractal_roughness=self.fractal_roughness)
+        require_positive(owner, reference_area=self.reference_area)
+        require_not_negative(owner, friction=self.friction)
+        if not 1.0 < self.gamma < np.inf:
+            raise InputError(
+                f"{owner}: gamma = {self.gamma:g} cannot be used; allowed is a number above 1 "
+                f"(customary: 1.5)."
+            )
+        self._require_elastic_spots(owner)
+
+    def _require_elastic_spots(self, owner: str) -> None:
+        smallest = _SPOT_RESERVE * self.spots[0].upper
+        needed = float(total_force(self.spots, np.array(smallest), self.fractal_dimension))
+        needed /= self.reference_area
+        if not needed <= LOWEST_PRESSURE:
+            raise OutOfValidityError(
+                f"{owner}: lowest pressure with elastic spots",
+                needed,
+                0.0,
+                LOWEST_PRESSURE,
+                f"D = {self.fractal_dimension:g} with G = {self.fractal_roughness:g} m on "
+                f"{self.reference_area:g} m^2 makes all spots plastic at light load; take a "
+                f"smaller fractal_roughness or a larger fractal_dimension.",
+            )
+
+    @property
+    def softer(self) -> Material:
+        """The body with the smaller hardness."""
+        return min(self.first, self.second, key=lambda body: body.hardness)
+
+    @property
+    def contact_modulus(self) -> float:
+        """E* [Pa]: 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2."""
+        return 1 / sum((1 - body.poisson**2) / body.modulus for body in (self.first, self.second))
+
+    @property
+    def contact_shear_modulus(self) -> float:
+        """G* [Pa]: 1/G* = (2 - nu1)/G1 + (2 - nu2)/G2."""
+        return 1 / sum(
+            (2 - body.poisson) / body.shear_modulus for body in (self.first, self.second)
+        )
+
+    @property
+    def shear_ratio(self) -> float:
+        """Tangential over normal stiffness of a spot without slip, 4 G*/E* [-] (Mindlin)."""
+        return 4 * self.contact_shear_modulus / self.contact_modulus
+
+    @cached_property
+    def spots(self) -> tuple[SpotLaw, ...]:
+        """Laws of the plastic, elastic-plastic and elastic spots."""
+        return spot_laws(
+            self.fractal_dimension,
+            self.fractal_roughness,
+            self.gamma,
+            self.contact_modulus,
+            self.softer.hardness,
+            self.softer.poisson,
+        )
