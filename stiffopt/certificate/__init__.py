@@ -1,1 +1,1 @@
-"""TODO"""
+"""Certification of motions on a fine grid with the unsmoothed model, independent of the optimiser."""

@@ -1,0 +1,130 @@
+"""Assess a motion on a fine grid: true stiffness, true deflection, worst violation of every limit.
+
+The formulas of the optimiser are not used: dynamics and kinematics come from pinocchio, wind-up from
+quadrature of the exact contact and reducer laws, and the unsmoothed friction law.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stiffopt.certificate.rigid_body import rigid_body_history
+from stiffopt.certificate.violations import find_violations
+from stiffopt.result.assessment import Assessment, LowestStiffness
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+POINTS = 6001
+
+
+def assess(
+    problem: Any,
+    motion: Any,
+    *,
+    times: np.ndarray | None = None,
+) -> Assessment:
+    """Evaluate `motion` with the unsmoothed model.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+        Robot, limits and process force.
+    motion : callable with attribute `duration`
+        motion(t, order) -> (len(t), n) for order 0 to 3.
+    times : array, optional [s]
+        Default: 6001 equal steps and, where the motion has them, its own break times.
+
+    Returns
+    -------
+    Assessment
+    """
+    robot: Robot = problem.robot
+    if times is None:
+        times = fine_grid(motion)
+    position, velocity, acceleration, jerk = (np.asarray(motion(times, k)) for k in range(4))
+    body = rigid_body_history(robot, position, velocity, acceleration)
+    process = np.einsum("kij,i->kj", body.jacobian, np.asarray(problem.process_force, dtype=float))
+    spring_torque = body.link_torque - process
+    friction = robot.coulomb * np.sign(velocity) + robot.viscous * velocity
+    torque = spring_torque + robot.rotor_inertia * acceleration + friction
+
+    windup = exact_windup(robot, spring_torque)
+    link_windup = exact_windup(robot, body.link_torque) if np.any(process) else windup
+    static_windup = exact_windup(robot, body.gravity_torque)
+    parts = {
+        "dynamic": link_windup - static_windup,
+        "static": static_windup,
+        "process": windup - link_windup,
+        "total": windup,
+    }
+    deflection = {
+        part: -np.einsum("kij,kj->ki", body.jacobian, angle) for part, angle in parts.items()
+    }
+    compliance = exact_compliance(robot, spring_torque)
+    with np.errstate(divide="ignore"):
+        stiffness = 1.0 / compliance
+    tool_speed = np.linalg.norm(np.einsum("kij,kj->ki", body.jacobian, velocity), axis=1)
+    lowest = tuple(
+        LowestStiffness(float(stiffness[k, j]), j + 1, float(times[k]))
+        for j, k in enumerate(np.argmin(stiffness, axis=0))
+    )
+    relative = torque / robot.torque_max
+    integrals = {
+        "torque_squared": float(np.trapezoid(np.sum(relative**2, axis=1), times)),
+        "acceleration_squared": float(np.trapezoid(np.sum(acceleration**2, axis=1), times)),
+    }
+    for j in range(compliance.shape[1]):
+        mean = np.trapezoid(compliance[:, j], times) / times[-1]
+        integrals[f"mean_compliance_{j + 1}"] = float(mean)
+    assessment = Assessment(
+        time=times,
+        position=position,
+        velocity=velocity,
+        acceleration=acceleration,
+        jerk=jerk,
+        torque=torque,
+        spring_torque=spring_torque,
+        stiffness=stiffness,
+        windup=windup,
+        tool=body.tool,
+        tool_speed=tool_speed,
+        deflection=deflection,
+        violations=(),
+        lowest_stiffness=lowest,
+        integrals=integrals,
+    )
+    return find_violations(problem, assessment)
+
+
+def fine_grid(motion: Any) -> np.ndarray:
+    """Instants at which a motion is judged: 6001 equal steps and the motion's own break times."""
+    grid = np.linspace(0.0, motion.duration, POINTS)
+    breaks = np.asarray(getattr(motion, "times", ()), dtype=float)
+    if breaks.size:
+        # Twenty points in every interval, however short the mesh made it.
+        inner = np.linspace(breaks[:-1], breaks[1:], 21).ravel()
+        grid = np.union1d(grid, np.clip(inner, 0.0, motion.duration))
+    return grid[np.concatenate(([True], np.diff(grid) > 1e-12 * motion.duration))]
+
+
+def exact_windup(robot: Robot, torque: np.ndarray) -> np.ndarray:
+    """Wind-up of every joint [rad] by quadrature of the exact law; torque (K, n) [N m]."""
+    columns = [
+        np.zeros(len(torque)) if chain is None else np.asarray(chain.exact_windup(torque[:, j]))
+        for j, chain in enumerate(robot.chains)
+    ]
+    return np.stack(columns, axis=1)
+
+
+def exact_compliance(robot: Robot, torque: np.ndarray) -> np.ndarray:
+    """Tangent compliance [rad/(N m)] of every joint by the exact law; zero for a rigid joint."""
+    columns = [
+        np.zeros(len(torque))
+        if chain is None
+        else np.asarray(chain.exact_tangent_compliance(torque[:, j]))
+        for j, chain in enumerate(robot.chains)
+    ]
+    return np.stack(columns, axis=1)

@@ -1,0 +1,62 @@
+"""Torques, tool positions and Jacobians along a motion, by pinocchio alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+
+@dataclass(frozen=True)
+class RigidBodyHistory:
+    """Rigid-body quantities along a motion of K instants and n joints.
+
+    Parameters
+    ----------
+    link_torque : array (K, n) [N m]
+        Inverse dynamics of links and payload, without rotors and friction.
+    gravity_torque : array (K, n) [N m]
+        At rest in the same pose.
+    tool : array (K, 3) [m]
+    jacobian : array (K, 3, n) [m/rad]
+        Position Jacobian of the tool, base axes.
+    """
+
+    link_torque: np.ndarray
+    gravity_torque: np.ndarray
+    tool: np.ndarray
+    jacobian: np.ndarray
+
+
+def rigid_body_history(
+    robot: Robot, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
+) -> RigidBodyHistory:
+    """Evaluate pinocchio at every instant; arrays (K, n)."""
+    model = robot.model.copy()
+    # The rotor turns with the motor, in front of the spring: it loads the drive, not the spring.
+    model.armature = np.zeros(model.nv)
+    tool = pin.Frame(
+        "stiffopt_tool",
+        robot.tool.joint,
+        0,
+        pin.SE3(np.asarray(robot.tool.rotation), np.asarray(robot.tool.offset)),
+        pin.FrameType.OP_FRAME,
+    )
+    frame = model.addFrame(tool, False)
+    data = model.createData()
+    count, joints = position.shape
+    link_torque, gravity_torque = np.empty((count, joints)), np.empty((count, joints))
+    tool_position, jacobian = np.empty((count, 3)), np.empty((count, 3, joints))
+    axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    for k in range(count):
+        link_torque[k] = pin.rnea(model, data, position[k], velocity[k], acceleration[k])
+        gravity_torque[k] = pin.computeGeneralizedGravity(model, data, position[k])
+        jacobian[k] = pin.computeFrameJacobian(model, data, position[k], frame, axes)[:3]
+        pin.framesForwardKinematics(model, data, position[k])
+        tool_position[k] = data.oMf[frame].translation
+    return RigidBodyHistory(link_torque, gravity_torque, tool_position, jacobian)

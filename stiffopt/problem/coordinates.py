@@ -1,0 +1,192 @@
+"""What moves freely: all joints, or one path coordinate along a fixed joint path."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.errors import ProblemError
+from stiffopt.problem.resolve import ResolvedMotion
+from stiffopt.problem.trajectory import Limits, TrajectoryProblem
+from stiffopt.symbolic import Quantity
+
+
+def coordinates_of(problem: TrajectoryProblem) -> Coordinates:
+    """The coordinates of a problem: joints, or the path coordinate where a path is given."""
+    if problem.path is None:
+        return JointCoordinates(problem)
+    return PathCoordinates(problem)
+
+
+class Coordinates(ABC):
+    """Map between the states of the optimal-control problem and the motion of the joints."""
+
+    size: int
+    state_names: tuple[str, ...]
+    control_names: tuple[str, ...]
+    state_scale: np.ndarray
+    control_scale: np.ndarray
+
+    @abstractmethod
+    def joint_motion(self, x: Quantity, u: Quantity) -> tuple[Quantity, Quantity, Quantity]:
+        """Position, velocity and acceleration of the joints (n,) at a state and control."""
+
+    @abstractmethod
+    def state_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds of the states."""
+
+    @abstractmethod
+    def control_bound(self, margins: Mapping[str, float]) -> np.ndarray:
+        """Bound of the controls' magnitude."""
+
+    @abstractmethod
+    def rate_bound(self, margins: Mapping[str, float]) -> np.ndarray:
+        """Bound of the magnitude of the controls' rate."""
+
+    @abstractmethod
+    def boundary_states(self, motion: ResolvedMotion) -> tuple[np.ndarray, np.ndarray]:
+        """States at the start and at the end."""
+
+    @property
+    def bounds_joints(self) -> bool:
+        """Whether joint limits are bounds of states and controls rather than path rows."""
+        return isinstance(self, JointCoordinates)
+
+
+class JointCoordinates(Coordinates):
+    """States are joint positions and velocities; controls are joint accelerations."""
+
+    def __init__(self, problem: TrajectoryProblem) -> None:
+        self.problem = problem
+        self.limits: Limits = problem.active_limits
+        n = self.size = problem.joints
+        self.state_names = tuple(
+            f"{what} of joint {j + 1}" for what in ("position", "velocity") for j in range(n)
+        )
+        self.control_names = tuple(f"acceleration of joint {j + 1}" for j in range(n))
+        speed = np.where(np.isfinite(self.limits.velocity), self.limits.velocity, 1.0)
+        self.state_scale = np.concatenate([np.ones(n), speed])
+        lower = max(problem.duration[0], 0.1 * problem.duration[1])
+        fallback = 6.0 * speed / lower
+        self.control_scale = np.where(
+            np.isfinite(self.limits.acceleration), self.limits.acceleration, fallback
+        )
+
+    def joint_motion(self, x: Quantity, u: Quantity) -> tuple[Quantity, Quantity, Quantity]:
+        """The states and controls themselves."""
+        return x[: self.size], x[self.size :], u
+
+    def state_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Position and velocity limits; a margin narrows the range of the position."""
+        limits = self.limits
+        span = limits.position_upper - limits.position_lower
+        inset = np.where(np.isfinite(span), margins.get("position", 0.0) * span, 0.0)
+        speed = limits.velocity * (1.0 - margins.get("velocity", 0.0))
+        lower = np.concatenate([limits.position_lower + inset, -speed])
+        return lower, np.concatenate([limits.position_upper - inset, speed])
+
+    def control_bound(self, margins: Mapping[str, float]) -> np.ndarray:
+        """Acceleration limits."""
+        return self.limits.acceleration * (1.0 - margins.get("acceleration", 0.0))
+
+    def rate_bound(self, margins: Mapping[str, float]) -> np.ndarray:
+        """Jerk limits."""
+        return self.limits.jerk * (1.0 - margins.get("jerk", 0.0))
+
+    def boundary_states(self, motion: ResolvedMotion) -> tuple[np.ndarray, np.ndarray]:
+        """Resolved poses with the boundary velocities."""
+        zero = np.zeros(self.size)
+        start, end = self.problem.boundary_velocity or (zero, zero)
+        return np.concatenate([motion.start, start]), np.concatenate([motion.end, end])
+
+
+class PathCoordinates(Coordinates):
+    """One coordinate s in [0, 1] along a not-a-knot cubic spline through given waypoints."""
+
+    def __init__(self, problem: TrajectoryProblem) -> None:
+        assert problem.path is not None
+        self.problem = problem
+        self.limits = problem.active_limits
+        if np.any(np.isfinite(self.limits.jerk)):
+            raise ProblemError(
+                "Jerk limits cannot be kept on a fixed path: the path coordinate has a limited "
+                "acceleration only. Leave limits.jerk out (set it to inf), or give poses instead "
+                "of motion.path."
+            )
+        if problem.boundary_velocity is not None:
+            raise ProblemError(
+                "A motion on a fixed path starts and ends at rest; remove motion.boundary_velocity."
+            )
+        self.size = 1
+        self.state_names = ("path position", "path speed")
+        self.control_names = ("path acceleration",)
+        duration = problem.duration[0] if np.isinf(problem.duration[1]) else np.mean(problem.duration)
+        self.state_scale = np.array([1.0, 1.0 / duration])
+        self.control_scale = np.array([6.0 / duration**2])
+        self.knots, self.truncated_powers = spline_coefficients(problem.path)
+
+    def joint_motion(self, x: Quantity, u: Quantity) -> tuple[Quantity, Quantity, Quantity]:
+        """Chain rule along the spline."""
+        s, speed, acceleration = x[0], x[1], u[0]
+        position, tangent, curvature = (self._spline(s, order) for order in range(3))
+        return (
+            position,
+            tangent * speed,
+            tangent * acceleration + curvature * speed * speed,
+        )
+
+    def _spline(self, s: Quantity, order: int) -> Quantity:
+        """Derivative of the spline with respect to s, in truncated powers (C2 in s)."""
+        polynomial, jumps = self.truncated_powers
+        factor = {0: (1, 1, 1, 1), 1: (0, 1, 2, 3), 2: (0, 0, 2, 6)}[order]
+        value: Quantity = 0.0
+        for degree in range(order, 4):
+            value = value + ca.DM(polynomial[degree] * factor[degree]) * s ** (degree - order)
+        for knot, jump in zip(self.knots, jumps, strict=True):
+            value = value + ca.DM(jump * factor[3]) * ca.fmax(s - knot, 0.0) ** (3 - order)
+        return value
+
+    def state_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """The whole path, never backwards."""
+        return np.array([0.0, 0.0]), np.array([1.0, np.inf])
+
+    def control_bound(self, margins: Mapping[str, float]) -> np.ndarray:
+        """None: joint limits are path rows."""
+        return np.array([np.inf])
+
+    def rate_bound(self, margins: Mapping[str, float]) -> np.ndarray:
+        """None."""
+        return np.array([np.inf])
+
+    def boundary_states(self, motion: ResolvedMotion) -> tuple[np.ndarray, np.ndarray]:
+        """Rest at both ends of the path."""
+        return np.array([0.0, 0.0]), np.array([1.0, 0.0])
+
+
+def spline_coefficients(
+    waypoints: np.ndarray,
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Not-a-knot cubic spline over [0, 1] through equally spaced waypoints.
+
+    Parameters
+    ----------
+    waypoints : array (k, n)
+
+    Returns
+    -------
+    knots : array (k - 4,) or (0,)
+        Where the third derivative jumps.
+    coefficients : (polynomial (4, n), jumps (len(knots), n))
+        q(s) = sum_i polynomial[i] s^i + sum_j jumps[j] max(s - knots[j], 0)^3.
+    """
+    from scipy.interpolate import CubicSpline
+
+    s = np.linspace(0.0, 1.0, len(waypoints))
+    spline = CubicSpline(s, waypoints, axis=0, bc_type="not-a-knot")
+    polynomial = np.stack([np.asarray(spline(0.0, k)) / f for k, f in enumerate((1, 1, 2, 6))])
+    cubic = spline.c[0]
+    jumps = np.diff(cubic, axis=0)
+    return s[1:-1], (polynomial, jumps)

@@ -1,0 +1,106 @@
+"""Limits that are not plain bounds, as path rows of the optimal-control problem."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.problem.coordinates import Coordinates
+from stiffopt.problem.stage_model import StageModel
+from stiffopt.problem.trajectory import Limits, TrajectoryProblem
+from stiffopt.symbolic import Quantity
+from stiffopt.transcription.ocp import Rows
+
+Block = tuple[Rows, Quantity]
+
+
+def limit_rows(
+    problem: TrajectoryProblem,
+    model: StageModel,
+    coordinates: Coordinates,
+    margins: Mapping[str, float],
+) -> list[Block]:
+    """Blocks of rows with their expressions; each row is relative to its limit.
+
+    A margin m tightens the limit of that name by the share m.
+    """
+    limits = problem.active_limits
+    blocks: list[Block] = []
+    blocks += _magnitudes("torque", model.drive_torque, limits.torque, margins, midpoints=True)
+    if not coordinates.bounds_joints:
+        blocks += _magnitudes("velocity", model.velocity, limits.velocity, margins)
+        blocks += _magnitudes("acceleration", model.acceleration, limits.acceleration, margins)
+    if limits.velocity_map is not None:
+        blocks.append(_velocity_map(model, limits, margins.get("velocity_by_position", 0.0)))
+    if np.isfinite(limits.tool_speed):
+        blocks.append(_length("tool_speed", model.tool_velocity, limits.tool_speed, margins))
+    for name in ("dynamic_deflection", "total_deflection"):
+        cap = getattr(limits, name)
+        if np.isfinite(cap):
+            vector = getattr(model.deflection, name.removesuffix("_deflection"))
+            blocks.append(_length(name, vector, cap, margins))
+    if limits.joint_stiffness:
+        blocks.append(_stiffness_floor(model, limits, margins.get("joint_stiffness", 0.0)))
+    return blocks
+
+
+def _magnitudes(
+    name: str,
+    values: Quantity,
+    bound: np.ndarray,
+    margins: Mapping[str, float],
+    midpoints: bool = False,
+) -> list[Block]:
+    """|value| <= bound for every joint with a finite bound."""
+    joints = np.flatnonzero(np.isfinite(bound))
+    if joints.size == 0:
+        return []
+    allowed = 1.0 - margins.get(name, 0.0)
+    labels = [f"joint {j + 1}" for j in joints]
+    rows = Rows.make(name, labels, -allowed, allowed, midpoints=midpoints)
+    return [(rows, ca.vertcat(*(values[int(j)] / bound[j] for j in joints)))]
+
+
+def _length(name: str, vector: Quantity, bound: float, margins: Mapping[str, float]) -> Block:
+    """|vector| <= bound, squared so that it is smooth at zero."""
+    relative = vector / bound
+    allowed = (1.0 - margins.get(name, 0.0)) ** 2
+    rows = Rows.make(name, ["tool"], -np.inf, allowed, midpoints=True)
+    return rows, ca.dot(relative, relative)
+
+
+def _velocity_map(model: StageModel, limits: Limits, margin: float) -> Block:
+    """|velocity| below a piecewise-linear function of the joint's own position."""
+    assert limits.velocity_map is not None
+    positions, speeds = limits.velocity_map
+    expressions, labels = [], []
+    for j in range(positions.shape[1]):
+        allowed = _piecewise_linear(model.position[j], positions[:, j], speeds[:, j])
+        scale = float(np.max(speeds[:, j]))
+        for sign, side in ((1.0, "forward"), (-1.0, "backward")):
+            slack = sign * model.velocity[j] - (1.0 - margin) * allowed
+            expressions.append(slack / scale)
+            labels.append(f"joint {j + 1} {side}")
+    rows = Rows.make("velocity_by_position", labels, -np.inf, 0.0, midpoints=True)
+    return rows, ca.vertcat(*expressions)
+
+
+def _piecewise_linear(x: Quantity, knots: np.ndarray, values: np.ndarray) -> Quantity:
+    """Linear interpolation, constant outside the knots, as a sum of hinges."""
+    slopes = np.concatenate(([0.0], np.diff(values) / np.diff(knots), [0.0]))
+    result: Quantity = float(values[0])
+    for knot, change in zip(knots, np.diff(slopes), strict=True):
+        if change != 0.0:
+            result = result + float(change) * ca.fmax(x - float(knot), 0.0)
+    return result
+
+
+def _stiffness_floor(model: StageModel, limits: Limits, margin: float) -> Block:
+    """Tangent stiffness above a floor, in compliance: smooth where stiffness is steep."""
+    floors = dict(sorted(limits.joint_stiffness.items()))
+    labels = [f"joint {j}" for j in floors]
+    expressions = [floor * model.compliance(j) for j, floor in floors.items()]
+    rows = Rows.make("joint_stiffness", labels, -np.inf, 1.0 - margin, midpoints=True)
+    return rows, ca.vertcat(*expressions)

@@ -1,0 +1,164 @@
+"""Poses of a problem as joint angles, and the checks that need no solver.
+
+What no duration can cure is an input error here: a start outside the joint range, a pose out of
+reach, a pose that the drives cannot hold at rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from stiffopt.dynamics.inverse_kinematics import solve_pose
+from stiffopt.errors import ProblemError
+from stiffopt.problem.trajectory import Target, TrajectoryProblem
+from stiffopt.problem.waypoints import rotation_matrix
+
+
+@dataclass(frozen=True)
+class ResolvedMotion:
+    """Joint angles of the poses.
+
+    Parameters
+    ----------
+    start, end : array (n,) [rad]
+    vias : tuple of array (n,) [rad]
+        One solution each; the optimiser may pass a via in another.
+    start_fixed, end_fixed : bool
+        False where only the tool's position is given: the angles are then a first guess.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    vias: tuple[np.ndarray, ...]
+    start_fixed: bool
+    end_fixed: bool
+
+    @property
+    def points(self) -> np.ndarray:
+        """Start, vias and end, (k, n)."""
+        return np.stack([self.start, *self.vias, self.end])
+
+
+def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
+    """Resolve all poses and check those that the motion must take.
+
+    Raises
+    ------
+    ProblemError
+        A pose is out of reach or out of range, or cannot be held at rest.
+    """
+    if problem.path is not None:
+        return _resolve_path(problem)
+    start = _joints(problem, problem.start, "motion.start", None)
+    vias = []
+    near = start
+    for number, via in enumerate(problem.vias, start=1):
+        near = _joints(problem, via, f"motion.via[{number}]", near)
+        vias.append(near)
+    end = _joints(problem, problem.end, "motion.end", near)
+    motion = ResolvedMotion(
+        start, end, tuple(vias), _is_fixed(problem.start), _is_fixed(problem.end)
+    )
+    for where, target, angles in (
+        ("motion.start", problem.start, start),
+        ("motion.end", problem.end, end),
+    ):
+        if _is_fixed(target):
+            _check_range(problem, where, angles)
+            _check_rest(problem, where, angles)
+    for number, (via, angles) in enumerate(zip(problem.vias, vias, strict=True), start=1):
+        if via.joints is not None:
+            _check_range(problem, f"motion.via[{number}]", angles)
+    return motion
+
+
+def gravity_torque(problem: TrajectoryProblem, angles: np.ndarray) -> np.ndarray:
+    """Torque (n,) [N m] that holds a pose at rest, with the process force."""
+    robot = problem.robot
+    torque = pin.computeGeneralizedGravity(robot.model, robot.model.createData(), angles)
+    if np.any(problem.process_force):
+        torque = torque - tool_jacobian(problem, angles).T @ problem.process_force
+    return np.asarray(torque)
+
+
+def tool_jacobian(problem: TrajectoryProblem, angles: np.ndarray) -> np.ndarray:
+    """Position Jacobian (3, n) of the tool in base axes."""
+    model, tool = problem.robot.model, problem.robot.tool
+    data = model.createData()
+    pin.computeJointJacobians(model, data, angles)
+    joint = pin.getJointJacobian(model, data, tool.joint, pin.LOCAL_WORLD_ALIGNED)
+    arm = data.oMi[tool.joint].rotation @ np.asarray(tool.offset, dtype=float)
+    return np.asarray(joint[:3] - pin.skew(arm) @ joint[3:])
+
+
+def _is_fixed(target: Target) -> bool:
+    """Whether the target leaves no freedom of the joints."""
+    return target.joints is not None or target.rpy is not None
+
+
+def _joints(
+    problem: TrajectoryProblem, target: Target, where: str, near: np.ndarray | None
+) -> np.ndarray:
+    if target.joints is not None:
+        if target.joints.shape != (problem.joints,) or not np.all(np.isfinite(target.joints)):
+            raise ProblemError(
+                f"{where}.joints needs {problem.joints} finite angles, got "
+                f"{np.array2string(target.joints, precision=4)}."
+            )
+        return target.joints
+    guess = target.near if target.near is not None else near
+    if guess is None:
+        limits = problem.active_limits
+        middle = (limits.position_lower + limits.position_upper) / 2
+        guess = np.where(np.isfinite(middle), middle, 0.0)
+    rotation = None if target.rpy is None else rotation_matrix(target.rpy)
+    try:
+        return np.asarray(solve_pose(problem.robot, target.position, rotation, guess))
+    except ProblemError as error:
+        raise ProblemError(f"{where}: {error}") from error
+
+
+def _resolve_path(problem: TrajectoryProblem) -> ResolvedMotion:
+    path = problem.path
+    assert path is not None
+    if path.ndim != 2 or path.shape[0] < 4 or path.shape[1] != problem.joints:
+        raise ProblemError(
+            f"motion.path needs at least 4 waypoints of {problem.joints} joint angles each, got an "
+            f"array of shape {path.shape}."
+        )
+    for number, angles in enumerate(path, start=1):
+        _check_range(problem, f"motion.path[{number}]", angles)
+    _check_rest(problem, "motion.path[1]", path[0])
+    _check_rest(problem, f"motion.path[{len(path)}]", path[-1])
+    return ResolvedMotion(path[0], path[-1], (), True, True)
+
+
+def _check_range(problem: TrajectoryProblem, where: str, angles: np.ndarray) -> None:
+    limits = problem.active_limits
+    for j, angle in enumerate(angles):
+        low, high = limits.position_lower[j], limits.position_upper[j]
+        if not low - 1e-9 <= angle <= high + 1e-9:
+            raise ProblemError(
+                f"{where}: joint {j + 1} at {_both(angle)} is outside its range {_both(low)} to "
+                f"{_both(high)}. Choose a pose within the range, or widen limits.position."
+            )
+
+
+def _check_rest(problem: TrajectoryProblem, where: str, angles: np.ndarray) -> None:
+    """A pose held at rest must be within the torque limits, whatever the duration."""
+    if problem.boundary_acceleration != "zero" or problem.boundary_velocity is not None:
+        return
+    torque, limit = gravity_torque(problem, angles), problem.active_limits.torque
+    for j in np.flatnonzero(np.abs(torque) > limit):
+        raise ProblemError(
+            f"{where}: holding this pose takes {abs(torque[j]):.3g} N m at joint {j + 1}, above "
+            f"its torque limit {limit[j]:.3g} N m, so no duration can connect it. Choose another "
+            "pose, a lighter payload, or raise limits.torque."
+        )
+
+
+def _both(angle: float) -> str:
+    return f"{angle:.4g} rad ({np.degrees(angle):.4g} deg)"

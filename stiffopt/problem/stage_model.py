@@ -1,0 +1,121 @@
+"""The quantities of one instant, symbolic and built only when an objective or a limit asks.
+
+Rotor inertia and friction load the drive, not the spring.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.dynamics.deflection import (
+    Deflection,
+    SpringTorques,
+    spring_torques,
+    tool_deflection,
+)
+from stiffopt.dynamics.friction import drive_torque
+from stiffopt.dynamics.kinematics import point_jacobian
+from stiffopt.errors import ProblemError
+from stiffopt.symbolic import Quantity
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+
+class StageModel:
+    """Symbolic torques, stiffness and deflection of a robot at one instant.
+
+    Parameters
+    ----------
+    robot : Robot
+    position, velocity, acceleration : SX (n,)
+    process_force : array (3,) [N]
+        Acts on the tool, base frame.
+    smoothing : SX or float
+        Factor on every smoothing width of the stiffness model.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        position: Quantity,
+        velocity: Quantity,
+        acceleration: Quantity,
+        process_force: np.ndarray,
+        smoothing: Quantity,
+    ) -> None:
+        self.robot = robot
+        self.position, self.velocity, self.acceleration = position, velocity, acceleration
+        self.process_force = np.asarray(process_force, dtype=float)
+        self.smoothing = smoothing
+
+    @cached_property
+    def torques(self) -> SpringTorques:
+        """Torques in the joints' springs: gravity, motion, and with the process force."""
+        tool = self.robot.tool
+        force = self.process_force if np.any(self.process_force) else None
+        return spring_torques(
+            self.robot.model,
+            tool.joint,
+            tool.offset,
+            self.position,
+            self.velocity,
+            self.acceleration,
+            force,
+        )
+
+    @cached_property
+    def jacobian(self) -> Quantity:
+        """Position Jacobian of the tool (3, n), base axes."""
+        tool = self.robot.tool
+        return point_jacobian(self.robot.model, tool.joint, tool.offset, self.position)
+
+    @cached_property
+    def drive_torque(self) -> Quantity:
+        """Torque of the drives (n,) [N m]."""
+        return drive_torque(
+            self.torques.spring,
+            self.velocity,
+            self.acceleration,
+            rotor_inertia=self.robot.rotor_inertia,
+            coulomb=self.robot.coulomb,
+            viscous=self.robot.viscous,
+            velocity_max=self.robot.velocity_max,
+        )
+
+    @cached_property
+    def tool_velocity(self) -> Quantity:
+        """Velocity of the tool (3,) [m/s]."""
+        return ca.mtimes(self.jacobian, self.velocity)
+
+    def windup(self, torque: Quantity) -> Quantity:
+        """Wind-up of every joint (n,) [rad] under spring torques (n,)."""
+        angles = [
+            0.0 if chain is None else chain.windup(torque[j], smoothing=self.smoothing)
+            for j, chain in enumerate(self.robot.chains)
+        ]
+        return ca.vertcat(*angles)
+
+    def compliance(self, joint: int) -> Quantity:
+        """Tangent compliance [rad/(N m)] of a joint (1-based) at its spring torque."""
+        chain = self.robot.chains[joint - 1]
+        if chain is None:
+            raise ProblemError(
+                f"Joint {joint} of {self.robot.name} has no drivetrain, so it has no stiffness. "
+                "Describe its elements in the robot file, or leave the joint out."
+            )
+        return chain.tangent_compliance(self.torques.spring[joint - 1], smoothing=self.smoothing)
+
+    @cached_property
+    def deflection(self) -> Deflection:
+        """Deflection of the tool in its static, dynamic and process parts (3,) [m]."""
+        if all(chain is None for chain in self.robot.chains):
+            raise ProblemError(
+                f"{self.robot.name} has no drivetrain, so its tool does not deflect. Describe the "
+                "joints' elements in the robot file, or minimise another objective."
+            )
+        return tool_deflection(self.jacobian, self.torques, self.windup)
