@@ -1,1 +1,1 @@
-"""TODO"""
+"""Solvers of transcribed problems."""

@@ -14,7 +14,7 @@ static variable and an integral row instead.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -168,6 +168,21 @@ class OptimalControlProblem:
     objective_scale: float = 1.0
 
     @property
+    def scales_of_states(self) -> np.ndarray:
+        """Typical magnitude of each state; ones unless given."""
+        return _full(1.0 if self.state_scale is None else self.state_scale, len(self.states))
+
+    @property
+    def scales_of_controls(self) -> np.ndarray:
+        """Typical magnitude of each control; ones unless given."""
+        return _full(1.0 if self.control_scale is None else self.control_scale, len(self.controls))
+
+    @property
+    def scales_of_statics(self) -> np.ndarray:
+        """Typical magnitude of each static variable; ones unless given."""
+        return _full(1.0 if self.static_scale is None else self.static_scale, len(self.statics))
+
+    @property
     def phases(self) -> int:
         """Number of phases: one more than the vias."""
         return len(self.vias) + 1
@@ -189,11 +204,12 @@ class Guess:
     statics : array (nz,)
     duration : float
     phase_fractions : array (phases,)
-        Share of the duration that each phase takes; sums to one.
+        Share of the duration that each phase takes; sums to one. Equal shares are taken when the
+        number of entries is not that of the phases.
     """
 
-    states: object
-    controls: object
+    states: Callable[[np.ndarray], np.ndarray]
+    controls: Callable[[np.ndarray], np.ndarray]
     duration: float
     statics: np.ndarray = field(default_factory=lambda: np.zeros(0))
     phase_fractions: np.ndarray = field(default_factory=lambda: np.ones(1))

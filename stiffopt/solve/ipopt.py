@@ -1,0 +1,242 @@
+"""IPOPT on a transcribed problem: built once, solved many times."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.errors import InputError
+from stiffopt.solve.monitor import Iterate, Monitor, Progress, interrupt_sets
+from stiffopt.solve.options import IpoptOptions
+from stiffopt.transcription.nlp import Nlp, Violation
+
+_STATUS = {
+    "Solve_Succeeded": "optimal",
+    "Feasible_Point_Found": "optimal",
+    "Solved_To_Acceptable_Level": "acceptable",
+    "Infeasible_Problem_Detected": "infeasible",
+    "Restoration_Failed": "infeasible",
+    "Maximum_Iterations_Exceeded": "iteration_limit",
+    "Maximum_CpuTime_Exceeded": "time_limit",
+    "Maximum_WallTime_Exceeded": "time_limit",
+    "Invalid_Number_Detected": "invalid_number",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RawSolution:
+    """End of one NLP solve.
+
+    After "optimal" and "acceptable" the values are those IPOPT ends with; after any other end they
+    are those of the best iterate (least violation, then lowest objective).
+
+    Attributes
+    ----------
+    status : str
+        optimal, acceptable, infeasible, iteration_limit, time_limit, interrupted, invalid_number
+        or stalled (no progress from a point that is neither optimal nor infeasible).
+    reason : str
+        IPOPT's own word, and what is known beyond it.
+    x, g : array
+        Scaled NLP variables and rows.
+    objective : float
+        In the problem's unit.
+    violation : float
+        Worst row, relative to its scale.
+    worst_rows : list of Violation
+    iteration : int
+        From which the values are.
+    iterations : int
+        Number that were made.
+    multipliers_x, multipliers_g : array
+        Of the last iterate; pass the solution as `warm` to start another solve from them.
+    history : list of Progress
+    build_s, solve_s : float
+        Seconds.
+    """
+
+    status: str
+    reason: str
+    x: np.ndarray
+    g: np.ndarray
+    objective: float
+    violation: float
+    worst_rows: list[Violation]
+    iteration: int
+    iterations: int
+    multipliers_x: np.ndarray
+    multipliers_g: np.ndarray
+    history: list[Progress]
+    build_s: float
+    solve_s: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether the solver met its tolerance, the full or the acceptable one."""
+        return self.status in ("optimal", "acceptable")
+
+
+class IpoptSolver:
+    """Solver of one NLP with exact derivatives.
+
+    Parameters
+    ----------
+    nlp : Nlp
+    options : IpoptOptions
+    """
+
+    def __init__(self, nlp: Nlp, options: IpoptOptions | None = None) -> None:
+        self.nlp = nlp
+        self.options = options or IpoptOptions()
+        begin = time.perf_counter()
+        self._monitor = Monitor(nlp)
+        self._solver = self._make({})
+        self._warm: ca.Function | None = None
+        self.build_s = time.perf_counter() - begin
+
+    def solve(
+        self,
+        x0: np.ndarray,
+        parameters: np.ndarray | None = None,
+        *,
+        warm: RawSolution | None = None,
+        report: Callable[[Progress], object] | None = None,
+        max_seconds: float | None = None,
+    ) -> RawSolution:
+        """Solve from a guess; Ctrl-C ends it at the next iteration with the best iterate kept.
+
+        Parameters
+        ----------
+        x0 : array
+            Scaled variables, see `Transcription.pack`.
+        parameters : array (np,), optional
+            Zeros when absent.
+        warm : RawSolution, optional
+            Solution of the same NLP (with other parameters) whose multipliers to start from.
+        report : callable, optional
+            Called with a `Progress` in each iteration.
+        max_seconds : float, optional
+            Overrides the option.
+        """
+        nlp = self.nlp
+        p = np.zeros(nlp.p.numel()) if parameters is None else np.asarray(parameters, dtype=float)
+        inputs: dict[str, np.ndarray] = {
+            "x0": np.asarray(x0, dtype=float),
+            "p": p,
+            "lbx": nlp.lower_x,
+            "ubx": nlp.upper_x,
+            "lbg": nlp.lower_g,
+            "ubg": nlp.upper_g,
+        }
+        solver = self._solver
+        if warm is not None:
+            solver = self._warm_solver()
+            inputs |= {"lam_x0": warm.multipliers_x, "lam_g0": warm.multipliers_g}
+        monitor = self._monitor
+        monitor.begin(report, self.options.max_seconds if max_seconds is None else max_seconds)
+        with interrupt_sets(monitor.interrupt):
+            outputs = solver(**inputs)
+        solve_s = time.perf_counter() - monitor.started
+        if monitor.error is not None:
+            raise monitor.error
+        word = str(solver.stats()["return_status"])
+        status = monitor.stopped_by or _status(word)
+        last = self._iterate(outputs)
+        best = last if status in ("optimal", "acceptable") else (monitor.best or last)
+        reason = word
+        if status == "invalid_number":
+            reason = self._invalid_number([inputs["x0"], last.x], p) or word
+        return RawSolution(
+            status=status,
+            reason=reason,
+            x=best.x,
+            g=best.g,
+            objective=best.objective,
+            violation=best.violation,
+            worst_rows=nlp.worst_rows(best.g, tolerance=self.options.tol),
+            iteration=best.iteration,
+            iterations=max(len(monitor.history) - 1, 0),
+            multipliers_x=outputs["lam_x"].full().ravel(),
+            multipliers_g=outputs["lam_g"].full().ravel(),
+            history=monitor.history,
+            build_s=self.build_s,
+            solve_s=solve_s,
+        )
+
+    def _make(self, further: dict[str, Any], **functions: ca.Function) -> ca.Function:
+        options: dict[str, Any] = {
+            "ipopt": {**self.options.for_ipopt(), **further},
+            "iteration_callback": self._monitor,
+            "print_time": False,
+            "show_eval_warnings": False,
+            "error_on_fail": False,
+            **functions,
+        }
+        return ca.nlpsol("solver", "ipopt", self.nlp.casadi, options)
+
+    def _warm_solver(self) -> ca.Function:
+        # IPOPT reads these options when it is set up; the derivatives are shared with the other.
+        if self._warm is None:
+            self._warm = self._make(
+                {
+                    "warm_start_init_point": "yes",
+                    "warm_start_bound_push": 1e-8,
+                    "warm_start_bound_frac": 1e-8,
+                    "warm_start_slack_bound_push": 1e-8,
+                    "warm_start_slack_bound_frac": 1e-8,
+                    "warm_start_mult_bound_push": 1e-8,
+                    "mu_init": 1e-6,
+                },
+                grad_f=self._solver.get_function("nlp_grad_f"),
+                jac_g=self._solver.get_function("nlp_jac_g"),
+                hess_lag=self._solver.get_function("nlp_hess_l"),
+            )
+        return self._warm
+
+    def _iterate(self, outputs: dict[str, ca.DM]) -> Iterate:
+        g = outputs["g"].full().ravel()
+        excess = self.nlp.violations(g)
+        return Iterate(
+            iteration=max(len(self._monitor.history) - 1, 0),
+            x=outputs["x"].full().ravel(),
+            g=g,
+            objective=float(outputs["f"]) * self.nlp.objective_scale,
+            violation=float(excess.max()) if excess.size else 0.0,
+        )
+
+    def _invalid_number(self, points: list[np.ndarray], p: np.ndarray) -> str:
+        """Sentence that names the first row without a value or slope at one of the points."""
+        value = ca.Function("value", [self.nlp.x, self.nlp.p], [self.nlp.f, self.nlp.g])
+        slope = self._solver.get_function("nlp_jac_g")
+        for x in points:
+            f, g = (m.full().ravel() for m in value(x, p))
+            bad = np.flatnonzero(~np.isfinite(g))
+            if bad.size:
+                return f"no finite value of row: {self.nlp.rows.entry(int(bad[0]))}"
+            if not np.isfinite(f[0]):
+                return "no finite value of the objective"
+            jacobian = slope(x, p)[-1]
+            rows = np.asarray(jacobian.sparsity().row())
+            bad = rows[~np.isfinite(np.asarray(jacobian.nonzeros()))]
+            if bad.size:
+                return f"no finite slope of row: {self.nlp.rows.entry(int(bad.min()))}"
+        return ""
+
+
+def _status(word: str) -> str:
+    if word == "Invalid_Option":
+        raise InputError(
+            "IPOPT does not know or cannot use one of its options. Check IpoptOptions.extra and "
+            "linear_solver; allowed linear solvers: mumps, spral."
+        )
+    if word == "Not_Enough_Degrees_Of_Freedom":
+        raise InputError(
+            "The problem has more equations than free variables. Free a boundary value or remove "
+            "an equation."
+        )
+    return _STATUS.get(word, "stalled")

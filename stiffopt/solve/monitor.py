@@ -1,0 +1,149 @@
+"""Watches an IPOPT run: progress, time limit, Ctrl-C, and the best iterate so far."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.transcription.nlp import Nlp
+
+# Iterates with a smaller scaled violation count as feasible and are ranked by objective.
+FEASIBLE = 1e-6
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One iteration.
+
+    Attributes
+    ----------
+    iteration : int
+    objective : float
+        In the problem's unit.
+    violation : float
+        Worst row, relative to its scale.
+    row : str
+        Name, label and place of that row; "" when nothing is violated.
+    elapsed : float
+        Since the solve began [s].
+    """
+
+    iteration: int
+    objective: float
+    violation: float
+    row: str
+    elapsed: float
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """Variables and rows of one iteration, scaled."""
+
+    iteration: int
+    x: np.ndarray
+    g: np.ndarray
+    objective: float
+    violation: float
+
+    def better_than(self, other: Iterate | None) -> bool:
+        """Whether this one is to be kept: least violation, then lowest objective."""
+        if other is None:
+            return True
+        mine, theirs = max(self.violation, FEASIBLE), max(other.violation, FEASIBLE)
+        return mine < theirs or (mine == theirs and self.objective < other.objective)
+
+
+class Monitor(ca.Callback):
+    """IPOPT's iteration callback; one object serves many solves one after another."""
+
+    def __init__(self, nlp: Nlp) -> None:
+        ca.Callback.__init__(self)
+        self._nlp = nlp
+        self._sizes = {
+            "x": nlp.variables.size,
+            "lam_x": nlp.variables.size,
+            "f": 1,
+            "g": nlp.rows.size,
+            "lam_g": nlp.rows.size,
+            "lam_p": nlp.p.numel(),
+        }
+        self.begin(None, float("inf"))
+        self.construct("monitor", {})
+
+    def begin(self, report: Callable[[Progress], object] | None, max_seconds: float) -> None:
+        """Forget the last solve."""
+        self.report, self.max_seconds = report, max_seconds
+        self.started = time.perf_counter()
+        self.history: list[Progress] = []
+        self.best: Iterate | None = None
+        self.last: Iterate | None = None
+        self.stopped_by = ""  # "interrupted" or "time_limit"
+        self.error: BaseException | None = None
+        self.interrupt = threading.Event()
+
+    def get_n_in(self) -> int:
+        """Return the number of nlpsol outputs."""
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        """Return one: zero to go on."""
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        """Return the name of an nlpsol output."""
+        return str(ca.nlpsol_out(i))
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        """Return the shape of an nlpsol output."""
+        return ca.Sparsity.dense(self._sizes.get(str(ca.nlpsol_out(i)), 0), 1)
+
+    def eval(self, arg: list[ca.DM]) -> list[float]:
+        """Take in one iteration; a return value of 1 stops IPOPT."""
+        try:
+            self._take(arg)
+        except BaseException as error:  # must not cross the C++ border; raised after the solve
+            self.error = error
+            return [1.0]
+        if self.interrupt.is_set():
+            self.stopped_by = "interrupted"
+        elif time.perf_counter() - self.started > self.max_seconds:
+            self.stopped_by = "time_limit"
+        return [float(bool(self.stopped_by))]
+
+    def _take(self, arg: list[ca.DM]) -> None:
+        nlp = self._nlp
+        x, objective, g = arg[0].full().ravel(), float(arg[1]), arg[2].full().ravel()
+        objective *= nlp.objective_scale
+        excess = nlp.violations(g)
+        worst = int(np.argmax(excess)) if excess.size else -1
+        violation = float(excess[worst]) if excess.size else 0.0
+        number = len(self.history)
+        self.last = Iterate(number, x, g, objective, violation)
+        if np.isfinite(objective) and np.isfinite(violation) and self.last.better_than(self.best):
+            self.best = self.last
+        row = str(nlp.rows.entry(worst)) if violation > 0.0 else ""
+        elapsed = time.perf_counter() - self.started
+        progress = Progress(number, objective, violation, row, elapsed)
+        self.history.append(progress)
+        if self.report is not None:
+            self.report(progress)
+
+
+@contextmanager
+def interrupt_sets(flag: threading.Event) -> Iterator[None]:
+    """Ctrl-C sets the flag instead of raising; only the main thread can take signals."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, lambda *_: flag.set())
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

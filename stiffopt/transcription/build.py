@@ -1,0 +1,309 @@
+"""From an optimal-control problem and a mesh to an NLP."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.errors import ProblemError, nearest
+from stiffopt.transcription.hermite_simpson import HermiteSimpson
+from stiffopt.transcription.mesh import Mesh, checked_mesh
+from stiffopt.transcription.nlp import Block, Blocks, Nlp, Places
+from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
+from stiffopt.transcription.piecewise_linear import PiecewiseLinear
+from stiffopt.transcription.radau import Radau
+from stiffopt.transcription.scheme import Intervals, Scheme, StagePoints, Symbols
+from stiffopt.transcription.transcription import Transcription
+
+METHODS = ("piecewise_linear", "hermite_simpson", "radau")
+_ALIASES = {"piecewise_linear_acceleration": "piecewise_linear"}
+
+
+def scheme_of(method: str, degree: int = 3) -> Scheme:
+    """Find the scheme of a name; `degree` counts the Radau points of an interval."""
+    name = _ALIASES.get(method, method)
+    if name == "piecewise_linear":
+        return PiecewiseLinear()
+    if name == "hermite_simpson":
+        return HermiteSimpson()
+    if name == "radau":
+        return Radau(degree)
+    raise ProblemError(
+        f"transcription {method!r} is not known. {nearest(method, [*METHODS, *_ALIASES])}"
+    )
+
+
+def transcribe(
+    ocp: OptimalControlProblem,
+    method: str = "piecewise_linear",
+    mesh: Sequence[np.ndarray] = (),
+    degree: int = 3,
+) -> Transcription:
+    """Turn an optimal-control problem into an NLP.
+
+    The stage is evaluated through one `casadi.Function.map` over all points and the graph is not
+    expanded, so the time to build hardly grows with the mesh.
+
+    Parameters
+    ----------
+    ocp : OptimalControlProblem
+    method : str
+        "piecewise_linear" (also "piecewise_linear_acceleration"), "hermite_simpson" or "radau".
+    mesh : sequence of array
+        Interval fractions of each phase; see `uniform_mesh`.
+    degree : int
+        Points in each interval of "radau".
+    """
+    return _Builder(ocp, scheme_of(method, degree), checked_mesh(mesh, ocp.phases)).build()
+
+
+class _Builder:
+    """Collects variables and rows of one NLP."""
+
+    def __init__(self, ocp: OptimalControlProblem, scheme: Scheme, mesh: Mesh) -> None:
+        self.ocp, self.scheme, self.mesh = ocp, scheme, mesh
+        self.intervals = Intervals.of(mesh)
+        self.variables, self.rows = Blocks(), Blocks()
+        self.expressions: list[ca.MX] = []
+        self._declare()
+        self.x = ca.MX.sym("x", self.variables.size)
+        self.p = ca.MX.sym("p", len(ocp.parameters))
+
+    def build(self) -> Transcription:
+        ocp = self.ocp
+        durations = (
+            ca.DM(ocp.duration[0]) if self.durations is None else self._symbol(self.durations)
+        )
+        symbols = Symbols(
+            ocp=ocp,
+            intervals=self.intervals,
+            states=self._symbol(self.states),
+            controls=self._symbol(self.controls),
+            steps=(ca.DM(self.intervals.shares) @ durations).T,
+            parameters=self.p,
+        )
+        statics = self._symbol(self.statics)
+        for name, index, expression, places in self.scheme.defects(symbols):
+            labels = [ocp.states[i] for i in index]
+            self._row(
+                Rows.make(name, labels, 0.0, 0.0, ocp.scales_of_states[index]), expression, places
+            )
+        points = self.scheme.stage_points(symbols, any(r.midpoints for r in ocp.path_rows))
+        integrals = self._stage(symbols, points, statics)
+        for rows, expression, places in self.scheme.extra_rows(symbols):
+            self._row(rows, expression, places)
+        self._control_rates(symbols)
+        self._waypoints(symbols)
+        total = ca.sum1(durations)
+        if ocp.phases > 1:
+            self._row(Rows.make("duration", [""], *ocp.duration, unit="s"), total, None)
+        if ocp.integral_function is not None:
+            values = ocp.integral_function(integrals, total, statics, self.p)
+            self._blocks(ocp.integral_rows, values)
+        x = symbols.states
+        objective = ocp.objective(integrals, total, statics, x[:, 0], x[:, -1], self.p)
+        return self._finish(integrals, objective)
+
+    def _finish(self, integrals: ca.MX, objective: ca.MX) -> Transcription:
+        lower_x, upper_x = self.variables.bounds()
+        lower_g, upper_g = self.rows.bounds()
+        for index in np.flatnonzero(lower_x > upper_x):
+            entry = self.variables.entry(int(index))
+            low, high = lower_x[index] * entry.scale, upper_x[index] * entry.scale
+            raise ProblemError(
+                f"{self.ocp.name}: {entry} must be at least {low:g} and at most {high:g}. Move "
+                "the boundary value inside the limits, or widen the limits."
+            )
+        nlp = Nlp(
+            x=self.x,
+            p=self.p,
+            f=objective / self.ocp.objective_scale,
+            g=ca.vertcat(ca.MX(0, 1), *self.expressions),
+            variables=self.variables,
+            rows=self.rows,
+            lower_x=lower_x,
+            upper_x=upper_x,
+            lower_g=lower_g,
+            upper_g=upper_g,
+            objective_scale=self.ocp.objective_scale,
+        )
+        return Transcription(
+            ocp=self.ocp,
+            scheme=self.scheme,
+            mesh=self.mesh,
+            nlp=nlp,
+            states=self.states,
+            controls=self.controls,
+            statics=self.statics,
+            durations=self.durations,
+            outputs=ca.Function("outputs", [self.x, self.p], [integrals, objective]),
+        )
+
+    def _declare(self) -> None:
+        ocp = self.ocp
+        self.states = self._timed(
+            "state",
+            ocp.states,
+            (ocp.state_lower, ocp.state_upper),
+            ocp.scales_of_states,
+            self.scheme.state_places(self.intervals),
+            (ocp.initial_lower, ocp.initial_upper),
+            (ocp.final_lower, ocp.final_upper),
+        )
+        starts = self.scheme.continuous_control  # else no control stands at the start
+        self.controls = self._timed(
+            "control",
+            ocp.controls,
+            (ocp.control_lower, ocp.control_upper),
+            ocp.scales_of_controls,
+            self.scheme.control_places(self.intervals),
+            (ocp.initial_control_lower, ocp.initial_control_upper) if starts else (None, None),
+            (ocp.final_control_lower, ocp.final_control_upper),
+        )
+        self.statics = self.variables.add(
+            Rows.make(
+                "static variable",
+                ocp.statics,
+                ocp.static_lower,
+                ocp.static_upper,
+                ocp.scales_of_statics,
+            ),
+            None,
+        )
+        self.durations = None
+        if ocp.phases > 1:
+            lower, upper = ocp.duration
+            least = ocp.phase_fraction_min * (upper if np.isfinite(upper) else lower)
+            labels = [f"phase {i + 1}" for i in range(ocp.phases)]
+            self.durations = self.variables.add(
+                Rows.make("duration", labels, least, upper, unit="s"), None
+            )
+        elif not ocp.fixed_duration:
+            self.durations = self.variables.add(
+                Rows.make("duration", [""], *ocp.duration, unit="s"), None
+            )
+
+    def _timed(
+        self,
+        name: str,
+        labels: tuple[str, ...],
+        bounds: tuple[np.ndarray, np.ndarray],
+        scale: np.ndarray,
+        places: Places,
+        first: tuple[np.ndarray | None, np.ndarray | None],
+        last: tuple[np.ndarray | None, np.ndarray | None],
+    ) -> Block:
+        rows = Rows.make(name, labels, *bounds, scale)
+        lower = np.repeat(rows.lower[:, None], len(places), axis=1)
+        upper = np.repeat(rows.upper[:, None], len(places), axis=1)
+        for column, (low, high) in ((0, first), (-1, last)):
+            if low is not None:
+                lower[:, column] = np.maximum(lower[:, column], low)
+            if high is not None:
+                upper[:, column] = np.minimum(upper[:, column], high)
+        return self.variables.add(rows, places, lower, upper)
+
+    def _symbol(self, block: Block) -> ca.MX:
+        part = self.x[block.offset : block.offset + block.size]
+        if not np.all(block.rows.scale == 1.0):
+            part = part * ca.DM(block.scales)
+        return ca.reshape(part, *block.lower.shape)
+
+    def _row(self, rows: Rows, expression: ca.MX, places: Places | None) -> None:
+        block = self.rows.add(rows, places)
+        column = ca.vec(ca.densify(expression))
+        if not np.all(rows.scale == 1.0):
+            column = column / ca.DM(block.scales)
+        self.expressions.append(column)
+
+    def _blocks(
+        self,
+        blocks: Sequence[Rows],
+        values: ca.MX,
+        places: Places | None = None,
+        main: np.ndarray | None = None,
+    ) -> None:
+        """Rows of a function's output, block by block; rows without any bound are left out."""
+        begin = 0
+        for rows in blocks:
+            kept = np.isfinite(rows.lower) | np.isfinite(rows.upper)
+            part = values[(begin + np.flatnonzero(kept)).tolist(), :]
+            begin += len(rows)
+            if not kept.any():
+                continue
+            where = places
+            if places is not None and main is not None and not rows.midpoints and not main.all():
+                part = part[:, np.flatnonzero(main).tolist()]
+                where = places[main]
+            self._row(_selected(rows, kept), part, where)
+
+    def _stage(self, s: Symbols, points: StagePoints, statics: ca.MX) -> ca.MX:
+        count = len(points.places)
+        integrands, rows = self.ocp.stage.map(count)(
+            points.states,
+            points.controls,
+            ca.repmat(statics, 1, count),
+            ca.repmat(self.p, 1, count),
+        )
+        self._blocks(self.ocp.path_rows, rows, points.places, points.main)
+        return integrands @ (ca.DM(ca.sparsify(ca.DM(points.weights))) @ s.steps.T)
+
+    def _control_rates(self, s: Symbols) -> None:
+        ocp = self.ocp
+        count = len(ocp.controls)
+        lower = (
+            np.full(count, -np.inf) if ocp.control_rate_lower is None else (ocp.control_rate_lower)
+        )
+        upper = (
+            np.full(count, np.inf) if ocp.control_rate_upper is None else (ocp.control_rate_upper)
+        )
+        use = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
+        if not use.size:
+            return
+        largest = np.maximum(
+            np.abs(np.where(np.isfinite(lower), lower, 0.0)),
+            np.abs(np.where(np.isfinite(upper), upper, 0.0)),
+        )[use]
+        scale = np.where(largest > 0.0, largest, 1.0)
+        rows = Rows.make(
+            "control rate", [ocp.controls[i] for i in use], lower[use], upper[use], scale
+        )
+        for local in self.scheme.rate_nodes:
+            rates = self.scheme.control_rates(s, float(local))[use.tolist(), :]
+            self._row(rows, rates, self.intervals.places(np.array([local])))
+        if not self.scheme.continuous_control:
+            self._continuous_control(s, use)
+
+    def _continuous_control(self, s: Symbols, use: np.ndarray) -> None:
+        # A jump between intervals would be an unbounded rate that no rate row sees.
+        jumps = self.scheme.control_jumps(s)[use.tolist(), :]
+        labels = [self.ocp.controls[i] for i in use]
+        rows = Rows.make("control continuity", labels, 0.0, 0.0, self.ocp.scales_of_controls[use])
+        inner = self.intervals.places(np.array([0.0]))
+        self._row(rows, jumps, inner[1:])
+
+    def _waypoints(self, s: Symbols) -> None:
+        borders = np.flatnonzero(np.diff(self.intervals.phase)) + 1
+        stride = len(self.scheme.state_nodes) - 1
+        columns = [0, *(borders * stride), len(self.intervals) * stride]
+        points: list[Waypoint | None] = [self.ocp.start, *self.ocp.vias, self.ocp.end]
+        places = self.scheme.state_places(self.intervals)
+        for column, point in zip(columns, points, strict=True):
+            if point is not None:
+                values = point.function(s.states[:, int(column)])
+                self._blocks(point.rows, values, places[[int(column)]])
+
+
+def _selected(rows: Rows, kept: np.ndarray) -> Rows:
+    index = np.flatnonzero(kept)
+    return Rows(
+        name=rows.name,
+        labels=tuple(rows.labels[i] for i in index),
+        lower=rows.lower[index],
+        upper=rows.upper[index],
+        scale=rows.scale[index],
+        unit=rows.unit,
+        midpoints=rows.midpoints,
+    )

@@ -1,0 +1,86 @@
+"""Nodes, quadrature and integration matrices on [0, 1], computed from Legendre polynomials."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.polynomial import legendre, polynomial
+
+
+@cache
+def radau_nodes(degree: int) -> np.ndarray:
+    """Flipped Legendre-Gauss-Radau nodes: `degree` points of (0, 1], the last one is 1.
+
+    Roots of P_d - P_{d-1}, where P is the Legendre polynomial on [0, 1]; the quadrature on them
+    is exact up to polynomial degree 2 d - 2.
+    """
+    series = np.zeros(degree + 1)
+    series[degree], series[degree - 1] = 1.0, -1.0
+    roots = np.sort(legendre.legroots(series).real)
+    roots = _polished(series, roots[:-1])
+    return _frozen(np.append((roots + 1.0) / 2.0, 1.0))
+
+
+@cache
+def lobatto_nodes(count: int) -> np.ndarray:
+    """Legendre-Gauss-Lobatto nodes: `count` points of [0, 1] with both ends.
+
+    Inner nodes are the roots of P'_{count-1}; the quadrature is exact up to degree 2 count - 3.
+    """
+    series = np.zeros(count)
+    series[count - 1] = 1.0
+    slope = legendre.legder(series)
+    inner = _polished(slope, np.sort(legendre.legroots(slope).real))
+    return _frozen(np.concatenate([[0.0], (inner + 1.0) / 2.0, [1.0]]))
+
+
+def power_from_values(nodes: np.ndarray) -> np.ndarray:
+    """Matrix (m, m) from values at the nodes to power coefficients, lowest power first."""
+    return np.linalg.inv(np.vander(np.asarray(nodes, dtype=float), increasing=True))
+
+
+def differentiation_matrix(nodes: np.ndarray) -> np.ndarray:
+    """Matrix (m, m): slopes at the nodes of the polynomial through values at the nodes."""
+    coefficients = power_from_values(nodes)
+    slopes = [polynomial.polyval(nodes, polynomial.polyder(c)) for c in coefficients.T]
+    return np.stack([np.broadcast_to(s, len(nodes)) for s in slopes], axis=1)
+
+
+def integration_matrix(nodes: np.ndarray, ends: np.ndarray, times: int = 1) -> np.ndarray:
+    """Matrix (len(ends), len(nodes)): repeated integrals from 0 to each end.
+
+    Parameters
+    ----------
+    nodes : array (m,)
+        Where the integrand is given; it is the polynomial of degree m - 1 through the values.
+    ends : array (k,)
+    times : int
+        How often to integrate; 2 turns an acceleration into a displacement.
+    """
+    coefficients = power_from_values(nodes)
+    columns = [polynomial.polyval(ends, polynomial.polyint(c, m=times)) for c in coefficients.T]
+    return np.stack(columns, axis=1)
+
+
+def quadrature_weights(nodes: np.ndarray) -> np.ndarray:
+    """Weights (m,) of the interpolatory quadrature over [0, 1]."""
+    return integration_matrix(nodes, np.array([1.0]))[0]
+
+
+def interpolation_matrix(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Matrix (len(points), len(nodes)): the polynomial through node values at other points."""
+    return np.vander(np.atleast_1d(points), len(nodes), increasing=True) @ power_from_values(nodes)
+
+
+def _polished(series: np.ndarray, roots: np.ndarray) -> np.ndarray:
+    # Two Newton steps bring the companion-matrix roots to full precision.
+    slope = legendre.legder(series)
+    for _ in range(2):
+        roots = roots - legendre.legval(roots, series) / legendre.legval(roots, slope)
+    return roots
+
+
+def _frozen(array: np.ndarray) -> np.ndarray:
+    array.setflags(write=False)  # cached arrays are shared
+    return array

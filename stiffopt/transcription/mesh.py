@@ -1,0 +1,93 @@
+"""How each phase is cut into intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stiffopt.errors import ProblemError
+
+# One array a phase: the shares of the phase's duration that its intervals take; each sums to one.
+Mesh = list[np.ndarray]
+
+
+def uniform_mesh(intervals: int, phases: int = 1, shares: Sequence[float] | None = None) -> Mesh:
+    """Equal intervals within each phase.
+
+    Parameters
+    ----------
+    intervals : int
+        Total number, at least one a phase.
+    phases : int
+    shares : sequence of float, optional
+        How the intervals are split over the phases (any positive numbers); equal when absent.
+
+    Returns
+    -------
+    list of array
+        Interval fractions of each phase.
+    """
+    if intervals < phases:
+        raise ProblemError(
+            f"mesh: {intervals} intervals cannot cover {phases} phases. Give at least one interval "
+            "a phase."
+        )
+    weights = np.ones(phases) if shares is None else np.asarray(shares, dtype=float)
+    counts = split_counts(intervals, weights)
+    return [np.full(count, 1.0 / count) for count in counts]
+
+
+def split_counts(total: int, weights: np.ndarray, least: int = 1) -> np.ndarray:
+    """Find whole numbers close to the weights' proportions that sum to `total`, each >= `least`."""
+    least = min(least, total // len(weights))
+    exact = np.asarray(weights, dtype=float) / np.sum(weights) * total
+    counts = np.maximum(np.floor(exact).astype(int), least)
+    while counts.sum() < total:
+        counts[np.argmax(exact - counts)] += 1
+    while counts.sum() > total:
+        counts[np.argmax(np.where(counts > least, counts - exact, -np.inf))] -= 1
+    return counts
+
+
+def checked_mesh(mesh: Sequence[np.ndarray], phases: int) -> Mesh:
+    """Return the mesh as normalised arrays, or a `ProblemError`."""
+    if len(mesh) != phases:
+        raise ProblemError(
+            f"mesh: {len(mesh)} arrays for {phases} phases. Give one array of interval fractions "
+            "a phase."
+        )
+    result = []
+    for index, part in enumerate(mesh):
+        fractions = np.atleast_1d(np.asarray(part, dtype=float))
+        if not np.all(np.isfinite(fractions)) or np.any(fractions <= 0.0):
+            raise ProblemError(
+                f"mesh: phase {index} has an interval fraction that is not positive. All must be "
+                "above 0 and sum to 1."
+            )
+        if abs(fractions.sum() - 1.0) > 1e-6:
+            raise ProblemError(
+                f"mesh: the interval fractions of phase {index} sum to {fractions.sum():g}; they "
+                "must sum to 1."
+            )
+        result.append(fractions / fractions.sum())
+    return result
+
+
+def equidistributed(fractions: np.ndarray, monitor: np.ndarray, count: int) -> np.ndarray:
+    """Place intervals over which a piecewise-constant monitor has equal integrals.
+
+    Parameters
+    ----------
+    fractions : array (k,)
+        Present intervals.
+    monitor : array (k,)
+        Positive density on each present interval.
+    count : int
+        New number of intervals.
+    """
+    mass = np.concatenate([[0.0], np.cumsum(fractions * monitor)])
+    breaks = np.concatenate([[0.0], np.cumsum(fractions)])
+    new = np.interp(np.linspace(0.0, mass[-1], count + 1), mass, breaks)
+    new[0], new[-1] = 0.0, breaks[-1]
+    return np.diff(new) / breaks[-1]

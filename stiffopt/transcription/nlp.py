@@ -1,0 +1,232 @@
+"""The nonlinear programme, with a name for every variable and row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.transcription.ocp import Rows
+
+
+@dataclass(frozen=True)
+class Places:
+    """Points in time: phase index and fraction of that phase, one entry a point."""
+
+    phase: np.ndarray
+    fraction: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.phase)
+
+    def __getitem__(self, index: object) -> Places:
+        return Places(self.phase[index], self.fraction[index])
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Name of one variable or row of the NLP.
+
+    Attributes
+    ----------
+    name : str
+        Of the block, for example "torque".
+    label : str
+        Within the block, for example "joint 2".
+    unit : str
+    scale : float
+        The NLP works with value / scale.
+    phase : int
+        -1 where the entry belongs to no point in time.
+    fraction : float
+        Of the phase's duration; nan where the entry belongs to no point in time.
+    """
+
+    name: str
+    label: str
+    unit: str
+    scale: float
+    phase: int
+    fraction: float
+
+    def __str__(self) -> str:
+        text = f"{self.name}, {self.label}" if self.label else self.name
+        if self.phase < 0:
+            return text
+        phase = f" of phase {self.phase + 1}" if self.phase else ""
+        return f"{text} (at {100.0 * self.fraction:.3g} %{phase})"
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A row outside its bound.
+
+    Attributes
+    ----------
+    entry : Entry
+    value, bound : float
+        In the row's unit.
+    relative : float
+        Excess divided by the row's scale.
+    """
+
+    entry: Entry
+    value: float
+    bound: float
+    relative: float
+
+    def __str__(self) -> str:
+        unit = f" {self.entry.unit}" if self.entry.unit else ""
+        return (
+            f"{self.entry}: {self.value:.6g}{unit} against {self.bound:.6g}{unit} "
+            f"({100.0 * self.relative:.3g} % of its scale)"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """Entries with m labels at k points in time; labels run fastest.
+
+    Parameters
+    ----------
+    rows : Rows
+        Name, labels, unit and scale.
+    places : Places or None
+        None for entries that belong to no point in time (k = 1).
+    lower, upper : array (m, k)
+        Bounds in the entries' unit.
+    offset : int
+        Where the block begins.
+    """
+
+    rows: Rows
+    places: Places | None
+    lower: np.ndarray
+    upper: np.ndarray
+    offset: int
+
+    @property
+    def size(self) -> int:
+        """Number of entries."""
+        return int(self.lower.size)
+
+    @property
+    def scales(self) -> np.ndarray:
+        """Scale of every entry (m k,)."""
+        return np.tile(self.rows.scale, self.lower.shape[1])
+
+    def take(self, vector: np.ndarray) -> np.ndarray:
+        """Read the block's (k, m) values in their unit out of a scaled NLP vector."""
+        part = np.asarray(vector, dtype=float)[self.offset : self.offset + self.size]
+        return part.reshape(self.lower.shape[1], -1 if self.size else 0) * self.rows.scale
+
+    def entry(self, index: int) -> Entry:
+        """Name of the entry at a position counted from the block's begin."""
+        point, label = divmod(index, len(self.rows))
+        return Entry(
+            name=self.rows.name,
+            label=self.rows.labels[label],
+            unit=self.rows.unit,
+            scale=float(self.rows.scale[label]),
+            phase=-1 if self.places is None else int(self.places.phase[point]),
+            fraction=np.nan if self.places is None else float(self.places.fraction[point]),
+        )
+
+
+@dataclass
+class Blocks:
+    """Blocks in order; grows while an NLP is put together."""
+
+    items: list[Block] = field(default_factory=list)
+    size: int = 0
+
+    def add(
+        self,
+        rows: Rows,
+        places: Places | None,
+        lower: np.ndarray | None = None,
+        upper: np.ndarray | None = None,
+    ) -> Block:
+        """Append a block; bounds of single entries override those of the rows."""
+        shape = (len(rows), 1 if places is None else len(places))
+        block = Block(
+            rows=rows,
+            places=places,
+            lower=np.broadcast_to(rows.lower[:, None], shape) if lower is None else lower,
+            upper=np.broadcast_to(rows.upper[:, None], shape) if upper is None else upper,
+            offset=self.size,
+        )
+        self.items.append(block)
+        self.size += block.size
+        return block
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Scaled lower and upper bounds of all entries."""
+        lower = [b.lower.ravel(order="F") / b.scales for b in self.items]
+        upper = [b.upper.ravel(order="F") / b.scales for b in self.items]
+        return np.concatenate([np.zeros(0), *lower]), np.concatenate([np.zeros(0), *upper])
+
+    def entry(self, index: int) -> Entry:
+        """Name of an entry by its position in the NLP vector."""
+        for block in self.items:
+            if index < block.offset + block.size:
+                return block.entry(index - block.offset)
+        raise IndexError(f"entry {index} of {self.size}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nlp:
+    """minimise f(x, p) subject to lower_x <= x <= upper_x, lower_g <= g(x, p) <= upper_g.
+
+    All vectors are scaled: value = scale * entry. `objective_scale` times f is the objective.
+    """
+
+    x: ca.MX
+    p: ca.MX
+    f: ca.MX
+    g: ca.MX
+    variables: Blocks
+    rows: Blocks
+    lower_x: np.ndarray
+    upper_x: np.ndarray
+    lower_g: np.ndarray
+    upper_g: np.ndarray
+    objective_scale: float = 1.0
+
+    @property
+    def casadi(self) -> dict[str, ca.MX]:
+        """What `casadi.nlpsol` takes."""
+        return {"x": self.x, "p": self.p, "f": self.f, "g": self.g}
+
+    def violations(self, g: np.ndarray) -> np.ndarray:
+        """Scaled excess of every row over its bounds, zero inside."""
+        g = np.asarray(g, dtype=float).ravel()
+        excess: np.ndarray = np.maximum(np.maximum(self.lower_g - g, g - self.upper_g), 0.0)
+        return excess
+
+    def worst_rows(self, g: np.ndarray, n: int = 5, tolerance: float = 0.0) -> list[Violation]:
+        """Find the n most violated rows, each name and label once, at its worst point.
+
+        Parameters
+        ----------
+        g : array
+            Row values of the NLP (scaled).
+        n : int
+        tolerance : float
+            Rows with a smaller relative excess are left out.
+        """
+        g = np.asarray(g, dtype=float).ravel()
+        excess = self.violations(g)
+        found: dict[tuple[str, str], Violation] = {}
+        for index in np.argsort(-excess, kind="stable"):
+            if len(found) == n or not excess[index] > tolerance:
+                break
+            entry = self.rows.entry(int(index))
+            below = g[index] < self.lower_g[index]
+            bound = self.lower_g[index] if below else self.upper_g[index]
+            violation = Violation(
+                entry, g[index] * entry.scale, bound * entry.scale, float(excess[index])
+            )
+            found.setdefault((entry.name, entry.label), violation)
+        return list(found.values())

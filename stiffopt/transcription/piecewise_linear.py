@@ -1,0 +1,116 @@
+"""Piecewise-linear control: second-order states become cubic splines, integrated exactly.
+
+States that the dynamics integrate follow the trapezoidal rule, so they and the optimum converge
+with order 2; for second-order states the equations hold exactly and only the shape of the control
+is restricted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.transcription.nlp import Places
+from stiffopt.transcription.ocp import Rows
+from stiffopt.transcription.scheme import Defect, Scheme, StagePoints, Symbols
+
+
+class PiecewiseLinear(Scheme):
+    """Control linear in each interval and continuous.
+
+    Integrals use Simpson's rule when some row asks for midpoints (they are evaluated anyway),
+    else the trapezoidal rule on the nodes.
+    """
+
+    name = "piecewise_linear"
+    state_nodes = np.array([0.0, 1.0])
+    control_nodes = np.array([0.0, 1.0])
+    rate_nodes = np.array([0.0])
+
+    def defects(self, s: Symbols) -> Iterator[Defect]:
+        """Exact double integration, and the trapezoidal rule for the rest."""
+        places = s.intervals.places(np.array([0.5]))
+        q, v, a = s.second_order
+        x0, x1, u0, u1 = _ends(s)
+        if q:
+            h = s.step(len(q))
+            v0, a0, a1 = x0[v, :], u0[a, :], u1[a, :]
+            yield "velocity step", v, x1[v, :] - v0 - h * (a0 + a1) / 2.0, places
+            moved = h * v0 + h * h * (2.0 * a0 + a1) / 6.0
+            yield "position step", q, x1[q, :] - x0[q, :] - moved, places
+        first = s.first_order
+        if first:
+            f = s.rates(s.states, s.controls)
+            mean = (f[:, :-1] + f[:, 1:]) / 2.0
+            yield "dynamics", first, x1[first, :] - x0[first, :] - s.step(len(first)) * mean, places
+
+    def stage_points(self, s: Symbols, midpoints: bool) -> StagePoints:
+        """Nodes, and the middles of the intervals when rows ask for them."""
+        count = len(s.intervals)
+        left, right = np.eye(count + 1, count), np.eye(count + 1, count, k=-1)
+        places = self.state_places(s.intervals)
+        if not midpoints:
+            return StagePoints(
+                states=s.states,
+                controls=s.controls,
+                weights=(left + right) / 2.0,
+                places=places,
+                main=np.ones(count + 1, dtype=bool),
+            )
+        middle = s.intervals.places(np.array([0.5]))
+        x_mid, u_mid = _middle(s)
+        return StagePoints(
+            states=ca.horzcat(s.states, x_mid),
+            controls=ca.horzcat(s.controls, u_mid),
+            weights=np.vstack([(left + right) / 6.0, np.eye(count) * 2.0 / 3.0]),
+            places=Places(
+                np.append(places.phase, middle.phase), np.append(places.fraction, middle.fraction)
+            ),
+            main=np.arange(2 * count + 1) <= count,
+        )
+
+    def extra_rows(self, s: Symbols) -> Iterator[tuple[Rows, ca.MX, Places]]:
+        """Velocity bounds in the middle of the intervals: linear, and the nodes miss its peak."""
+        _, v, a = s.second_order
+        lower, upper = s.ocp.state_lower[v], s.ocp.state_upper[v]
+        use = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
+        if not use.size:
+            return
+        v, a = [v[i] for i in use], [a[i] for i in use]
+        x0, _, u0, u1 = _ends(s)
+        value = x0[v, :] + s.step(len(v)) * (3.0 * u0[a, :] + u1[a, :]) / 8.0
+        rows = Rows.make(
+            "velocity at midpoint",
+            [s.ocp.states[i] for i in v],
+            lower[use],
+            upper[use],
+            s.ocp.scales_of_states[v],
+        )
+        yield rows, value, s.intervals.places(np.array([0.5]))
+
+
+def _ends(s: Symbols) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
+    return s.states[:, :-1], s.states[:, 1:], s.controls[:, :-1], s.controls[:, 1:]
+
+
+def _middle(s: Symbols) -> tuple[ca.MX, ca.MX]:
+    q, v, a = s.second_order
+    first = s.first_order
+    x0, x1, u0, u1 = _ends(s)
+    parts, order = [], []
+    if q:
+        h = s.step(len(q))
+        v0, a0, a1 = x0[v, :], u0[a, :], u1[a, :]
+        parts += [
+            x0[q, :] + h * v0 / 2.0 + h * h * (5.0 * a0 + a1) / 48.0,
+            v0 + h * (3.0 * a0 + a1) / 8.0,
+        ]
+        order += [*q, *v]
+    if first:
+        f = s.rates(s.states, s.controls)
+        hermite = s.step(len(first)) * (f[:, :-1] - f[:, 1:]) / 8.0
+        parts.append((x0[first, :] + x1[first, :]) / 2.0 + hermite)
+        order += first
+    return ca.vertcat(*parts)[np.argsort(order).tolist(), :], (u0 + u1) / 2.0

@@ -1,0 +1,202 @@
+"""What every transcription scheme has in common: intervals, nodes in them, and their rows."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.transcription import grid
+from stiffopt.transcription.mesh import Mesh
+from stiffopt.transcription.nlp import Places
+from stiffopt.transcription.ocp import OptimalControlProblem, Rows
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """All intervals of a mesh in order of time.
+
+    Attributes
+    ----------
+    phase : array (K,)
+        Phase of each interval.
+    start, width : array (K,)
+        Fractions of the phase's duration.
+    """
+
+    phase: np.ndarray
+    start: np.ndarray
+    width: np.ndarray
+
+    @classmethod
+    def of(cls, mesh: Mesh) -> Intervals:
+        """Number the intervals of a mesh."""
+        return cls(
+            np.concatenate([np.full(len(part), i) for i, part in enumerate(mesh)]),
+            np.concatenate([np.cumsum(part) - part for part in mesh]),
+            np.concatenate(mesh),
+        )
+
+    def __len__(self) -> int:
+        return len(self.phase)
+
+    @property
+    def shares(self) -> np.ndarray:
+        """Matrix (K, phases) from phase durations to interval durations."""
+        return self.width[:, None] * (self.phase[:, None] == np.arange(self.phase[-1] + 1))
+
+    def places(self, nodes: np.ndarray) -> Places:
+        """Places of local nodes (m,) in every interval: (K m,), interval by interval."""
+        fraction = self.start[:, None] + self.width[:, None] * nodes
+        return Places(np.repeat(self.phase, len(nodes)), fraction.ravel())
+
+
+@dataclass(frozen=True, kw_only=True)
+class StagePoints:
+    """Where the stage is evaluated.
+
+    Attributes
+    ----------
+    states, controls : MX (nx, P), (nu, P)
+    weights : array (P, K)
+        Times the interval durations: quadrature weights of the points.
+    places : Places (P,)
+    main : array (P,) of bool
+        False for points that only rows with `midpoints` look at.
+    """
+
+    states: ca.MX
+    controls: ca.MX
+    weights: np.ndarray
+    places: Places
+    main: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Symbols:
+    """Unscaled symbols of one NLP under construction.
+
+    Attributes
+    ----------
+    states, controls : MX (nx, NX), (nu, NU)
+    steps : MX or DM (1, K)
+        Interval durations [s].
+    parameters : MX (np, 1)
+    """
+
+    ocp: OptimalControlProblem
+    intervals: Intervals
+    states: ca.MX
+    controls: ca.MX
+    steps: ca.MX
+    parameters: ca.MX
+
+    @cached_property
+    def first_order(self) -> list[int]:
+        """Indices of the states that the dynamics integrate."""
+        taken = {i for q, v, _ in self.ocp.second_order for i in (q, v)}
+        return [i for i in range(len(self.ocp.states)) if i not in taken]
+
+    @cached_property
+    def second_order(self) -> tuple[list[int], list[int], list[int]]:
+        """Indices of positions, velocities and the controls that are their accelerations."""
+        q, v, a = zip(*self.ocp.second_order, strict=True) if self.ocp.second_order else ((),) * 3
+        return list(q), list(v), list(a)
+
+    def step(self, rows: int, columns: object = slice(None)) -> ca.MX:
+        """Interval durations repeated over rows (rows, K)."""
+        return ca.repmat(self.steps[:, columns], rows, 1)
+
+    def rates(self, states: ca.MX, controls: ca.MX) -> ca.MX:
+        """Time derivatives of the first-order states (len(first_order), P)."""
+        count = states.shape[1]
+        parameters = ca.repmat(self.parameters, 1, count)
+        return self.ocp.dynamics.map(count)(states, controls, parameters)[self.first_order, :]
+
+
+# A block of equations (zero inside): name, state indices, expression (m, k), places (k,).
+Defect = tuple[str, list[int], ca.MX, Places]
+
+
+class Scheme(abc.ABC):
+    """Nodes of one interval and the equations on them.
+
+    Attributes
+    ----------
+    state_nodes : array
+        Local nodes with 0 (shared with the interval before) and 1.
+    control_nodes : array
+        Local nodes; where the first is 0 it is shared with the interval before.
+    rate_nodes : array
+        Local points where the control's time derivative is bounded.
+    """
+
+    name: str
+    state_nodes: np.ndarray
+    control_nodes: np.ndarray
+    rate_nodes: np.ndarray
+
+    @property
+    def continuous_control(self) -> bool:
+        """Whether intervals share the control at their border."""
+        return bool(self.control_nodes[0] == 0.0)
+
+    def state_columns(self, count: int) -> np.ndarray:
+        """Columns of the states that belong to each of `count` intervals (count, nodes)."""
+        return _columns(count, len(self.state_nodes), shared=True)
+
+    def control_columns(self, count: int) -> np.ndarray:
+        """Columns of the controls that belong to each of `count` intervals (count, nodes)."""
+        return _columns(count, len(self.control_nodes), shared=self.continuous_control)
+
+    def state_places(self, intervals: Intervals) -> Places:
+        """Places of all state columns."""
+        return _places(intervals, self.state_nodes)
+
+    def control_places(self, intervals: Intervals) -> Places:
+        """Places of all control columns."""
+        return _places(intervals, self.control_nodes)
+
+    @abc.abstractmethod
+    def defects(self, s: Symbols) -> Iterator[Defect]:
+        """Equations between the states, all zero on a motion that obeys the dynamics."""
+
+    @abc.abstractmethod
+    def stage_points(self, s: Symbols, midpoints: bool) -> StagePoints:
+        """Points for path rows and integrals; `midpoints` when some row asks for them."""
+
+    def extra_rows(self, s: Symbols) -> Iterator[tuple[Rows, ca.MX, Places]]:
+        """Further rows that the scheme needs."""
+        yield from ()
+
+    def control_jumps(self, s: Symbols) -> ca.MX:
+        """Jumps of the controls between intervals (nu, K - 1)."""
+        return ca.MX(s.controls.shape[0], len(s.intervals) - 1)
+
+    def control_rates(self, s: Symbols, local: float) -> ca.MX:
+        """Time derivative of the controls at a local point of every interval (nu, K)."""
+        nodes = self.control_nodes
+        slopes = grid.interpolation_matrix(nodes, np.array([local])) @ grid.differentiation_matrix(
+            nodes
+        )
+        columns = self.control_columns(len(s.intervals))
+        total = sum(
+            float(w) * s.controls[:, columns[:, j].tolist()] for j, w in enumerate(slopes[0])
+        )
+        return total / s.step(s.controls.shape[0])
+
+
+def _columns(count: int, nodes: int, shared: bool) -> np.ndarray:
+    stride = nodes - 1 if shared else nodes
+    return stride * np.arange(count)[:, None] + np.arange(nodes)
+
+
+def _places(intervals: Intervals, nodes: np.ndarray) -> Places:
+    if nodes[0] != 0.0:
+        return intervals.places(nodes)
+    inner = intervals.places(nodes[1:])
+    return Places(np.append(0, inner.phase), np.append(0.0, inner.fraction))

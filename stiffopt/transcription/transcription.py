@@ -1,0 +1,248 @@
+"""A transcribed problem: the NLP and the way between its vector and motions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.polynomial import polynomial
+
+from stiffopt.errors import ProblemError
+from stiffopt.transcription import grid
+from stiffopt.transcription.mesh import Mesh
+from stiffopt.transcription.nlp import Block, Nlp, Places
+from stiffopt.transcription.ocp import Guess, OptimalControlProblem
+from stiffopt.transcription.scheme import Intervals, Scheme
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unpacked:
+    """A motion read from an NLP vector, in the problem's units.
+
+    Attributes
+    ----------
+    times : array (NX,)
+        Of the states [s].
+    states : array (NX, nx)
+    control_times : array (NU,)
+        Of the controls [s]; the same as `times` unless the scheme has no control at the start.
+    controls : array (NU, nu)
+    statics : array (nz,)
+    duration : float
+        [s]
+    phase_durations : array (phases,)
+        [s]
+    breaks : array (K + 1,)
+        Borders of the intervals [s].
+    integrals : array (k,)
+    objective : float
+    """
+
+    times: np.ndarray
+    states: np.ndarray
+    control_times: np.ndarray
+    controls: np.ndarray
+    statics: np.ndarray
+    duration: float
+    phase_durations: np.ndarray
+    breaks: np.ndarray
+    integrals: np.ndarray
+    objective: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transcription:
+    """NLP of an optimal-control problem on a mesh; made by `transcribe`.
+
+    Attributes
+    ----------
+    ocp : OptimalControlProblem
+    scheme : Scheme
+    mesh : list of array
+        Interval fractions of each phase.
+    nlp : Nlp
+    states, controls, statics, durations : Block or None
+        Where these variables stand in the NLP vector; `durations` is None when fixed.
+    """
+
+    ocp: OptimalControlProblem
+    scheme: Scheme
+    mesh: Mesh
+    nlp: Nlp
+    states: Block
+    controls: Block
+    statics: Block
+    durations: Block | None
+    outputs: ca.Function
+
+    @property
+    def intervals(self) -> Intervals:
+        """All intervals in order of time."""
+        return Intervals.of(self.mesh)
+
+    def phase_durations(self, x: np.ndarray) -> np.ndarray:
+        """Duration of each phase [s] (phases,)."""
+        if self.durations is None:
+            return np.array([self.ocp.duration[0]])
+        durations: np.ndarray = self.durations.take(x)[0]
+        return durations
+
+    def pack(self, guess: Guess) -> np.ndarray:
+        """Return the NLP vector of a guess, moved into the bounds of the variables."""
+        phases = self.ocp.phases
+        shares = np.asarray(guess.phase_fractions, dtype=float)
+        shares = shares / shares.sum() if len(shares) == phases else np.full(phases, 1.0 / phases)
+        parts = {
+            self.states.rows.name: _sampled(
+                guess.states, self.states, self.scheme.state_places(self.intervals), shares
+            ),
+            self.controls.rows.name: _sampled(
+                guess.controls, self.controls, self.scheme.control_places(self.intervals), shares
+            ),
+            self.statics.rows.name: np.broadcast_to(guess.statics, (1, len(self.ocp.statics))),
+        }
+        if self.durations is not None:
+            parts[self.durations.rows.name] = (guess.duration * shares)[None, :]
+        x = np.zeros(self.nlp.variables.size)
+        for block in self.nlp.variables.items:
+            values = np.asarray(parts[block.rows.name], dtype=float) / block.rows.scale
+            x[block.offset : block.offset + block.size] = values.ravel()
+        if not np.all(np.isfinite(x)):
+            entry = self.nlp.variables.entry(int(np.flatnonzero(~np.isfinite(x))[0]))
+            raise ProblemError(
+                f"initial guess: {entry} is not a finite number. Give finite values over the "
+                "whole motion."
+            )
+        return np.clip(x, self.nlp.lower_x, self.nlp.upper_x)
+
+    def unpack(self, x: np.ndarray, parameters: np.ndarray | None = None) -> Unpacked:
+        """Read the motion of an NLP vector; `parameters` default to those of the problem."""
+        x = np.asarray(x, dtype=float).ravel()
+        p = self.ocp.parameters if parameters is None else parameters
+        durations = self.phase_durations(x)
+        integrals, objective = self.outputs(x, p)
+        steps = self.intervals.shares @ durations
+        return Unpacked(
+            times=_times(self.scheme.state_places(self.intervals), durations),
+            states=self.states.take(x),
+            control_times=_times(self.scheme.control_places(self.intervals), durations),
+            controls=self.controls.take(x),
+            statics=self.statics.take(x)[0],
+            duration=float(durations.sum()),
+            phase_durations=durations,
+            breaks=np.concatenate([[0.0], np.cumsum(steps)]),
+            integrals=np.asarray(integrals.full()).ravel(),
+            objective=float(objective),
+        )
+
+    def control_polynomials(self, x: np.ndarray) -> np.ndarray:
+        """Power coefficients (K, m, nu) of the controls in local time [s], lowest power first."""
+        durations = self.phase_durations(x)
+        steps = self.intervals.shares @ durations
+        values = self.controls.take(x)[self.scheme.control_columns(len(steps))]
+        coefficients = np.einsum(
+            "ij,kjn->kin", grid.power_from_values(self.scheme.control_nodes), values
+        )
+        powers = steps[:, None] ** np.arange(coefficients.shape[1])
+        result: np.ndarray = coefficients / powers[:, :, None]
+        return result
+
+    def acceleration_polynomials(
+        self, x: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return the second-order states as piecewise-polynomial accelerations.
+
+        Returns
+        -------
+        breaks : array (K + 1,)
+            [s]
+        coefficients : array (K, degree + 1, n)
+            Power basis in the time since the interval's start [s], lowest power first; n runs
+            over `ocp.second_order`.
+        position, velocity : array (n,)
+            At the start.
+        """
+        if not self.ocp.second_order:
+            raise ProblemError(
+                f"{self.ocp.name}: no second-order states, so there is no acceleration to export."
+            )
+        q, v, a = (list(index) for index in zip(*self.ocp.second_order, strict=True))
+        steps = self.intervals.shares @ self.phase_durations(x)
+        first = self.states.take(x)[0]
+        breaks = np.concatenate([[0.0], np.cumsum(steps)])
+        return breaks, self.control_polynomials(x)[:, :, a], first[q], first[v]
+
+    def guess_from(self, x: np.ndarray) -> Guess:
+        """Return the motion as a guess for another mesh or scheme.
+
+        Second-order states follow the integrated acceleration, other states and the controls
+        their interpolating polynomial in each interval.
+        """
+        x = np.asarray(x, dtype=float).ravel()
+        durations = self.phase_durations(x)
+        total = float(durations.sum())
+        steps = self.intervals.shares @ durations
+        breaks = np.concatenate([[0.0], np.cumsum(steps)])
+        controls = self.control_polynomials(x)
+        states = self._state_polynomials(x, steps, controls)
+        return Guess(
+            states=lambda s: _evaluated(breaks, states, np.asarray(s) * total),
+            controls=lambda s: _evaluated(breaks, controls, np.asarray(s) * total),
+            statics=self.statics.take(x)[0],
+            duration=total,
+            phase_fractions=durations / total,
+        )
+
+    def _state_polynomials(
+        self, x: np.ndarray, steps: np.ndarray, controls: np.ndarray
+    ) -> np.ndarray:
+        nodes = self.scheme.state_nodes
+        values = self.states.take(x)[self.scheme.state_columns(len(steps))]
+        powers = steps[:, None] ** np.arange(len(nodes))
+        basis = grid.power_from_values(nodes)
+        fitted = np.einsum("ij,kjn->kin", basis, values) / powers[:, :, None]
+        degree = max(fitted.shape[1], controls.shape[1] + 2 * bool(self.ocp.second_order))
+        result = np.zeros((len(steps), degree, values.shape[2]))
+        result[:, : fitted.shape[1]] = fitted
+        order = np.arange(1, controls.shape[1] + 1)[None, :]
+        for q, v, a in self.ocp.second_order:
+            result[:, :, [q, v]] = 0.0
+            result[:, 0, q], result[:, 0, v] = values[:, 0, q], values[:, 0, v]
+            result[:, 1 : 1 + controls.shape[1], v] = controls[:, :, a] / order
+            result[:, 1, q] = values[:, 0, v]
+            result[:, 2 : 2 + controls.shape[1], q] = controls[:, :, a] / (order * (order + 1))
+        return result
+
+
+def _sampled(
+    function: Callable[[np.ndarray], np.ndarray], block: Block, places: Places, shares: np.ndarray
+) -> np.ndarray:
+    starts = np.cumsum(shares) - shares
+    s = starts[places.phase] + shares[places.phase] * places.fraction
+    values = np.asarray(function(s), dtype=float)
+    expected = (len(places), len(block.rows))
+    if values.shape != expected:
+        raise ProblemError(
+            f"initial guess: the {block.rows.name} callable returned shape {values.shape} for "
+            f"{len(places)} points; it must be {expected}."
+        )
+    return values
+
+
+def _times(places: Places, durations: np.ndarray) -> np.ndarray:
+    starts = np.cumsum(durations) - durations
+    times: np.ndarray = starts[places.phase] + durations[places.phase] * places.fraction
+    return times
+
+
+def _evaluated(breaks: np.ndarray, coefficients: np.ndarray, times: np.ndarray) -> np.ndarray:
+    times = np.atleast_1d(times)
+    # A border belongs to the interval before it: with Radau that one has the point there.
+    early = times - 1e-12 * breaks[-1]
+    index = np.clip(np.searchsorted(breaks, early) - 1, 0, len(coefficients) - 1)
+    local = (times - breaks[index])[:, None]
+    picked = np.moveaxis(coefficients[index], 1, 0)
+    values: np.ndarray = polynomial.polyval(local, picked, tensor=False)
+    return values
