@@ -1,0 +1,239 @@
+"""Smooth fits to the fractal law k_n(p), for floats, arrays and CasADi expressions.
+
+Both fits know the pressure range they were made for and their largest relative error in it
+against the exact law. The integral of 1/k_n over pressure, the primitive of every wind-up, is part
+of the law.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal, Protocol
+
+import numpy as np
+
+from stiffopt.contact.fractal import FractalLaw
+from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
+from stiffopt.contact.validate import require_ordered, require_positive
+from stiffopt.errors import OutOfValidityError, nearest
+from stiffopt.symbolic import Quantity
+
+HIGHEST_PRESSURE = 200e6
+_UNIT_PRESSURE = 1e6
+# Five Gauss-Legendre points integrate 1/k_n over three decades of pressure to about 1e-9, because
+# in ln p the integrand is nearly an exponential.
+_NODES, _WEIGHTS = (array.tolist() for array in np.polynomial.legendre.leggauss(5))
+_FIT_POINTS = 400
+_FIT_ROUNDS = 60
+
+LawName = Literal["log_cubic", "power_law"]
+
+
+class ContactLaw(Protocol):
+    """Normal stiffness per area of a contact as a smooth function of pressure."""
+
+    @property
+    def lower(self) -> float:
+        """Lowest pressure of the fit [Pa]."""
+
+    @property
+    def upper(self) -> float:
+        """Highest pressure of the fit [Pa]."""
+
+    @property
+    def max_error(self) -> float:
+        """Largest relative error against the exact law between `lower` and `upper` [-]."""
+
+    def stiffness(self, pressure: Quantity) -> Quantity:
+        """Normal stiffness per area k_n(p) [N/m^3]."""
+
+    def log_slope(self, pressure: Quantity) -> Quantity:
+        """d ln k_n / d ln p [-]."""
+
+    def approach(self, low: Quantity, high: Quantity) -> Quantity:
+        """Integral of dp/k_n from `low` to `high` [m]: how far the surfaces move together."""
+
+
+@dataclass(frozen=True)
+class PowerLaw:
+    """k_n = c (p / 1 MPa)^m.
+
+    Parameters
+    ----------
+    coefficient : float
+        c, stiffness per area at 1 MPa [N/m^3].
+    exponent : float
+        m, above 0 and below 1 (otherwise the surfaces would approach without end at p -> 0).
+    lower, upper : float
+        Range of the fit [Pa].
+    max_error : float
+        Largest relative error in it [-].
+    """
+
+    coefficient: float
+    exponent: float
+    lower: float = LOWEST_PRESSURE
+    upper: float = HIGHEST_PRESSURE
+    max_error: float = math.nan
+
+    def __post_init__(self) -> None:
+        require_positive("power law", coefficient=self.coefficient)
+        _require_integrable("power law", self.exponent)
+
+    def stiffness(self, pressure: Quantity) -> Quantity:
+        """Normal stiffness per area k_n(p) [N/m^3]."""
+        return self.coefficient * (pressure / _UNIT_PRESSURE) ** self.exponent
+
+    def log_slope(self, pressure: Quantity) -> Quantity:
+        """d ln k_n / d ln p [-]."""
+        return self.exponent + 0.0 * pressure
+
+    def approach(self, low: Quantity, high: Quantity) -> Quantity:
+        """Integral of dp/k_n from `low` (0 is allowed) to `high` [m]."""
+        power = 1 - self.exponent
+        scale = _UNIT_PRESSURE / (self.coefficient * power)
+        return scale * ((high / _UNIT_PRESSURE) ** power - (low / _UNIT_PRESSURE) ** power)
+
+
+@dataclass(frozen=True)
+class LogCubic:
+    """ln k_n is a cubic of x = ln(p / 1 MPa); outside the range of the fit a straight line in x.
+
+    The straight lines make k_n positive and growing for every pressure above zero. k_n has a
+    continuous slope at the two joints, its integral a continuous second derivative.
+
+    Parameters
+    ----------
+    coefficients : (4,) tuple of float
+        c0 .. c3 of ln(k_n / (N/m^3)) = c0 + c1 x + c2 x^2 + c3 x^3.
+    lower, upper : float
+        Range of the fit [Pa].
+    max_error : float
+        Largest relative error in it [-].
+    """
+
+    coefficients: tuple[float, float, float, float]
+    lower: float = LOWEST_PRESSURE
+    upper: float = HIGHEST_PRESSURE
+    max_error: float = math.nan
+
+    def __post_init__(self) -> None:
+        require_positive("log-cubic law", lower=self.lower, upper=self.upper)
+        require_ordered("log-cubic law", lower=self.lower, upper=self.upper)
+        for x in (self._low, self._high):
+            _require_integrable("log-cubic law", self._slope(x))
+
+    @property
+    def _low(self) -> float:
+        return math.log(self.lower / _UNIT_PRESSURE)
+
+    @property
+    def _high(self) -> float:
+        return math.log(self.upper / _UNIT_PRESSURE)
+
+    def _cubic(self, x: Quantity) -> Quantity:
+        c0, c1, c2, c3 = self.coefficients
+        return c0 + x * (c1 + x * (c2 + x * c3))
+
+    def _slope(self, x: Quantity) -> Quantity:
+        _, c1, c2, c3 = self.coefficients
+        return c1 + x * (2 * c2 + x * 3 * c3)
+
+    def stiffness(self, pressure: Quantity) -> Quantity:
+        """Normal stiffness per area k_n(p) [N/m^3]."""
+        x = np.log(pressure / _UNIT_PRESSURE)
+        inside = np.minimum(np.maximum(x, self._low), self._high)
+        return np.exp(self._cubic(inside) + self._slope(inside) * (x - inside))
+
+    def log_slope(self, pressure: Quantity) -> Quantity:
+        """d ln k_n / d ln p [-]."""
+        x = np.log(pressure / _UNIT_PRESSURE)
+        return self._slope(np.minimum(np.maximum(x, self._low), self._high))
+
+    def approach(self, low: Quantity, high: Quantity) -> Quantity:
+        """Integral of dp/k_n from `low` (0 is allowed) to `high` [m].
+
+        Inside the range by Gauss-Legendre quadrature in ln p, outside in closed form.
+        """
+        first = np.minimum(np.maximum(low, self.lower), self.upper)
+        last = np.minimum(np.maximum(high, self.lower), self.upper)
+        start = np.log(first / _UNIT_PRESSURE)
+        span = np.log(last / first)
+        total = 0.0
+        for node, weight in zip(_NODES, _WEIGHTS, strict=True):
+            x = start + 0.5 * (1 + node) * span
+            total = total + 0.5 * weight * np.exp(x - self._cubic(x))
+        inside = _UNIT_PRESSURE * span * total
+        below = self._line(self._low, np.minimum(low, self.lower), np.minimum(high, self.lower))
+        above = self._line(self._high, np.maximum(low, self.upper), np.maximum(high, self.upper))
+        return below + inside + above
+
+    def _line(self, x: float, low: Quantity, high: Quantity) -> Quantity:
+        """Integral of dp/k_n where ln k_n is the tangent to the cubic at x."""
+        tangent = PowerLaw(math.exp(self._cubic(x) - self._slope(x) * x), self._slope(x))
+        return tangent.approach(low, high)
+
+
+def _require_integrable(owner: str, exponent: float) -> None:
+    if not 0.0 < exponent < 1.0:
+        raise OutOfValidityError(
+            f"{owner}: exponent of stiffness in pressure",
+            exponent,
+            0.0,
+            1.0,
+            "The wind-up would be infinite at light load; use another surface or another range.",
+        )
+
+
+@lru_cache(maxsize=128)
+def fit_power_law(
+    surface: SurfacePair, lower: float = LOWEST_PRESSURE, upper: float = HIGHEST_PRESSURE
+) -> PowerLaw:
+    """Best power law (smallest largest relative error) of a surface from `lower` to `upper` [Pa]."""
+    (constant, slope), error = _fit(surface, lower, upper, 1)
+    return PowerLaw(math.exp(constant), slope, lower, upper, error)
+
+
+@lru_cache(maxsize=128)
+def fit_log_cubic(
+    surface: SurfacePair, lower: float = LOWEST_PRESSURE, upper: float = HIGHEST_PRESSURE
+) -> LogCubic:
+    """Best log-cubic law of a surface from `lower` to `upper` [Pa]."""
+    (c0, c1, c2, c3), error = _fit(surface, lower, upper, 3)
+    return LogCubic((c0, c1, c2, c3), lower, upper, error)
+
+
+def contact_law(
+    surface: SurfacePair,
+    name: LawName = "log_cubic",
+    lower: float = LOWEST_PRESSURE,
+    upper: float = HIGHEST_PRESSURE,
+) -> ContactLaw:
+    """Fitted law of a surface by its name, "log_cubic" or "power_law"."""
+    fits = {"log_cubic": fit_log_cubic, "power_law": fit_power_law}
+    if name not in fits:
+        raise OutOfValidityError(f"contact law {name!r}", math.nan, 0, 0, nearest(name, fits))
+    return fits[name](surface, lower, upper)
+
+
+def _fit(
+    surface: SurfacePair, lower: float, upper: float, degree: int
+) -> tuple[list[float], float]:
+    """Coefficients of ln k_n over ln p (ascending) and the largest relative error."""
+    require_positive("fit of a contact law", lower=lower, upper=upper)
+    require_ordered("fit of a contact law", lower=lower, upper=upper)
+    x = np.linspace(math.log(lower / _UNIT_PRESSURE), math.log(upper / _UNIT_PRESSURE), _FIT_POINTS)
+    exact = np.log(FractalLaw(surface).normal_stiffness_per_area(np.exp(x) * _UNIT_PRESSURE))
+    # Lawson's iteration: weights grow where the error is large, which ends at equal ripples.
+    weight = np.full(x.size, 1 / x.size)
+    best, best_error = np.zeros(degree + 1), math.inf
+    for _ in range(_FIT_ROUNDS):
+        polynomial = np.polynomial.polynomial.polyfit(x, exact, degree, w=np.sqrt(weight))
+        error = np.abs(np.expm1(np.polynomial.polynomial.polyval(x, polynomial) - exact))
+        if error.max() < best_error:
+            best, best_error = polynomial, float(error.max())
+        weight = weight * error
+        weight /= weight.sum()
+    return [float(c) for c in best], best_error
