@@ -28,8 +28,6 @@ SHEAR_LAWS: tuple[ShearLaw, ...] = ("mindlin", "load")
 _MINDLIN = 1.0 / 3.0
 
 
-
-
 def shear_travel(
     law: ContactLaw, pressure: Quantity, load_ratio: Quantity, shear: ShearLaw
 ) -> Quantity:

@@ -16,8 +16,8 @@ import numpy as np
 
 from stiffopt.contact.fractal import FractalLaw
 from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
-from stiffopt.contact.validate import require_ordered, require_positive
-from stiffopt.errors import OutOfValidityError, nearest
+from stiffopt.contact.validate import require_one_of, require_ordered, require_positive
+from stiffopt.errors import OutOfValidityError
 from stiffopt.symbolic import Quantity
 
 HIGHEST_PRESSURE = 200e6
@@ -207,15 +207,16 @@ def fit_log_cubic(
 
 def contact_law(
     surface: SurfacePair,
-    name: LawName = "log_cubic",
+    law: LawName | ContactLaw = "log_cubic",
     lower: float = LOWEST_PRESSURE,
     upper: float = HIGHEST_PRESSURE,
 ) -> ContactLaw:
-    """Fitted law of a surface by its name, "log_cubic" or "power_law"."""
-    fits = {"log_cubic": fit_log_cubic, "power_law": fit_power_law}
-    if name not in fits:
-        raise OutOfValidityError(f"contact law {name!r}", math.nan, 0, 0, nearest(name, fits))
-    return fits[name](surface, lower, upper)
+    """Fitted law of a surface by its name, "log_cubic" or "power_law"; a law passes through."""
+    if not isinstance(law, str):
+        return law
+    require_one_of("contact law", ("log_cubic", "power_law"), name=law)
+    fit = fit_log_cubic if law == "log_cubic" else fit_power_law
+    return fit(surface, lower, upper)
 
 
 def _fit(

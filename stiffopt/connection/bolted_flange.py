@@ -1,0 +1,150 @@
+"""Ring face held by bolts: friction carries the torque, rough surfaces yield a little."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from stiffopt.connection.connection import ContactConnection
+from stiffopt.connection.exact import annulus_compliance
+from stiffopt.contact.shear import SHEAR_LAWS, ShearLaw, shear_softening, shear_travel
+from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
+from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
+from stiffopt.contact.validate import require_one_of, require_ordered, require_positive
+from stiffopt.symbolic import Quantity
+
+# Ring faces of reducers are pressed harder than key flanks.
+_HIGHEST_PRESSURE = 1e9
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoltedFlange(ContactConnection):
+    """Annular face under the even pressure p = n F/A of its bolts.
+
+    Without slip the torsional stiffness is k_t(p) J_p with J_p = pi/2 (Ro^4 - Ri^4); towards the
+    slip torque it falls by the shear law.
+
+    Parameters
+    ----------
+    bolt_count : int
+    circle_diameter : float
+        Pitch circle of the bolts [m].
+    inner_radius, outer_radius : float
+        Ri and Ro of the pressed ring [m].
+    preload : float
+        F, clamping force of one bolt [N].
+    surface : SurfacePair
+    friction : float or None
+        Of the interface; None takes the surface's.
+    shear : {"mindlin", "load"}
+        See `stiffopt.contact.shear`.
+    contact_law : {"log_cubic", "power_law"} or ContactLaw
+    bolt_size : str
+        Such as "M5"; for reports.
+
+    Notes
+    -----
+    Valid up to 0.95 of the slip torque; beyond, the wind-up continues smoothly with growing
+    compliance, while the exact compliance is infinite from slip on.
+    """
+
+    kind: ClassVar[str] = "bolted_flange"
+    takes_preload: ClassVar[bool] = True
+    bolt_count: int
+    circle_diameter: float
+    inner_radius: float
+    outer_radius: float
+    surface: SurfacePair
+    friction: float | None = None
+    shear: ShearLaw = "mindlin"
+    contact_law: LawName | ContactLaw = "log_cubic"
+    bolt_size: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(
+            self.owner,
+            bolt_count=self.bolt_count,
+            circle_diameter=self.circle_diameter,
+            inner_radius=self.inner_radius,
+            friction=self.friction_coefficient,
+        )
+        require_ordered(self.owner, inner_radius=self.inner_radius, outer_radius=self.outer_radius)
+        require_positive(self.owner, outer_radius=self.outer_radius)
+        require_one_of(self.owner, SHEAR_LAWS, shear=self.shear)
+
+    @cached_property
+    def law(self) -> ContactLaw:
+        """Smooth contact law of the face."""
+        return contact_law(self.surface, self.contact_law, LOWEST_PRESSURE, _HIGHEST_PRESSURE)
+
+    @property
+    def friction_coefficient(self) -> float:
+        """Coefficient of friction in use [-]."""
+        return self.surface.friction if self.friction is None else self.friction
+
+    @property
+    def area(self) -> float:
+        """Area of the ring [m^2]."""
+        return math.pi * (self.outer_radius**2 - self.inner_radius**2)
+
+    @property
+    def polar_moment(self) -> float:
+        """J_p of the ring [m^4]."""
+        return math.pi / 2 * (self.outer_radius**4 - self.inner_radius**4)
+
+    def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
+        """n F/A [Pa], whatever the torque."""
+        return self.bolt_count * self._preload(preload) / self.area + 0.0 * torque
+
+    def slip_torque(self, preload: Quantity | None = None) -> Quantity:
+        """Torque at which the whole ring slips, mu p 2 pi/3 (Ro^3 - Ri^3) [N m]."""
+        pressure = self.bolt_count * self._preload(preload) / self.area
+        lever = 2 * math.pi / 3 * (self.outer_radius**3 - self.inner_radius**3)
+        return self.friction_coefficient * pressure * lever
+
+    def slip_torque_circle(self, preload: Quantity | None = None) -> Quantity:
+        """Slip torque with all friction on the bolt circle, mu n F PCD/2 [N m]."""
+        force = self.bolt_count * self._preload(preload)
+        return self.friction_coefficient * force * self.circle_diameter / 2
+
+    def first_slip_torque(self, preload: Quantity | None = None) -> Quantity:
+        """Torque at which the rim begins to slip, mu p J_p/Ro [N m]."""
+        pressure = self.bolt_count * self._preload(preload) / self.area
+        return self.friction_coefficient * pressure * self.polar_moment / self.outer_radius
+
+    def _unsheared_stiffness(self, preload: Quantity) -> Quantity:
+        pressure = self.bolt_count * preload / self.area
+        return self.surface.shear_ratio * self.law.stiffness(pressure) * self.polar_moment
+
+    def loading_windup(self, torque: Quantity, preload: Quantity) -> Quantity:
+        """T_slip/K0 times the shear travel [rad]."""
+        slip = self.slip_torque(preload)
+        pressure = self.bolt_count * preload / self.area
+        travel = shear_travel(self.law, pressure, torque / slip, self.shear)
+        return slip / self._unsheared_stiffness(preload) * travel
+
+    def loading_compliance(self, torque: Quantity, preload: Quantity) -> Quantity:
+        """Softening by shear over K0 [rad/(N m)]."""
+        ratio = torque / self.slip_torque(preload)
+        pressure = self.bolt_count * preload / self.area
+        softening = shear_softening(self.law, pressure, ratio, self.shear)
+        return softening / self._unsheared_stiffness(preload)
+
+    def exact_tangent_compliance(
+        self, torque: np.ndarray, *, preload: float | None = None
+    ) -> np.ndarray:
+        """Compliance by the exact fractal law [rad/(N m)]."""
+        return annulus_compliance(
+            torque,
+            self.surface,
+            self.inner_radius,
+            self.outer_radius,
+            self.bolt_count * self._preload(preload),
+            self.friction_coefficient,
+            mindlin=self.shear == "mindlin",
+        )

@@ -1,0 +1,160 @@
+"""What every machine connection answers: wind-up under torque, and all that follows from it."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from stiffopt.contact.validate import require_positive
+from stiffopt.errors import InputError
+from stiffopt.symbolic import Quantity, smooth_abs
+
+# Width of the smoothed |T| as a share of torque_max.
+_WIDTH = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Connection(abc.ABC):
+    """One torsional spring of a drivetrain, described on its own shaft.
+
+    The wind-up angle is the primitive: odd and monotone in torque, finite everywhere. Tangent
+    stiffness dT/dphi and secant stiffness T/phi are derived from it and are different things.
+    Torque and preload may be floats, arrays or CasADi expressions.
+
+    Parameters
+    ----------
+    name : str
+    torque_max : float
+        Largest torque meant on this shaft [N m]; sets the width of smoothing.
+    preload : float or None
+        Force of one bolt, pin or belt span [N]; None for connections that have none.
+    """
+
+    kind: ClassVar[str]
+    takes_preload: ClassVar[bool] = False
+    name: str = "connection"
+    torque_max: float
+    preload: float | None = None
+
+    def __post_init__(self) -> None:
+        require_positive(self.owner, torque_max=self.torque_max)
+        if self.takes_preload:
+            if self.preload is None:
+                raise InputError(f"{self.owner}: preload is missing; give it in newtons.")
+            require_positive(self.owner, preload=self.preload)
+        elif self.preload is not None:
+            raise InputError(
+                f"{self.owner}: a connection of this kind takes no preload; remove it."
+            )
+
+    @property
+    def owner(self) -> str:
+        """Kind and name, as messages show them."""
+        return f"{self.kind} {self.name!r}"
+
+    @property
+    def is_contact(self) -> bool:
+        """Whether this is a contact (rough faces, belt teeth) rather than a body or a reducer."""
+        return True
+
+    @abc.abstractmethod
+    def windup(
+        self, torque: Quantity, *, preload: Quantity | None = None, smoothing: Quantity = 1.0
+    ) -> Quantity:
+        """Wind-up angle [rad] under `torque` [N m]: smooth, odd, monotone, 0 at 0.
+
+        `preload` [N] replaces the connection's own; `smoothing` scales all smoothing widths
+        (1 for results, larger for the first steps of a homotopy).
+        """
+
+    @abc.abstractmethod
+    def tangent_compliance(
+        self, torque: Quantity, *, preload: Quantity | None = None, smoothing: Quantity = 1.0
+    ) -> Quantity:
+        """Derivative of `windup` with respect to torque [rad/(N m)]."""
+
+    @abc.abstractmethod
+    def exact_tangent_compliance(
+        self, torque: np.ndarray, *, preload: float | None = None
+    ) -> np.ndarray:
+        """Compliance of the law before smoothing [rad/(N m)], NumPy only, shape as `torque`.
+
+        Written apart from `windup`, so that one can check the other. Infinite where a contact
+        carries no pressure or slips.
+        """
+
+    def tangent_stiffness(
+        self, torque: Quantity, *, preload: Quantity | None = None, smoothing: Quantity = 1.0
+    ) -> Quantity:
+        """Slope of torque over wind-up, dT/dphi [N m/rad]."""
+        return 1 / self.tangent_compliance(torque, preload=preload, smoothing=smoothing)
+
+    def secant_stiffness(
+        self, torque: Quantity, *, preload: Quantity | None = None, smoothing: Quantity = 1.0
+    ) -> Quantity:
+        """Torque over wind-up, T/phi [N m/rad]; at zero torque the tangent stiffness."""
+        # The ratio is even and smooth, so a torque of 1e-9 torque_max stands in for zero.
+        away = smooth_abs(torque, 1e-9 * self.torque_max)
+        return away / self.windup(away, preload=preload, smoothing=smoothing)
+
+    def slip_torque(self, preload: Quantity | None = None) -> Quantity:
+        """Torque at which the whole contact slips [N m]; infinite where nothing can slip."""
+        return math.inf
+
+    def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
+        """Largest nominal contact pressure [Pa]; nan where the notion has no meaning."""
+        return math.nan + 0.0 * torque
+
+    def breakpoints(self) -> tuple[float, ...]:
+        """Positive torques [N m] where the exact compliance jumps, ascending."""
+        return ()
+
+    def with_preload(self, preload: float) -> Self:
+        """Copy with another preload [N]."""
+        return dataclasses.replace(self, preload=preload)
+
+    def _preload(self, preload: Quantity | None) -> Quantity:
+        return self.preload if preload is None else preload
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactConnection(Connection):
+    """Connection known by its loading curve F(u), u = |T| > 0, smoothed through zero.
+
+    phi(T) = T F(s)/s with s = sqrt(T^2 + eps^2) and eps = 1e-3 torque_max times the smoothing
+    factor: the secant compliance F(s)/s is even and smooth, so phi is odd, smooth and, for every
+    growing F, monotone. (An odd extension of F(s) itself would be infinitely stiff at zero.)
+    """
+
+    @abc.abstractmethod
+    def loading_windup(self, torque: Quantity, preload: Quantity) -> Quantity:
+        """F(u) [rad] for u > 0 [N m]."""
+
+    @abc.abstractmethod
+    def loading_compliance(self, torque: Quantity, preload: Quantity) -> Quantity:
+        """dF/du [rad/(N m)] for u > 0 [N m]."""
+
+    def _magnitude(self, torque: Quantity, smoothing: Quantity) -> Quantity:
+        return smooth_abs(torque, _WIDTH * self.torque_max * smoothing)
+
+    def windup(
+        self, torque: Quantity, *, preload: Quantity | None = None, smoothing: Quantity = 1.0
+    ) -> Quantity:
+        """Wind-up angle [rad]; see `Connection.windup`."""
+        size = self._magnitude(torque, smoothing)
+        return torque / size * self.loading_windup(size, self._preload(preload))
+
+    def tangent_compliance(
+        self, torque: Quantity, *, preload: Quantity | None = None, smoothing: Quantity = 1.0
+    ) -> Quantity:
+        """Derivative of `windup` [rad/(N m)], in closed form."""
+        force = self._preload(preload)
+        size = self._magnitude(torque, smoothing)
+        share = (torque / size) ** 2
+        secant = self.loading_windup(size, force) / size
+        return (1 - share) * secant + share * self.loading_compliance(size, force)

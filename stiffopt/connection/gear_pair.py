@@ -1,0 +1,132 @@
+"""Pair of spur gears: rough contact of the flanks and bending of the teeth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from stiffopt.connection.connection import ContactConnection
+from stiffopt.connection.exact import gear_compliance
+from stiffopt.contact.hertz import mean_pressure
+from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
+from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
+from stiffopt.contact.validate import require_between, require_positive
+from stiffopt.symbolic import Quantity
+
+_HIGHEST_PRESSURE = 2e9
+
+
+@dataclass(frozen=True, kw_only=True)
+class GearPair(ContactConnection):
+    """Spur gears, described on the shaft of the first one.
+
+    Each of the `contact_ratio` tooth pairs in mesh carries an equal share of the normal force
+    T/r_b on a Hertz strip of area A_H; its rough surfaces give
+    k_n(p) A_H [r_b^2 + kappa (r sin alpha)^2] with p the mean pressure on the strip. Tooth bending
+    acts in series.
+
+    Parameters
+    ----------
+    pitch_radius, pitch_radius_driven : float
+        Of the first and the second gear [m].
+    face_width : float
+        [m].
+    pressure_angle : float
+        alpha [rad].
+    contact_ratio : float
+        Tooth pairs in mesh on average, 1 or above.
+    mesh_stiffness : float
+        Tooth stiffness per face width [N/m^2]; ISO 6336 gives about 2e10.
+    surface : SurfacePair
+    contact_law : {"log_cubic", "power_law"} or ContactLaw
+
+    Notes
+    -----
+    Rough-contact stiffness vanishes at zero torque (no prepressure), so the smoothed wind-up near
+    zero depends on the smoothing width. Backlash is not included.
+    """
+
+    kind: ClassVar[str] = "gear_pair"
+    pitch_radius: float
+    pitch_radius_driven: float
+    face_width: float
+    surface: SurfacePair
+    pressure_angle: float = math.radians(20.0)
+    contact_ratio: float = 1.5
+    mesh_stiffness: float = 2e10
+    contact_law: LawName | ContactLaw = "log_cubic"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(
+            self.owner,
+            pitch_radius=self.pitch_radius,
+            pitch_radius_driven=self.pitch_radius_driven,
+            face_width=self.face_width,
+            contact_ratio=self.contact_ratio,
+            mesh_stiffness=self.mesh_stiffness,
+        )
+        require_between(self.owner, 0.0, math.pi / 4, pressure_angle=self.pressure_angle)
+
+    @cached_property
+    def law(self) -> ContactLaw:
+        """Smooth contact law of the flanks."""
+        return contact_law(self.surface, self.contact_law, LOWEST_PRESSURE, _HIGHEST_PRESSURE)
+
+    @property
+    def base_radius(self) -> float:
+        """Lever of the normal force on the first shaft [m]."""
+        return self.pitch_radius * math.cos(self.pressure_angle)
+
+    @property
+    def flank_curvature_radius(self) -> float:
+        """Relative radius of curvature of the flanks at the pitch point [m]."""
+        first, second = self.pitch_radius, self.pitch_radius_driven
+        return first * second * math.sin(self.pressure_angle) / (first + second)
+
+    @property
+    def _lever_square(self) -> float:
+        sliding = self.pitch_radius * math.sin(self.pressure_angle)
+        return self.base_radius**2 + self.surface.shear_ratio * sliding**2
+
+    @property
+    def _bending_compliance(self) -> float:
+        return 1 / (self.mesh_stiffness * self.face_width * self.base_radius**2)
+
+    def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
+        """Mean pressure on the strip of one tooth pair [Pa]."""
+        force = np.absolute(torque) / (self.base_radius * self.contact_ratio)
+        safe = force / self.face_width + math.ulp(0.0)
+        return mean_pressure(safe, self.flank_curvature_radius, self.surface.contact_modulus)
+
+    def loading_windup(self, torque: Quantity, preload: Quantity) -> Quantity:
+        """Wind-up of flanks and teeth [rad]."""
+        # p grows with sqrt(T) and so does the strip: dT/(k_n A_H) = 2 F/T dp/k_n, F/T constant.
+        approach = self.law.approach(0.0, self.pressure(torque))
+        contact = 2 * self.base_radius / self._lever_square * approach
+        return contact + self._bending_compliance * torque
+
+    def loading_compliance(self, torque: Quantity, preload: Quantity) -> Quantity:
+        """Compliance of flanks and teeth [rad/(N m)]."""
+        pressure = self.pressure(torque)
+        area = torque / (self.base_radius * self.contact_ratio) / pressure
+        mesh = self.contact_ratio * self.law.stiffness(pressure) * area * self._lever_square
+        return 1 / mesh + self._bending_compliance
+
+    def exact_tangent_compliance(
+        self, torque: np.ndarray, *, preload: float | None = None
+    ) -> np.ndarray:
+        """Compliance by the exact fractal law [rad/(N m)]."""
+        return gear_compliance(
+            torque,
+            self.surface,
+            (self.pitch_radius, self.pitch_radius_driven),
+            self.face_width,
+            self.pressure_angle,
+            self.contact_ratio,
+            self.mesh_stiffness,
+        )

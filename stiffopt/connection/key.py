@@ -1,0 +1,159 @@
+"""Parallel key between shaft and hub: two rough flanks under pressure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from stiffopt.connection.connection import ContactConnection
+from stiffopt.connection.exact import key_compliance
+from stiffopt.contact.surface import SurfacePair
+from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
+from stiffopt.contact.validate import (
+    require_not_negative,
+    require_one_of,
+    require_ordered,
+    require_positive,
+)
+from stiffopt.symbolic import Quantity
+
+# Six Gauss-Legendre points in ln(1 + T/Tc) serve flanks in parallel, whose compliance is no sum.
+_NODES, _WEIGHTS = (array.tolist() for array in np.polynomial.legendre.leggauss(6))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Key(ContactConnection):
+    """Parallel key (DIN 6885): flanks at r1 = d/2 - h1/2 and r2 = d/2 + h2/2 carry the torque.
+
+    Flank i has the area A_i = length * h_i, the pressure p_i = |T|/(r_i A_i) + p0 and the torsional
+    stiffness k_n(p_i) A_i r_i^2.
+
+    Parameters
+    ----------
+    shaft_diameter : float
+        d [m].
+    length : float
+        Bearing length of the key [m].
+    shaft_height, hub_height : float
+        Bearing height of the flank in the shaft, h1, and in the hub, h2 [m].
+    surface : SurfacePair
+    prepressure : float
+        p0 of the fit [Pa]. At 0 the exact compliance is infinite at zero torque and the smoothed
+        one depends on the smoothing width.
+    flanks : {"series", "parallel"}
+        "series": shaft - key - hub, one load path. "parallel": the stiffnesses of the flanks add,
+        as some literature has it; roughly four times stiffer.
+    contact_law : {"log_cubic", "power_law"} or ContactLaw
+        Smooth law of the optimisation; the exact compliance always uses the fractal law.
+
+    Notes
+    -----
+    Clearance at reversal is not part of the model. Source of the layout: DIN 6892 (flank
+    pressures); wind-up by integrating the tangent compliance over torque.
+    """
+
+    kind: ClassVar[str] = "key"
+    shaft_diameter: float
+    length: float
+    shaft_height: float
+    hub_height: float
+    surface: SurfacePair
+    prepressure: float = 0.0
+    flanks: Literal["series", "parallel"] = "series"
+    contact_law: LawName | ContactLaw = "log_cubic"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(
+            self.owner,
+            shaft_diameter=self.shaft_diameter,
+            length=self.length,
+            shaft_height=self.shaft_height,
+            hub_height=self.hub_height,
+        )
+        require_ordered(
+            self.owner, shaft_height=self.shaft_height, shaft_diameter=self.shaft_diameter
+        )
+        require_not_negative(self.owner, prepressure=self.prepressure)
+        require_one_of(self.owner, ("series", "parallel"), flanks=self.flanks)
+
+    @cached_property
+    def law(self) -> ContactLaw:
+        """Smooth contact law of the flanks."""
+        return contact_law(self.surface, self.contact_law)
+
+    @property
+    def radii(self) -> tuple[float, float]:
+        """Middle of the flank in the shaft and in the hub [m]."""
+        half = self.shaft_diameter / 2
+        return half - self.shaft_height / 2, half + self.hub_height / 2
+
+    @property
+    def areas(self) -> tuple[float, float]:
+        """Areas of the two flanks [m^2]."""
+        return self.length * self.shaft_height, self.length * self.hub_height
+
+    def flank_pressures(self, torque: Quantity) -> tuple[Quantity, Quantity]:
+        """Pressures in the shaft's and the hub's flank [Pa] for torque >= 0."""
+        (r1, r2), (a1, a2) = self.radii, self.areas
+        return torque / (r1 * a1) + self.prepressure, torque / (r2 * a2) + self.prepressure
+
+    def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
+        """Pressure of the flank that carries more [Pa]."""
+        return np.maximum(*self.flank_pressures(np.absolute(torque)))
+
+    def loading_windup(self, torque: Quantity, preload: Quantity) -> Quantity:
+        """Integral of the flank compliances from 0 to `torque` [rad]."""
+        if self.flanks == "parallel":
+            return self._parallel_windup(torque)
+        # Over pressure instead of torque the area cancels: phi_i = (1/r_i) int dp/k_n.
+        return sum(
+            self.law.approach(self.prepressure, pressure) / radius
+            for pressure, radius in zip(self.flank_pressures(torque), self.radii, strict=True)
+        )
+
+    def loading_compliance(self, torque: Quantity, preload: Quantity) -> Quantity:
+        """Compliance of the two flanks [rad/(N m)]."""
+        k1, k2 = (
+            self.law.stiffness(pressure) * area * radius**2
+            for pressure, area, radius in zip(
+                self.flank_pressures(torque), self.areas, self.radii, strict=True
+            )
+        )
+        return 1 / (k1 + k2) if self.flanks == "parallel" else 1 / k1 + 1 / k2
+
+    def _parallel_windup(self, torque: Quantity) -> Quantity:
+        reach = [radius * area for radius, area in zip(self.radii, self.areas, strict=True)]
+        if self.prepressure > 0.0:
+            shift = self.prepressure * min(reach)
+            first, closed = 0.0, 0.0
+        else:
+            # Below the range of the law both flanks follow one power: closed form from zero.
+            shift = 0.0
+            first = np.minimum(torque, self.law.lower * min(reach))
+            slope = self.law.log_slope(first / min(reach))
+            closed = first * self.loading_compliance(first, 0.0) / (1 - slope)
+        start = np.log(first + shift)
+        span = np.log((torque + shift) / (first + shift))
+        total = 0.0
+        for node, weight in zip(_NODES, _WEIGHTS, strict=True):
+            shifted = np.exp(start + 0.5 * (1 + node) * span)
+            total = total + 0.5 * weight * shifted * self.loading_compliance(shifted - shift, 0.0)
+        return closed + span * total
+
+    def exact_tangent_compliance(
+        self, torque: np.ndarray, *, preload: float | None = None
+    ) -> np.ndarray:
+        """Compliance by the exact fractal law [rad/(N m)]."""
+        d, h1, h2 = self.shaft_diameter, self.shaft_height, self.hub_height
+        return key_compliance(
+            torque,
+            self.surface,
+            ((d - h1) / 2, (d + h2) / 2),
+            (self.length * h1, self.length * h2),
+            self.prepressure,
+            series=self.flanks == "series",
+        )
