@@ -1,0 +1,132 @@
+"""A geometric joint path, and motions along it that stay exactly piecewise polynomial.
+
+The path is cubic in its parameter s between knots, a time law s(t) is polynomial in t between
+breaks; so the motion q(s(t)) is polynomial between the times at which either changes its piece.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import factorial
+
+import numpy as np
+
+from stiffopt.errors import ProblemError
+from stiffopt.result.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class JointPath:
+    """Path through waypoints; s runs from 0 to 1.
+
+    Parameters
+    ----------
+    knots : array (m,)
+        Path parameter of the waypoints, from 0 to 1.
+    coefficients : array (m - 1, 4, n)
+        Coefficient j of piece k multiplies (s - knots[k])**j. [rad] or [m]
+    """
+
+    knots: np.ndarray
+    coefficients: np.ndarray
+
+    @classmethod
+    def through(cls, waypoints: object, spacing: str = "uniform") -> JointPath:
+        """Straight line through two waypoints, not-a-knot cubic spline through more.
+
+        Parameters
+        ----------
+        waypoints : array_like (m, n)
+            Start, via points, end; neighbours must differ. [rad] or [m]
+        spacing : str
+            How far apart the waypoints lie in s: "uniform", or "chord" for distances in joint
+            space, which keeps a spline from overshooting where they are very uneven.
+        """
+        from scipy.interpolate import CubicSpline
+
+        points = np.atleast_2d(np.asarray(waypoints, dtype=float))
+        length = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        if len(points) < 2 or not np.all(length > 0):
+            raise ProblemError(
+                "a path needs at least two waypoints, each different from the one before; "
+                "give another start, via point or end."
+            )
+        if spacing not in ("uniform", "chord"):
+            raise ProblemError(f"spacing = {spacing!r} is unknown. Allowed: chord, uniform.")
+        steps = length if spacing == "chord" else np.ones_like(length)
+        knots = np.concatenate([[0.0], np.cumsum(steps) / np.sum(steps)])
+        knots[-1] = 1.0
+        spline = CubicSpline(knots, points, bc_type="not-a-knot")
+        # scipy stores the highest power first and the piece second.
+        return cls(knots, np.ascontiguousarray(spline.c[::-1].transpose(1, 0, 2)))
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return int(self.coefficients.shape[2])
+
+    def __call__(self, s: object, order: int = 0) -> np.ndarray:
+        """Position (order 0) or derivative by s at the parameters `s` (k,), shape (k, n)."""
+        positions = np.asarray(s, dtype=float)
+        return self._on_piece(positions, self._piece(positions), order)
+
+    def _piece(self, s: np.ndarray) -> np.ndarray:
+        last = len(self.knots) - 2
+        return np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, last)
+
+    def _on_piece(self, s: np.ndarray, piece: np.ndarray, order: int) -> np.ndarray:
+        local = (s - self.knots[piece])[..., None]
+        value = np.zeros((*s.shape, self.joints))
+        for j in range(3, order - 1, -1):
+            factor = factorial(j) // factorial(j - order)
+            value = value * local + factor * self.coefficients[piece, j]
+        return value
+
+    def follow(self, law: Trajectory) -> Trajectory:
+        """Motion q(s(t)) along the path, exact but for rounding.
+
+        Parameters
+        ----------
+        law : Trajectory
+            One "joint", the path parameter s, from 0 to 1 without turning back.
+        """
+        times = _with_crossings(law, self.knots[1:-1])
+        begin, middle = times[:-1], 0.5 * (times[:-1] + times[1:])
+        piece = self._piece(law(middle)[:, 0])
+        degree = law.acceleration.shape[1] + 1
+        # Local Taylor polynomials: of s about each break, then of q about s there.
+        s = np.stack([law(begin, j)[:, 0] / factorial(j) for j in range(degree + 1)], axis=1)
+        start, s[:, 0] = s[:, 0].copy(), 0.0
+        taylor = [self._on_piece(start, piece, j) / factorial(j) for j in range(4)]
+        motion = np.zeros((len(begin), 3 * degree + 1, self.joints))
+        power = np.ones((len(begin), 1))
+        for coefficient in taylor:
+            motion[:, : power.shape[1]] += power[:, :, None] * coefficient[:, None, :]
+            power = _product(power, s)
+        j = np.arange(2, motion.shape[1])
+        acceleration = motion[:, 2:] * (j * (j - 1.0))[:, None]
+        return Trajectory.from_acceleration(times, acceleration, motion[0, 0], motion[0, 1])
+
+
+def _with_crossings(law: Trajectory, knots: np.ndarray) -> np.ndarray:
+    """Merge the breaks of the law and the times at which it passes the inner knots."""
+    breaks = law.times
+    at_breaks = law(breaks)[:, 0]
+    crossings = []
+    for knot in knots:
+        if np.min(np.abs(at_breaks - knot)) < 1e-12:
+            continue
+        i = int(np.searchsorted(at_breaks, knot)) - 1
+        low, high = breaks[i], breaks[i + 1]
+        while (middle := 0.5 * (low + high)) not in (low, high):
+            low, high = (middle, high) if law(middle)[0] < knot else (low, middle)
+        crossings.append(high)
+    return np.union1d(breaks, crossings)
+
+
+def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Product of polynomials (K, p) and (K, r), one pair a row."""
+    result = np.zeros((len(a), a.shape[1] + b.shape[1] - 1))
+    for j in range(a.shape[1]):
+        result[:, j : j + b.shape[1]] += a[:, j : j + 1] * b
+    return result

@@ -1,0 +1,159 @@
+"""Limits of an arm along a path, as rows linear in path acceleration u and squared speed x.
+
+With q = q(s): velocity q' sqrt(x), acceleration q' u + q'' x, torque a u + b x + c; dry friction
+adds a constant. Viscous friction is a term in sqrt(x), which is not linear: it enters through
+bounds that never promise more torque than there is. Where friction loads the drive, the tangent of
+sqrt(x) lies above it; where friction helps, the chord from standstill lies below it. The tangent
+point comes from the previous pass, so that repeated passes close the gap on the loaded side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from stiffopt.baseline.joint_path import JointPath
+
+if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import Limits
+    from stiffopt.robot.robot import Robot
+
+# Largest squared path speed: toppra's solver bounds its variables by 1e8.
+_SQUARED_SPEED_MAX = 1e7
+
+
+@dataclass(frozen=True)
+class PathLimits:
+    """Rows a u + b x + c <= 1 and bounds of x on a grid of the path.
+
+    Parameters
+    ----------
+    grid : array (N,)
+        Path parameters.
+    rows : (a, b, c) arrays (N, m)
+        Divided by their limits.
+    loss : array (N, m)
+        Factor of sqrt(x) in each row from viscous friction; negative where friction helps.
+    labels : tuple of str (m,)
+        What each row limits.
+    squared_speed_max : array (N,)
+        Bound of x from joint velocity and tool speed.
+    """
+
+    grid: np.ndarray
+    rows: tuple[np.ndarray, np.ndarray, np.ndarray]
+    loss: np.ndarray
+    labels: tuple[str, ...]
+    squared_speed_max: np.ndarray
+
+    def linearised(self, about: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rows (a, b, c) with viscous friction bounded about the squared speeds `about` (N,)."""
+        a, b, c = self.rows
+        if not np.any(self.loss):
+            return a, b, c
+        # At standstill the tangent is vertical: a small positive speed stands in.
+        point = np.sqrt(np.maximum(about, 1e-4 * self.squared_speed_max))[:, None]
+        chord = np.sqrt(self.squared_speed_max)[:, None]
+        loading = self.loss > 0
+        slope = np.where(loading, self.loss / (2.0 * point), self.loss / chord)
+        return a, b + slope, c + np.where(loading, self.loss * point / 2.0, 0.0)
+
+    def standing_still(self) -> str:
+        """Sentence that names the worst limit that is broken at rest on the path, or ""."""
+        c = self.rows[2]
+        worst = np.unravel_index(int(np.argmax(c)), c.shape)
+        if c[worst] <= 1.0:
+            return ""
+        return (
+            f"At rest at {100 * self.grid[worst[0]]:.0f} % of the path the {self.labels[worst[1]]} "
+            f"would be {100 * c[worst]:.0f} % of its limit."
+        )
+
+
+def path_limits(
+    robot: Robot, limits: Limits, path: JointPath, grid: np.ndarray, process_force: np.ndarray
+) -> PathLimits:
+    """Evaluate all limits on `grid`.
+
+    Parameters
+    ----------
+    robot : Robot
+    limits : Limits
+        Velocity (with its map over position), acceleration, torque and tool speed are taken; jerk,
+        deflection and stiffness limits have no form linear in u and x.
+    path : JointPath
+    grid : array (N,)
+    process_force : array (3,)
+        Acts on the tool, base axes. [N]
+    """
+    q, dq, ddq = path(grid), path(grid, 1), path(grid, 2)
+    a, b, c, speed = _torque_rows(robot, q, dq, ddq, process_force)
+    c = c + robot.coulomb * np.sign(dq)
+    loss = robot.viscous * dq
+    zero = np.zeros_like(dq)
+    blocks = (
+        ("torque", limits.torque, (a, b, c, loss)),
+        ("acceleration", limits.acceleration, (dq, ddq, zero, zero)),
+    )
+    columns: list[list[np.ndarray]] = [[], [], [], []]
+    labels: list[str] = []
+    for name, limit, block in blocks:
+        for j in np.flatnonzero(np.isfinite(limit)):
+            for sign in (1.0, -1.0):
+                labels.append(f"{name} of joint {j + 1}")
+                for column, values in zip(columns, block, strict=True):
+                    column.append(sign * values[:, j] / limit[j])
+    a, b, c, loss = (_stack(column, len(grid)) for column in columns)
+    ceiling = _squared_speed_max(limits, q, dq, speed)
+    return PathLimits(grid, (a, b, c), loss, tuple(labels), ceiling)
+
+
+def _stack(columns: list[np.ndarray], count: int) -> np.ndarray:
+    return np.column_stack(columns) if columns else np.zeros((count, 1))
+
+
+def _torque_rows(
+    robot: Robot, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray, process_force: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Torque coefficients a, b, c (N, n) without friction, and |d tool/ds| (N,)."""
+    model: Any = robot.model.copy()
+    model.armature = np.asarray(robot.rotor_inertia, dtype=float)
+    tool = pin.Frame(
+        "tool_point",
+        robot.tool.joint,
+        0,
+        pin.SE3(np.eye(3), np.asarray(robot.tool.offset, dtype=float)),
+        pin.FrameType.OP_FRAME,
+    )
+    frame = model.addFrame(tool, False)
+    data = model.createData()
+    rest = np.zeros(model.nv)
+    a, b, c = np.empty_like(q), np.empty_like(q), np.empty_like(q)
+    speed = np.empty(len(q))
+    for k in range(len(q)):
+        hold = pin.rnea(model, data, q[k], rest, rest).copy()
+        a[k] = pin.rnea(model, data, q[k], rest, dq[k]) - hold
+        b[k] = pin.rnea(model, data, q[k], dq[k], ddq[k]) - hold
+        jacobian = pin.computeFrameJacobian(
+            model, data, q[k], frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        )[:3]
+        c[k] = hold - jacobian.T @ process_force
+        speed[k] = np.linalg.norm(jacobian @ dq[k])
+    return a, b, c, speed
+
+
+def _squared_speed_max(
+    limits: Limits, q: np.ndarray, dq: np.ndarray, tool_speed: np.ndarray
+) -> np.ndarray:
+    velocity = np.broadcast_to(limits.velocity, q.shape)
+    if limits.velocity_map is not None:
+        at, allowed = limits.velocity_map
+        mapped = [np.interp(q[:, j], at[:, j], allowed[:, j]) for j in range(q.shape[1])]
+        velocity = np.minimum(velocity, np.column_stack(mapped))
+    with np.errstate(divide="ignore"):
+        ratios = [velocity / np.abs(dq), (limits.tool_speed / tool_speed)[:, None]]
+    fastest = np.min(np.hstack(ratios), axis=1)
+    return np.asarray(np.minimum(fastest**2, _SQUARED_SPEED_MAX))

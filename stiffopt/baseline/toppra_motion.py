@@ -1,0 +1,182 @@
+"""The toppra baseline: time-optimal on a joint path, then slowed uniformly to a duration.
+
+Source: Pham, Pham (2018), "A new approach to time-optimal path parameterization based on
+reachability analysis". Limits hold between the grid points to second order ("interpolation
+scheme"), and the path acceleration is constant between them, so that the motion is piecewise
+polynomial and followed exactly.
+"""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stiffopt.baseline.joint_path import JointPath
+from stiffopt.baseline.motion import Baseline
+from stiffopt.baseline.path_limits import PathLimits, path_limits
+from stiffopt.result.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import Limits
+    from stiffopt.robot.robot import Robot
+
+_PASSES = 12
+_SETTLED = 1e-5
+
+
+def toppra_baseline(
+    robot: Robot,
+    limits: Limits,
+    path: JointPath,
+    duration: float | None = None,
+    process_force: object = (0.0, 0.0, 0.0),
+    intervals: int = 1000,
+) -> Baseline:
+    """Time-optimal rest-to-rest motion along `path`, slowed uniformly to `duration`.
+
+    Limits on joint velocity (with its map over position), acceleration, drive torque and tool
+    speed are kept. Rotor inertia and dry friction are exact; viscous friction is bounded on the
+    safe side, which costs a little speed where it helps to brake. Jerk, deflection and stiffness
+    limits are beyond the method: the assessment of the motion shows them.
+
+    Parameters
+    ----------
+    robot : Robot
+    limits : Limits
+    path : JointPath
+        The straight line, or the spline through the via points.
+    duration : float, optional
+        Wanted duration; the shortest one if left out. [s]
+    process_force : array_like (3,)
+        Acts on the tool, base axes. [N]
+    intervals : int
+        Of the path grid.
+
+    Returns
+    -------
+    Baseline
+        Without a motion, and with the reason, where the path cannot be followed within the limits
+        or not within `duration`.
+    """
+    force = np.asarray(process_force, dtype=float)
+    grid = _grid(path.knots, intervals)
+    rows = path_limits(robot, limits, path, grid, force)
+    still = rows.standing_still()
+    if still:
+        return _absent(f"No motion keeps the limits on this path. {still}")
+    law = _fastest_law(rows, path.joints)
+    if law is None:
+        return _absent(
+            "No motion along this path keeps all limits: toppra finds no time law that starts and "
+            "ends at rest."
+        )
+    motion = path.follow(law)
+    fastest = motion.duration
+    if duration is None:
+        return Baseline(name="toppra", motion=motion, fastest=fastest)
+    if duration < fastest:
+        return _absent(
+            f"The fastest motion along this path takes {fastest:.4g} s, longer than the "
+            f"{duration:.4g} s asked for.",
+            fastest,
+        )
+    return Baseline(name="toppra", motion=motion.scaled_to(duration), fastest=fastest)
+
+
+def _absent(reason: str, fastest: float | None = None) -> Baseline:
+    return Baseline(name="toppra", motion=None, reason=reason, fastest=fastest)
+
+
+def _grid(knots: np.ndarray, intervals: int) -> np.ndarray:
+    """Even grid whose points include the knots, so that no interval has a jump inside."""
+    pieces = [
+        np.linspace(low, high, max(2, int(np.ceil(intervals * (high - low)))) + 1)[:-1]
+        for low, high in pairwise(knots)
+    ]
+    return np.append(np.concatenate(pieces), knots[-1])
+
+
+def _fastest_law(rows: PathLimits, joints: int) -> Trajectory | None:
+    """Time law s(t) of the fastest motion; passes improve the bound of viscous friction."""
+    squared = rows.squared_speed_max
+    law = None
+    for _ in range(_PASSES if np.any(rows.loss) else 1):
+        speed = _path_speed(rows, rows.linearised(squared), joints)
+        if speed is None:
+            break
+        better = _law(rows.grid, speed)
+        settled = law is not None and law.duration - better.duration < _SETTLED * law.duration
+        law = better if law is None or better.duration < law.duration else law
+        if settled:
+            break
+        squared = speed**2
+    return law
+
+
+def _law(grid: np.ndarray, speed: np.ndarray) -> Trajectory:
+    """Time law with constant path acceleration between grid points."""
+    step = np.diff(grid)
+    times = np.concatenate([[0.0], np.cumsum(2.0 * step / (speed[:-1] + speed[1:]))])
+    acceleration = np.diff(speed**2) / (2.0 * step)
+    return Trajectory.from_acceleration(times, acceleration[:, None, None], [0.0], speed[:1])
+
+
+def _path_speed(
+    rows: PathLimits, linear: tuple[np.ndarray, np.ndarray, np.ndarray], joints: int
+) -> np.ndarray | None:
+    """Path speed ds/dt on the grid by toppra, or None."""
+    with _quiet():
+        from toppra.algorithm import TOPPRA
+        from toppra.constraint import DiscretizationType, LinearConstraint
+        from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
+
+        class Rows(LinearConstraint):  # type: ignore[misc]
+            """Given rows in toppra's form."""
+
+            def __init__(self) -> None:
+                super().__init__()
+                self.dof = joints
+                self.identical = True
+                self.set_discretization_type(DiscretizationType.Interpolation)
+
+            def compute_constraint_params(self, path: Any, gridpoints: Any) -> tuple[Any, ...]:
+                count = linear[0].shape[1]
+                bounds = np.column_stack([np.zeros(len(rows.grid)), rows.squared_speed_max])
+                return canlinear_colloc_to_interpolate(  # type: ignore[no-any-return]
+                    *linear, np.eye(count), np.ones(count), None, bounds, rows.grid, identical=True
+                )
+
+        solver = TOPPRA([Rows()], _Interval(joints), gridpoints=rows.grid, solver_wrapper="seidel")
+        _, speed, _ = solver.compute_parameterization(0.0, 0.0)
+    if speed is None or not np.all(np.isfinite(speed)) or np.any(speed[:-1] + speed[1:] <= 0):
+        return None
+    return np.asarray(speed, dtype=float)
+
+
+class _Interval:
+    """All that toppra asks of a path once its rows are given."""
+
+    path_interval = (0.0, 1.0)
+
+    def __init__(self, joints: int) -> None:
+        self.dof = joints
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """No warnings and no log lines; reasons are given in words by the caller."""
+    logger = logging.getLogger("toppra")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)

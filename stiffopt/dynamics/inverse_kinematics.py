@@ -1,0 +1,264 @@
+"""Joint angles that bring the tool to a place, within the joint limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from stiffopt.errors import ProblemError
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+# An angle error of 1 rad weighs as much as this distance: about the reach of a wrist. [m]
+_LENGTH = 0.3
+_STEPS = 200
+
+
+class UnreachablePoseError(ProblemError):
+    """No joint angles within the limits bring the tool to the place asked for.
+
+    Parameters
+    ----------
+    message : str
+    distance : float
+        Smallest distance reached. [m]
+    angle : float or None
+        Angle that is left there where an orientation was asked for. [rad]
+    joints : array (n,)
+        Joint angles at that place.
+    """
+
+    def __init__(
+        self, message: str, distance: float, angle: float | None, joints: np.ndarray
+    ) -> None:
+        self.distance, self.angle, self.joints = distance, angle, joints
+        super().__init__(message)
+
+
+def rotation_from_rpy(rpy: object) -> np.ndarray:
+    """Rotation (3, 3) from roll, pitch, yaw about the fixed x, y, z axes, as in URDF [rad]."""
+    return np.array(pin.rpy.rpyToMatrix(np.asarray(rpy, dtype=float)))
+
+
+def solve_pose(
+    robot: Robot,
+    position: object,
+    rotation: object = None,
+    near: object = None,
+    *,
+    seed: int = 1,
+    restarts: int = 60,
+    tolerance: float = 1e-10,
+) -> np.ndarray:
+    """Joint angles that bring the tool frame to a pose or the tool point to a position.
+
+    Damped Gauss-Newton steps from `near`, kept inside the joint limits; where they end short of
+    the place, from seeded random angles as well, and the solution closest to `near` wins.
+
+    Parameters
+    ----------
+    robot : Robot
+    position : array_like (3,)
+        Of the tool point, base axes. [m]
+    rotation : array_like (3, 3), optional
+        Of the tool frame, base axes; free if left out.
+    near : array_like (n,), optional
+        Chooses between solutions; the middle of the joint ranges if left out. [rad] or [m]
+    seed : int
+        Of the random starts: equal seeds give equal answers.
+    restarts : int
+        Number of random starts.
+    tolerance : float
+        Of the pose: [m], and 0.3 m a radian.
+
+    Returns
+    -------
+    array (n,)
+        [rad] or [m]
+
+    Raises
+    ------
+    UnreachablePoseError
+        Says how close the tool comes, and which joint limits are in the way.
+    ProblemError
+        For places that are not finite or have the wrong shape.
+    """
+    search = _Search.of(robot, position, rotation)
+    middle = 0.5 * (search.lower + search.upper)
+    start = middle if near is None else _vector(near, len(middle), "near")
+    start = np.clip(start, search.lower, search.upper)
+    best, error = search.descend(start, tolerance)
+    if error <= tolerance:
+        return search.unwound(best, start)
+    rng = np.random.default_rng(seed)
+    found: list[np.ndarray] = []
+    for _ in range(restarts):
+        angles, left = search.descend(rng.uniform(search.lower, search.upper), tolerance)
+        if left <= tolerance:
+            found.append(search.unwound(angles, start))
+        elif left < error:
+            best, error = angles, left
+        # A handful to choose from: each start ends in one of few branches.
+        if len(found) == 8:
+            break
+    if found:
+        return min(found, key=lambda q: float(np.linalg.norm(q - start)))
+    raise _unreachable(robot, search, best)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The place and the arm, ready for iterations."""
+
+    model: Any
+    data: Any
+    frame: int
+    position: np.ndarray
+    rotation: np.ndarray | None
+    lower: np.ndarray
+    upper: np.ndarray
+    turning: np.ndarray
+
+    @classmethod
+    def of(cls, robot: Robot, position: object, rotation: object) -> _Search:
+        model: Any = robot.model.copy()
+        placement = pin.SE3(np.asarray(robot.tool.rotation), np.asarray(robot.tool.offset))
+        tool = pin.Frame("tool", robot.tool.joint, 0, placement, pin.FrameType.OP_FRAME)
+        frame = model.addFrame(tool, False)
+        turning = np.array(
+            [
+                not model.joints[i].shortname().startswith("JointModelP")
+                for i in range(1, model.nq + 1)
+            ]
+        )
+        # A joint without limits is searched over one turn either way, a slide over 10 m.
+        span = np.where(turning, 2.0 * np.pi, 10.0)
+        return cls(
+            model,
+            model.createData(),
+            frame,
+            _vector(position, 3, "position"),
+            None if rotation is None else _vector(rotation, 9, "rotation").reshape(3, 3),
+            np.where(np.isfinite(robot.position_lower), robot.position_lower, -span),
+            np.where(np.isfinite(robot.position_upper), robot.position_upper, span),
+            turning,
+        )
+
+    def error(self, q: np.ndarray) -> np.ndarray:
+        """Distance vector [m] and, where asked for, the angle vector times 0.3 m, in base axes."""
+        pin.framesForwardKinematics(self.model, self.data, q)
+        pose = self.data.oMf[self.frame]
+        left = self.position - pose.translation
+        if self.rotation is None:
+            return np.array(left)
+        turn = pin.log3(self.rotation @ pose.rotation.T)
+        return np.concatenate([left, _LENGTH * turn])
+
+    def jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Change of the pose by the joints, weighted as the error."""
+        full = pin.computeFrameJacobian(
+            self.model, self.data, q, self.frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        )
+        if self.rotation is None:
+            return np.array(full[:3])
+        return np.vstack([full[:3], _LENGTH * full[3:]])
+
+    def descend(self, start: np.ndarray, tolerance: float) -> tuple[np.ndarray, float]:
+        """Angles and size of the error where the iteration from `start` ends."""
+        q, damping = start.copy(), 1e-3
+        error = self.error(q)
+        size = float(np.linalg.norm(error))
+        for _ in range(_STEPS):
+            if size <= tolerance or damping > 1e8:
+                break
+            step = self._step(q, self.jacobian(q), error, damping)
+            trial = np.clip(q + step, self.lower, self.upper)
+            trial_error = self.error(trial)
+            trial_size = float(np.linalg.norm(trial_error))
+            if trial_size < size:
+                stalled = size - trial_size < 1e-9 * size
+                q, error, size, damping = trial, trial_error, trial_size, damping * 0.2
+                if stalled:
+                    break
+            else:
+                damping = max(damping, 1e-9) * 5.0
+        return q, size
+
+    def _step(
+        self, q: np.ndarray, jacobian: np.ndarray, error: np.ndarray, damping: float
+    ) -> np.ndarray:
+        """Damped step in which joints at a limit that would leave it stand still."""
+        pull = jacobian.T @ error
+        free = np.flatnonzero(~self._held(q, pull))
+        step = np.zeros_like(q)
+        if free.size:
+            part = jacobian[:, free]
+            # The small side of the normal equations: 3 or 6 rows.
+            gram = part @ part.T + damping * float(error @ error + 1e-12) * np.eye(len(error))
+            step[free] = part.T @ np.linalg.solve(gram, error)
+        largest = float(np.max(np.abs(step)))
+        return step if largest <= 0.5 else step * (0.5 / largest)
+
+    def _held(self, q: np.ndarray, pull: np.ndarray) -> np.ndarray:
+        return np.asarray(((q <= self.lower) & (pull < 0)) | ((q >= self.upper) & (pull > 0)))
+
+    def stopped(self, q: np.ndarray) -> np.ndarray:
+        """Indices of the joints that would go on but for their limit."""
+        jacobian, error = self.jacobian(q), self.error(q)
+        pull = jacobian.T @ error
+        # A stretched arm has joints that pull nowhere: rounding must not blame their limits.
+        strong = np.abs(pull) > 1e-3 * np.linalg.norm(jacobian, axis=0) * np.linalg.norm(error)
+        return np.flatnonzero(self._held(q, pull) & strong)
+
+    def unwound(self, q: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """Move each angle by full turns towards `near`, inside the limits: the same pose."""
+        turns = np.where(self.turning, np.round((near - q) / (2.0 * np.pi)), 0.0)
+        moved = q + 2.0 * np.pi * turns
+        inside = (moved >= self.lower) & (moved <= self.upper)
+        return np.where(inside, moved, q)
+
+    def left(self, q: np.ndarray) -> tuple[float, float | None]:
+        """Distance [m] and angle [rad] that are left at `q`."""
+        error = self.error(q)
+        angle = None if self.rotation is None else float(np.linalg.norm(error[3:])) / _LENGTH
+        return float(np.linalg.norm(error[:3])), angle
+
+
+def _vector(value: object, size: int, name: str) -> np.ndarray:
+    array = np.asarray(value, dtype=float).reshape(-1)
+    if array.size != size or not np.all(np.isfinite(array)):
+        raise ProblemError(f"{name} must hold {size} finite numbers, got {value!r}.")
+    return array
+
+
+def _unreachable(robot: Robot, search: _Search, q: np.ndarray) -> UnreachablePoseError:
+    distance, angle = search.left(q)
+    place = ", ".join(f"{x:.4g}" for x in search.position)
+    reached = f"{1000 * distance:.3g} mm away"
+    if angle is not None:
+        reached += f" and turned by {np.degrees(angle):.3g} deg"
+    stops = [
+        f"{robot.joint_names[j]} at its {side} limit {q[j]:.4g}"
+        for j in search.stopped(q)
+        for side in ("lower" if q[j] <= search.lower[j] else "upper",)
+    ]
+    cause = (
+        f"Stopped by {', '.join(stops)}."
+        if stops
+        else "No joint limit is in the way: the place lies outside what the links can span."
+    )
+    step = "Move the target, or start the search elsewhere by `near`."
+    if angle is not None and replace(search, rotation=None).descend(q, 1e-6)[1] <= 1e-6:
+        step = "The position alone can be reached: change the orientation, or leave it free."
+    return UnreachablePoseError(
+        f"the tool of {robot.name} cannot reach position [{place}] m"
+        f"{' in the orientation asked for' if angle is not None else ''}: the closest place found "
+        f"is {reached}. {cause} {step}",
+        distance,
+        angle,
+        q,
+    )
