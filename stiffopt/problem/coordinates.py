@@ -69,8 +69,7 @@ class JointCoordinates(Coordinates):
         self.control_names = tuple(f"acceleration of joint {j + 1}" for j in range(n))
         speed = np.where(np.isfinite(self.limits.velocity), self.limits.velocity, 1.0)
         self.state_scale = np.concatenate([np.ones(n), speed])
-        lower = max(problem.duration[0], 0.1 * problem.duration[1])
-        fallback = 6.0 * speed / lower
+        fallback = 6.0 * speed / _typical(problem.duration)
         self.control_scale = np.where(
             np.isfinite(self.limits.acceleration), self.limits.acceleration, fallback
         )
@@ -123,7 +122,7 @@ class PathCoordinates(Coordinates):
         self.size = 1
         self.state_names = ("path position", "path speed")
         self.control_names = ("path acceleration",)
-        duration = problem.duration[0] if np.isinf(problem.duration[1]) else np.mean(problem.duration)
+        duration = _typical(problem.duration)
         self.state_scale = np.array([1.0, 1.0 / duration])
         self.control_scale = np.array([6.0 / duration**2])
         self.knots, self.truncated_powers = spline_coefficients(problem.path)
@@ -164,6 +163,11 @@ class PathCoordinates(Coordinates):
     def boundary_states(self, motion: ResolvedMotion) -> tuple[np.ndarray, np.ndarray]:
         """Rest at both ends of the path."""
         return np.array([0.0, 0.0]), np.array([1.0, 0.0])
+
+
+def _typical(duration: tuple[float, float]) -> float:
+    """A duration for scales: one second if allowed, else the nearest allowed."""
+    return float(np.clip(1.0, *duration))
 
 
 def spline_coefficients(

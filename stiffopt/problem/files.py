@@ -1,0 +1,248 @@
+"""Trajectory problem files: from TOML to a `TrajectoryProblem`."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stiffopt.errors import InputError, InputFileError
+from stiffopt.files import check_file, check_header, load_toml, validate
+from stiffopt.problem.objectives import Objective
+from stiffopt.problem.schema import ExpectedSection, LimitsSection, ProblemFile, TargetSection
+from stiffopt.problem.trajectory import Limits, Method, Target, TrajectoryProblem
+from stiffopt.robot.robot import Robot
+from stiffopt.robot.files import load_robot, shipped_robots
+from stiffopt.units import fit_joint
+
+
+@dataclass(frozen=True)
+class LoadedProblem:
+    """A problem with what its file expects of the solution.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+    expected : ExpectedSection or None
+    path : Path
+    """
+
+    problem: TrajectoryProblem
+    expected: ExpectedSection | None
+    path: Path
+
+
+def load_problem(path: str | os.PathLike[str]) -> LoadedProblem:
+    """Read a trajectory problem file.
+
+    Raises
+    ------
+    InputFileError
+        With the file, the key, what is allowed and what to do next.
+    """
+    path = Path(path)
+    data = load_toml(path)
+    check_header(data, path, "trajectory")
+    document = validate(ProblemFile, data, path)
+    try:
+        problem = _build(document, path)
+    except InputFileError:
+        raise
+    except InputError as error:
+        raise InputFileError(path, "", str(error)) from error
+    return LoadedProblem(problem, document.expected, path)
+
+
+def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
+    robot = _robot(document, path)
+    motion = document.motion
+    joints = _JointLists(robot, path)
+    if isinstance(motion.duration, float):
+        duration = (motion.duration, motion.duration)
+    else:
+        upper = motion.duration.upper
+        duration = (motion.duration.lower, np.inf if upper is None else upper)
+    waypoints = None
+    if motion.path is not None:
+        waypoints = np.stack(
+            [joints(q, "angle", f"motion.path[{k}]") for k, q in enumerate(motion.path, start=1)]
+        )
+        start, end = Target(joints=waypoints[0]), Target(joints=waypoints[-1])
+    else:
+        assert motion.start is not None
+        assert motion.end is not None
+        start = _target(motion.start, joints, "motion.start")
+        end = _target(motion.end, joints, "motion.end")
+    velocity = None
+    if motion.boundary_velocity != "zero":
+        velocity = (
+            joints(motion.boundary_velocity.start, "angular velocity", "boundary_velocity.start"),
+            joints(motion.boundary_velocity.end, "angular velocity", "boundary_velocity.end"),
+        )
+    for number, term in enumerate(document.minimise, start=1):
+        for joint in (*term.joints, *term.joint_weights):
+            joints.check_number(joint, f"minimise[{number}].joints")
+    return TrajectoryProblem(
+        robot=robot,
+        start=start,
+        end=end,
+        vias=tuple(
+            _target(via, joints, f"motion.via[{k}]") for k, via in enumerate(motion.via, start=1)
+        ),
+        path=waypoints,
+        duration=duration,
+        objectives=tuple(
+            Objective(
+                name=term.objective,
+                measure=term.measure,
+                weight=term.weight,
+                joints=tuple(term.joints),
+                joint_weights=dict(term.joint_weights),
+                accept_bound=term.accept_bound,
+            )
+            for term in document.minimise
+        ),
+        limits=_limits(document.limits, robot, joints, path),
+        boundary_velocity=velocity,
+        boundary_acceleration=motion.boundary_acceleration,
+        process_force=np.array(document.tool.process_force),
+        method=Method(**document.method.model_dump()),
+        title=document.title or path.stem,
+    )
+
+
+def _robot(document: ProblemFile, path: Path) -> Robot:
+    name = document.robot
+    beside = path.parent / name
+    source = name if name in shipped_robots() else beside if beside.exists() else name
+    try:
+        robot = load_robot(source)
+    except InputFileError:
+        raise
+    except InputError as error:
+        raise InputFileError(path, "robot", str(error)) from error
+    if document.payload is not None:
+        load = document.payload
+        robot = robot.with_payload(load.mass, load.com, load.inertia)
+    if document.tool.link is not None or document.tool.offset is not None:
+        robot = robot.with_tool(document.tool.link, document.tool.offset)
+    return robot
+
+
+class _JointLists:
+    """Turns lists of the file into arrays with one entry a joint, or says which list is wrong."""
+
+    def __init__(self, robot: Robot, path: Path) -> None:
+        self.robot, self.path = robot, path
+        self.names = robot.joint_names
+        self.prismatic = robot.prismatic
+
+    def __call__(self, values: Sequence[float], dimension: str, where: str) -> np.ndarray:
+        if len(values) != len(self.names):
+            raise InputFileError(
+                self.path,
+                where,
+                f"needs {len(self.names)} values, one a joint ({', '.join(self.names)}); got "
+                f"{len(values)}.",
+            )
+        return np.array(
+            [
+                fit_joint(value, bool(self.prismatic[j]), dimension, f"{where}[{j + 1}]")
+                for j, value in enumerate(values)
+            ]
+        )
+
+    def check_number(self, joint: int, where: str) -> None:
+        """Joint numbers start at 1."""
+        if not 1 <= joint <= len(self.names):
+            raise InputFileError(
+                self.path, where, f"there is no joint {joint}; allowed: 1 to {len(self.names)}."
+            )
+
+
+def _target(section: TargetSection, joints: _JointLists, where: str) -> Target:
+    def angles(values: Sequence[float] | None, key: str) -> np.ndarray | None:
+        return None if values is None else joints(values, "angle", f"{where}.{key}")
+
+    extra = {} if section.tolerance is None else {"tolerance": float(section.tolerance)}
+    return Target(
+        joints=angles(section.joints, "joints"),
+        position=None if section.position is None else np.array(section.position),
+        rpy=None if section.rpy is None else np.array(section.rpy),
+        near=angles(section.near, "near"),
+        angle_tolerance=section.angle_tolerance,
+        **extra,
+    )
+
+
+def _limits(section: LimitsSection, robot: Robot, joints: _JointLists, path: Path) -> Limits:
+    own = Limits.of(robot)
+    values: dict[str, np.ndarray] = {}
+    for name, dimension in (
+        ("velocity", "angular velocity"),
+        ("acceleration", "angular acceleration"),
+        ("jerk", "angular jerk"),
+        ("torque", "torque"),
+    ):
+        given = getattr(section, name)
+        if given is None:
+            array = getattr(own, name)
+        elif given == "none":
+            array = np.full(len(robot.joint_names), np.inf)
+        else:
+            array = joints(given, dimension, f"limits.{name}")
+            if np.any(array <= 0):
+                raise InputFileError(
+                    path, f"limits.{name}", "every limit must be greater than zero."
+                )
+        values[name] = array * getattr(section.scale, name)
+    for name in ("position_lower", "position_upper"):
+        given = getattr(section, name)
+        values[name] = (
+            getattr(own, name) if given is None else joints(given, "angle", f"limits.{name}")
+        )
+    if np.any(values["position_lower"] >= values["position_upper"]):
+        raise InputFileError(path, "limits", "position_lower must be below position_upper.")
+    for joint in section.joint_stiffness:
+        joints.check_number(joint, "limits.joint_stiffness")
+    speed_map = section.velocity_by_position
+    return Limits(
+        **values,
+        velocity_map=None if speed_map is None else _speed_map(path.parent / speed_map, robot),
+        tool_speed=np.inf if section.tool_speed is None else section.tool_speed,
+        dynamic_deflection=_or_inf(section.dynamic_deflection),
+        total_deflection=_or_inf(section.total_deflection),
+        joint_stiffness=dict(section.joint_stiffness),
+    )
+
+
+def _or_inf(value: float | None) -> float:
+    return np.inf if value is None else value
+
+
+def _speed_map(path: Path, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """Columns q1.., v1.. of a CSV file, in SI: positions increasing in every column."""
+    check_file(path)
+    n = len(robot.joint_names)
+    with path.open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    columns = [f"{letter}{j + 1}" for letter in "qv" for j in range(n)]
+    missing = [c for c in columns if not rows or c not in rows[0]]
+    if missing or len(rows) < 2:
+        raise InputFileError(
+            path, "", f"needs at least two rows and the columns {', '.join(columns)}."
+        )
+    try:
+        table = np.array([[float(row[c]) for c in columns] for row in rows])
+    except (TypeError, ValueError) as error:
+        raise InputFileError(path, "", f"holds a value that is no number: {error}.") from error
+    positions, speeds = table[:, :n], table[:, n:]
+    if not np.all(np.isfinite(table)) or np.any(np.diff(positions, axis=0) <= 0):
+        raise InputFileError(path, "", "positions must be finite and increase from row to row.")
+    if np.any(speeds <= 0):
+        raise InputFileError(path, "", "every speed limit must be greater than zero.")
+    return positions, speeds

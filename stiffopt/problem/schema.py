@@ -1,0 +1,191 @@
+"""Schema of trajectory problem files: keys, units, defaults. Every key is optional unless marked."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from stiffopt.files import Section
+from stiffopt.units import (
+    Angle,
+    Force,
+    Inertia,
+    JointAcceleration,
+    JointJerk,
+    JointPosition,
+    JointStiffness,
+    JointTorque,
+    JointVelocity,
+    Length,
+    Mass,
+    Speed,
+    Time,
+)
+
+Vector3 = Annotated[list[Length], Field(min_length=3, max_length=3)]
+Unlimited = Literal["none"]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class PayloadSection(Section):
+    """[payload]: fixed at the flange; com in the flange frame, inertia about the com."""
+
+    mass: Annotated[Mass, Field(ge=0)]
+    com: Vector3 = [0.0, 0.0, 0.0]
+    inertia: Annotated[list[Inertia], Field(min_length=3, max_length=6)] = [0.0, 0.0, 0.0]
+
+
+class ToolSection(Section):
+    """[tool]: the point whose deflection counts, and the force that acts on it."""
+
+    link: str | None = None
+    offset: Vector3 | None = None
+    process_force: Annotated[list[Force], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
+
+
+class TargetSection(Section):
+    """A place: joints, or position with or without rpy."""
+
+    joints: list[JointPosition] | None = None
+    position: Vector3 | None = None
+    rpy: Annotated[list[Angle], Field(min_length=3, max_length=3)] | None = None
+    near: list[JointPosition] | None = None
+    tolerance: Length | Angle | None = None
+    angle_tolerance: Annotated[Angle, Field(gt=0)] = 0.01
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> TargetSection:
+        if (self.joints is None) == (self.position is None):
+            raise ValueError(
+                "give either `joints` or `position` (with `rpy` for a pose), not both, not neither"
+            )
+        if self.rpy is not None and self.position is None:
+            raise ValueError("`rpy` needs a `position` beside it")
+        if self.tolerance is not None and not self.tolerance > 0:
+            raise ValueError("`tolerance` must be greater than zero")
+        return self
+
+
+class DurationSection(Section):
+    """duration = { lower, upper }: optimised between the two; no upper bound if left out."""
+
+    lower: Annotated[Time, Field(gt=0)] = 0.01
+    upper: Annotated[Time, Field(gt=0)] | None = None
+
+
+class BoundaryVelocity(Section):
+    """boundary_velocity = { start, end }."""
+
+    start: list[JointVelocity]
+    end: list[JointVelocity]
+
+
+class MotionSection(Section):
+    """[motion] (required): start and end with vias between, or a fixed joint path."""
+
+    start: TargetSection | None = None
+    via: list[TargetSection] = []
+    end: TargetSection | None = None
+    path: list[list[JointPosition]] | None = None
+    duration: Annotated[Time, Field(gt=0)] | DurationSection
+    boundary_velocity: Literal["zero"] | BoundaryVelocity = "zero"
+    boundary_acceleration: Literal["zero", "free"] = "zero"
+
+    @model_validator(mode="after")
+    def _ends(self) -> MotionSection:
+        if self.path is None and (self.start is None or self.end is None):
+            raise ValueError("give `start` and `end`, or a fixed joint `path`")
+        if self.path is not None and (self.start or self.end or self.via):
+            raise ValueError("`path` fixes start, end and vias; remove those or the path")
+        return self
+
+
+class MinimiseSection(Section):
+    """[[minimise]] (required): one term of the objective."""
+
+    objective: Literal[
+        "dynamic_deflection",
+        "total_deflection",
+        "process_deflection",
+        "joint_stiffness",
+        "mean_compliance",
+        "duration",
+        "torque_squared",
+        "acceleration_squared",
+    ]
+    measure: Literal["peak", "rms"] = "peak"
+    weight: Positive = 1.0
+    joints: list[Annotated[int, Field(ge=1)]] = []
+    joint_weights: dict[int, Positive] = {}
+    accept_bound: bool = False
+
+
+class ScaleSection(Section):
+    """limits.scale: factors on the robot's own limits."""
+
+    velocity: Positive = 1.0
+    acceleration: Positive = 1.0
+    jerk: Positive = 1.0
+    torque: Positive = 1.0
+
+
+class LimitsSection(Section):
+    """[limits]: the robot's own where a key is left out; "none" removes a limit."""
+
+    position_lower: list[JointPosition] | None = None
+    position_upper: list[JointPosition] | None = None
+    velocity: list[JointVelocity] | Unlimited | None = None
+    acceleration: list[JointAcceleration] | Unlimited | None = None
+    jerk: list[JointJerk] | Unlimited | None = None
+    torque: list[JointTorque] | Unlimited | None = None
+    scale: ScaleSection = ScaleSection()
+    velocity_by_position: str | None = None
+    tool_speed: Annotated[Speed, Field(gt=0)] | None = None
+    dynamic_deflection: Annotated[Length, Field(gt=0)] | None = None
+    total_deflection: Annotated[Length, Field(gt=0)] | None = None
+    joint_stiffness: dict[int, Annotated[JointStiffness, Field(gt=0)]] = {}
+
+
+class MethodSection(Section):
+    """[method]: how to solve."""
+
+    transcription: Literal[
+        "piecewise_linear_acceleration", "hermite_simpson", "radau"
+    ] = "piecewise_linear_acceleration"
+    intervals: Annotated[int, Field(ge=4, le=2000)] = 60
+    time_limit: Annotated[Time, Field(gt=0)] = 300.0
+    max_iterations: Annotated[int, Field(ge=1)] = 500
+    starts: Annotated[int, Field(ge=1, le=1000)] = 1
+    tolerance: Annotated[float, Field(gt=0, le=1e-2)] = 1e-8
+    seed: int = 1
+
+
+class ExpectedSection(Section):
+    """[expected]: what `stiffopt verify` compares, and where the value comes from."""
+
+    objective: float
+    unit: str
+    rtol: Annotated[float, Field(gt=0, le=0.1)] = 1e-4
+    source: str
+
+
+class ProblemFile(Section):
+    """A whole trajectory problem file."""
+
+    schema_: Annotated[int, Field(alias="schema")]
+    kind: Literal["trajectory"]
+    title: str = ""
+    robot: str
+    payload: PayloadSection | None = None
+    tool: ToolSection = ToolSection()
+    motion: MotionSection
+    minimise: Annotated[list[MinimiseSection], Field(min_length=1)]
+    limits: LimitsSection = LimitsSection()
+    method: MethodSection = MethodSection()
+    expected: ExpectedSection | None = None
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema of problem files, for editors."""
+    return ProblemFile.model_json_schema(by_alias=True)
