@@ -1,0 +1,288 @@
+"""Packaged reducers, bolts, keys, belts, surfaces and flange patterns, each with its provenance.
+
+Values are SI. `provenance` is "catalogue", "paper" or "estimated"; `estimated` names single values
+of an otherwise known entry that are not confirmed.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+from stiffopt.contact.surface import Material, SurfacePair
+from stiffopt.errors import InputError, nearest
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """Where a catalogue entry comes from."""
+
+    name: str
+    provenance: str
+    source: str
+    estimated: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReducerData(Entry):
+    """Strain-wave reducer: three stiffness ranges and, where known, ratings.
+
+    Parameters
+    ----------
+    ratio : int
+        Turns of the input for one turn of the output.
+    K1, K2, K3 : float
+        Slopes below T1, up to T2, above [N m/rad].
+    T1, T2 : float
+        [N m]
+    ratings : (rated, repeated peak, momentary peak) or None
+        [N m]
+    """
+
+    ratio: int
+    K1: float
+    K2: float
+    K3: float
+    T1: float
+    T2: float
+    ratings: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoltData(Entry):
+    """Metric bolt: lengths [m], areas [m^2], largest assembly preload by grade [N]."""
+
+    diameter: float
+    pitch: float
+    pitch_diameter: float
+    minor_diameter: float
+    stress_area: float
+    head_area: float
+    hole: float
+    assembly_preload_max: Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeyData(Entry):
+    """Parallel key: section, shafts it belongs to, keyway depths and carrying heights [m]."""
+
+    width: float
+    height: float
+    shaft_min: float
+    shaft_max: float
+    shaft_depth: float
+    hub_depth: float
+    shaft_flank_height: float
+    hub_flank_height: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class BeltData(Entry):
+    """Synchronous belt profile: lengths [m], moduli [Pa], span stiffness by width [N]."""
+
+    pitch: float
+    tooth_height: float
+    tooth_root_width: float
+    flank_angle: float
+    tooth_modulus: float
+    tooth_poisson: float
+    teeth_in_mesh_max: float
+    span_stiffness: Mapping[str, float]
+
+    def span_stiffness_at(self, width: float) -> float:
+        """Force for a unit strain of one span [N], interpolated or scaled over the width [m]."""
+        table = sorted((float(w), c) for w, c in self.span_stiffness.items())
+        if width <= table[0][0]:
+            return table[0][1] * width / table[0][0]
+        if width >= table[-1][0]:
+            return table[-1][1] * width / table[-1][0]
+        for (w0, c0), (w1, c1) in zip(table, table[1:], strict=False):
+            if width <= w1:
+                return c0 + (c1 - c0) * (width - w0) / (w1 - w0)
+        raise AssertionError("the table covers every width")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlangeData(Entry):
+    """Bolt pattern at a reducer.
+
+    Parameters
+    ----------
+    bolt : str
+        Size, for example "M5".
+    count : int
+    circle_diameter : float
+        Of the bolts [m].
+    inner_radius, outer_radius : float
+        Of the contact ring [m].
+    preload : float
+        Nominal, of one bolt [N].
+    tightening_torque, transmissible_torque : float
+        Of the maker's table [N m].
+    """
+
+    bolt: str
+    count: int
+    circle_diameter: float
+    inner_radius: float
+    outer_radius: float
+    preload: float
+    tightening_torque: float
+    transmissible_torque: float
+
+
+@functools.cache
+def _table(name: str) -> dict[str, Any]:
+    text = resources.files("stiffopt.drivetrain").joinpath("data", f"{name}.toml").read_text("utf-8")
+    return tomllib.loads(text)
+
+
+def _source(table: Mapping[str, Any], text: str) -> str:
+    """Source with the short names of the file's [sources] written out."""
+    for short, full in table.get("sources", {}).items():
+        text = re.sub(rf"\b{short}\b", full, text)
+    return text
+
+
+def _entry(table: Mapping[str, Any], row: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        **row,
+        "source": _source(table, row["source"]),
+        "estimated": tuple(row.get("estimated", ())),
+    }
+
+
+@functools.cache
+def _rows(table_name: str, list_name: str, key: str) -> dict[str, dict[str, Any]]:
+    table = _table(table_name)
+    return {row[key]: _entry(table, row) for row in table[list_name]}
+
+
+def _find(kind: str, name: str, known: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    if name not in known:
+        raise InputError(f"no {kind} {name!r} in the catalogue. {nearest(name, known)}")
+    return known[name]
+
+
+# Ratios that the makers list; the stiffness class of each is 30, 50 or 80.
+_RATIOS = (30, 50, 80, 100, 120, 160)
+
+
+def _stiffness_class(ratio: int) -> str:
+    return "30" if ratio < 50 else "50" if ratio < 80 else "80"
+
+
+def reducer_names() -> list[str]:
+    """Names of the packaged reducers: harmonic_SIZE_RATIO."""
+    sizes = sorted({row["size"] for row in _table("reducers")["reducer"]})
+    return [f"harmonic_{size}_{ratio}" for size in sizes for ratio in _RATIOS]
+
+
+def reducer(name: str) -> ReducerData:
+    """Packaged reducer by name, for example "harmonic_25_100"."""
+    if name not in reducer_names():
+        raise InputError(f"no reducer {name!r} in the catalogue. {nearest(name, reducer_names())}")
+    size, ratio = (int(part) for part in name.split("_")[1:])
+    table = _table("reducers")
+    for row in table["reducer"]:
+        if row["size"] == size and row["class"] == _stiffness_class(ratio):
+            break
+    ratings = table["ratings"].get(name)
+    return ReducerData(
+        name=name,
+        provenance=row["provenance"],
+        source=_source(table, row["source"]),
+        estimated=tuple(row.get("estimated", ())),
+        ratio=ratio,
+        K1=row["K"][0],
+        K2=row["K"][1],
+        K3=row["K"][2],
+        T1=row["T1"],
+        T2=row["T2"],
+        ratings=tuple(ratings["torque"]) if ratings else None,
+    )
+
+
+def bolt_names() -> list[str]:
+    """Packaged bolt sizes."""
+    return list(_rows("bolts", "bolt", "size"))
+
+
+def bolt(size: str) -> BoltData:
+    """Packaged bolt by size, for example "M5"."""
+    row = dict(_find("bolt", size, _rows("bolts", "bolt", "size")))
+    return BoltData(name=row.pop("size"), **row)
+
+
+def proof_stress(grade: str) -> float:
+    """Yield strength R_p0.2 of a bolt grade such as "12.9" [Pa]."""
+    grades = {k: v for k, v in _table("bolts")["grades"].items() if isinstance(v, float)}
+    if grade not in grades:
+        raise InputError(f"no bolt grade {grade!r} in the catalogue. {nearest(grade, grades)}")
+    return float(grades[grade])
+
+
+def key(width: float, height: float) -> KeyData:
+    """Packaged parallel key by its section [m]."""
+    name = f"{width * 1e3:g}x{height * 1e3:g}"
+    row = dict(_find("key", name, _rows("keys", "key", "size")))
+    return KeyData(name=row.pop("size"), **row)
+
+
+def belt(name: str) -> BeltData:
+    """Packaged belt profile by name, for example "HTD3M"."""
+    return BeltData(**_find("belt", name, _rows("belts", "belt", "name")))
+
+
+def flange_names() -> list[str]:
+    """Names of the packaged bolt patterns."""
+    return list(_rows("flanges", "flange", "name"))
+
+
+def flange(name: str) -> FlangeData:
+    """Packaged bolt pattern by name, for example "flexspline_25"."""
+    row = dict(_find("flange pattern", name, _rows("flanges", "flange", "name")))
+    diameter = bolt(row["bolt"]).diameter
+    row["inner_radius"] = row["circle_diameter"] / 2 - diameter
+    row["outer_radius"] = row["circle_diameter"] / 2 + diameter
+    row["preload"] = float(_table("flanges")["preload"][row["bolt"]])
+    row["estimated"] = ("inner_radius", "outer_radius", "preload")
+    return FlangeData(**row)
+
+
+def material(name: str) -> Material:
+    """Packaged material by name: steel, aluminium or iron."""
+    row = _find("material", name, _table("surfaces")["materials"])
+    return Material(
+        name=name, modulus=row["young"], poisson=row["poisson"], hardness=row["hardness"]
+    )
+
+
+def surface_names() -> list[str]:
+    """Names of the packaged surface pairs."""
+    return list(_rows("surfaces", "surface", "name"))
+
+
+def surface_entry(name: str) -> Entry:
+    """Provenance of a packaged surface pair."""
+    row = _find("surface", name, _rows("surfaces", "surface", "name"))
+    return Entry(name=name, provenance=row["provenance"], source=row["source"])
+
+
+@functools.cache
+def surface(name: str) -> SurfacePair:
+    """Packaged pair of surfaces by name, for example "fine_steel"."""
+    row = _find("surface", name, _rows("surfaces", "surface", "name"))
+    return SurfacePair(
+        name=name,
+        first=material(row["first"]),
+        second=material(row["second"]),
+        fractal_dimension=row["fractal_dimension"],
+        fractal_roughness=row["fractal_roughness"],
+        friction=row["friction"],
+    )

@@ -1,0 +1,230 @@
+"""Series and parallel composition of connections, seen from the joint's output.
+
+Series: wind-ups add at equal torque. Parallel (stages of one group): torques add at equal wind-up.
+An element that turns `ratio` times faster than the joint carries the torque T/(ratio efficiency)
+and its wind-up counts 1/ratio, so its stiffness counts ratio^2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stiffopt.connection.connection import Connection
+from stiffopt.drivetrain.parallel import exact_shares, smooth_shares
+from stiffopt.drivetrain.stage import Preloads, Stage
+from stiffopt.errors import InputError, nearest
+from stiffopt.symbolic import Quantity
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Drivetrain of one joint, from motor to link.
+
+    Parameters
+    ----------
+    stages : tuple of Stage
+    reflect : bool
+        True (physics): the wind-up of an element counts 1/ratio at the joint, its stiffness
+        ratio^2. False: the torque is still divided by the ratio, but the element's tangent
+        stiffness is added as it is; a reading that a text silent about reflection allows, under
+        which everything on the motor side dominates.
+
+    Notes
+    -----
+    Torques and wind-ups are those of the joint [N m], [rad]. An empty chain is rigid.
+    """
+
+    stages: tuple[Stage, ...]
+    reflect: bool = True
+
+    def __post_init__(self) -> None:
+        names = [s.element.name for s in self.stages]
+        twice = sorted({n for n in names if names.count(n) > 1})
+        if twice:
+            raise InputError(
+                f"element names must differ within a joint, used twice: {', '.join(twice)}. "
+                "Rename one."
+            )
+        stages = tuple(replace(s, reflect=self.reflect) for s in self.stages)
+        object.__setattr__(self, "stages", stages)
+
+    # ---- smooth law: floats, arrays, SX, MX
+
+    def windup(
+        self, torque: Quantity, *, preloads: Preloads = None, smoothing: Quantity = 1.0
+    ) -> Quantity:
+        """Wind-up of the joint under a torque.
+
+        Parameters
+        ----------
+        torque : scalar or (n,) or SX or MX [N m]
+        preloads : mapping of element name to preload [N], optional
+            In place of the elements' own; may be symbolic.
+        smoothing : scalar [-]
+            Factor on every smoothing width.
+
+        Returns
+        -------
+        same kind as `torque` [rad]
+        """
+        total = 0.0 * torque
+        for group in self._series(preloads):
+            if len(group) == 1:
+                total = total + group[0].windup(torque, preloads, smoothing)
+            else:
+                total = total + torque * _group_secant(group, torque, preloads, smoothing)
+        return total
+
+    def tangent_compliance(
+        self, torque: Quantity, *, preloads: Preloads = None, smoothing: Quantity = 1.0
+    ) -> Quantity:
+        """Slope of the wind-up at a torque [rad/(N m)]; arguments as in `windup`."""
+        total = 0.0 * torque
+        for group in self._series(preloads):
+            shares = smooth_shares(group, torque, preloads, smoothing)
+            slopes = [
+                s.tangent_compliance(f * torque, preloads, smoothing)
+                for s, f in zip(group, shares, strict=True)
+            ]
+            total = total + 1.0 / sum(1.0 / c for c in slopes)
+        return total
+
+    def tangent_stiffness(
+        self, torque: Quantity, *, preloads: Preloads = None, smoothing: Quantity = 1.0
+    ) -> Quantity:
+        """Slope of torque over wind-up [N m/rad]; arguments as in `windup`."""
+        return 1.0 / self.tangent_compliance(torque, preloads=preloads, smoothing=smoothing)
+
+    def secant_stiffness(
+        self, torque: Quantity, *, preloads: Preloads = None, smoothing: Quantity = 1.0
+    ) -> Quantity:
+        """Torque divided by wind-up [N m/rad], with its limit at zero; arguments as in `windup`."""
+        total = 0.0 * torque
+        for group in self._series(preloads):
+            total = total + _group_secant(group, torque, preloads, smoothing)
+        return 1.0 / total
+
+    # ---- exact law: numbers only, code of its own
+
+    def exact_tangent_compliance(
+        self, torque: np.ndarray, *, preloads: Preloads = None
+    ) -> np.ndarray:
+        """Slope of the unsmoothed wind-up, (k,) [N m] -> (k,) [rad/(N m)]."""
+        torque = np.asarray(torque, dtype=float)
+        total = np.zeros_like(torque)
+        for group in self._series(preloads):
+            shares = exact_shares(group, torque, preloads)
+            slopes = [
+                s.exact_tangent_compliance(f * torque, preloads)
+                for s, f in zip(group, shares, strict=True)
+            ]
+            total = total + (slopes[0] if len(group) == 1 else 1.0 / sum(1.0 / c for c in slopes))
+        return total
+
+    def exact_windup(self, torque: np.ndarray, *, preloads: Preloads = None) -> np.ndarray:
+        """Unsmoothed wind-up by quadrature of the exact compliance, (k,) [N m] -> (k,) [rad].
+
+        Notes
+        -----
+        Accurate to about 1e-9 of itself. Infinite where a contact has no stiffness at zero
+        pressure (a key without pre-pressure).
+        """
+        torque = np.asarray(torque, dtype=float)
+        total = np.zeros_like(torque)
+        for group in self._series(preloads):
+            shares = exact_shares(group, torque, preloads)
+            total = total + group[0].exact_windup(shares[0] * torque, preloads)
+        return total
+
+    def breakpoints(self) -> tuple[float, ...]:
+        """Positive joint torques at which the exact law jumps or kinks [N m]."""
+        found = {b * s.reduction for s in self.stages for b in s.element.breakpoints()}
+        return tuple(sorted(found))
+
+    # ---- parts
+
+    @property
+    def elements(self) -> dict[str, Connection]:
+        """Elements by name, from motor to link."""
+        return {s.element.name: s.element for s in self.stages}
+
+    def compliance_shares(self, torque: float) -> dict[str, float]:
+        """Share of each element in the tangent compliance of the exact law; they sum to 1.
+
+        A group in parallel is split among its members by the stiffness of each.
+        """
+        at, shares = np.array([float(torque)]), {}
+        for group in self._series(None):
+            splits = exact_shares(group, at, None)
+            stiff = [
+                1.0 / float(s.exact_tangent_compliance(f * at, None)[0])
+                for s, f in zip(group, splits, strict=True)
+            ]
+            for stage, k in zip(group, stiff, strict=True):
+                shares[stage.element.name] = k / sum(stiff) ** 2
+        return _normalised(shares)
+
+    def windup_shares(self, torque: float) -> dict[str, float]:
+        """Share of each element in the wind-up of the exact law from zero; they sum to 1.
+
+        A group in parallel is split among its members by the torque that each carries.
+        """
+        at, shares = np.array([float(torque)]), {}
+        for group in self._series(None):
+            splits = exact_shares(group, at, None)
+            whole = float(group[0].exact_windup(splits[0] * at, None)[0])
+            for stage, split in zip(group, splits, strict=True):
+                shares[stage.element.name] = whole * float(split[0])
+        return _normalised(shares)
+
+    def reducer_only(self) -> Chain:
+        """The chain without contacts and shafts: reducers and constant stiffnesses."""
+        kept = tuple(s for s in self.stages if s.element.kind in ("reducer", "constant"))
+        return replace(self, stages=kept)
+
+    def slip_torques(self) -> dict[str, float]:
+        """Joint torque at which each element alone would slip [N m]; infinite where none can."""
+        return {s.element.name: s.slip_torque() for s in self.stages}
+
+    def with_preloads(self, preloads: Mapping[str, float]) -> Chain:
+        """Copy with other preloads [N], by element name."""
+        self._check_names(preloads)
+        stages = tuple(
+            replace(s, element=s.element.with_preload(preloads[s.element.name]))
+            if s.element.name in preloads
+            else s
+            for s in self.stages
+        )
+        return replace(self, stages=stages)
+
+    def _series(self, preloads: Preloads) -> list[tuple[Stage, ...]]:
+        """Stages as a series of groups; a stage without a group stands alone."""
+        self._check_names(preloads)
+        groups: dict[object, list[Stage]] = {}
+        for index, stage in enumerate(self.stages):
+            groups.setdefault(index if stage.group is None else stage.group, []).append(stage)
+        return [tuple(group) for group in groups.values()]
+
+    def _check_names(self, preloads: Preloads) -> None:
+        for name in preloads or {}:
+            if name not in self.elements:
+                raise InputError(f"no element {name!r} to preload. {nearest(name, self.elements)}")
+
+
+def _group_secant(
+    group: tuple[Stage, ...], torque: Quantity, preloads: Preloads, smoothing: Quantity
+) -> Quantity:
+    shares = smooth_shares(group, torque, preloads, smoothing)
+    parts = [
+        s.secant_compliance(f * torque, preloads, smoothing)
+        for s, f in zip(group, shares, strict=True)
+    ]
+    return 1.0 / sum(1.0 / c for c in parts)
+
+
+def _normalised(shares: dict[str, float]) -> dict[str, float]:
+    total = sum(shares.values())
+    return {name: value / total for name, value in shares.items()}

@@ -1,0 +1,118 @@
+"""How a torque splits among elements in parallel: equal wind-up, torques add.
+
+With the secant compliance S_e = wind-up / torque of element e and its share s_e of the torque,
+equal wind-up means ln S_e(s_e T) + ln s_e is the same for all e. In these logarithms the stiffness
+laws (powers of the torque) are nearly straight lines, so Newton's method settles in a few steps, at
+T = 0 too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from stiffopt.drivetrain.stage import Preloads, Stage
+from stiffopt.errors import StiffoptError
+from stiffopt.symbolic import Quantity
+
+# Unrolled, so that the split stays a differentiable expression; 6 leave 1e-13 for keys, bolts and
+# reducers side by side.
+_STEPS = 6
+
+Law = Callable[[Quantity], Quantity]
+
+
+def _newton(secants: Sequence[Law], tangents: Sequence[Law], torque: Quantity) -> list[Quantity]:
+    count = len(secants)
+    even = 1.0 / count + 0.0 * torque
+    weights = [1.0 / secant(even * torque) for secant in secants]
+    shares = [w / sum(weights) for w in weights]
+    for _ in range(_STEPS):
+        residuals, slopes = [], []
+        for secant, tangent, share in zip(secants, tangents, shares, strict=True):
+            compliance = secant(share * torque)
+            residuals.append(np.log(compliance) + np.log(share))
+            slopes.append(tangent(share * torque) / compliance)
+        level = sum(
+            f * r / b for f, r, b in zip(shares, residuals, slopes, strict=True)
+        ) / sum(f / b for f, b in zip(shares, slopes, strict=True))
+        raw = [
+            f * np.exp((level - r) / b)
+            for f, r, b in zip(shares, residuals, slopes, strict=True)
+        ]
+        whole = sum(raw)
+        shares = [f / whole for f in raw]
+    return shares
+
+
+def smooth_shares(
+    stages: Sequence[Stage], torque: Quantity, preloads: Preloads, smoothing: Quantity
+) -> list[Quantity]:
+    """Share of the torque that each stage of a group carries; a smooth expression.
+
+    Parameters
+    ----------
+    stages : sequence of Stage
+        At least two.
+    torque : scalar or (n,) or SX or MX [N m]
+
+    Returns
+    -------
+    list, one a stage, same kind as `torque` [-]; they sum to 1
+    """
+    if len(stages) == 1:
+        return [1.0 + 0.0 * torque]
+    return _newton(
+        [lambda t, s=s: s.secant_compliance(t, preloads, smoothing) for s in stages],
+        [lambda t, s=s: s.tangent_compliance(t, preloads, smoothing) for s in stages],
+        torque,
+    )
+
+
+def exact_shares(
+    stages: Sequence[Stage], torque: np.ndarray, preloads: Preloads
+) -> list[np.ndarray]:
+    """Share of the torque that each stage of a group carries, for the unsmoothed laws, (k,).
+
+    By bisection on the common wind-up: safe with jumps and kinks, and no code shared with
+    `smooth_shares`.
+    """
+    size = np.abs(np.asarray(torque, dtype=float))
+    if len(stages) == 1:
+        return [np.ones_like(size)]
+    # At zero torque the split is by the tangent stiffnesses there.
+    stiffness = [1.0 / s.exact_tangent_compliance(np.zeros(1), preloads) for s in stages]
+    at_rest = np.array([float(k[0]) for k in stiffness])
+    shares = [np.full_like(size, k / at_rest.sum()) for k in at_rest]
+    loaded = size > 0.0
+    if not loaded.any():
+        return shares
+    whole = size[loaded]
+    # No element carries more than the whole, so the softest alone bounds the wind-up from above.
+    upper = np.min([s.exact_windup(whole, preloads) for s in stages], axis=0)
+    if not np.isfinite(upper).all():
+        raise StiffoptError("elements in parallel need a finite wind-up; give a pre-pressure")
+    lower = np.zeros_like(upper)
+    for _ in range(60):
+        middle = (lower + upper) / 2.0
+        carried = sum(_torque_at(s, middle, whole, preloads) for s in stages)
+        lower = np.where(carried < whole, middle, lower)
+        upper = np.where(carried < whole, upper, middle)
+    parts = [_torque_at(s, (lower + upper) / 2.0, whole, preloads) for s in stages]
+    for share, part in zip(shares, parts, strict=True):
+        share[loaded] = part / sum(parts)
+    return shares
+
+
+def _torque_at(
+    stage: Stage, windup: np.ndarray, largest: np.ndarray, preloads: Preloads
+) -> np.ndarray:
+    """Torque of a stage at a given wind-up, by bisection up to `largest`."""
+    lower, upper = np.zeros_like(largest), largest.copy()
+    for _ in range(60):
+        middle = (lower + upper) / 2.0
+        short = stage.exact_windup(middle, preloads) < windup
+        lower = np.where(short, middle, lower)
+        upper = np.where(short, upper, middle)
+    return (lower + upper) / 2.0

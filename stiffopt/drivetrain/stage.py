@@ -1,0 +1,124 @@
+"""One element of a drivetrain, referred through its ratio to the joint's output."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.connection.connection import Connection
+from stiffopt.drivetrain.quadrature import Antiderivative, antiderivative
+from stiffopt.errors import InputError
+from stiffopt.symbolic import Quantity
+
+Preloads = Mapping[str, Quantity] | None
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One element of a chain and where it sits.
+
+    Parameters
+    ----------
+    element : Connection
+    ratio : float
+        Turns of the element for one turn of the joint [-].
+    efficiency : float
+        Of the way from the element to the joint: it carries T/(ratio efficiency) [-].
+    group : str or None
+        Stages of the same group are in parallel; None: in series with the rest.
+    reflect : bool
+        See `stiffopt.drivetrain.chain.Chain`, which sets it for all its stages.
+    """
+
+    element: Connection
+    ratio: float = 1.0
+    efficiency: float = 1.0
+    group: str | None = None
+    reflect: bool = True
+
+    def __post_init__(self) -> None:
+        name = self.element.name
+        if not (math.isfinite(self.ratio) and self.ratio > 0.0):
+            raise InputError(
+                f"{name}: ratio = {self.ratio:g} must be a number above 0. "
+                "Give the turns of the element for one turn of the joint."
+            )
+        if not 0.0 < self.efficiency <= 1.0:
+            raise InputError(
+                f"{name}: efficiency = {self.efficiency:g} must be above 0 and at most 1. "
+                "Give 1 for a stage without losses."
+            )
+
+    @property
+    def reduction(self) -> float:
+        """Joint torque for a unit of the element's torque [-]."""
+        return self.ratio * self.efficiency
+
+    @property
+    def counts(self) -> float:
+        """Wind-up of the joint for a unit of the element's wind-up [-]."""
+        return 1.0 / self.ratio if self.reflect else self.reduction
+
+    def windup(self, torque: Quantity, preloads: Preloads, smoothing: Quantity) -> Quantity:
+        """Wind-up at the joint [rad] for the joint torque [N m] that flows through this stage."""
+        own = torque / self.reduction
+        return self.counts * self.element.windup(
+            own, preload=self._preload(preloads), smoothing=smoothing
+        )
+
+    def tangent_compliance(
+        self, torque: Quantity, preloads: Preloads, smoothing: Quantity
+    ) -> Quantity:
+        """Slope of `windup` [rad/(N m)]."""
+        own = torque / self.reduction
+        slope = self.element.tangent_compliance(
+            own, preload=self._preload(preloads), smoothing=smoothing
+        )
+        return self.counts / self.reduction * slope
+
+    def secant_compliance(
+        self, torque: Quantity, preloads: Preloads, smoothing: Quantity
+    ) -> Quantity:
+        """Wind-up over torque [rad/(N m)], with its limit at zero."""
+        own = torque / self.reduction
+        stiffness = self.element.secant_stiffness(
+            own, preload=self._preload(preloads), smoothing=smoothing
+        )
+        return self.counts / self.reduction / stiffness
+
+    def exact_tangent_compliance(self, torque: np.ndarray, preloads: Preloads) -> np.ndarray:
+        """Slope of the unsmoothed wind-up at the joint [rad/(N m)]."""
+        slope = self.element.exact_tangent_compliance(
+            torque / self.reduction, preload=self._preload(preloads)
+        )
+        return np.asarray(slope, dtype=float) * (self.counts / self.reduction)
+
+    def exact_windup(self, torque: np.ndarray, preloads: Preloads) -> np.ndarray:
+        """Unsmoothed wind-up at the joint [rad], by quadrature of the exact slope."""
+        own = torque / self.reduction
+        largest = float(np.max(np.abs(own), initial=0.0))
+        base = self.element.torque_max
+        # Whole octaves of the largest torque meant, so that one curve serves many calls.
+        octaves = max(0, math.ceil(math.log2(largest / base))) if largest > base else 0
+        curve = _exact_curve(self.element, self._preload(preloads), base * 2.0**octaves)
+        return self.counts * curve(own)
+
+    def slip_torque(self) -> float:
+        """Joint torque at which this stage alone would slip [N m]."""
+        return float(self.element.slip_torque()) * self.reduction
+
+    def _preload(self, preloads: Preloads) -> Quantity | None:
+        return (preloads or {}).get(self.element.name)
+
+
+@functools.lru_cache(maxsize=512)
+def _exact_curve(element: Connection, preload: float | None, upper: float) -> Antiderivative:
+    return antiderivative(
+        lambda t: np.asarray(element.exact_tangent_compliance(t, preload=preload)),
+        upper,
+        element.breakpoints(),
+    )

@@ -1,0 +1,211 @@
+"""Reading and writing files: TOML with messages that help, and outputs that appear whole or not."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import io
+import os
+import re
+import tempfile
+import tomllib
+import types
+import typing
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from stiffopt.errors import InputFileError, nearest
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class Section(BaseModel):
+    """Base of every file section: unknown keys are errors, values do not change afterwards."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Content of a TOML file.
+
+    Raises
+    ------
+    InputFileError
+        No such file (with the nearest names in that folder), not text, or not TOML (with the line).
+    """
+    path = Path(path)
+    check_file(path)
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except UnicodeDecodeError as error:
+        raise InputFileError(path, "", "is not UTF-8 text. Save it as a TOML text file.") from error
+    except OSError as error:
+        raise InputFileError(path, "", f"cannot be read: {error.strerror}.") from error
+    except tomllib.TOMLDecodeError as error:
+        place = re.search(r"at line (\d+)", str(error))
+        where = f"line {place[1]}" if place else ""
+        raise InputFileError(path, where, f"is not valid TOML: {error}.") from error
+
+
+def check_file(path: str | os.PathLike[str]) -> None:
+    """Raise `InputFileError` with the nearest file names in that folder if `path` is no file."""
+    path = Path(path)
+    if path.is_file():
+        return
+    if path.is_dir():
+        raise InputFileError(path, "", "is a folder. Give the file inside it.")
+    if not path.parent.is_dir():
+        raise InputFileError(path, "", f"there is no folder {path.parent}. Check the path.")
+    here = sorted(p.name for p in path.parent.iterdir() if p.is_file())
+    close = difflib.get_close_matches(path.name, here, n=3, cutoff=0.5) or [
+        name for name in here if name.endswith(path.suffix)
+    ]
+    there = f" That folder holds: {', '.join(close[:8])}." if close else ""
+    raise InputFileError(path, "", f"no such file.{there} Check the path.")
+
+
+def check_header(data: Mapping[str, Any], path: object, kind: str, schema: int = 1) -> None:
+    """Check the two keys that every file has: `schema` and `kind`."""
+    if data.get("kind") != kind:
+        got = f"got {data['kind']!r}" if "kind" in data else "the key is missing"
+        raise InputFileError(path, "kind", f'this place needs kind = "{kind}", {got}.')
+    if data.get("schema") != schema or isinstance(data.get("schema"), bool):
+        got = f"got {data['schema']!r}" if "schema" in data else "the key is missing"
+        raise InputFileError(path, "schema", f"this version reads schema = {schema}, {got}.")
+
+
+def validate(model: type[Model], data: Mapping[str, Any], path: object) -> Model:
+    """Data as an instance of `model`.
+
+    Raises
+    ------
+    InputFileError
+        All faults in one message, the first with its dotted key.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        faults = [_fault(model, data, e) for e in error.errors(include_url=False)]
+    where, reason = faults[0]
+    more = "".join(f"\nAlso {place}: {text}" for place, text in faults[1:])
+    raise InputFileError(path, where, reason + more)
+
+
+def dotted(data: Any, location: Sequence[str | int]) -> str:
+    """Dotted key of a place in `data`; list items by their name if they have one, else from 1.
+
+    >>> dotted({"joint": [{"name": "j1", "ratio": 1}, {}]}, ("joint", 0, "ratio"))
+    'joint[j1].ratio'
+    >>> dotted({"joint": [{"name": "j1", "ratio": 1}, {}]}, ("joint", 1, "ratio"))
+    'joint[2].ratio'
+    """
+    text = ""
+    for part in location:
+        if isinstance(part, int):
+            item = data[part] if isinstance(data, list | tuple) and part < len(data) else None
+            name = item.get("name") if isinstance(item, dict) else None
+            text += f"[{name}]" if isinstance(name, str) else f"[{part + 1}]"
+            data = item
+            continue
+        if isinstance(data, Mapping):
+            if part not in data and data.get("type") == part:
+                continue  # pydantic's tag of a union, not a key of the file
+            data = data.get(part)
+        text += f".{part}" if text else str(part)
+    return text
+
+
+def _fault(model: type[BaseModel], data: Any, error: Any) -> tuple[str, str]:
+    where = dotted(data, error["loc"])
+    kind, given = error["type"], error.get("input")
+    if kind == "extra_forbidden":
+        allowed = _fields(model, error["loc"][:-1])
+        return where, f"unknown key {error['loc'][-1]!r}. {nearest(error['loc'][-1], allowed)}"
+    if kind == "missing":
+        return where, "this key is required and missing."
+    if kind == "union_tag_not_found":
+        return where, "the key 'type' is required and missing."
+    if kind == "union_tag_invalid":
+        context = error["ctx"]
+        allowed = re.findall(r"'([^']*)'", context["expected_tags"])
+        return f"{where}.type", f"unknown type {context['tag']!r}. {nearest(context['tag'], allowed)}"
+    if kind == "literal_error":
+        allowed = re.findall(r"'([^']*)'", error["ctx"]["expected"])
+        if allowed:
+            return where, f"got {given!r}. {nearest(str(given), allowed)}"
+    if kind == "unit":
+        return where, error["msg"]
+    return where, f"{error['msg']}, got {given!r}."
+
+
+def _fields(model: Any, location: Sequence[str | int]) -> list[str]:
+    """Names of the keys allowed at `location` inside `model`."""
+    for part in location:
+        model = _inside(model, part)
+    for candidate in _members(model):
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+            return list(candidate.model_fields)
+    return []
+
+
+def _inside(annotation: Any, part: str | int) -> Any:
+    for member in _members(annotation):
+        if isinstance(member, type) and issubclass(member, BaseModel):
+            if part in member.model_fields:
+                return member.model_fields[str(part)].annotation
+            tag = member.model_fields.get("type")
+            if tag is not None and part in typing.get_args(tag.annotation):
+                return member
+            if part == member.__name__:
+                return member
+        elif isinstance(part, int) and typing.get_origin(member) in (list, tuple):
+            return typing.get_args(member)[0]
+        elif typing.get_origin(member) is dict:
+            return typing.get_args(member)[1]
+    return None
+
+
+def _members(annotation: Any) -> list[Any]:
+    """Flat list of what an annotation may be, through Annotated and unions."""
+    origin = typing.get_origin(annotation)
+    if origin is typing.Annotated:
+        return _members(typing.get_args(annotation)[0])
+    if origin in (typing.Union, types.UnionType):
+        return [m for a in typing.get_args(annotation) for m in _members(a)]
+    return [annotation]
+
+
+def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
+    """Write a file whole or not at all: to a temporary name in the same folder, then renamed."""
+    path = Path(path)
+    binary = content if isinstance(content, bytes) else content.encode("utf-8")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    except OSError as error:
+        raise InputFileError(path, "", f"cannot be written: {error.strerror}.") from error
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(binary)
+        # mkstemp makes files private; give the mode that open() would have given.
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def write_csv(
+    path: str | os.PathLike[str], columns: Sequence[str], rows: Iterable[Sequence[object]]
+) -> None:
+    """Write a CSV file whole or not at all; floats keep their full precision."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    atomic_write(path, text.getvalue())

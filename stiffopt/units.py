@@ -1,0 +1,245 @@
+"""Units at the file boundary: "45 deg" or "12 kN" become SI floats here and nowhere deeper.
+
+A bare number is SI already. Angles count as a dimension of their own, so that a torque is not
+mistaken for a stiffness per radian.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, PlainValidator, WithJsonSchema
+from pydantic_core import PydanticCustomError
+
+from stiffopt.errors import UnitError
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """A kind of quantity: its name, SI unit, an example for messages, and its power of angle."""
+
+    name: str
+    unit: str
+    example: str
+    angle: int = 0
+
+
+DIMENSIONS = {
+    d.name: d
+    for d in (
+        Dimension("length", "m", "0.3 mm"),
+        Dimension("angle", "rad", "45 deg", 1),
+        Dimension("mass", "kg", "1.5 kg"),
+        Dimension("inertia", "kg*m^2", "0.3 kg*m^2"),
+        Dimension("force", "N", "12 kN"),
+        Dimension("torque", "N*m", "45 N*m"),
+        Dimension("time", "s", "1.6 s"),
+        Dimension("pressure", "Pa", "0.1 MPa"),
+        Dimension("area", "m^2", "1 cm^2"),
+        Dimension("speed", "m/s", "1.5 m/s"),
+        Dimension("acceleration", "m/s^2", "9.81 m/s^2"),
+        Dimension("jerk", "m/s^3", "50 m/s^3"),
+        Dimension("angular velocity", "rad/s", "230 deg/s", 1),
+        Dimension("angular acceleration", "rad/s^2", "20 rad/s^2", 1),
+        Dimension("angular jerk", "rad/s^3", "400 rad/s^3", 1),
+        Dimension("stiffness", "N*m/rad", "5 N*m/arcmin", -1),
+        Dimension("linear stiffness", "N/m", "20 N/um"),
+        Dimension("viscous friction", "N*m*s/rad", "5 N*m*s/rad", -1),
+        Dimension("linear viscous friction", "N*s/m", "5 N*s/m"),
+        Dimension("ratio", "", "0.12"),
+    )
+}
+
+# What a prismatic joint has where a revolute one has an angle, a torque and so on.
+PRISMATIC = {
+    "angle": "length",
+    "angular velocity": "speed",
+    "angular acceleration": "acceleration",
+    "angular jerk": "jerk",
+    "torque": "force",
+    "stiffness": "linear stiffness",
+    "viscous friction": "linear viscous friction",
+    "inertia": "mass",
+}
+
+_NUMBER_AND_UNIT = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
+_ANGLE_UNITS = (
+    "radian",
+    "degree",
+    "arcminute",
+    "arcsecond",
+    "turn",
+    "revolution",
+    "revolutions_per_minute",
+)
+
+
+@functools.cache
+def _registry() -> Any:
+    import pint
+
+    registry = pint.UnitRegistry()
+    registry.define("newton_meter = newton * meter = Nm")
+    return registry
+
+
+@functools.lru_cache(maxsize=1024)
+def _factor(unit: str, dimension: Dimension) -> float:
+    """Factor from `unit` to the SI unit of `dimension`; raises ValueError with the reason."""
+    import pint
+
+    try:
+        parsed = _registry().parse_units(unit)
+    except (pint.UndefinedUnitError, pint.errors.DefinitionSyntaxError) as error:
+        raise ValueError(f"the unit {unit!r} is not known") from error
+    except Exception as error:  # pint's parser lets Python's tokenizer errors through
+        raise ValueError(f"the unit {unit!r} cannot be read") from error
+    angle = sum(
+        power for name, power in parsed._units.items() if str(name).endswith(_ANGLE_UNITS)
+    )
+    target = _registry().parse_units(dimension.unit)
+    if parsed.dimensionality != target.dimensionality or angle != dimension.angle:
+        raise ValueError(f"the unit {unit!r} is not one of {dimension.name}")
+    return float(_registry().Quantity(1.0, parsed).to(target).magnitude)
+
+
+def to_si(value: object, dimension: str, where: str = "") -> float:
+    """SI value of what a file holds.
+
+    Parameters
+    ----------
+    value : float or str
+        A bare number in SI, or a number with a unit such as "45 deg".
+    dimension : str
+        A name in `DIMENSIONS`, for example "angle".
+    where : str
+        The key, for messages.
+
+    Returns
+    -------
+    float
+        In the SI unit of the dimension.
+
+    Raises
+    ------
+    UnitError
+        Unknown unit, unit of another dimension, no number, NaN or infinite.
+    """
+    kind = DIMENSIONS[dimension]
+    unit = f" [{kind.unit}]" if kind.unit else ""
+    allowed = f"Give a number{unit} or a text such as {kind.example!r}."
+    place = f"{where}: " if where else ""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise UnitError(f"{place}expected {kind.name}, got {value!r}. {allowed}")
+    if isinstance(value, str):
+        match = _NUMBER_AND_UNIT.match(value)
+        if match is None:
+            raise UnitError(f"{place}expected {kind.name}, got {value!r}. {allowed}")
+        if not match[2] and kind.unit:
+            raise UnitError(f"{place}{value!r} has no unit. {allowed}")
+        try:
+            number = float(match[1]) * (_factor(match[2], kind) if match[2] else 1.0)
+        except ValueError as error:
+            raise UnitError(f"{place}got {value!r}, but {error}. {allowed}") from error
+    else:
+        number = float(value)
+    if not math.isfinite(number):
+        raise UnitError(f"{place}{kind.name} must be a finite number, got {value!r}. {allowed}")
+    return number
+
+
+class JointNumber(float):
+    """A number of a joint whose kind is not known yet: keeps the dimension it was written in.
+
+    `dimension` is "" for a bare number, which fits either kind of joint.
+    """
+
+    dimension: str
+
+    def __new__(cls, value: float, dimension: str = "") -> JointNumber:
+        number = super().__new__(cls, value)
+        number.dimension = dimension
+        return number
+
+
+def joint_to_si(value: object, dimension: str, where: str = "") -> JointNumber:
+    """As `to_si` for a quantity of a revolute joint, or its counterpart of a prismatic joint."""
+    if not isinstance(value, str):
+        return JointNumber(to_si(value, dimension, where))
+    try:
+        return JointNumber(to_si(value, dimension, where), dimension)
+    except UnitError as error:
+        other = PRISMATIC[dimension]
+        try:
+            return JointNumber(to_si(value, other, where), other)
+        except UnitError:
+            raise error from None
+
+
+def fit_joint(value: float, prismatic: bool, dimension: str, where: str = "") -> float:
+    """Value as a plain float, after a check that its unit fits the kind of joint."""
+    written = getattr(value, "dimension", "")
+    wanted = PRISMATIC[dimension] if prismatic else dimension
+    if written and written != wanted:
+        kind = "prismatic" if prismatic else "revolute"
+        raise UnitError(
+            f"{where}: the joint is {kind} and needs {wanted}, got {written}. "
+            f"Give a number [{DIMENSIONS[wanted].unit}] or a text such as "
+            f"{DIMENSIONS[wanted].example!r}."
+        )
+    return float(value)
+
+
+def _checked(convert: Callable[[object, str], float], dimension: str) -> Callable[[object], float]:
+    def validate(value: object) -> float:
+        try:
+            return convert(value, dimension)
+        except UnitError as error:
+            raise PydanticCustomError("unit", "{text}", {"text": str(error)}) from error
+
+    return validate
+
+
+def _schema() -> WithJsonSchema:
+    return WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]})
+
+
+def _si(dimension: str) -> BeforeValidator:
+    return BeforeValidator(_checked(to_si, dimension))
+
+
+def _joint(dimension: str) -> PlainValidator:
+    return PlainValidator(_checked(joint_to_si, dimension))
+
+
+# Field types of file schemas: a number in SI or a text with a unit, an SI float afterwards.
+Length = Annotated[float, _si("length"), _schema()]
+Angle = Annotated[float, _si("angle"), _schema()]
+Mass = Annotated[float, _si("mass"), _schema()]
+Inertia = Annotated[float, _si("inertia"), _schema()]
+Force = Annotated[float, _si("force"), _schema()]
+Torque = Annotated[float, _si("torque"), _schema()]
+Time = Annotated[float, _si("time"), _schema()]
+Pressure = Annotated[float, _si("pressure"), _schema()]
+Area = Annotated[float, _si("area"), _schema()]
+Speed = Annotated[float, _si("speed"), _schema()]
+AngularVelocity = Annotated[float, _si("angular velocity"), _schema()]
+AngularAcceleration = Annotated[float, _si("angular acceleration"), _schema()]
+AngularJerk = Annotated[float, _si("angular jerk"), _schema()]
+Stiffness = Annotated[float, _si("stiffness"), _schema()]
+Ratio = Annotated[float, _si("ratio"), _schema()]
+
+# The same for joints that may be revolute or prismatic; `fit_joint` settles which.
+JointPosition = Annotated[float, _joint("angle"), _schema()]
+JointVelocity = Annotated[float, _joint("angular velocity"), _schema()]
+JointAcceleration = Annotated[float, _joint("angular acceleration"), _schema()]
+JointJerk = Annotated[float, _joint("angular jerk"), _schema()]
+JointTorque = Annotated[float, _joint("torque"), _schema()]
+JointStiffness = Annotated[float, _joint("stiffness"), _schema()]
+JointInertia = Annotated[float, _joint("inertia"), _schema()]
+JointViscous = Annotated[float, _joint("viscous friction"), _schema()]
