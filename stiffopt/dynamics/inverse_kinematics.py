@@ -207,7 +207,7 @@ class _Search:
         return np.asarray(((q <= self.lower) & (pull < 0)) | ((q >= self.upper) & (pull > 0)))
 
     def stopped(self, q: np.ndarray) -> np.ndarray:
-        """Indices of the joints that would go on but for their limit."""
+        """List the joints that would go on but for their limit."""
         jacobian, error = self.jacobian(q), self.error(q)
         pull = jacobian.T @ error
         # A stretched arm has joints that pull nowhere: rounding must not blame their limits.
