@@ -198,7 +198,10 @@ class _Search:
         if free.size:
             part = jacobian[:, free]
             # The small side of the normal equations: 3 or 6 rows.
-            gram = part @ part.T + damping * float(error @ error + 1e-12) * np.eye(len(error))
+            gram = part @ part.T
+            # The floor keeps singular poses solvable; its share of a step is below rounding.
+            floor = 1e-12 * (float(np.trace(gram)) + _LENGTH**2)
+            gram += (damping * float(error @ error) + floor) * np.eye(len(error))
             step[free] = part.T @ np.linalg.solve(gram, error)
         largest = float(np.max(np.abs(step)))
         return step if largest <= 0.5 else step * (0.5 / largest)
@@ -238,7 +241,7 @@ def _vector(value: object, size: int, name: str) -> np.ndarray:
 def _unreachable(robot: Robot, search: _Search, q: np.ndarray) -> UnreachablePoseError:
     distance, angle = search.left(q)
     place = ", ".join(f"{x:.4g}" for x in search.position)
-    reached = f"{1000 * distance:.3g} mm away"
+    reached = f"{1000 * distance:.4g} mm away"
     if angle is not None:
         reached += f" and turned by {np.degrees(angle):.3g} deg"
     stops = [
