@@ -131,7 +131,10 @@ def _fault(model: type[BaseModel], data: Any, error: Any) -> tuple[str, str]:
     if kind == "union_tag_invalid":
         context = error["ctx"]
         allowed = re.findall(r"'([^']*)'", context["expected_tags"])
-        return f"{where}.type", f"unknown type {context['tag']!r}. {nearest(context['tag'], allowed)}"
+        return (
+            f"{where}.type",
+            f"unknown type {context['tag']!r}. {nearest(context['tag'], allowed)}",
+        )
     if kind == "literal_error":
         allowed = re.findall(r"'([^']*)'", error["ctx"]["expected"])
         if allowed:

@@ -99,9 +99,7 @@ def _factor(unit: str, dimension: Dimension) -> float:
         raise ValueError(f"the unit {unit!r} is not known") from error
     except Exception as error:  # pint's parser lets Python's tokenizer errors through
         raise ValueError(f"the unit {unit!r} cannot be read") from error
-    angle = sum(
-        power for name, power in parsed._units.items() if str(name).endswith(_ANGLE_UNITS)
-    )
+    angle = sum(power for name, power in parsed._units.items() if str(name).endswith(_ANGLE_UNITS))
     target = _registry().parse_units(dimension.unit)
     if parsed.dimensionality != target.dimensionality or angle != dimension.angle:
         raise ValueError(f"the unit {unit!r} is not one of {dimension.name}")

@@ -1,1 +1,1 @@
-"""TODO"""
+"""Drivetrains: connections in series and parallel, seen from the joint."""

@@ -138,7 +138,9 @@ class FlangeData(Entry):
 
 @functools.cache
 def _table(name: str) -> dict[str, Any]:
-    text = resources.files("stiffopt.drivetrain").joinpath("data", f"{name}.toml").read_text("utf-8")
+    text = (
+        resources.files("stiffopt.drivetrain").joinpath("data", f"{name}.toml").read_text("utf-8")
+    )
     return tomllib.loads(text)
 
 

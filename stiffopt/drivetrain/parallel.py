@@ -34,12 +34,11 @@ def _newton(secants: Sequence[Law], tangents: Sequence[Law], torque: Quantity) -
             compliance = secant(share * torque)
             residuals.append(np.log(compliance) + np.log(share))
             slopes.append(tangent(share * torque) / compliance)
-        level = sum(
-            f * r / b for f, r, b in zip(shares, residuals, slopes, strict=True)
-        ) / sum(f / b for f, b in zip(shares, slopes, strict=True))
+        level = sum(f * r / b for f, r, b in zip(shares, residuals, slopes, strict=True)) / sum(
+            f / b for f, b in zip(shares, slopes, strict=True)
+        )
         raw = [
-            f * np.exp((level - r) / b)
-            for f, r, b in zip(shares, residuals, slopes, strict=True)
+            f * np.exp((level - r) / b) for f, r, b in zip(shares, residuals, slopes, strict=True)
         ]
         whole = sum(raw)
         shares = [f / whole for f in raw]

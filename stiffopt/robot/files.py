@@ -1,0 +1,241 @@
+"""Robots from files: a shipped name, a robot TOML, or a URDF with or without one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stiffopt.drivetrain import catalogue
+from stiffopt.errors import InputError, InputFileError, nearest
+from stiffopt.files import check_header, load_toml, validate
+from stiffopt.robot.elements import ElementBuilder, located
+from stiffopt.robot.robot import (
+    Place,
+    Robot,
+    Source,
+    is_prismatic,
+    link_names,
+    place_at,
+    tool_at,
+)
+from stiffopt.robot.schema import Cited, JointSection, PlaceSection, RobotFile
+from stiffopt.robot.urdf import UNLIMITED, load_urdf
+from stiffopt.units import fit_joint
+
+# Links that descriptions use for the mechanical interface of the last joint, first match wins.
+_FLANGES = ("flange", "tool0", "ee_link")
+
+
+def shipped_robots() -> list[str]:
+    """Names of the robots that come with the package."""
+    folder = resources.files("stiffopt.robot").joinpath("data")
+    return sorted(p.name for p in folder.iterdir() if p.joinpath("robot.toml").is_file())
+
+
+def load_robot(
+    source: str | os.PathLike[str], drivetrain: str | os.PathLike[str] | None = None
+) -> Robot:
+    """Robot by name or from files.
+
+    Parameters
+    ----------
+    source : str or path
+        A shipped robot ("er3a_c60"), a robot TOML, or a URDF.
+    drivetrain : path, optional
+        Robot TOML for a URDF given as `source`; its own `urdf` key is then not needed. Without
+        it, the joints of a URDF are rigid and its limits are the only ones.
+
+    Returns
+    -------
+    Robot
+        Limits that the TOML leaves out come from the URDF (effort, velocity, position), friction
+        likewise; acceleration and jerk are then without limit.
+
+    Raises
+    ------
+    InputFileError, RobotError
+        What is wrong, where, and what is allowed.
+    """
+    if isinstance(source, str) and source in shipped_robots():
+        source = str(resources.files("stiffopt.robot").joinpath("data", source, "robot.toml"))
+    path = Path(source)
+    if path.suffix == "" and not path.exists():
+        raise InputError(
+            f"no robot {str(source)!r}: neither a shipped robot nor a file. "
+            f"{nearest(str(source), shipped_robots())} Or give the path of a robot TOML or URDF."
+        )
+    if path.suffix.lower() in (".urdf", ".xml"):
+        if drivetrain is None:
+            document = RobotFile(schema=1, kind="robot", name=path.stem)
+            return _assemble(document, path, path)
+        return _assemble(_document(Path(drivetrain)), Path(drivetrain), path)
+    document = _document(path)
+    if document.urdf is None:
+        raise InputFileError(path, "urdf", "this key is required and missing: path of the URDF.")
+    return _assemble(document, path, path.parent / document.urdf)
+
+
+def _document(path: Path) -> RobotFile:
+    data = load_toml(path)
+    check_header(data, path, "robot")
+    return validate(RobotFile, data, path)
+
+
+def _assemble(document: RobotFile, path: Path, urdf: Path) -> Robot:
+    model, moving = load_urdf(urdf)
+    names = tuple(model.names)[1:]
+    prismatic = is_prismatic(model)
+    sections = _sections(document, names, path)
+    limits = [
+        _joint_numbers(section, bool(prismatic[j]), moving[names[j]], path)
+        for j, section in enumerate(sections)
+    ]
+    columns = {key: np.array([row[key] for row in limits]) for key in limits[0]}
+    lower, upper = _positions(model, sections, prismatic, path)
+    builder = ElementBuilder(path, document.assembly, document.surface)
+    chains = tuple(
+        builder.chain(section, float(columns["torque_max"][j]))
+        for j, section in enumerate(sections)
+    )
+    with located(path, "tool"):
+        place = document.tool or PlaceSection(link=_last_link(model))
+        tool = tool_at(model, place.link, place.offset, place.rpy)
+    with located(path, "flange"):
+        flange = _flange(model, document.flange, place.link)
+    model.name = document.name
+    return Robot(
+        name=document.name,
+        title=document.title or document.name,
+        model=model,
+        position_lower=lower,
+        position_upper=upper,
+        chains=chains,
+        tool=tool,
+        flange=flange,
+        sources=tuple(_sources(document)),
+        **columns,
+    )
+
+
+def _sections(document: RobotFile, names: tuple[str, ...], path: Path) -> list[JointSection]:
+    """One section a moving joint, in the model's order; an empty one where the file is silent."""
+    given: dict[str, JointSection] = {}
+    for section in document.joint:
+        where = f"joint[{section.name}]"
+        if section.name not in names:
+            raise InputFileError(
+                path,
+                f"{where}.name",
+                f"the URDF has no moving joint {section.name!r}. {nearest(section.name, names)}",
+            )
+        if section.name in given:
+            raise InputFileError(path, where, "this joint is given twice. Keep one.")
+        given[section.name] = section
+    return [given.get(name, JointSection(name=name)) for name in names]
+
+
+# Key, dimension, whether 0 is allowed, where the URDF says it, value where nothing does.
+_NUMBERS: tuple[tuple[str, str, bool, str, float], ...] = (
+    ("torque_max", "torque", False, "effort", np.nan),
+    ("velocity_max", "angular velocity", False, "velocity", np.nan),
+    ("acceleration_max", "angular acceleration", False, "", np.inf),
+    ("jerk_max", "angular jerk", False, "", np.inf),
+    ("rotor_inertia", "inertia", True, "", 0.0),
+    ("coulomb", "torque", True, "friction", 0.0),
+    ("viscous", "viscous friction", True, "damping", 0.0),
+)
+
+
+def _joint_numbers(
+    section: JointSection, prismatic: bool, urdf: dict[str, float], path: Path
+) -> dict[str, float]:
+    values = {}
+    for key, dimension, zero, fallback, default in _NUMBERS:
+        where = f"joint[{section.name}].{key}"
+        given = getattr(section, key)
+        if given is not None:
+            with located(path, where):
+                number = fit_joint(given, prismatic, dimension, key)
+        else:
+            number = urdf.get(fallback, 0.0) or default
+        if np.isnan(number):
+            raise InputFileError(
+                path, where, f"is missing, and the URDF has no {fallback} for it. Give {key}."
+            )
+        if number < 0.0 or (number == 0.0 and not zero):
+            allowed = "0 or above" if zero else "above 0"
+            raise InputFileError(path, where, f"must be {allowed}, got {number:g}. Correct it.")
+        values[key] = number
+    return values
+
+
+def _positions(
+    model: Any, sections: list[JointSection], prismatic: np.ndarray, path: Path
+) -> tuple[np.ndarray, np.ndarray]:
+    lower = np.array(model.lowerPositionLimit, dtype=float)
+    upper = np.array(model.upperPositionLimit, dtype=float)
+    lower[lower <= -UNLIMITED], upper[upper >= UNLIMITED] = -np.inf, np.inf
+    for j, section in enumerate(sections):
+        for key, limits in (("position_lower", lower), ("position_upper", upper)):
+            given = getattr(section, key)
+            if given is not None:
+                with located(path, f"joint[{section.name}].{key}"):
+                    limits[j] = fit_joint(given, bool(prismatic[j]), "angle", key)
+        if not lower[j] < upper[j]:
+            raise InputFileError(
+                path,
+                f"joint[{section.name}]",
+                f"position_lower = {lower[j]:g} must be below position_upper = {upper[j]:g}.",
+            )
+    return lower, upper
+
+
+def _last_link(model: Any) -> str:
+    """Last moving link that payloads and tools go to when nothing is said."""
+    moving = [f.name for f in model.frames if f.parentJoint == model.njoints - 1]
+    links = [name for name in link_names(model) if name in moving]
+    return next((name for name in _FLANGES if name in links), links[0])
+
+
+def _flange(model: Any, section: PlaceSection | None, tool_link: str) -> Place:
+    if section is not None:
+        return place_at(model, section.link, section.offset, section.rpy)
+    named = [name for name in _FLANGES if name in link_names(model)]
+    return place_at(model, named[0] if named else tool_link)
+
+
+def _sources(document: RobotFile) -> Iterable[Source]:
+    yield from _cited(document.assembly, "", "assembly")
+    for name, surface in document.surface.items():
+        yield from _cited(surface, "", f"surface {name}")
+    for name in sorted(_surfaces_used(document) - set(document.surface)):
+        entry = catalogue.surface_entry(name)
+        yield Source("", f"surface {name}", "", entry.provenance, entry.source)
+    for joint in document.joint:
+        yield from _cited(joint, joint.name, "")
+        for element in joint.element:
+            yield from _cited(element, joint.name, element.name)
+
+
+def _surfaces_used(document: RobotFile) -> set[str]:
+    elements = [element for joint in document.joint for element in joint.element]
+    return {str(e.surface) for e in elements if hasattr(e, "surface")}
+
+
+def _cited(section: Cited, joint: str, element: str) -> Iterable[Source]:
+    """Rows of a section: the section as a whole, then the keys that are estimates regardless."""
+    provenance, source, estimated = section.provenance, section.source, section.estimated
+    name = getattr(section, "catalogue", None)
+    if name is not None and "provenance" not in section.model_fields_set:
+        entry = catalogue.reducer(name)
+        provenance, source, estimated = entry.provenance, entry.source, entry.estimated
+    keys = sorted(section.model_fields_set - {"name", "type", "element", "provenance", "source"})
+    if keys:
+        yield Source(joint, element, ", ".join(keys), provenance, source)
+    for key in estimated:
+        yield Source(joint, element, key, "estimated", source)
