@@ -98,7 +98,7 @@ class BoltedFlange(ContactConnection):
         return math.pi / 2 * (self.outer_radius**4 - self.inner_radius**4)
 
     def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
-        """n F/A [Pa], whatever the torque."""
+        """Pressure n F/A of the ring [Pa], whatever the torque."""
         return self.bolt_count * self._preload(preload) / self.area + 0.0 * torque
 
     def slip_torque(self, preload: Quantity | None = None) -> Quantity:

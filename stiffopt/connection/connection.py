@@ -76,7 +76,7 @@ class Connection(abc.ABC):
     def tangent_compliance(
         self, torque: Quantity, *, preload: Quantity | None = None, smoothing: Quantity = 1.0
     ) -> Quantity:
-        """Derivative of `windup` with respect to torque [rad/(N m)]."""
+        """Compliance d phi/dT [rad/(N m)]."""
 
     @abc.abstractmethod
     def exact_tangent_compliance(
@@ -152,7 +152,7 @@ class ContactConnection(Connection):
     def tangent_compliance(
         self, torque: Quantity, *, preload: Quantity | None = None, smoothing: Quantity = 1.0
     ) -> Quantity:
-        """Derivative of `windup` [rad/(N m)], in closed form."""
+        """Compliance d phi/dT [rad/(N m)], in closed form."""
         force = self._preload(preload)
         size = self._magnitude(torque, smoothing)
         share = (torque / size) ** 2

@@ -42,7 +42,7 @@ def key_compliance(
         for radius, area in zip(radii, areas, strict=True)
     ]
     if series:
-        return _invert(flanks[0]) + _invert(flanks[1])
+        return np.asarray(_invert(flanks[0]) + _invert(flanks[1]))
     return _invert(flanks[0] + flanks[1])
 
 
@@ -55,8 +55,8 @@ def sheared_stiffness_per_area(
     ratio = 4.0 * surface.contact_shear_modulus / surface.contact_modulus
     if mindlin:
         base = float(law.normal_stiffness_per_area(np.array(pressure)))
-        return ratio * base * np.cbrt(rest)
-    return ratio * law.normal_stiffness_per_area(pressure * rest)
+        return np.asarray(ratio * base * np.cbrt(rest))
+    return np.asarray(ratio * law.normal_stiffness_per_area(pressure * rest))
 
 
 def annulus_compliance(
@@ -109,7 +109,7 @@ def gear_compliance(
     contact_ratio: float,
     tooth_stiffness: float,
 ) -> np.ndarray:
-    """Rough Hertz strip of each tooth pair in mesh, and tooth bending, on the first gear's shaft."""
+    """Rough Hertz strips of the tooth pairs in mesh and tooth bending, on the first shaft."""
     sine, cosine = np.sin(pressure_angle), np.cos(pressure_angle)
     base, arm = radii[0] * cosine, radii[0] * sine
     curvature = radii[0] * radii[1] * sine / (radii[0] + radii[1])
@@ -121,7 +121,7 @@ def gear_compliance(
     normal = _law(surface).normal_stiffness_per_area(pressure) * area
     ratio = 4.0 * surface.contact_shear_modulus / surface.contact_modulus
     mesh = contact_ratio * normal * (base**2 + ratio * arm**2)
-    return _invert(mesh) + 1.0 / (tooth_stiffness * width * base**2)
+    return np.asarray(_invert(mesh) + 1.0 / (tooth_stiffness * width * base**2))
 
 
 def reducer_compliance(

@@ -20,7 +20,7 @@ from stiffopt.contact.validate import (
 )
 from stiffopt.symbolic import Quantity
 
-# Six Gauss-Legendre points in ln(1 + T/Tc) serve flanks in parallel, whose compliance is no sum.
+# Flanks in parallel have no sum of integrals: six Gauss-Legendre points in ln(1 + T/Tc), to 1e-9.
 _NODES, _WEIGHTS = (array.tolist() for array in np.polynomial.legendre.leggauss(6))
 
 
@@ -127,22 +127,31 @@ class Key(ContactConnection):
 
     def _parallel_windup(self, torque: Quantity) -> Quantity:
         reach = [radius * area for radius, area in zip(self.radii, self.areas, strict=True)]
-        if self.prepressure > 0.0:
-            shift = self.prepressure * min(reach)
-            first, closed = 0.0, 0.0
-        else:
-            # Below the range of the law both flanks follow one power: closed form from zero.
-            shift = 0.0
-            first = np.minimum(torque, self.law.lower * min(reach))
-            slope = self.law.log_slope(first / min(reach))
-            closed = first * self.loading_compliance(first, 0.0) / (1 - slope)
-        start = np.log(first + shift)
-        span = np.log((torque + shift) / (first + shift))
+        # A flank changes its law where its pressure enters the range of the fit: panels end there.
+        room = self.law.lower - self.prepressure
+        edges = [room * lever for lever in sorted(reach)] if room > 0.0 else []
+        start, total = 0.0, 0.0
+        if self.prepressure == 0.0:
+            # Up to the first edge both flanks follow one power: closed form from zero.
+            start = np.minimum(torque, edges.pop(0))
+            exponent = self.law.log_slope(self.law.lower)
+            total = start * self.loading_compliance(start, None) / (1 - exponent)
+        for edge in edges:
+            end = np.minimum(torque, edge)
+            total = total + self._parallel_panel(start, end, min(reach))
+            start = end
+        return total + self._parallel_panel(start, torque, min(reach))
+
+    def _parallel_panel(self, start: Quantity, end: Quantity, reach: float) -> Quantity:
+        """Quadrature of the compliance between two torques, in ln(p0 r A + T)."""
+        shift = self.prepressure * reach
+        origin = np.log(start + shift)
+        span = np.log((end + shift) / (start + shift))
         total = 0.0
         for node, weight in zip(_NODES, _WEIGHTS, strict=True):
-            shifted = np.exp(start + 0.5 * (1 + node) * span)
-            total = total + 0.5 * weight * shifted * self.loading_compliance(shifted - shift, 0.0)
-        return closed + span * total
+            shifted = np.exp(origin + 0.5 * (1 + node) * span)
+            total = total + 0.5 * weight * shifted * self.loading_compliance(shifted - shift, None)
+        return span * total
 
     def exact_tangent_compliance(
         self, torque: np.ndarray, *, preload: float | None = None

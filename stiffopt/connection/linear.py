@@ -35,5 +35,5 @@ class LinearConnection(Connection):
     def exact_tangent_compliance(
         self, torque: np.ndarray, *, preload: float | None = None
     ) -> np.ndarray:
-        """The same constant [rad/(N m)], shape as `torque`."""
+        """Constant compliance as an array [rad/(N m)], shape as `torque`."""
         return np.full(np.shape(torque), self.compliance)

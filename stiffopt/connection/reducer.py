@@ -86,7 +86,7 @@ class Reducer(Connection):
     def tangent_compliance(
         self, torque: Quantity, *, preload: Quantity | None = None, smoothing: Quantity = 1.0
     ) -> Quantity:
-        """Derivative of `windup` [rad/(N m)]."""
+        """Compliance d phi/dT [rad/(N m)]."""
         compliance = 1 / self.stiffness_1
         for corner, width, step in self._corners(smoothing):
             # The logistic function in its tanh form does not overflow.

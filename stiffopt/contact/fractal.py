@@ -86,7 +86,7 @@ class FractalLaw:
         return self.extension_factor * force / self.surface.reference_area
 
     def stiffness(self, largest_spot: np.ndarray) -> np.ndarray:
-        """Normal stiffness per area [N/m^3] when the largest spot is a_L [m^2]."""
+        """Stiffness per area, normal [N/m^3], when the largest spot is a_L [m^2]."""
         total = total_stiffness(self.spots, largest_spot, self.surface.fractal_dimension)
         return self.extension_factor * total / self.surface.reference_area
 
@@ -149,7 +149,7 @@ class FractalLaw:
             inside = (largest > law.lower) & (largest <= law.upper)
             force = np.where(inside, law.force_factor * largest**law.force_exponent, force)
         newest = half * force * self.extension_factor / self.surface.reference_area
-        return half + newest / self.pressure(largest)
+        return np.asarray(half + newest / self.pressure(largest))
 
     def normal_stiffness_per_area(self, pressure: np.ndarray) -> np.ndarray:
         """Exact k_n(p) [N/m^3] for nominal pressures p [Pa], shape as `pressure`.

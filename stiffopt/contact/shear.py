@@ -65,7 +65,7 @@ def shear_travel(
 def shear_softening(
     law: ContactLaw, pressure: Quantity, load_ratio: Quantity, shear: ShearLaw
 ) -> Quantity:
-    """Derivative of `shear_travel`: compliance over its value without shear, 1 at t = 0."""
+    """Slope of `shear_travel` over t: compliance over its value without shear, 1 at t = 0."""
     held = np.minimum(load_ratio, SLIP_LIMIT)
     beyond = load_ratio - held
     rest_limit = 1 - SLIP_LIMIT

@@ -47,10 +47,10 @@ class ContactLaw(Protocol):
         """Largest relative error against the exact law between `lower` and `upper` [-]."""
 
     def stiffness(self, pressure: Quantity) -> Quantity:
-        """Normal stiffness per area k_n(p) [N/m^3]."""
+        """Stiffness per area k_n(p), normal [N/m^3]."""
 
     def log_slope(self, pressure: Quantity) -> Quantity:
-        """d ln k_n / d ln p [-]."""
+        """Local exponent d ln k_n / d ln p [-]."""
 
     def approach(self, low: Quantity, high: Quantity) -> Quantity:
         """Integral of dp/k_n from `low` to `high` [m]: how far the surfaces move together."""
@@ -83,11 +83,11 @@ class PowerLaw:
         _require_integrable("power law", self.exponent)
 
     def stiffness(self, pressure: Quantity) -> Quantity:
-        """Normal stiffness per area k_n(p) [N/m^3]."""
+        """Stiffness per area k_n(p), normal [N/m^3]."""
         return self.coefficient * (pressure / _UNIT_PRESSURE) ** self.exponent
 
     def log_slope(self, pressure: Quantity) -> Quantity:
-        """d ln k_n / d ln p [-]."""
+        """Local exponent d ln k_n / d ln p [-]."""
         return self.exponent + 0.0 * pressure
 
     def approach(self, low: Quantity, high: Quantity) -> Quantity:
@@ -142,13 +142,13 @@ class LogCubic:
         return c1 + x * (2 * c2 + x * 3 * c3)
 
     def stiffness(self, pressure: Quantity) -> Quantity:
-        """Normal stiffness per area k_n(p) [N/m^3]."""
+        """Stiffness per area k_n(p), normal [N/m^3]."""
         x = np.log(pressure / _UNIT_PRESSURE)
         inside = np.minimum(np.maximum(x, self._low), self._high)
         return np.exp(self._cubic(inside) + self._slope(inside) * (x - inside))
 
     def log_slope(self, pressure: Quantity) -> Quantity:
-        """d ln k_n / d ln p [-]."""
+        """Local exponent d ln k_n / d ln p [-]."""
         x = np.log(pressure / _UNIT_PRESSURE)
         return self._slope(np.minimum(np.maximum(x, self._low), self._high))
 
@@ -191,7 +191,7 @@ def _require_integrable(owner: str, exponent: float) -> None:
 def fit_power_law(
     surface: SurfacePair, lower: float = LOWEST_PRESSURE, upper: float = HIGHEST_PRESSURE
 ) -> PowerLaw:
-    """Best power law (smallest largest relative error) of a surface from `lower` to `upper` [Pa]."""
+    """Power law with the smallest largest relative error from `lower` to `upper` [Pa]."""
     (constant, slope), error = _fit(surface, lower, upper, 1)
     return PowerLaw(math.exp(constant), slope, lower, upper, error)
 
@@ -200,7 +200,7 @@ def fit_power_law(
 def fit_log_cubic(
     surface: SurfacePair, lower: float = LOWEST_PRESSURE, upper: float = HIGHEST_PRESSURE
 ) -> LogCubic:
-    """Best log-cubic law of a surface from `lower` to `upper` [Pa]."""
+    """Log-cubic law with the smallest largest relative error from `lower` to `upper` [Pa]."""
     (c0, c1, c2, c3), error = _fit(surface, lower, upper, 3)
     return LogCubic((c0, c1, c2, c3), lower, upper, error)
 

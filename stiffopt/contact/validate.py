@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable
 
@@ -40,7 +41,7 @@ def require_between(owner: str, lower: float, upper: float, **values: float) -> 
 def require_ordered(owner: str, **values: float) -> None:
     """Raise `InputError` unless the values, in the order given, strictly increase."""
     items = list(values.items())
-    for (name, value), (next_name, next_value) in zip(items, items[1:], strict=False):
+    for (name, value), (next_name, next_value) in itertools.pairwise(items):
         if not value < next_value:
             raise InputError(
                 f"{owner}: {name} = {value:g} must be smaller than {next_name} = {next_value:g}. "
