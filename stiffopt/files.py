@@ -78,7 +78,7 @@ def check_header(data: Mapping[str, Any], path: object, kind: str, schema: int =
 
 
 def validate(model: type[Model], data: Mapping[str, Any], path: object) -> Model:
-    """Data as an instance of `model`.
+    """Turn data into an instance of `model`.
 
     Raises
     ------

@@ -83,7 +83,7 @@ _ANGLE_UNITS = (
 def _registry() -> Any:
     import pint
 
-    registry = pint.UnitRegistry()
+    registry: Any = pint.UnitRegistry()
     registry.define("newton_meter = newton * meter = Nm")
     return registry
 
@@ -160,6 +160,7 @@ class JointNumber(float):
     dimension: str
 
     def __new__(cls, value: float, dimension: str = "") -> JointNumber:
+        """Make a float that remembers `dimension`."""
         number = super().__new__(cls, value)
         number.dimension = dimension
         return number

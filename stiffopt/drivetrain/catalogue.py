@@ -7,6 +7,7 @@ of an otherwise known entry that are not confirmed.
 from __future__ import annotations
 
 import functools
+import itertools
 import re
 import tomllib
 from collections.abc import Mapping
@@ -101,7 +102,7 @@ class BeltData(Entry):
             return table[0][1] * width / table[0][0]
         if width >= table[-1][0]:
             return table[-1][1] * width / table[-1][0]
-        for (w0, c0), (w1, c1) in zip(table, table[1:], strict=False):
+        for (w0, c0), (w1, c1) in itertools.pairwise(table):
             if width <= w1:
                 return c0 + (c1 - c0) * (width - w0) / (w1 - w0)
         raise AssertionError("the table covers every width")
@@ -180,13 +181,13 @@ def _stiffness_class(ratio: int) -> str:
 
 
 def reducer_names() -> list[str]:
-    """Names of the packaged reducers: harmonic_SIZE_RATIO."""
+    """Return the names of the packaged reducers: harmonic_SIZE_RATIO."""
     sizes = sorted({row["size"] for row in _table("reducers")["reducer"]})
     return [f"harmonic_{size}_{ratio}" for size in sizes for ratio in _RATIOS]
 
 
 def reducer(name: str) -> ReducerData:
-    """Packaged reducer by name, for example "harmonic_25_100"."""
+    """Look up a reducer by name, for example "harmonic_25_100"."""
     if name not in reducer_names():
         raise InputError(f"no reducer {name!r} in the catalogue. {nearest(name, reducer_names())}")
     size, ratio = (int(part) for part in name.split("_")[1:])
@@ -211,12 +212,12 @@ def reducer(name: str) -> ReducerData:
 
 
 def bolt_names() -> list[str]:
-    """Packaged bolt sizes."""
+    """Return the packaged bolt sizes."""
     return list(_rows("bolts", "bolt", "size"))
 
 
 def bolt(size: str) -> BoltData:
-    """Packaged bolt by size, for example "M5"."""
+    """Look up a bolt by size, for example "M5"."""
     row = dict(_find("bolt", size, _rows("bolts", "bolt", "size")))
     return BoltData(name=row.pop("size"), **row)
 
@@ -230,14 +231,14 @@ def proof_stress(grade: str) -> float:
 
 
 def key(width: float, height: float) -> KeyData:
-    """Packaged parallel key by its section [m]."""
+    """Look up a parallel key by its section [m]."""
     name = f"{width * 1e3:g}x{height * 1e3:g}"
     row = dict(_find("key", name, _rows("keys", "key", "size")))
     return KeyData(name=row.pop("size"), **row)
 
 
 def belt(name: str) -> BeltData:
-    """Packaged belt profile by name, for example "HTD3M"."""
+    """Look up a belt profile by name, for example "HTD3M"."""
     return BeltData(**_find("belt", name, _rows("belts", "belt", "name")))
 
 
@@ -247,7 +248,7 @@ def flange_names() -> list[str]:
 
 
 def flange(name: str) -> FlangeData:
-    """Packaged bolt pattern by name, for example "flexspline_25"."""
+    """Look up a bolt pattern by name, for example "flexspline_25"."""
     row = dict(_find("flange pattern", name, _rows("flanges", "flange", "name")))
     diameter = bolt(row["bolt"]).diameter
     row["inner_radius"] = row["circle_diameter"] / 2 - diameter
@@ -258,7 +259,7 @@ def flange(name: str) -> FlangeData:
 
 
 def material(name: str) -> Material:
-    """Packaged material by name: steel, aluminium or iron."""
+    """Look up a material by name: steel, aluminium or iron."""
     row = _find("material", name, _table("surfaces")["materials"])
     return Material(
         name=name, modulus=row["young"], poisson=row["poisson"], hardness=row["hardness"]
@@ -278,7 +279,7 @@ def surface_entry(name: str) -> Entry:
 
 @functools.cache
 def surface(name: str) -> SurfacePair:
-    """Packaged pair of surfaces by name, for example "fine_steel"."""
+    """Look up a pair of surfaces by name, for example "fine_steel"."""
     row = _find("surface", name, _rows("surfaces", "surface", "name"))
     return SurfacePair(
         name=name,

@@ -181,7 +181,7 @@ class Chain:
         return _normalised(shares)
 
     def reducer_only(self) -> Chain:
-        """The chain without contacts and shafts: reducers and constant stiffnesses."""
+        """Return the chain without contacts and shafts: reducers and constant stiffnesses."""
         kept = tuple(s for s in self.stages if s.element.kind in ("reducer", "constant"))
         return replace(self, stages=kept)
 

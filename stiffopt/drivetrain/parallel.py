@@ -8,6 +8,7 @@ T = 0 too.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -62,9 +63,10 @@ def smooth_shares(
     """
     if len(stages) == 1:
         return [1.0 + 0.0 * torque]
+    extra = {"preloads": preloads, "smoothing": smoothing}
     return _newton(
-        [lambda t, s=s: s.secant_compliance(t, preloads, smoothing) for s in stages],
-        [lambda t, s=s: s.tangent_compliance(t, preloads, smoothing) for s in stages],
+        [functools.partial(s.secant_compliance, **extra) for s in stages],
+        [functools.partial(s.tangent_compliance, **extra) for s in stages],
         torque,
     )
 
@@ -114,4 +116,4 @@ def _torque_at(
         short = stage.exact_windup(middle, preloads) < windup
         lower = np.where(short, middle, lower)
         upper = np.where(short, upper, middle)
-    return (lower + upper) / 2.0
+    return np.asarray((lower + upper) / 2.0)

@@ -44,7 +44,7 @@ class Antiderivative:
         local = (2.0 * size - left - right) / (right - left)
         basis = legendre.legvander(local, self.coefficients.shape[1] - 1)
         value = np.einsum("ij,ij->i", basis, self.coefficients[panel])
-        return np.sign(x) * value.reshape(x.shape)
+        return np.asarray(np.sign(x) * value.reshape(x.shape))
 
 
 def antiderivative(
@@ -88,11 +88,13 @@ def antiderivative(
         series = np.where(finite[:, None], values, 0.0) @ _PROJECTION.T
         series[~finite, 0] = np.inf
         tail = np.abs(series[:, -2:]).sum(axis=1)
-        settled = ~finite | (tail <= relative_tolerance * np.abs(series[:, 0])) | (half < smallest)
+        settled: np.ndarray = (
+            ~finite | (tail <= relative_tolerance * np.abs(series[:, 0])) | (half < smallest)
+        )
         done += [
             (pending[k, 0], pending[k, 1], series[k] * half[k]) for k in np.flatnonzero(settled)
         ]
-        open_ = ~settled
+        open_ = np.logical_not(settled)
         left = np.column_stack((pending[open_, 0], middle[open_]))
         right = np.column_stack((middle[open_], pending[open_, 1]))
         pending = np.vstack((left, right))

@@ -100,22 +100,18 @@ class ElementBuilder:
         return catalogue.surface(name)
 
     def _key(self, s: KeySection, torque_max: float) -> Key:
-        heights = [s.shaft_flank_height, s.hub_flank_height]
-        if None in heights:
+        shaft, hub = s.shaft_flank_height, s.hub_flank_height
+        if shaft is None or hub is None:
             data = catalogue.key(s.width, s.height)
-            heights = [
-                given if given is not None else own
-                for given, own in zip(
-                    heights, (data.shaft_flank_height, data.hub_flank_height), strict=True
-                )
-            ]
+            shaft = data.shaft_flank_height if shaft is None else shaft
+            hub = data.hub_flank_height if hub is None else hub
         return Key(
             name=s.name,
             torque_max=torque_max,
             shaft_diameter=s.shaft_diameter,
             length=s.length,
-            shaft_height=heights[0],
-            hub_height=heights[1],
+            shaft_height=shaft,
+            hub_height=hub,
             surface=self._pair(s.surface),
             prepressure=s.prepressure,
             flanks=s.flanks,
@@ -123,7 +119,7 @@ class ElementBuilder:
         )
 
     def _flange(self, s: FlangeSection, torque_max: float) -> BoltedFlange:
-        values = {
+        values: dict[str, Any] = {
             "inner_radius": s.inner_radius,
             "outer_radius": s.outer_radius,
             "preload": s.preload,
@@ -133,7 +129,7 @@ class ElementBuilder:
         }
         if s.pattern is not None:
             data = catalogue.flange(s.pattern)
-            own = {
+            own: dict[str, Any] = {
                 "inner_radius": data.inner_radius,
                 "outer_radius": data.outer_radius,
                 "preload": data.preload,
@@ -253,7 +249,7 @@ class ElementBuilder:
 
 
 def _check_reducer(values: Mapping[str, float]) -> None:
-    """Checks in the words of the file, ahead of the element's own."""
+    """Check in the words of the file, ahead of the element's own."""
     for name, value in values.items():
         if value <= 0.0:
             raise InputError(

@@ -229,7 +229,8 @@ def _surfaces_used(document: RobotFile) -> set[str]:
 
 def _cited(section: Cited, joint: str, element: str) -> Iterable[Source]:
     """Rows of a section: the section as a whole, then the keys that are estimates regardless."""
-    provenance, source, estimated = section.provenance, section.source, section.estimated
+    provenance: str = section.provenance
+    source, estimated = section.source, section.estimated
     name = getattr(section, "catalogue", None)
     if name is not None and "provenance" not in section.model_fields_set:
         entry = catalogue.reducer(name)

@@ -240,5 +240,5 @@ class RobotFile(Section):
     tool: PlaceSection | None = None
     flange: PlaceSection | None = None
     assembly: AssemblySection = AssemblySection()
-    surface: dict[str, SurfaceSection] = {}
+    surface: dict[str, SurfaceSection] = Field(default_factory=dict)
     joint: tuple[JointSection, ...] = ()

@@ -1,4 +1,4 @@
-"""A URDF as a pinocchio model of revolute and prismatic joints, checked before pinocchio reads it."""
+"""A URDF as a pinocchio model of revolute and prismatic joints, checked before it is read."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def load_urdf(path: str | os.PathLike[str]) -> tuple[Any, dict[str, dict[str, fl
 
 
 def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
-    """Checks of one joint; None if it is fixed."""
+    """Check one joint; None if it is fixed."""
     name, kind = joint.get("name", ""), joint.get("type", "")
     if kind not in _KINDS:
         raise RobotError(
