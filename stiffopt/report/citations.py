@@ -1,0 +1,94 @@
+"""The literature that a run rests on, from the package's references.bib."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+from stiffopt.errors import InputError, nearest
+
+if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
+
+_CONTACTS = ("key", "bolted_flange", "clamping_pins", "gear_pair")
+_TRANSCRIPTIONS = {"radau": "GargEtAl2010"}
+_ENGINE = ("WaechterBiegler2006", "AnderssonEtAl2019", "CarpentierEtAl2019")
+
+
+@dataclass(frozen=True)
+class Reference:
+    """One entry of references.bib."""
+
+    key: str
+    fields: dict[str, str]
+
+    @property
+    def text(self) -> str:
+        """Authors, title, place and year in one line."""
+        place = self.fields.get("journal") or self.fields.get("booktitle")
+        if place and "volume" in self.fields:
+            place += f" {self.fields['volume']}"
+        if place and "pages" in self.fields:
+            place += f", {self.fields['pages'].replace('--', '–')}"
+        authors = self.fields.get("author", "").replace(" and ", "; ")
+        parts = [authors, self.fields["title"], place, self.fields.get("organization")]
+        sentence = ". ".join(part.rstrip(".") for part in parts if part) + "."
+        return f"{sentence[:-1]} ({self.fields['year']})." if "year" in self.fields else sentence
+
+    @property
+    def doi(self) -> str:
+        """Digital object identifier, "" where there is none."""
+        return self.fields.get("doi", "")
+
+
+@functools.cache
+def references() -> dict[str, Reference]:
+    """All entries by key."""
+    text = files("stiffopt").joinpath("references.bib").read_text(encoding="utf-8")
+    found = {}
+    for match in re.finditer(r"@\w+\{(\w+),(.*?)\n\}", text, flags=re.DOTALL):
+        pairs = re.findall(r"(\w+)\s*=\s*\{(.*?)\}\s*(?:,|$)", match[2], flags=re.DOTALL)
+        found[match[1]] = Reference(match[1], dict(pairs))
+    return found
+
+
+def cited(keys: Iterable[str]) -> list[Reference]:
+    """Look up references of these keys, in the order given, each once."""
+    known = references()
+    chosen = list(dict.fromkeys(keys))
+    for key in chosen:
+        if key not in known:
+            raise InputError(f"No reference {key!r} in references.bib. {nearest(key, known)}")
+    return [known[key] for key in chosen]
+
+
+def robot_references(robot: Any) -> list[Reference]:
+    """Collect the sources of the stiffness model of a robot."""
+    kinds = {
+        element.kind
+        for chain in robot.chains
+        if chain is not None
+        for element in chain.elements.values()
+    }
+    keys = ["Joint2018"] if kinds - {"constant"} else []
+    if kinds & set(_CONTACTS):
+        keys += ["YanKomvopoulos1998", "KogutEtsion2002", "Mindlin1949"]
+    if "bolted_flange" in kinds:
+        keys.append("VDI2230")
+    if "reducer" in kinds:
+        keys.append("HarmonicDriveCSF")
+    return cited(keys)
+
+
+def solve_references(problem: TrajectoryProblem, baselines: Iterable[str]) -> list[Reference]:
+    """Collect the sources of a solve: model, transcription, solver, and the baselines shown."""
+    keys = [reference.key for reference in robot_references(problem.robot)]
+    keys.append(_TRANSCRIPTIONS.get(problem.method.transcription, "Kelly2017"))
+    keys += _ENGINE
+    if "toppra" in baselines:
+        keys.append("PhamPham2018")
+    return cited(keys)

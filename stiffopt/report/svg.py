@@ -1,0 +1,177 @@
+"""Style of all figures and their way into a page: small SVG with text as text and unique ids."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+# Okabe and Ito's colours: told apart by colour-blind readers and, by lightness, in grey print.
+BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
+ORANGE, PURPLE, SKY, BLACK = "#E69F00", "#B0578D", "#56B4E9", "#222222"
+PALETTE = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY, BLACK)
+DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)))
+GREY, PALE, INK = "#6b7280", "#d4d8de", "#1f2933"
+FONTS = "'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif"
+POINTS = 600
+
+_STYLE: Any = {
+    "svg.fonttype": "none",
+    "path.simplify": True,
+    "path.simplify_threshold": 0.2,
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9.0,
+    "axes.edgecolor": GREY,
+    "axes.linewidth": 0.7,
+    "axes.labelcolor": INK,
+    "axes.titlecolor": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.use_mathtext": False,
+    "axes.unicode_minus": True,
+    "grid.color": "#e7eaee",
+    "grid.linewidth": 0.6,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "lines.linewidth": 1.6,
+    "lines.solid_capstyle": "round",
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
+    "savefig.dpi": 150,
+    "text.parse_math": False,
+}
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """Context in which figures are made and drawn."""
+    with mpl.rc_context(_STYLE):
+        yield
+
+
+def line_style(index: int) -> dict[str, Any]:
+    """Colour and dash pattern of the curve number `index` (from 0); repeats after 28."""
+    dash = DASHES[(index // len(PALETTE)) % len(DASHES)]
+    return {"color": PALETTE[index % len(PALETTE)], "linestyle": dash}
+
+
+def thin(time: np.ndarray, values: np.ndarray, points: int = POINTS) -> tuple[Any, Any]:
+    """Curve with at most `points` samples that keeps every visible peak.
+
+    The curve is cut into pieces and each keeps its lowest and highest sample.
+
+    Parameters
+    ----------
+    time, values : array (K,)
+
+    Returns
+    -------
+    (array, array)
+        The samples kept, ends included.
+    """
+    if len(time) <= points:
+        return time, values
+    edges = np.linspace(0, len(time), points // 2, dtype=int)
+    keep = {0, len(time) - 1}
+    for start, stop in itertools.pairwise(edges):
+        piece = values[start:stop]
+        keep.add(start + int(np.argmin(piece)))
+        keep.add(start + int(np.argmax(piece)))
+    chosen = np.array(sorted(keep))
+    return time[chosen], values[chosen]
+
+
+def shade_beyond(axes: Axes, lower: float, upper: float) -> None:
+    """Draw bounds as lines with the forbidden side shaded, where they are near the curves.
+
+    A bound far outside the curves would flatten them: it is written in the corner instead.
+    """
+    low, high = axes.get_ylim()
+    reach = 0.6 * (high - low)
+    notes = []
+    shown = [low, high]
+    for bound, side in ((lower, -1), (upper, 1)):
+        if not np.isfinite(bound):
+            continue
+        if low - reach <= bound <= high + reach:
+            edge = bound + side * 0.06 * (high - low)
+            shown.append(edge)
+            axes.axhline(bound, color=GREY, linewidth=0.9, linestyle=(0, (4, 2)), zorder=1)
+            axes.axhspan(bound, bound + side * 1e3 * (high - low), color=PALE, alpha=0.5, zorder=0)
+        else:
+            notes.append(f"{bound:.4g}")
+    axes.set_ylim(min(shown), max(shown))
+    if notes:
+        symmetric = len(notes) == 2 and np.isclose(lower, -upper)
+        text = f"limit ±{upper:.4g}" if symmetric else "limit " + ", ".join(notes)
+        axes.text(
+            0.985,
+            0.96,
+            text,
+            transform=axes.transAxes,
+            ha="right",
+            va="top",
+            fontsize=7,
+            color=GREY,
+        )
+
+
+def to_svg(figure: Figure, name: str, description: str) -> str:
+    """Figure as inline SVG.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+    name : str
+        Unique on its page; prefixes the ids, which would else clash between figures.
+    description : str
+        What the figure shows, for readers that cannot see it.
+    """
+    with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
+        buffer = io.StringIO()
+        figure.savefig(buffer, format="svg", bbox_inches="tight", pad_inches=0.06)
+    return _compact(buffer.getvalue(), name, description)
+
+
+def _compact(text: str, name: str, description: str) -> str:
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    used = set(re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', text))
+    referenced = {first or second for first, second in used}
+    text = re.sub(
+        r' id="([^"]+)"',
+        lambda match: f' id="{name}-{match[1]}"' if match[1] in referenced else "",
+        text,
+    )
+    text = re.sub(r'href="#([^"]+)"', rf'href="#{name}-\1"', text)
+    text = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", text)
+    text = re.sub(r"font: ([^'\"]*)'[^\"]*?(;|\")", rf"font: \1{FONTS}\2", text)
+    text = re.sub(r'(?<= d=")[^"]+', lambda match: re.sub(r"-?\d+\.\d{2,}", _short, match[0]), text)
+    text = re.sub(r"\n\s*", "\n", text)
+    label = description.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
+    return text.replace("<svg", f'<svg role="img" aria-label="{label}"', 1).strip()
+
+
+def _short(match: re.Match[str]) -> str:
+    return f"{float(match[0]):.2f}".rstrip("0").rstrip(".")
