@@ -83,14 +83,14 @@ def antiderivative(
         middle = (pending[:, 1] + pending[:, 0]) / 2.0
         points = middle[:, None] + half[:, None] * _POINTS
         values = np.asarray(function(points.ravel()), dtype=float).reshape(points.shape)
-        values = np.where(np.isfinite(values), values, np.inf)
-        finite = np.isfinite(values).all(axis=1)
-        series = np.where(finite[:, None], values, 0.0) @ _PROJECTION.T
-        series[~finite, 0] = np.inf
+        finite = np.isfinite(values)
+        # A panel with some infinite values is halved until the border is found.
+        infinite = np.asarray(~finite.any(axis=1) | (~finite.all(axis=1) & (half < smallest)))
+        series = np.where(finite, values, 0.0) @ _PROJECTION.T
+        series[infinite, 0] = np.inf
         tail = np.abs(series[:, -2:]).sum(axis=1)
-        settled: np.ndarray = (
-            ~finite | (tail <= relative_tolerance * np.abs(series[:, 0])) | (half < smallest)
-        )
+        converged = finite.all(axis=1) & (tail <= relative_tolerance * np.abs(series[:, 0]))
+        settled = np.asarray(infinite | converged | (half < smallest))
         done += [
             (pending[k, 0], pending[k, 1], series[k] * half[k]) for k in np.flatnonzero(settled)
         ]

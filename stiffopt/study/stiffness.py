@@ -1,0 +1,157 @@
+"""Joint stiffness against torque, with and without contacts, by the unsmoothed law."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stiffopt.connection import Key
+from stiffopt.drivetrain.chain import Chain
+from stiffopt.errors import InputError, RobotError
+from stiffopt.files import write_csv
+from stiffopt.robot.robot import Robot
+
+# Geometric between a thousandth and all of the largest torque: contacts act at the low end.
+DEFAULT_RATIOS: tuple[float, ...] = tuple(
+    sorted({*(10.0 ** np.linspace(-3.0, 0.0, 61)).round(12).tolist(), 0.005, 0.02, 0.05, 0.2})
+)
+
+
+@dataclass(frozen=True)
+class StiffnessRow:
+    """One joint at one torque.
+
+    Parameters
+    ----------
+    joint : int
+        From 1.
+    torque_ratio : float
+        Torque over the joint's `torque_max` [-].
+    torque : float
+        [N m]
+    tangent_stiffness, secant_stiffness : float
+        dT/dphi and T/phi of the whole drivetrain [N m/rad].
+    windup : float
+        phi [rad]
+    reducer_only_tangent_stiffness : float
+        Of the reducer alone; infinite for a joint without one [N m/rad].
+    ratio_to_reducer_only : float
+        Tangent stiffness with contacts over that of the reducer alone [-].
+    flanks : str
+        How the flanks of the keys act: "series", "parallel", "mixed" as the robot has it, or
+        "none" for a joint without keys.
+    """
+
+    joint: int
+    torque_ratio: float
+    torque: float
+    tangent_stiffness: float
+    secant_stiffness: float
+    windup: float
+    reducer_only_tangent_stiffness: float
+    ratio_to_reducer_only: float
+    flanks: str
+
+
+COLUMNS: tuple[str, ...] = tuple(f.name for f in dataclasses.fields(StiffnessRow))
+
+
+def stiffness_study(
+    robot: Robot, ratios: Sequence[float] | None = None, *, both_readings: bool = True
+) -> list[StiffnessRow]:
+    """Stiffness of every joint over the torque ratio.
+
+    Parameters
+    ----------
+    robot : Robot
+    ratios : sequence of float, optional
+        Torques over `torque_max`, above 0 [-]; default `DEFAULT_RATIOS`.
+    both_readings : bool
+        Also the other reading of the key flanks: in parallel where the robot has them in series,
+        and the reverse.
+
+    Returns
+    -------
+    list of StiffnessRow
+        By joint, then reading (the robot's own first), then ratio. Rigid joints have none.
+
+    Raises
+    ------
+    RobotError
+        No joint has a drivetrain.
+    """
+    if all(chain is None for chain in robot.chains):
+        raise RobotError(
+            f"{robot.name}: no joint has a drivetrain, all are rigid. "
+            "Describe the drivetrain in a robot TOML and load it with the URDF."
+        )
+    shares = np.asarray(DEFAULT_RATIOS if ratios is None else ratios, dtype=float)
+    if shares.ndim != 1 or not (np.isfinite(shares).all() and (shares > 0.0).all()):
+        raise InputError(
+            f"torque ratios must be finite numbers above 0, got {ratios}. "
+            "Give shares of torque_max such as 0.01, 0.1, 1."
+        )
+    rows: list[StiffnessRow] = []
+    for j, chain in enumerate(robot.chains):
+        if chain is None:
+            continue
+        torque = shares * robot.torque_max[j]
+        for flanks, reading in _readings(chain, both_readings):
+            rows += _rows(j + 1, flanks, reading, shares, torque)
+    return rows
+
+
+def write_stiffness_csv(rows: Sequence[StiffnessRow], path: str | os.PathLike[str]) -> None:
+    """Write the rows as `stiffness.csv`, whole or not at all."""
+    write_csv(path, COLUMNS, [dataclasses.astuple(row) for row in rows])
+
+
+def compliance_by_element(robot: Robot, ratio: float) -> dict[int, dict[str, float]]:
+    """Share of each element in the tangent compliance, by joint number (from 1).
+
+    Parameters
+    ----------
+    ratio : float
+        Torque over `torque_max` [-].
+    """
+    return {
+        j + 1: chain.compliance_shares(ratio * float(robot.torque_max[j]))
+        for j, chain in enumerate(robot.chains)
+        if chain is not None
+    }
+
+
+def with_flanks(chain: Chain, flanks: str) -> Chain:
+    """Copy of a chain with the flanks of all its keys in "series" or in "parallel"."""
+    stages = tuple(
+        replace(s, element=replace(s.element, flanks=flanks)) if isinstance(s.element, Key) else s
+        for s in chain.stages
+    )
+    return replace(chain, stages=stages)
+
+
+def _readings(chain: Chain, both: bool) -> list[tuple[str, Chain]]:
+    kinds = sorted({e.flanks for e in chain.elements.values() if isinstance(e, Key)})
+    own = "none" if not kinds else kinds[0] if len(kinds) == 1 else "mixed"
+    others = [f for f in ("series", "parallel") if kinds and f != own] if both else []
+    return [(own, chain), *((f, with_flanks(chain, f)) for f in others)]
+
+
+def _rows(
+    joint: int, flanks: str, chain: Chain, ratios: np.ndarray, torque: np.ndarray
+) -> list[StiffnessRow]:
+    compliance = chain.exact_tangent_compliance(torque)
+    windup = chain.exact_windup(torque)
+    alone = chain.reducer_only().exact_tangent_compliance(torque)
+    # A rigid remainder (no reducer) has compliance 0; a slipping contact has no stiffness.
+    with np.errstate(divide="ignore"):
+        columns = (ratios, torque, 1.0 / compliance, torque / windup, windup, 1.0 / alone)
+        ratio_to_reducer = alone / compliance
+    return [
+        StiffnessRow(joint, *(float(c[k]) for c in columns), float(ratio_to_reducer[k]), flanks)
+        for k in range(len(ratios))
+    ]
