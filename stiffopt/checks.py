@@ -1,0 +1,156 @@
+"""Checks that every connection of a drivetrain has to pass; for one's own subclasses as well.
+
+Each check returns the worst number it found and raises `CheckFailed` with it when that is too
+large. Formulas are taken as plain functions of NumPy arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any, Protocol
+
+import numpy as np
+
+from stiffopt.errors import StiffoptError
+
+Formula = Callable[[np.ndarray], Any]
+
+
+class CheckFailed(StiffoptError, AssertionError):
+    """A property that must hold does not.
+
+    Parameters
+    ----------
+    what : str
+        The property.
+    where : float
+        The point where it is violated most.
+    found, allowed : float
+    """
+
+    def __init__(self, what: str, where: float, found: float, allowed: float) -> None:
+        self.what, self.where, self.found, self.allowed = what, where, found, allowed
+        super().__init__(f"{what}: {found:.3g} at {where:.6g}; allowed is {allowed:.3g}.")
+
+
+class Smoothed(Protocol):
+    """What `check_smoothed_against_exact` needs of a connection."""
+
+    torque_max: Any
+
+    def windup(self, torque: Any) -> Any:
+        """Smooth wind-up [rad]."""
+
+    def exact_tangent_compliance(self, torque: np.ndarray) -> np.ndarray:
+        """Compliance without smoothing [rad/(N m)]."""
+
+    def breakpoints(self) -> tuple[float, ...]:
+        """Torques where the exact compliance jumps [N m]."""
+
+
+def check_derivative(
+    formula: Formula,
+    derivative: Formula,
+    points: Iterable[float],
+    *,
+    scale: float,
+    rtol: float = 1e-6,
+) -> float:
+    """Compare a derivative with central differences (fourth order) of its formula.
+
+    Parameters
+    ----------
+    formula, derivative : callable
+        Elementwise functions of an array.
+    points : iterable of float
+    scale : float
+        Smallest distance over which the formula changes its shape, such as the smoothing width;
+        the step is 1e-3 of it, or of the point where that is larger.
+    rtol : float
+        Allowed error over the derivative (its own size at the point, at least 1e-6 of the largest).
+    """
+    x = np.array(list(points), dtype=float)
+    step = 1e-3 * np.maximum(np.abs(x), scale)
+    near = _values(formula, x + step) - _values(formula, x - step)
+    far = _values(formula, x + 2 * step) - _values(formula, x - 2 * step)
+    difference = (8 * near - far) / (12 * step)
+    given = _values(derivative, x)
+    size = np.maximum(np.abs(difference), 1e-6 * np.max(np.abs(difference)))
+    size = np.where(size > 0.0, size, 1.0)
+    return _judge("derivative against differences", x, np.abs(given - difference) / size, rtol)
+
+
+def check_odd(formula: Formula, points: Iterable[float], *, rtol: float = 1e-12) -> float:
+    """Check f(-x) = -f(x), to `rtol` of |f(x)|, and f(0) = 0."""
+    x = np.array(list(points), dtype=float)
+    forward, back = _values(formula, x), _values(formula, -x)
+    origin = float(_values(formula, np.zeros(1))[0])
+    if origin != 0.0:
+        raise CheckFailed("odd function: value at zero", 0.0, abs(origin), 0.0)
+    size = np.where(forward != 0.0, np.abs(forward), 1.0)
+    return _judge("odd function: relative mismatch", x, np.abs(forward + back) / size, rtol)
+
+
+def check_monotone(formula: Formula, points: Iterable[float]) -> float:
+    """Check that f grows strictly from each point to the next larger one; returns the least rise."""
+    x = np.unique(np.array(list(points), dtype=float))
+    rise = np.diff(_values(formula, x))
+    worst = int(np.argmin(np.where(np.isfinite(rise), rise, -np.inf)))
+    if not rise[worst] > 0.0:
+        raise CheckFailed("monotone function: rise", float(x[worst]), float(rise[worst]), 0.0)
+    return float(rise[worst])
+
+
+def check_smoothed_against_exact(
+    connection: Smoothed,
+    tolerance: float,
+    *,
+    from_torque: float = 0.0,
+    points: int = 25,
+) -> float:
+    """Compare the smooth wind-up with quadrature of the exact compliance.
+
+    Parameters
+    ----------
+    connection : Connection
+    tolerance : float
+        Allowed |difference| over the exact wind-up.
+    from_torque : float
+        Start of the integral [N m]. Where the exact compliance is infinite at zero torque (contact
+        without prepressure) a start above zero compares the wind-up gained from there on.
+    points : int
+        Number of torques compared, up to torque_max.
+    """
+    torque_max = float(connection.torque_max)
+    torques = np.geomspace(max(2.0 * from_torque, 1e-2 * torque_max), torque_max, points)
+    exact = _exact_windup(connection, from_torque, torques)
+    start = float(connection.windup(from_torque))
+    smooth = _values(connection.windup, torques) - start
+    error = np.abs(smooth / exact - 1)
+    return _judge("smoothed wind-up against the exact one", torques, error, tolerance)
+
+
+def _exact_windup(connection: Smoothed, start: float, torques: np.ndarray) -> np.ndarray:
+    # Panels shrink towards zero, where contacts change most; jumps fall on panel ends.
+    lowest = start if start > 0.0 else 1e-8 * float(torques[-1])
+    grid = np.geomspace(lowest, torques[-1], 60)
+    jumps = [t for t in connection.breakpoints() if lowest < t < torques[-1]]
+    edges = np.unique(np.concatenate([[start, lowest], grid, torques, jumps]))
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
+    samples = middle[:, None] + half[:, None] * nodes
+    compliance = connection.exact_tangent_compliance(samples.ravel()).reshape(samples.shape)
+    total = np.concatenate([[0.0], np.cumsum(half * (compliance @ weights))])
+    return np.asarray(np.interp(torques, edges, total))
+
+
+def _values(formula: Formula, x: np.ndarray) -> np.ndarray:
+    return np.asarray(formula(x), dtype=float) + np.zeros_like(x)
+
+
+def _judge(what: str, x: np.ndarray, error: np.ndarray, allowed: float) -> float:
+    # A nan counts as the worst value there is.
+    worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
+    if not error[worst] <= allowed:
+        raise CheckFailed(what, float(x[worst]), float(error[worst]), allowed)
+    return float(error[worst])
