@@ -72,13 +72,14 @@ def assess(
         for j, k in enumerate(np.argmin(stiffness, axis=0))
     )
     relative = torque / robot.torque_max
-    integrals = {
-        "torque_squared": float(np.trapezoid(np.sum(relative**2, axis=1), times)),
-        "acceleration_squared": float(np.trapezoid(np.sum(acceleration**2, axis=1), times)),
-    }
-    for j in range(compliance.shape[1]):
-        mean = np.trapezoid(compliance[:, j], times) / times[-1]
-        integrals[f"mean_compliance_{j + 1}"] = float(mean)
+    integrals: dict[str, float] = {}
+    for j in range(torque.shape[1]):
+        for name, integrand in (
+            ("torque_squared", relative[:, j] ** 2),
+            ("acceleration_squared", acceleration[:, j] ** 2),
+            ("mean_compliance", compliance[:, j] / times[-1]),
+        ):
+            integrals[f"{name}_{j + 1}"] = float(np.trapezoid(integrand, times))
     assessment = Assessment(
         time=times,
         position=position,

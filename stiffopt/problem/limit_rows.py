@@ -30,8 +30,9 @@ def limit_rows(
     blocks: list[Block] = []
     blocks += _magnitudes("torque", model.drive_torque, limits.torque, margins, midpoints=True)
     if not coordinates.bounds_joints:
-        blocks += _magnitudes("velocity", model.velocity, limits.velocity, margins)
-        blocks += _magnitudes("acceleration", model.acceleration, limits.acceleration, margins)
+        for name in ("velocity", "acceleration"):
+            values, bound = getattr(model, name), getattr(limits, name)
+            blocks += _magnitudes(name, values, bound, margins, midpoints=True)
     if limits.velocity_map is not None:
         blocks.append(_velocity_map(model, limits, margins.get("velocity_by_position", 0.0)))
     if np.isfinite(limits.tool_speed):

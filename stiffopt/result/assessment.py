@@ -34,7 +34,9 @@ class Violation:
     def describe(self) -> str:
         """Text for messages: "torque of joint 2 at 0.21 s: 1.2 %"."""
         owner = f" of joint {self.joint}" if self.joint else ""
-        return f"{self.limit.replace('_', ' ')}{owner} at {self.time:.3f} s: {100 * self.value:.2g} %"
+        return (
+            f"{self.limit.replace('_', ' ')}{owner} at {self.time:.3f} s: {100 * self.value:.2g} %"
+        )
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class Assessment:
     lowest_stiffness : tuple of LowestStiffness
         One a joint.
     integrals : dict
-        Time integrals and means named as the objectives.
+        Time integrals and means, named by objective and joint: "torque_squared_2".
     """
 
     time: np.ndarray

@@ -149,9 +149,18 @@ def _rows(
     alone = chain.reducer_only().exact_tangent_compliance(torque)
     # A rigid remainder (no reducer) has compliance 0; a slipping contact has no stiffness.
     with np.errstate(divide="ignore"):
-        columns = (ratios, torque, 1.0 / compliance, torque / windup, windup, 1.0 / alone)
-        ratio_to_reducer = alone / compliance
+        columns = {
+            "torque_ratio": ratios,
+            "torque": torque,
+            "tangent_stiffness": 1.0 / compliance,
+            "secant_stiffness": torque / windup,
+            "windup": windup,
+            "reducer_only_tangent_stiffness": 1.0 / alone,
+            "ratio_to_reducer_only": alone / compliance,
+        }
     return [
-        StiffnessRow(joint, *(float(c[k]) for c in columns), float(ratio_to_reducer[k]), flanks)
+        StiffnessRow(
+            joint=joint, flanks=flanks, **{name: float(c[k]) for name, c in columns.items()}
+        )
         for k in range(len(ratios))
     ]

@@ -1,0 +1,112 @@
+"""UR10 with 5 kg and the stand-in stiffness of its problem data, as a robot of stiffopt.
+
+The stand-in law is no shipped connection: it shows how a user's own `Connection` is plugged in.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pinocchio as pin
+
+from stiffopt.connection.connection import Connection
+from stiffopt.connection.reducer import Reducer
+from stiffopt.drivetrain.chain import Chain
+from stiffopt.drivetrain.stage import Stage
+from stiffopt.robot.robot import Robot, Tool, place_at
+
+DATA = Path(os.environ.get("STIFFOPT_BENCHMARKS", "../shared/benchmarks"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SquareRootContact(Connection):
+    """Stiffness k = factor * sqrt((|T| + floor)/rated)."""
+
+    kind: ClassVar[str] = "square_root_contact"
+    factor: float
+    rated: float
+
+    @property
+    def floor(self) -> float:
+        return 0.02 * self.rated
+
+    def windup(self, torque: Any, *, preload: Any = None, smoothing: Any = 1.0) -> Any:
+        width = 1e-3 * self.torque_max * smoothing
+        size = np.sqrt(torque * torque + width * width)
+        root = np.sqrt(size + self.floor) + np.sqrt(self.floor)
+        # 2 sqrt(rated)/factor (sqrt(s + floor) - sqrt(floor)) T/s, without the cancellation.
+        return 2.0 * np.sqrt(self.rated) / self.factor * torque / root
+
+    def tangent_compliance(self, torque: Any, *, preload: Any = None, smoothing: Any = 1.0) -> Any:
+        from stiffopt.symbolic import elementwise_derivative
+
+        return elementwise_derivative(lambda t: self.windup(t, smoothing=smoothing), torque)
+
+    def exact_tangent_compliance(
+        self, torque: np.ndarray, *, preload: float | None = None
+    ) -> np.ndarray:
+        return np.sqrt(self.rated) / self.factor / np.sqrt(np.abs(torque) + self.floor)
+
+
+def data() -> dict[str, Any]:
+    """Problem data of the UR10 benchmark."""
+    return json.loads((DATA / "ur10.json").read_text())
+
+
+def standin_robot() -> Robot:
+    """UR10 with 5 kg, limits of the problem data, stand-in stiffness."""
+    numbers = data()
+    model = pin.buildModelFromUrdf(str(DATA / numbers["urdf"]))
+    law = numbers["dynamic_deflection"]["stand_in_stiffness"]
+    n = model.nv
+    torque = np.array(numbers["torque_max"])
+    chains = tuple(
+        Chain(
+            (
+                Stage(
+                    Reducer(
+                        name="reducer",
+                        torque_max=torque[j],
+                        stiffness_1=law["K1"][j],
+                        stiffness_2=law["K2"][j],
+                        stiffness_3=law["K3"][j],
+                        torque_1=law["T1"][j],
+                        torque_2=law["T2"][j],
+                    ),
+                    1.0,
+                ),
+                Stage(
+                    SquareRootContact(
+                        name="contact",
+                        torque_max=torque[j],
+                        factor=law["KC"][j],
+                        rated=law["RATED"][j],
+                    ),
+                    1.0,
+                ),
+            )
+        )
+        for j in range(n)
+    )
+    place = place_at(model, numbers["tool"]["link"], numbers["tool"]["offset"])
+    return Robot(
+        name="ur10_standin",
+        model=model,
+        position_lower=model.lowerPositionLimit.copy(),
+        position_upper=model.upperPositionLimit.copy(),
+        velocity_max=np.array(numbers["velocity_max"]),
+        acceleration_max=np.array(numbers["dynamic_deflection"]["acceleration_max"]),
+        jerk_max=np.full(n, np.inf),
+        torque_max=torque,
+        rotor_inertia=np.zeros(n),
+        coulomb=np.zeros(n),
+        viscous=np.zeros(n),
+        chains=chains,
+        tool=Tool(place.joint, place.offset, place.rotation, place.link),
+        flange=place_at(model, numbers["tool"]["link"]),
+    )

@@ -1,0 +1,68 @@
+"""The motions that an optimised one is compared with, assessed by the same certificate."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stiffopt.baseline.joint_path import JointPath
+from stiffopt.baseline.motion import Baseline as BaselineMotion
+from stiffopt.baseline.quintic import quintic_baseline
+from stiffopt.baseline.toppra_motion import toppra_baseline
+from stiffopt.certificate.assess import assess
+from stiffopt.certificate.objective_value import improvement, objective_value
+from stiffopt.problem.resolve import ResolvedMotion
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.solution import Baseline
+
+# A baseline that exceeds a limit by more than this share is shown, never counted.
+FEASIBLE = 5e-3
+
+
+def baselines(problem: TrajectoryProblem, motion: ResolvedMotion) -> dict[str, Baseline]:
+    """toppra's and the quintic motion on the joint path through the poses.
+
+    Where the duration is free, toppra's motion keeps its own (shortest) duration, and the quintic
+    takes the shortest duration that toppra found, or the middle of the allowed range.
+    """
+    path = JointPath.through(motion.points if problem.path is None else problem.path)
+    fixed = problem.duration[0] == problem.duration[1]
+    duration = problem.duration[0] if fixed else None
+    fastest = toppra_baseline(
+        problem.robot, problem.active_limits, path, duration, problem.process_force
+    )
+    if duration is None:
+        duration = float(np.clip(fastest.fastest or 1.0, *problem.duration))
+        if fastest.motion is not None and fastest.motion.duration < duration:
+            stretched = fastest.motion.scaled_to(duration)
+            fastest = BaselineMotion(name="toppra", motion=stretched, fastest=fastest.fastest)
+    quintic = quintic_baseline(path, duration)
+    return {"toppra": _assessed(problem, fastest), "quintic": _assessed(problem, quintic)}
+
+
+def better_baseline(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> Baseline | None:
+    """The feasible baseline with the better objective; None where neither is feasible."""
+    feasible = [b for b in beside.values() if b.feasible and b.objective is not None]
+    if not feasible:
+        return None
+    return min(feasible, key=lambda b: improvement(problem, b.objective or np.inf, 1.0))
+
+
+def _assessed(problem: TrajectoryProblem, baseline: BaselineMotion) -> Baseline:
+    if baseline.motion is None:
+        return Baseline(
+            name=baseline.name,
+            assessment=None,
+            objective=None,
+            feasible=False,
+            reason=baseline.reason,
+        )
+    assessment = assess(problem, baseline.motion)
+    feasible = assessment.feasible(FEASIBLE)
+    reason = "" if feasible else f"Exceeds {assessment.worst_violation.describe()}."
+    return Baseline(
+        name=baseline.name,
+        assessment=assessment,
+        objective=objective_value(problem, assessment).value,
+        feasible=feasible,
+        reason=reason,
+    )

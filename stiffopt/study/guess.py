@@ -1,0 +1,79 @@
+"""Initial guess: toppra's motion, or the quintic one where toppra finds none."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stiffopt.problem.resolve import ResolvedMotion
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import Assessment
+from stiffopt.result.solution import Baseline
+from stiffopt.transcription.ocp import Guess
+
+
+def initial_guess(
+    problem: TrajectoryProblem, motion: ResolvedMotion, beside: dict[str, Baseline]
+) -> Guess:
+    """A guess from the baselines, sampled; vias at the instants where the baseline passes them."""
+    source = next(b.assessment for b in (beside["toppra"], beside["quintic"]) if b.assessment)
+    statics = _statics(problem, beside)
+    if problem.path is not None:
+        return _path_guess(source, statics)
+    states = np.hstack([source.position, source.velocity])
+    s = source.time / source.duration
+    return Guess(
+        states=_sampler(s, states),
+        controls=_sampler(s, source.acceleration),
+        duration=source.duration,
+        statics=statics,
+        phase_fractions=_phase_fractions(source, motion),
+    )
+
+
+def _sampler(s: np.ndarray, values: np.ndarray) -> object:
+    def sample(at: np.ndarray) -> np.ndarray:
+        columns = [np.interp(at, s, values[:, j]) for j in range(values.shape[1])]
+        return np.stack(columns, axis=1)
+
+    return sample
+
+
+def _path_guess(source: Assessment, statics: np.ndarray) -> Guess:
+    """Uniform progress with a smooth start and stop along the path coordinate."""
+    s = np.linspace(0.0, 1.0, 201)
+    duration = source.duration
+    states = np.stack([s**2 * (3 - 2 * s), 6 * s * (1 - s) / duration], axis=1)
+    controls = ((6 - 12 * s) / duration**2)[:, None]
+    return Guess(
+        states=_sampler(s, states),
+        controls=_sampler(s, controls),
+        duration=duration,
+        statics=statics,
+        phase_fractions=np.ones(1),
+    )
+
+
+def _statics(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> np.ndarray:
+    """Bounds of peaks, root mean squares and stiffness: those of the first baseline."""
+    from stiffopt.certificate.objective_value import term_value
+    from stiffopt.problem.objectives import DEFLECTIONS
+
+    source = next(b.assessment for b in (beside["toppra"], beside["quintic"]) if b.assessment)
+    return np.array(
+        [
+            term_value(o, source, problem.joints)
+            for o in problem.objectives
+            if o.name in DEFLECTIONS or o.name == "joint_stiffness"
+        ]
+    )
+
+
+def _phase_fractions(source: Assessment, motion: ResolvedMotion) -> np.ndarray:
+    """Share of the duration between the vias, in order."""
+    borders, first = [0.0], 0
+    for via in motion.vias:
+        distance = np.max(np.abs(source.position - via), axis=1)
+        first += int(np.argmin(distance[first:]))
+        borders.append(float(source.time[first]))
+    shares = np.diff([*borders, source.duration]) / source.duration
+    return np.asarray(np.maximum(shares, 0.02) / np.sum(np.maximum(shares, 0.02)))

@@ -1,0 +1,52 @@
+"""What a result was made from: a hash of all inputs, and the versions of the packages."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import platform
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+
+def versions() -> dict[str, str]:
+    """Versions of what decides the numbers."""
+    packages = ("stiffopt", "casadi", "pin", "numpy", "toppra", "scipy")
+    return {"python": platform.python_version(), **{name: version(name) for name in packages}}
+
+
+def inputs_hash(problem: Any) -> str:
+    """SHA-256 over everything that the result depends on; equal inputs give equal hashes."""
+    document = json.dumps(_plain(problem), sort_keys=True)
+    return hashlib.sha256(document.encode()).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    """Nested plain data of dataclasses, arrays and rigid-body models."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = dataclasses.fields(value)
+        return {
+            "class": type(value).__name__,
+            **{f.name: _plain(getattr(value, f.name)) for f in fields},
+        }
+    if isinstance(value, np.ndarray):
+        return [repr(x) for x in value.ravel().tolist()]
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in sorted(value.items(), key=lambda kv: str(kv[0]))}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if type(value).__module__.startswith("pinocchio"):
+        return _model(value)
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def _model(model: Any) -> Any:
+    """Placements and inertias; names and file paths do not matter."""
+    if not hasattr(model, "jointPlacements"):
+        return str(model)
+    placements = [_plain(np.asarray(m.homogeneous)) for m in model.jointPlacements]
+    inertias = [_plain(np.asarray(i.matrix())) for i in model.inertias]
+    return {"placements": placements, "inertias": inertias}
