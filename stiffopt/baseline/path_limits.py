@@ -91,14 +91,13 @@ def path_limits(
     """
     q, dq, ddq = path(grid), path(grid, 1), path(grid, 2)
     a, b, c, speed = _torque_rows(robot, q, dq, ddq, process_force)
-    c = c + robot.coulomb * np.sign(dq)
-    loss = robot.viscous * dq
+    dry, loss = robot.coulomb * np.sign(dq), robot.viscous * dq
     zero = np.zeros_like(dq)
     blocks = (
-        ("torque", limits.torque, (a, b, c, loss)),
-        ("acceleration", limits.acceleration, (dq, ddq, zero, zero)),
+        ("torque", limits.torque, (a, b, c, dry, loss)),
+        ("acceleration", limits.acceleration, (dq, ddq, zero, zero, zero)),
     )
-    columns: list[list[np.ndarray]] = [[], [], [], []]
+    columns: list[list[np.ndarray]] = [[], [], [], [], []]
     labels: list[str] = []
     for name, limit, block in blocks:
         for j in np.flatnonzero(np.isfinite(limit)):
@@ -106,9 +105,11 @@ def path_limits(
                 labels.append(f"{name} of joint {j + 1}")
                 for column, values in zip(columns, block, strict=True):
                     column.append(sign * values[:, j] / limit[j])
-    a, b, c, loss = (_stack(column, len(grid)) for column in columns)
+    a, b, c, dry, loss = (_stack(column, len(grid)) for column in columns)
+    # At rest, friction resists either way: what it would help must not be counted on.
+    dry[[0, -1]] = np.maximum(dry[[0, -1]], 0.0)
     ceiling = _squared_speed_max(limits, q, dq, speed)
-    return PathLimits(grid, (a, b, c), loss, tuple(labels), ceiling)
+    return PathLimits(grid, (a, b, c + dry), loss, tuple(labels), ceiling)
 
 
 def _stack(columns: list[np.ndarray], count: int) -> np.ndarray:
@@ -137,9 +138,10 @@ def _torque_rows(
         hold = pin.rnea(model, data, q[k], rest, rest).copy()
         a[k] = pin.rnea(model, data, q[k], rest, dq[k]) - hold
         b[k] = pin.rnea(model, data, q[k], dq[k], ddq[k]) - hold
+        # pin drops the second axis for an arm of one joint.
         jacobian = pin.computeFrameJacobian(
             model, data, q[k], frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        )[:3]
+        ).reshape(6, -1)[:3]
         c[k] = hold - jacobian.T @ process_force
         speed[k] = np.linalg.norm(jacobian @ dq[k])
     return a, b, c, speed

@@ -94,12 +94,20 @@ def _absent(reason: str, fastest: float | None = None) -> Baseline:
 
 
 def _grid(knots: np.ndarray, intervals: int) -> np.ndarray:
-    """Even grid whose points include the knots, so that no interval has a jump inside."""
+    """Even grid with the knots among its points, graded at the ends.
+
+    No interval has a jump of the path inside. From rest, time goes with the root of the distance:
+    an ungraded first interval would be by far the longest one in time.
+    """
     pieces = [
         np.linspace(low, high, max(2, int(np.ceil(intervals * (high - low)))) + 1)[:-1]
         for low, high in pairwise(knots)
     ]
-    return np.append(np.concatenate(pieces), knots[-1])
+    even = np.append(np.concatenate(pieces), knots[-1])
+    graded = np.array([1.0 / 64.0, 1.0 / 16.0, 1.0 / 4.0])
+    return np.concatenate(
+        [even[:1], even[1] * graded, even[1:-1], 1.0 - (1.0 - even[-2]) * graded[::-1], even[-1:]]
+    )
 
 
 def _fastest_law(rows: PathLimits, joints: int) -> Trajectory | None:

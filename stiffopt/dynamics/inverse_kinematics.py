@@ -160,9 +160,10 @@ class _Search:
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         """Change of the pose by the joints, weighted as the error."""
+        # pin drops the second axis for an arm of one joint.
         full = pin.computeFrameJacobian(
             self.model, self.data, q, self.frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        )
+        ).reshape(6, -1)
         if self.rotation is None:
             return np.array(full[:3])
         return np.vstack([full[:3], _LENGTH * full[3:]])

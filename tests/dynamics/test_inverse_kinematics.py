@@ -124,3 +124,18 @@ def test_rpy_turns_about_fixed_axes() -> None:
     roll, pitch, yaw = 0.3, -0.5, 1.1
     about = [pin.utils.rotate(axis, t) for axis, t in zip("xyz", (roll, pitch, yaw), strict=True)]
     assert rotation_from_rpy([roll, pitch, yaw]) == pytest.approx(about[2] @ about[1] @ about[0])
+
+
+def test_an_arm_of_one_joint() -> None:
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "only")
+    arm_ = SimpleNamespace(
+        name="one",
+        model=model,
+        tool=SimpleNamespace(joint=1, offset=np.array([1.0, 0.0, 0.0]), rotation=np.eye(3)),
+        joint_names=("only",),
+        position_lower=np.array([-np.inf]),
+        position_upper=np.array([np.inf]),
+    )
+    found = solve_pose(arm_, [np.cos(0.7), np.sin(0.7), 0.0], None, [0.1])
+    assert found == pytest.approx([0.7], abs=1e-9)

@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from stiffopt.baseline.joint_path import JointPath
+from stiffopt.baseline.quintic import quintic_baseline, quintic_law
+from stiffopt.errors import ProblemError
+from stiffopt.result.trajectory import Trajectory
+
+POINTS = np.array([[-1.0, 0.5], [-0.4, 0.7], [0.4, -0.2], [0.6, -0.9], [1.0, 0.1]])
+
+
+def test_two_waypoints_are_joined_by_a_straight_line() -> None:
+    path = JointPath.through(POINTS[[0, -1]])
+    s = np.linspace(0, 1, 11)
+    line = POINTS[0] + s[:, None] * (POINTS[-1] - POINTS[0])
+    assert path(s) == pytest.approx(line, abs=1e-15)
+    assert np.all(np.abs(path(s, 2)) < 1e-14)
+
+
+@pytest.mark.parametrize("spacing", ["uniform", "chord"])
+def test_more_waypoints_by_the_not_a_knot_spline(spacing: str) -> None:
+    path = JointPath.through(POINTS, spacing)
+    assert path(path.knots) == pytest.approx(POINTS, abs=1e-14)
+    spline = CubicSpline(path.knots, POINTS, bc_type="not-a-knot")
+    s = np.linspace(0, 1, 101)
+    for order in range(4):
+        assert path(s, order) == pytest.approx(spline(s, order), rel=1e-12, abs=1e-10)
+
+
+def test_chord_spacing_follows_the_distances() -> None:
+    path = JointPath.through([[0.0], [1.0], [4.0]], "chord")
+    assert path.knots == pytest.approx([0.0, 0.25, 1.0])
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        quintic_law(1.3),
+        # Bang-bang: the path speed rises and falls at constant rate.
+        Trajectory.from_acceleration([0.0, 0.5, 1.0], [[[4.0]], [[-4.0]]], [0.0], [0.0]),
+    ],
+)
+def test_following_is_exact(law: Trajectory) -> None:
+    path = JointPath.through(POINTS, "chord")
+    motion = path.follow(law)
+    t = np.linspace(0.0, law.duration, 997)
+    s, ds, dds = law(t)[:, 0], law(t, 1), law(t, 2)
+    assert motion(t) == pytest.approx(path(s), abs=1e-12)
+    assert motion(t, 1) == pytest.approx(path(s, 1) * ds, abs=1e-11)
+    assert motion(t, 2) == pytest.approx(path(s, 1) * dds + path(s, 2) * ds**2, abs=1e-10)
+
+
+def test_quintic_rests_at_both_ends_with_its_known_peaks() -> None:
+    duration = 0.8
+    motion = quintic_baseline(JointPath.through(POINTS[[0, -1]]), duration).motion
+    assert motion is not None
+    ends = np.array([0.0, duration])
+    assert motion(ends) == pytest.approx(POINTS[[0, -1]], abs=1e-13)
+    assert np.max(np.abs(motion(ends, 1))) < 1e-12
+    assert np.max(np.abs(motion(ends, 2))) < 1e-11
+    t = np.linspace(0, duration, 20001)
+    travel = np.abs(POINTS[-1] - POINTS[0])
+    peak = 15.0 / 8.0 * travel / duration
+    assert np.max(np.abs(motion(t, 1)), axis=0) == pytest.approx(peak, rel=1e-7)
+    peak = 10.0 / np.sqrt(3.0) * travel / duration**2
+    assert np.max(np.abs(motion(t, 2)), axis=0) == pytest.approx(peak, rel=1e-7)
+
+
+@pytest.mark.parametrize("points", [[[0.0, 1.0]], [[0.0, 1.0], [0.0, 1.0]]])
+def test_a_path_needs_two_places(points: list[list[float]]) -> None:
+    with pytest.raises(ProblemError, match="two waypoints, each different"):
+        JointPath.through(points)
+
+
+def test_unknown_spacing() -> None:
+    with pytest.raises(ProblemError, match="Allowed: chord, uniform"):
+        JointPath.through(POINTS, "arc")
