@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -104,7 +104,7 @@ class Monitor(ca.Callback):
         """Return the shape of an nlpsol output."""
         return ca.Sparsity.dense(self._sizes.get(str(ca.nlpsol_out(i)), 0), 1)
 
-    def eval(self, arg: list[ca.DM]) -> list[float]:
+    def eval(self, arg: Sequence[ca.DM]) -> list[float]:
         """Take in one iteration; a return value of 1 stops IPOPT."""
         try:
             self._take(arg)
@@ -117,7 +117,7 @@ class Monitor(ca.Callback):
             self.stopped_by = "time_limit"
         return [float(bool(self.stopped_by))]
 
-    def _take(self, arg: list[ca.DM]) -> None:
+    def _take(self, arg: Sequence[ca.DM]) -> None:
         nlp = self._nlp
         x, objective, g = arg[0].full().ravel(), float(arg[1]), arg[2].full().ravel()
         objective *= nlp.objective_scale

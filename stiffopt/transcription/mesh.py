@@ -47,7 +47,7 @@ def split_counts(total: int, weights: np.ndarray, least: int = 1) -> np.ndarray:
         counts[np.argmax(exact - counts)] += 1
     while counts.sum() > total:
         counts[np.argmax(np.where(counts > least, counts - exact, -np.inf))] -= 1
-    return counts
+    return np.asarray(counts)
 
 
 def checked_mesh(mesh: Sequence[np.ndarray], phases: int) -> Mesh:
@@ -90,4 +90,4 @@ def equidistributed(fractions: np.ndarray, monitor: np.ndarray, count: int) -> n
     breaks = np.concatenate([[0.0], np.cumsum(fractions)])
     new = np.interp(np.linspace(0.0, mass[-1], count + 1), mass, breaks)
     new[0], new[-1] = 0.0, breaks[-1]
-    return np.diff(new) / breaks[-1]
+    return np.asarray(np.diff(new) / breaks[-1])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -20,7 +21,7 @@ class Places:
     def __len__(self) -> int:
         return len(self.phase)
 
-    def __getitem__(self, index: object) -> Places:
+    def __getitem__(self, index: Any) -> Places:
         return Places(self.phase[index], self.fraction[index])
 
 
@@ -119,7 +120,8 @@ class Block:
     def take(self, vector: np.ndarray) -> np.ndarray:
         """Read the block's (k, m) values in their unit out of a scaled NLP vector."""
         part = np.asarray(vector, dtype=float)[self.offset : self.offset + self.size]
-        return part.reshape(self.lower.shape[1], -1 if self.size else 0) * self.rows.scale
+        values = part.reshape(self.lower.shape[1], -1 if self.size else 0) * self.rows.scale
+        return np.asarray(values)
 
     def entry(self, index: int) -> Entry:
         """Name of the entry at a position counted from the block's begin."""
@@ -202,8 +204,7 @@ class Nlp:
     def violations(self, g: np.ndarray) -> np.ndarray:
         """Scaled excess of every row over its bounds, zero inside."""
         g = np.asarray(g, dtype=float).ravel()
-        excess: np.ndarray = np.maximum(np.maximum(self.lower_g - g, g - self.upper_g), 0.0)
-        return excess
+        return np.asarray(np.maximum(np.maximum(self.lower_g - g, g - self.upper_g), 0.0))
 
     def worst_rows(self, g: np.ndarray, n: int = 5, tolerance: float = 0.0) -> list[Violation]:
         """Find the n most violated rows, each name and label once, at its worst point.

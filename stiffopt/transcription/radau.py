@@ -80,4 +80,7 @@ class Radau(Scheme):
 
 
 def _combined(weights: np.ndarray, parts: list[ca.MX], rows: list[int]) -> ca.MX:
-    return sum(float(w) * part[rows, :] for w, part in zip(weights, parts, strict=True))
+    total = ca.MX(len(rows), parts[0].shape[1])
+    for weight, part in zip(weights, parts, strict=True):
+        total += float(weight) * part[rows, :]
+    return total

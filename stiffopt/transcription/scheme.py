@@ -34,7 +34,7 @@ class Intervals:
 
     @classmethod
     def of(cls, mesh: Mesh) -> Intervals:
-        """Number the intervals of a mesh."""
+        """Collect the intervals of a mesh."""
         return cls(
             np.concatenate([np.full(len(part), i) for i, part in enumerate(mesh)]),
             np.concatenate([np.cumsum(part) - part for part in mesh]),
@@ -47,7 +47,8 @@ class Intervals:
     @property
     def shares(self) -> np.ndarray:
         """Matrix (K, phases) from phase durations to interval durations."""
-        return self.width[:, None] * (self.phase[:, None] == np.arange(self.phase[-1] + 1))
+        own = self.phase[:, None] == np.arange(self.phase[-1] + 1)
+        return np.where(own, self.width[:, None], 0.0)
 
     def places(self, nodes: np.ndarray) -> Places:
         """Places of local nodes (m,) in every interval: (K m,), interval by interval."""
@@ -83,7 +84,7 @@ class Symbols:
     Attributes
     ----------
     states, controls : MX (nx, NX), (nu, NU)
-    steps : MX or DM (1, K)
+    steps : MX (1, K)
         Interval durations [s].
     parameters : MX (np, 1)
     """
@@ -107,9 +108,9 @@ class Symbols:
         q, v, a = zip(*self.ocp.second_order, strict=True) if self.ocp.second_order else ((),) * 3
         return list(q), list(v), list(a)
 
-    def step(self, rows: int, columns: object = slice(None)) -> ca.MX:
+    def step(self, rows: int) -> ca.MX:
         """Interval durations repeated over rows (rows, K)."""
-        return ca.repmat(self.steps[:, columns], rows, 1)
+        return ca.repmat(self.steps, rows, 1)
 
     def rates(self, states: ca.MX, controls: ca.MX) -> ca.MX:
         """Time derivatives of the first-order states (len(first_order), P)."""

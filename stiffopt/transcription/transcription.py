@@ -94,13 +94,11 @@ class Transcription:
         phases = self.ocp.phases
         shares = np.asarray(guess.phase_fractions, dtype=float)
         shares = shares / shares.sum() if len(shares) == phases else np.full(phases, 1.0 / phases)
+        states = self.scheme.state_places(self.intervals)
+        controls = self.scheme.control_places(self.intervals)
         parts = {
-            self.states.rows.name: _sampled(
-                guess.states, self.states, self.scheme.state_places(self.intervals), shares
-            ),
-            self.controls.rows.name: _sampled(
-                guess.controls, self.controls, self.scheme.control_places(self.intervals), shares
-            ),
+            self.states.rows.name: _sampled(guess.states, self.states, states, shares),
+            self.controls.rows.name: _sampled(guess.controls, self.controls, controls, shares),
             self.statics.rows.name: np.broadcast_to(guess.statics, (1, len(self.ocp.statics))),
         }
         if self.durations is not None:
