@@ -92,7 +92,7 @@ def check_odd(formula: Formula, points: Iterable[float], *, rtol: float = 1e-12)
 
 
 def check_monotone(formula: Formula, points: Iterable[float]) -> float:
-    """Check that f grows strictly from each point to the next larger one; returns the least rise."""
+    """Check that f grows strictly from point to point; return the least rise."""
     x = np.unique(np.array(list(points), dtype=float))
     rise = np.diff(_values(formula, x))
     worst = int(np.argmin(np.where(np.isfinite(rise), rise, -np.inf)))
@@ -145,7 +145,7 @@ def _exact_windup(connection: Smoothed, start: float, torques: np.ndarray) -> np
 
 
 def _values(formula: Formula, x: np.ndarray) -> np.ndarray:
-    return np.asarray(formula(x), dtype=float) + np.zeros_like(x)
+    return np.asarray(np.broadcast_to(np.asarray(formula(x), dtype=float), x.shape))
 
 
 def _judge(what: str, x: np.ndarray, error: np.ndarray, allowed: float) -> float:

@@ -54,6 +54,7 @@ class BoltedFlange(ContactConnection):
 
     kind: ClassVar[str] = "bolted_flange"
     takes_preload: ClassVar[bool] = True
+    needs_preload: ClassVar[bool] = True
     bolt_count: int
     circle_diameter: float
     inner_radius: float

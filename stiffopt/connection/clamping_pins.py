@@ -56,6 +56,7 @@ class ClampingPins(ContactConnection):
 
     kind: ClassVar[str] = "clamping_pins"
     takes_preload: ClassVar[bool] = True
+    needs_preload: ClassVar[bool] = True
     pin_count: int
     shaft_radius: float
     tip_diameter: float

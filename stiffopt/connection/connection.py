@@ -36,18 +36,21 @@ class Connection(abc.ABC):
     """
 
     kind: ClassVar[str]
+    # Whether a preload may be given, and whether the law of the connection depends on it.
     takes_preload: ClassVar[bool] = False
+    needs_preload: ClassVar[bool] = False
     name: str = "connection"
     torque_max: float
     preload: float | None = None
 
     def __post_init__(self) -> None:
         require_positive(self.owner, torque_max=self.torque_max)
-        if self.takes_preload:
-            if self.preload is None:
+        if self.preload is None:
+            if self.needs_preload:
                 raise InputError(f"{self.owner}: preload is missing; give it in newtons.")
+        elif self.takes_preload:
             require_positive(self.owner, preload=self.preload)
-        elif self.preload is not None:
+        else:
             raise InputError(
                 f"{self.owner}: a connection of this kind takes no preload; remove it."
             )

@@ -100,8 +100,9 @@ class GearPair(ContactConnection):
     def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
         """Mean pressure on the strip of one tooth pair [Pa]."""
         force = np.absolute(torque) / (self.base_radius * self.contact_ratio)
-        safe = force / self.face_width + math.ulp(0.0)
-        return mean_pressure(safe, self.flank_curvature_radius, self.surface.contact_modulus)
+        return mean_pressure(
+            force / self.face_width, self.flank_curvature_radius, self.surface.contact_modulus
+        )
 
     def loading_windup(self, torque: Quantity, preload: Quantity) -> Quantity:
         """Wind-up of flanks and teeth [rad]."""

@@ -52,6 +52,7 @@ class TimingBelt(LinearConnection):
     """
 
     kind: ClassVar[str] = "timing_belt"
+    takes_preload: ClassVar[bool] = True
     teeth: int
     teeth_driven: int
     pitch: float

@@ -30,5 +30,5 @@ def half_width(force_per_length: Quantity, radius: Quantity, contact_modulus: Qu
 def mean_pressure(
     force_per_length: Quantity, radius: Quantity, contact_modulus: Quantity
 ) -> Quantity:
-    """Mean pressure over the strip [Pa], F'/(2 half width); the peak is 4/pi times larger."""
-    return force_per_length / (2 * half_width(force_per_length, radius, contact_modulus))
+    """Mean pressure over the strip [Pa], sqrt(pi E* F'/(16 R)); the peak is 4/pi times larger."""
+    return np.sqrt(math.pi * contact_modulus * force_per_length / (16 * radius))

@@ -49,10 +49,8 @@ def spot_force_and_stiffness(surface: SurfacePair, area: float) -> tuple[float, 
     omega = interference / onset
     if omega > 110:
         return H * area, 0.0
-    for limit, factor, power in ((1, None, None), (6, 1.03, 1.425), (110, 1.40, 1.263)):
-        if omega <= limit:
-            break
-    if factor is None:
+    factor, power = (1.03, 1.425) if omega <= 6 else (1.40, 1.263)
+    if omega <= 1:
         return (
             4 / 3 * E * math.sqrt(tip) * interference**1.5,
             2 * E * math.sqrt(tip * interference),

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -40,7 +41,7 @@ def test_travel_is_the_integral_of_softening(shear: str) -> None:
         edges = sorted({0.0, min(ratio, SLIP_LIMIT), ratio})
         expected = sum(
             quad(lambda t: shear_softening(LAW, PRESSURE, t, shear), a, b, epsrel=1e-11)[0]
-            for a, b in zip(edges, edges[1:], strict=False)
+            for a, b in pairwise(edges)
         )
         assert shear_travel(LAW, PRESSURE, ratio, shear) == pytest.approx(expected, rel=1e-8)
 
