@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from stiffopt.report.motions import PARTS, JointUnits, Motion, common_unit, joint_units
 from stiffopt.report.quantities import length_scale, significant
@@ -21,6 +22,7 @@ from stiffopt.report.svg import (
     GREEN,
     GREY,
     VERMILLION,
+    WIDTH,
     house_style,
     line_style,
     shade_beyond,
@@ -32,7 +34,6 @@ from stiffopt.result.assessment import Assessment
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
 
-WIDTH = 10.4
 _SMALL_POINTS = 240
 _MOTION_STYLES: tuple[dict[str, Any], ...] = (
     {"color": BLUE, "linestyle": "-", "linewidth": 2.2},
@@ -68,21 +69,21 @@ def deflection_figure(motions: Sequence[Motion], part: str = "dynamic") -> str:
         factor, unit = length_scale(max(float(m.magnitude(part).max()) for m in motions))
         for index, motion in enumerate(motions):
             _peak_curve(left, motion, part, factor, unit, motion.label, motion_style(index))
-        left.set_title(f"{part} deflection of the tool, magnitude")
+        left.set_title(f"{part.capitalize()} deflection of the tool, magnitude")
         first = motions[0]
         parts = [p for p in reversed(PARTS) if np.any(first.magnitude(p) > 0)]
         largest = max((float(first.magnitude(p).max()) for p in parts), default=0.0)
         factor_all, unit_all = length_scale(largest)
         for name in parts:
             _peak_curve(right, first, name, factor_all, unit_all, name, dict(_PART_STYLES[name]))
-        right.set_title(f"parts of the deflection, {first.name} motion")
+        right.set_title(f"Parts of the deflection, {first.name} motion")
         for axes, name in ((left, unit), (right, unit_all)):
             axes.set_xlabel("time [s]")
             axes.set_ylabel(f"deflection [{name}]")
             axes.set_ylim(bottom=0.0)
             axes.margins(x=0.01)
             axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.17), borderaxespad=0.0)
-        figure.subplots_adjust(wspace=0.24)
+        figure.subplots_adjust(left=0.06, right=0.995, wspace=0.2)
         return to_svg(figure, "deflection", f"Tool deflection over time, {part} part and all parts")
 
 
@@ -139,7 +140,7 @@ def motion_figure(problem: TrajectoryProblem, motion: Assessment, other: Motion 
             grid[j, 0].set_ylabel(unit.label, rotation=0, ha="right", va="center", weight="bold")
         for column, title in enumerate(_motion_titles(units)):
             grid[0, column].set_title(title)
-        figure.subplots_adjust(wspace=0.3, hspace=0.2)
+        figure.subplots_adjust(left=0.08, right=0.995, wspace=0.26, hspace=0.2)
         return to_svg(figure, "motion", "Joint positions, velocities, accelerations and jerks")
 
 
@@ -189,7 +190,7 @@ def torque_figure(problem: TrajectoryProblem, motion: Assessment) -> str:
             if j + columns >= len(units):
                 axes.set_xlabel("time [s]")
                 axes.tick_params(labelbottom=True)
-        figure.subplots_adjust(wspace=0.2, hspace=0.34)
+        figure.subplots_adjust(left=0.06, right=0.995, wspace=0.16, hspace=0.34)
         return to_svg(figure, "torque", "Drive torque of each joint with its bounds")
 
 
@@ -213,9 +214,19 @@ def stiffness_figure(problem: TrajectoryProblem, motion: Assessment) -> str:
             if j + 1 in floors:
                 axes.axhline(floors[j + 1], color=style["color"], linewidth=0.8, linestyle="--")
         axes.set_yscale("log")
+        for ticks in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
+            ticks(FuncFormatter(_leading_digit))
         axes.set_xlabel("time [s]")
         axes.set_ylabel(f"tangent stiffness [{common_unit([u.stiffness for u in units])}]")
         axes.margins(x=0.01)
+        figure.subplots_adjust(left=0.07, right=0.995)
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
+            place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (0.0, -0.16)}
+            axes.legend(ncols=2 if len(units) < 4 else 3, **place)
         return to_svg(figure, "stiffness", "Tangent stiffness of each joint over time")
+
+
+def _leading_digit(value: float, _: int) -> str:
+    """Label 1, 2, 3 and 5 of every decade of a logarithmic axis in plain figures."""
+    digit = value / 10 ** np.floor(np.log10(value) + 1e-9)
+    return f"{value:g}" if round(digit) in (1, 2, 3, 5) else ""

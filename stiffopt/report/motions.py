@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stiffopt.dynamics.joint_axes import axis_joints
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Solution
 
@@ -95,8 +94,10 @@ def joint_units(problem: TrajectoryProblem) -> list[JointUnits]:
 
 def robot_joint_units(robot: Any) -> list[JointUnits]:
     """Labels J1.. and units of a robot's joints."""
-    kinds = sorted(axis_joints(robot.model), key=lambda joint: joint.column)
-    return [JointUnits(f"J{i}", kind.prismatic) for i, kind in enumerate(kinds, start=1)]
+    return [
+        JointUnits(f"J{number}", bool(prismatic))
+        for number, prismatic in enumerate(robot.prismatic, start=1)
+    ]
 
 
 def common_unit(units: list[str]) -> str:

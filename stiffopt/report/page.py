@@ -32,7 +32,6 @@ from stiffopt.report.wording import (
     is_maximised,
     limit_text,
     objective_text,
-    violation_text,
 )
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Solution
@@ -74,7 +73,7 @@ def write_solve_report(
         "notes": solution.notes,
         "figures": [],
         "certificate": None,
-        "baselines": baseline_table(solution),
+        "baselines": baseline_table(solution, CERTIFIED),
         "inputs": inputs_table(problem),
         "limits": limits_table(problem),
         "estimated": estimated_table(problem.robot),
@@ -150,11 +149,16 @@ def _motion_tiles(problem: TrajectoryProblem, assessment: Assessment) -> list[di
             "note": f"{unit}, joint {low.joint} at {low.time:.3f} s",
         },
         {
-            "name": "tightest limit",
-            "value": violation_text(worst),
+            "name": "limit exceeded by" if worst.value > CERTIFIED else "tightest limit",
+            "value": _tile_percent(worst.value),
             "note": f"{limit_text(worst)} at {worst.time:.3f} s",
         },
     ]
+
+
+def _tile_percent(violation: float) -> str:
+    text = f"{significant(100 * abs(violation), 2)} %" if abs(violation) >= 1e-4 else "0 %"
+    return text if violation > CERTIFIED else f"{text} off"
 
 
 def _figures(
@@ -170,7 +174,7 @@ def _figures(
         page_figure(
             deflection_figure(motions, part),
             f"Left: {part} deflection against the baselines. Right: all parts for this motion. "
-            "Dots mark the peaks.",
+            f"Dots mark the peaks.{_missing(solution)}",
             "Tool deflection",
         ),
         page_figure(
@@ -203,6 +207,12 @@ def _figures(
             "Where the wind-up comes from",
         ),
     ]
+
+
+def _missing(solution: Solution) -> str:
+    """Why baselines are not drawn."""
+    absent = {n: b.reason for n, b in solution.baselines.items() if b.assessment is None}
+    return "".join(f" No {name} motion: {reason}" for name, reason in absent.items())
 
 
 def _match(problem: TrajectoryProblem, solution: Solution) -> str:

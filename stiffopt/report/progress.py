@@ -22,6 +22,8 @@ from stiffopt.report.quantities import engineering
 
 PLAIN_INTERVAL = 1.0
 DRAWS_PER_SECOND = 8
+# Relative violations below this are not worth a reader's attention.
+NEGLIGIBLE = 1e-6
 
 
 class ProgressEvent(Protocol):
@@ -63,7 +65,7 @@ class ProgressDisplay:
     ...                         violation=0.012, row="torque, joint 2", elapsed=0.8)
     >>> with ProgressDisplay("demo", "m", Console(width=120, force_terminal=False)) as progress:
     ...     progress(event)
-    0.8 s  homotopy 1 of 2  iteration 7  objective 0.297 mm  worst 1.2 % torque, joint 2
+    0.8 s  homotopy 1 of 2  iteration 7  objective 0.297 mm  violation 1.2 % torque, joint 2
     """
 
     def __init__(
@@ -136,13 +138,13 @@ class ProgressDisplay:
 
 
 def _fields(event: ProgressEvent, unit: str) -> list[tuple[str, str]]:
-    worst = f"{100 * max(event.violation, 0.0):.2g} %"
-    if event.violation > 0 and event.row:
-        worst += f" {event.row}"
+    worst = "none"
+    if event.violation > NEGLIGIBLE:
+        worst = f"{100 * event.violation:.2g} % {event.row}".strip()
     return [
         ("", f"{event.elapsed:.1f} s"),
         ("", event.stage),
         ("iteration", str(event.iteration)),
         ("objective", engineering(event.objective, unit)),
-        ("worst", worst),
+        ("violation", worst),
     ]

@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stiffopt.report.figures import WIDTH, motion_style
+from stiffopt.report.elements import ELEMENT_COLOURS, windup_by_kind
+from stiffopt.report.figures import motion_style
 from stiffopt.report.motions import Motion, common_unit, joint_units
 from stiffopt.report.quantities import significant
-from stiffopt.report.svg import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILLION,
-    house_style,
-    to_svg,
-)
+from stiffopt.report.svg import BLACK, GREY, WIDTH, house_style, to_svg
 from stiffopt.result.assessment import Assessment
 
 if TYPE_CHECKING:
@@ -33,16 +23,11 @@ if TYPE_CHECKING:
 _PATH_POINTS = 300
 # Share of the path's extent that the largest deflection takes on paper.
 _VISIBLE = 0.08
-ELEMENT_COLOURS = {
-    "reducer": BLUE,
-    "key": VERMILLION,
-    "bolted_flange": GREEN,
-    "clamping_pins": PURPLE,
-    "timing_belt": ORANGE,
-    "gear_pair": SKY,
-    "shaft": GREY,
-    "constant": BLACK,
-}
+# Paths flatter than this are drawn one projection above the other.
+_STACKED_BELOW = 0.45
+# Inches: of the flattest projection, and between two.
+_LEAST_HEIGHT = 1.1
+_GAP = 0.55
 
 
 def path_figure(problem: TrajectoryProblem, motions: Sequence[Motion], part: str) -> str:
@@ -63,13 +48,36 @@ def path_figure(problem: TrajectoryProblem, motions: Sequence[Motion], part: str
     largest = max(float(motion.magnitude(part).max()) for motion in motions)
     factor = exaggeration(max(float(spans.max()), 1e-3), largest)
     with house_style():
-        figure = Figure(figsize=(WIDTH, 3.9))
-        for axes, vertical in zip(figure.subplots(1, 2), (middle, least), strict=True):
+        figure = Figure()
+        stacked = bool(spans[middle] < _STACKED_BELOW * spans[widest])
+        rows, columns = (2, 1) if stacked else (1, 2)
+        grid = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes, vertical in zip(grid, (middle, least), strict=True):
             _projection(axes, problem, motions, part, factor, (widest, vertical))
-        handles, labels = figure.axes[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="upper center", ncols=3, bbox_to_anchor=(0.5, 0.0))
-        figure.subplots_adjust(wspace=0.25)
+        _fit(figure, list(grid), stacked)
+        handles, labels = grid[0].get_legend_handles_labels()
+        below = -0.5 / figure.get_figheight()
+        figure.legend(handles, labels, loc="upper left", ncols=2, bbox_to_anchor=(0.06, below))
         return to_svg(figure, "path", f"Tool path with {part} deflection {factor:g} times enlarged")
+
+
+def _fit(figure: Figure, grid: list[Axes], stacked: bool) -> None:
+    """Place the axes so that one scale serves all directions and no paper is wasted."""
+    across = max(float(np.ptp(axes.get_xlim())) for axes in grid)
+    width = (0.92 if stacked else 0.43) * WIDTH
+    scale = width / across
+    tall = [max(scale * float(np.ptp(axes.get_ylim())), _LEAST_HEIGHT) for axes in grid]
+    total = sum(tall) + _GAP if stacked else max(tall)
+    figure.set_size_inches(WIDTH, total)
+    places = [(0.06, 1.0 - tall[0] / total), (0.06, 0.0)]
+    if not stacked:
+        places = [(0.06, 0.0), (0.57, 0.0)]
+    for axes, height, (left, base) in zip(grid, tall, places, strict=True):
+        axes.set_position((left, base, width / WIDTH, height / total))
+        for limits, extent in ((axes.set_xlim, across), (axes.set_ylim, height / scale)):
+            bounds = axes.get_xlim() if limits == axes.set_xlim else axes.get_ylim()
+            middle = 0.5 * (bounds[0] + bounds[1])
+            limits(middle - 0.5 * extent, middle + 0.5 * extent)
 
 
 def _projection(
@@ -98,7 +106,6 @@ def _projection(
     names = "xyz"
     axes.set_xlabel(f"{names[plane[0]]} [mm]")
     axes.set_ylabel(f"{names[plane[1]]} [mm]")
-    axes.set_aspect("equal", adjustable="datalim")
 
 
 def exaggeration(extent: float, largest: float) -> float:
@@ -128,22 +135,23 @@ def windup_figure(problem: TrajectoryProblem, motion: Assessment, part: str) -> 
     units = joint_units(problem)
     chains: Sequence[Any] = problem.robot.chains
     with house_style():
-        figure = Figure(figsize=(WIDTH, 0.9 + 0.36 * len(units)))
+        figure = Figure(figsize=(WIDTH, 0.9 + max(0.36 * len(units), 1.4)))
         axes = figure.subplots()
         shown: set[str] = set()
         windups = 1e3 * np.abs(motion.windup[at])
         for j, unit in enumerate(units):
             torque = float(motion.spring_torque[at, j])
             left = 0.0
-            for kind, share in shares_by_kind(chains[j], torque).items():
+            for kind, share in windup_by_kind(chains[j], torque).items():
                 label = None if kind in shown else kind.replace("_", " ")
                 shown.add(kind)
                 width = share * windups[j]
                 colour = ELEMENT_COLOURS.get(kind, GREY)
                 axes.barh(j, width, left=left, height=0.62, color=colour, label=label)
                 left += width
-            text = f" {significant(windups[j], 3)} at {significant(torque, 3)} {unit.torque}"
-            axes.text(windups[j], j, text, va="center", fontsize=8.5)
+            text = f"{significant(windups[j], 3)} at {significant(torque, 3)} {unit.torque}"
+            place: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points"}
+            axes.annotate(text, (windups[j], j), va="center", fontsize=8.5, **place)
         axes.set_yticks(range(len(units)), [unit.label for unit in units])
         axes.invert_yaxis()
         axes.set_xlim(0.0, 1.22 * max(float(windups.max()), 1e-9))
@@ -151,28 +159,8 @@ def windup_figure(problem: TrajectoryProblem, motion: Assessment, part: str) -> 
         axes.set_xlabel(
             f"wind-up [{common_unit(['mm' if u.prismatic else 'mrad' for u in units])}]"
         )
-        axes.set_title(f"at {motion.time[at]:.3f} s, where the {part} deflection is largest")
+        axes.set_title(f"At {motion.time[at]:.3f} s, where the {part} deflection is largest")
+        figure.subplots_adjust(left=0.05, right=0.995)
         if shown:
-            axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
+            axes.legend(loc="lower right", borderaxespad=0.4)
         return to_svg(figure, "windup", "Wind-up of each joint split by element")
-
-
-def shares_by_kind(chain: Any, torque: float) -> dict[str, float]:
-    """Share of the wind-up at a torque by kind of element, largest first; empty if rigid."""
-    if chain is None:
-        return {}
-    return _by_kind(chain, chain.windup_shares(torque))
-
-
-def compliance_by_kind(chain: Any, torque: float) -> dict[str, float]:
-    """Share of the tangent compliance at a torque by kind of element, largest first."""
-    return _by_kind(chain, chain.compliance_shares(torque))
-
-
-def _by_kind(chain: Any, shares: Mapping[str, float]) -> dict[str, float]:
-    elements = chain.elements
-    totals: dict[str, float] = {}
-    for name, share in shares.items():
-        kind = elements[name].kind
-        totals[kind] = totals.get(kind, 0.0) + float(share)
-    return dict(sorted(totals.items(), key=lambda item: -item[1]))

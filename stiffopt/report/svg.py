@@ -22,6 +22,8 @@ DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5
 GREY, PALE, INK = "#6b7280", "#d4d8de", "#1f2933"
 FONTS = "'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif"
 POINTS = 600
+# Of every figure, in inches: the text column of a page.
+WIDTH = 10.4
 
 _STYLE: Any = {
     "svg.fonttype": "none",
@@ -108,26 +110,29 @@ def shade_beyond(axes: Axes, lower: float, upper: float) -> None:
     A bound far outside the curves would flatten them: it is written in the corner instead.
     """
     low, high = axes.get_ylim()
-    reach = 0.6 * (high - low)
+    height = high - low
+    reach = 0.6 * height
     notes = []
     shown = [low, high]
     for bound, side in ((lower, -1), (upper, 1)):
         if not np.isfinite(bound):
             continue
         if low - reach <= bound <= high + reach:
-            edge = bound + side * 0.06 * (high - low)
+            edge = bound + side * 0.06 * height
             shown.append(edge)
             axes.axhline(bound, color=GREY, linewidth=0.9, linestyle=(0, (4, 2)), zorder=1)
-            axes.axhspan(bound, bound + side * 1e3 * (high - low), color=PALE, alpha=0.5, zorder=0)
+            axes.axhspan(bound, bound + side * 1e3 * height, color=PALE, alpha=0.5, zorder=0)
         else:
-            notes.append(f"{bound:.4g}")
-    axes.set_ylim(min(shown), max(shown))
-    if notes:
-        symmetric = len(notes) == 2 and np.isclose(lower, -upper)
-        text = f"limit ±{upper:.4g}" if symmetric else "limit " + ", ".join(notes)
+            notes.append(bound)
+    symmetric = lower == -upper
+    if notes and not (symmetric and len(notes) == 1):
+        # Room above the curve, so that the text stands free.
+        shown.append(high + 0.22 * height)
+        values = ", ".join(f"{bound:.4g}" for bound in notes)
+        text = f"limit ±{upper:.4g}" if symmetric else f"limit {values}"
         axes.text(
             0.985,
-            0.96,
+            0.97,
             text,
             transform=axes.transAxes,
             ha="right",
@@ -135,6 +140,7 @@ def shade_beyond(axes: Axes, lower: float, upper: float) -> None:
             fontsize=7,
             color=GREY,
         )
+    axes.set_ylim(min(shown), max(shown))
 
 
 def to_svg(figure: Figure, name: str, description: str) -> str:
@@ -154,6 +160,16 @@ def to_svg(figure: Figure, name: str, description: str) -> str:
     return _compact(buffer.getvalue(), name, description)
 
 
+def to_png(figure: Figure) -> bytes:
+    """Figure as PNG, 150 dots per inch on white."""
+    with mpl.rc_context(_STYLE):
+        buffer = io.BytesIO()
+        figure.savefig(
+            buffer, format="png", bbox_inches="tight", pad_inches=0.06, facecolor="white"
+        )
+    return buffer.getvalue()
+
+
 def _compact(text: str, name: str, description: str) -> str:
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
@@ -166,7 +182,7 @@ def _compact(text: str, name: str, description: str) -> str:
     )
     text = re.sub(r'href="#([^"]+)"', rf'href="#{name}-\1"', text)
     text = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", text)
-    text = re.sub(r"font: ([^'\"]*)'[^\"]*?(;|\")", rf"font: \1{FONTS}\2", text)
+    text = re.sub(r'font-family: [^;"]+', f"font-family: {FONTS}", text)
     text = re.sub(r'(?<= d=")[^"]+', lambda match: re.sub(r"-?\d+\.\d{2,}", _short, match[0]), text)
     text = re.sub(r"\n\s*", "\n", text)
     label = description.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")

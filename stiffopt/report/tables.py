@@ -73,44 +73,34 @@ def deflection_table(solution: Solution) -> Table:
     return Table(tuple(head), tuple(rows), frozenset(bad))
 
 
-def baseline_table(solution: Solution) -> Table:
-    """Optimised motion and baselines: duration, objective, worst limit, verdict."""
+def baseline_table(solution: Solution, tolerance: float) -> Table:
+    """Optimised motion and baselines: duration, objective, limits exceeded, verdict."""
     rows, bad = [], set()
     unit = "" if solution.objective is None else solution.objective.unit
     if solution.assessment is not None and solution.objective is not None:
-        mine = solution.assessment
-        rows.append(
-            (
-                OPTIMISED,
-                f"{mine.duration:.4g} s",
-                engineering(solution.objective.value, unit),
-                _worst(mine),
-                str(solution.status).replace("_", " "),
-            )
-        )
+        value = engineering(solution.objective.value, unit)
+        verdict = str(solution.status).replace("_", " ")
+        rows.append(_motion_row(OPTIMISED, solution.assessment, value, tolerance, verdict))
     for name, baseline in solution.baselines.items():
+        if baseline.assessment is None:
+            rows.append((name, DASH, DASH, "absent", baseline.reason))
+            continue
         if not baseline.feasible:
             bad.add(len(rows))
-        if baseline.assessment is None:
-            rows.append((name, DASH, DASH, DASH, f"absent: {baseline.reason}"))
-            continue
-        verdict = "feasible" if baseline.feasible else f"not counted: {baseline.reason}"
-        rows.append(
-            (
-                name,
-                f"{baseline.assessment.duration:.4g} s",
-                engineering(baseline.objective, unit),
-                _worst(baseline.assessment),
-                verdict,
-            )
-        )
-    head = ("motion", "duration", "objective", "worst limit", "verdict")
+        value = engineering(baseline.objective, unit)
+        verdict = "feasible" if baseline.feasible else "not counted"
+        rows.append(_motion_row(name, baseline.assessment, value, tolerance, verdict))
+    head = ("motion", "duration", "objective", "verdict", "limits exceeded, else the tightest")
     return Table(head, tuple(rows), frozenset(bad))
 
 
-def _worst(assessment: Assessment) -> str:
-    worst = assessment.worst_violation
-    return f"{limit_text(worst)}: {violation_text(worst)}"
+def _motion_row(
+    name: str, assessment: Assessment, value: str, tolerance: float, verdict: str
+) -> tuple[str, ...]:
+    exceeded = [each for each in assessment.violations if each.value > tolerance]
+    shown = exceeded or [assessment.worst_violation]
+    limits = "; ".join(f"{limit_text(each)}: {violation_text(each)}" for each in shown)
+    return name, f"{assessment.duration:.4g} s", value, verdict, limits
 
 
 def solver_table(solution: Solution) -> Table:
@@ -228,5 +218,11 @@ def _vector(values: np.ndarray, unit: str) -> str:
 
 def estimated_table(robot: Any) -> Table | None:
     """List the inputs of a robot that are estimated; None where there are none."""
-    rows = tuple(tuple(map(_cell, row)) for row in robot.estimated())
-    return Table(("input", "value", "source"), rows) if rows else None
+    keys: dict[tuple[str, str, str], list[str]] = {}
+    for each in robot.estimated():
+        keys.setdefault((each.joint, each.element, each.source), []).append(each.key)
+    rows = tuple(
+        (joint or DASH, element or DASH, ", ".join(names), source or DASH)
+        for (joint, element, source), names in keys.items()
+    )
+    return Table(("joint", "element", "inputs", "where from"), rows) if rows else None

@@ -25,6 +25,8 @@ _PHRASES = {
 # Below this ratio a gain reads better as "3.4 times less" than as a percentage.
 _TIMES_BELOW = 0.6
 _EQUAL_WITHIN = 5e-4
+# An excess or margin below this is neither.
+_AT_LIMIT = 1e-5
 
 
 def objective_phrase(name: str, measure: str) -> str:
@@ -40,7 +42,7 @@ def objective_phrase(name: str, measure: str) -> str:
 def objective_text(objective: ObjectiveValue) -> str:
     """Phrase and value: "peak dynamic tool deflection 0.297 mm"."""
     phrase = objective_phrase(objective.name, objective.measure)
-    return f"{phrase} {engineering(objective.value, objective.unit)}"
+    return f"{phrase} {engineering(objective.value, objective.unit, 3)}"
 
 
 def is_maximised(problem: TrajectoryProblem) -> bool:
@@ -56,7 +58,7 @@ def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
     if solution.objective is None or solution.assessment is None:
         return "There is no motion to compare with the baselines."
     if better is None or ratio is None:
-        return "No baseline meets all limits, so there is nothing to compare with."
+        return "No baseline meets all limits, so none is counted."
     other = solution.baselines[better].assessment
     motion = f"{better}'s motion" if better == "toppra" else f"the {better} motion"
     if other is not None and abs(other.duration - solution.assessment.duration) < 1e-6:
@@ -102,5 +104,7 @@ def limit_text(violation: Violation) -> str:
 
 def violation_text(violation: Violation) -> str:
     """Excess or margin of a limit in words: "exceeded by 0.12 %", "margin 8.5 %"."""
+    if abs(violation.value) < _AT_LIMIT:
+        return "at the limit"
     size = f"{significant(100 * abs(violation.value), 2)} %"
     return f"exceeded by {size}" if violation.value > 0 else f"margin {size}"
