@@ -4,6 +4,7 @@ from stiffopt.transcription.build import METHODS, transcribe
 from stiffopt.transcription.mesh import Mesh, uniform_mesh
 from stiffopt.transcription.nlp import Entry, Nlp, Violation
 from stiffopt.transcription.ocp import Guess, OptimalControlProblem, Rows, Waypoint
+from stiffopt.transcription.refine import refine_mesh
 from stiffopt.transcription.transcription import Transcription, Unpacked
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "Unpacked",
     "Violation",
     "Waypoint",
+    "refine_mesh",
     "transcribe",
     "uniform_mesh",
 ]

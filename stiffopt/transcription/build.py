@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -306,7 +307,10 @@ def _blockwise(function: ca.Function) -> ca.Function:
     if not function.is_a("SXFunction"):
         return function
     inputs = function.sx_in()
-    options = {"enable_forward": False, "reverse_options": {"enable_forward": False}}
+    options: dict[str, Any] = {
+        "enable_forward": False,
+        "reverse_options": {"enable_forward": False},
+    }
     return ca.Function(function.name(), inputs, function.call(inputs), options)
 
 
