@@ -13,7 +13,7 @@ from stiffopt.connection.connection import ContactConnection
 from stiffopt.connection.exact import pin_compliance
 from stiffopt.contact.shear import SHEAR_LAWS, ShearLaw, shear_softening, shear_travel
 from stiffopt.contact.surface import SurfacePair
-from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
+from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law, require_law
 from stiffopt.contact.validate import require_one_of, require_positive
 from stiffopt.symbolic import Quantity
 
@@ -77,6 +77,7 @@ class ClampingPins(ContactConnection):
             friction=self.friction_coefficient,
         )
         require_one_of(self.owner, SHEAR_LAWS, shear=self.shear)
+        require_law(self.owner, self.contact_law)
 
     @cached_property
     def law(self) -> ContactLaw:

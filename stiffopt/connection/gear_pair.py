@@ -13,8 +13,8 @@ from stiffopt.connection.connection import ContactConnection
 from stiffopt.connection.exact import gear_compliance
 from stiffopt.contact.hertz import mean_pressure
 from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
-from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
-from stiffopt.contact.validate import require_between, require_positive
+from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law, require_law
+from stiffopt.contact.validate import require_at_least, require_between, require_positive
 from stiffopt.symbolic import Quantity
 
 _HIGHEST_PRESSURE = 2e9
@@ -67,10 +67,11 @@ class GearPair(ContactConnection):
             pitch_radius=self.pitch_radius,
             pitch_radius_driven=self.pitch_radius_driven,
             face_width=self.face_width,
-            contact_ratio=self.contact_ratio,
             mesh_stiffness=self.mesh_stiffness,
         )
+        require_at_least(self.owner, 1.0, contact_ratio=self.contact_ratio)
         require_between(self.owner, 0.0, math.pi / 4, pressure_angle=self.pressure_angle)
+        require_law(self.owner, self.contact_law)
 
     @cached_property
     def law(self) -> ContactLaw:

@@ -11,7 +11,7 @@ import numpy as np
 from stiffopt.connection.connection import ContactConnection
 from stiffopt.connection.exact import key_compliance
 from stiffopt.contact.surface import SurfacePair
-from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
+from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law, require_law
 from stiffopt.contact.validate import (
     require_not_negative,
     require_one_of,
@@ -79,6 +79,7 @@ class Key(ContactConnection):
         )
         require_not_negative(self.owner, prepressure=self.prepressure)
         require_one_of(self.owner, ("series", "parallel"), flanks=self.flanks)
+        require_law(self.owner, self.contact_law)
 
     @cached_property
     def law(self) -> ContactLaw:

@@ -29,6 +29,7 @@ _FIT_POINTS = 400
 _FIT_ROUNDS = 60
 
 LawName = Literal["log_cubic", "power_law"]
+LAW_NAMES: tuple[LawName, ...] = ("log_cubic", "power_law")
 
 
 class ContactLaw(Protocol):
@@ -205,6 +206,12 @@ def fit_log_cubic(
     return LogCubic((c0, c1, c2, c3), lower, upper, error)
 
 
+def require_law(owner: str, law: LawName | ContactLaw) -> None:
+    """Raise `InputError` when `law` is a name that no fit has."""
+    if isinstance(law, str):
+        require_one_of(owner, LAW_NAMES, contact_law=law)
+
+
 def contact_law(
     surface: SurfacePair,
     law: LawName | ContactLaw = "log_cubic",
@@ -214,7 +221,7 @@ def contact_law(
     """Fitted law of a surface by its name, "log_cubic" or "power_law"; a law passes through."""
     if not isinstance(law, str):
         return law
-    require_one_of("contact law", ("log_cubic", "power_law"), name=law)
+    require_law("contact", law)
     fit = fit_log_cubic if law == "log_cubic" else fit_power_law
     return fit(surface, lower, upper)
 

@@ -29,6 +29,16 @@ def require_not_negative(owner: str, **values: float) -> None:
             )
 
 
+def require_at_least(owner: str, bound: float, **values: float) -> None:
+    """Raise `InputError` unless every value is finite and `bound` or above."""
+    for name, value in values.items():
+        if not math.isfinite(value) or value < bound:
+            raise InputError(
+                f"{owner}: {name} = {value:g} cannot be used; allowed is a finite number, "
+                f"{bound:g} or above. Correct {name}."
+            )
+
+
 def require_between(owner: str, lower: float, upper: float, **values: float) -> None:
     """Raise `OutOfValidityError` unless every value lies strictly between the two bounds."""
     for name, value in values.items():

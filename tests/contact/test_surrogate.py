@@ -140,5 +140,5 @@ def test_unusable_laws_are_refused() -> None:
         PowerLaw(-1.0, 0.8)
     with pytest.raises(InputError, match="lower = 2e\\+06 must be smaller than upper = 1e\\+06"):
         fit_log_cubic(FINE, 2e6, 1e6)
-    with pytest.raises(InputError, match=r"name = 'log_cubik' is not known.*log_cubic"):
+    with pytest.raises(InputError, match=r"contact_law = 'log_cubik' is not known.*log_cubic"):
         contact_law(FINE, "log_cubik")
