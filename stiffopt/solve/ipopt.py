@@ -13,7 +13,7 @@ import numpy as np
 from stiffopt.errors import InputError
 from stiffopt.solve.monitor import Iterate, Monitor, Progress, interrupt_sets
 from stiffopt.solve.options import IpoptOptions
-from stiffopt.transcription.nlp import Nlp, Violation
+from stiffopt.transcription.nlp import Entry, Nlp, Violation
 
 _STATUS = {
     "Solve_Succeeded": "optimal",
@@ -49,6 +49,8 @@ class RawSolution:
     violation : float
         Worst row, relative to its scale.
     worst_rows : list of Violation
+    conflicts : list of Entry
+        After "infeasible": the limits and boundary values that cannot hold together.
     iteration : int
         From which the values are.
     iterations : int
@@ -67,6 +69,7 @@ class RawSolution:
     objective: float
     violation: float
     worst_rows: list[Violation]
+    conflicts: list[Entry]
     iteration: int
     iterations: int
     multipliers_x: np.ndarray
@@ -151,6 +154,7 @@ class IpoptSolver:
         reason = word
         if status == "invalid_number":
             reason = self._invalid_number([inputs["x0"], last.x], p) or word
+        lam_x, lam_g = outputs["lam_x"].full().ravel(), outputs["lam_g"].full().ravel()
         return RawSolution(
             status=status,
             reason=reason,
@@ -159,10 +163,11 @@ class IpoptSolver:
             objective=best.objective,
             violation=best.violation,
             worst_rows=nlp.worst_rows(best.g, tolerance=self.options.tol),
+            conflicts=nlp.conflicts(lam_x, lam_g) if status == "infeasible" else [],
             iteration=best.iteration,
             iterations=max(len(monitor.history) - 1, 0),
-            multipliers_x=outputs["lam_x"].full().ravel(),
-            multipliers_g=outputs["lam_g"].full().ravel(),
+            multipliers_x=lam_x,
+            multipliers_g=lam_g,
             history=monitor.history,
             build_s=self.build_s,
             solve_s=solve_s,

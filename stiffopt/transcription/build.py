@@ -88,9 +88,8 @@ class _Builder:
         statics = self._symbol(self.statics)
         for name, index, expression, places in self.scheme.defects(symbols):
             labels = [ocp.states[i] for i in index]
-            self._row(
-                Rows.make(name, labels, 0.0, 0.0, ocp.scales_of_states[index]), expression, places
-            )
+            rows = Rows.make(name, labels, 0.0, 0.0, ocp.scales_of_states[index])
+            self._row(rows, expression, places, structural=True)
         points = self.scheme.stage_points(symbols, any(r.midpoints for r in ocp.path_rows))
         integrals = self._stage(symbols, points, statics)
         for rows, expression, places in self.scheme.extra_rows(symbols):
@@ -120,7 +119,7 @@ class _Builder:
         nlp = Nlp(
             x=self.x,
             p=self.p,
-            f=objective / self.ocp.objective_scale,
+            f=ca.densify(objective) / self.ocp.objective_scale,
             g=ca.vertcat(ca.MX(0, 1), *self.expressions),
             variables=self.variables,
             rows=self.rows,
@@ -212,8 +211,10 @@ class _Builder:
             part = part * ca.DM(block.scales)
         return ca.reshape(part, *block.lower.shape)
 
-    def _row(self, rows: Rows, expression: ca.MX, places: Places | None) -> None:
-        block = self.rows.add(rows, places)
+    def _row(
+        self, rows: Rows, expression: ca.MX, places: Places | None, structural: bool = False
+    ) -> None:
+        block = self.rows.add(rows, places, structural=structural)
         column = ca.vec(ca.densify(expression))
         if not np.all(rows.scale == 1.0):
             column = column / ca.DM(block.scales)
@@ -283,7 +284,7 @@ class _Builder:
         labels = [self.ocp.controls[i] for i in use]
         rows = Rows.make("control continuity", labels, 0.0, 0.0, self.ocp.scales_of_controls[use])
         inner = self.intervals.places(np.array([0.0]))
-        self._row(rows, jumps, inner[1:])
+        self._row(rows, jumps, inner[1:], structural=True)
 
     def _waypoints(self, s: Symbols) -> None:
         borders = np.flatnonzero(np.diff(self.intervals.phase)) + 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numpy.polynomial import legendre, polynomial
+from numpy.polynomial import legendre
 
 
 @cache
@@ -42,9 +42,9 @@ def power_from_values(nodes: np.ndarray) -> np.ndarray:
 
 def differentiation_matrix(nodes: np.ndarray) -> np.ndarray:
     """Matrix (m, m): slopes at the nodes of the polynomial through values at the nodes."""
-    coefficients = power_from_values(nodes)
-    slopes = [polynomial.polyval(nodes, polynomial.polyder(c)) for c in coefficients.T]
-    return np.stack([np.broadcast_to(s, len(nodes)) for s in slopes], axis=1)
+    series = _legendre_from_values(nodes)
+    slopes = legendre.legder(series, scl=2.0)
+    return np.asarray(legendre.legvander(_centred(nodes), len(slopes) - 1) @ slopes)
 
 
 def integration_matrix(nodes: np.ndarray, ends: np.ndarray, times: int = 1) -> np.ndarray:
@@ -58,9 +58,8 @@ def integration_matrix(nodes: np.ndarray, ends: np.ndarray, times: int = 1) -> n
     times : int
         How often to integrate; 2 turns an acceleration into a displacement.
     """
-    coefficients = power_from_values(nodes)
-    columns = [polynomial.polyval(ends, polynomial.polyint(c, m=times)) for c in coefficients.T]
-    return np.stack(columns, axis=1)
+    integrals = legendre.legint(_legendre_from_values(nodes), m=times, lbnd=-1.0, scl=0.5)
+    return np.asarray(legendre.legvander(_centred(ends), len(nodes) - 1 + times) @ integrals)
 
 
 def quadrature_weights(nodes: np.ndarray) -> np.ndarray:
@@ -70,8 +69,17 @@ def quadrature_weights(nodes: np.ndarray) -> np.ndarray:
 
 def interpolation_matrix(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Matrix (len(points), len(nodes)): the polynomial through node values at other points."""
-    powers = np.vander(np.atleast_1d(points), len(nodes), increasing=True)
-    return np.asarray(powers @ power_from_values(nodes))
+    values = legendre.legvander(_centred(points), len(nodes) - 1)
+    return np.asarray(values @ _legendre_from_values(nodes))
+
+
+def _centred(points: np.ndarray) -> np.ndarray:
+    return 2.0 * np.atleast_1d(np.asarray(points, dtype=float)) - 1.0
+
+
+def _legendre_from_values(nodes: np.ndarray) -> np.ndarray:
+    # Well conditioned where the powers of the nodes are not.
+    return np.linalg.inv(legendre.legvander(_centred(nodes), len(nodes) - 1))
 
 
 def _polished(series: np.ndarray, roots: np.ndarray) -> np.ndarray:

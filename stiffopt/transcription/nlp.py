@@ -99,6 +99,8 @@ class Block:
         Bounds in the entries' unit.
     offset : int
         Where the block begins.
+    structural : bool
+        Equations that any motion obeys; never named as the cause of a conflict.
     """
 
     rows: Rows
@@ -106,6 +108,7 @@ class Block:
     lower: np.ndarray
     upper: np.ndarray
     offset: int
+    structural: bool = False
 
     @property
     def size(self) -> int:
@@ -149,6 +152,7 @@ class Blocks:
         places: Places | None,
         lower: np.ndarray | None = None,
         upper: np.ndarray | None = None,
+        structural: bool = False,
     ) -> Block:
         """Append a block; bounds of single entries override those of the rows."""
         shape = (len(rows), 1 if places is None else len(places))
@@ -158,6 +162,7 @@ class Blocks:
             lower=np.broadcast_to(rows.lower[:, None], shape) if lower is None else lower,
             upper=np.broadcast_to(rows.upper[:, None], shape) if upper is None else upper,
             offset=self.size,
+            structural=structural,
         )
         self.items.append(block)
         self.size += block.size
@@ -231,3 +236,38 @@ class Nlp:
             )
             found.setdefault((entry.name, entry.label), violation)
         return list(found.values())
+
+    def conflicts(
+        self, multipliers_x: np.ndarray, multipliers_g: np.ndarray, n: int = 6
+    ) -> list[Entry]:
+        """Find the limits and boundary values that cannot hold together.
+
+        Where IPOPT ends at a point of locally least infeasibility, its multipliers weigh the
+        bounds that keep it there.
+
+        Parameters
+        ----------
+        multipliers_x, multipliers_g : array
+            Of an infeasible end.
+        n : int
+            At most so many are named.
+
+        Returns
+        -------
+        list of Entry
+            By falling weight, each name and label once at its heaviest point; those below one
+            per cent of the heaviest are left out.
+        """
+        found: list[tuple[float, Entry]] = []
+        for blocks, multipliers in ((self.variables, multipliers_x), (self.rows, multipliers_g)):
+            weights = np.abs(np.asarray(multipliers, dtype=float).ravel())
+            for block in blocks.items:
+                if block.structural or not block.size:
+                    continue
+                own = weights[block.offset : block.offset + block.size]
+                table = own.reshape(-1, len(block.rows))
+                for label, total in enumerate(table.sum(axis=0)):
+                    point = int(np.argmax(table[:, label]))
+                    found.append((float(total), block.entry(point * len(block.rows) + label)))
+        found.sort(key=lambda pair: -pair[0])
+        return [entry for weight, entry in found[:n] if weight > 0.01 * found[0][0]]

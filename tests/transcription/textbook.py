@@ -101,7 +101,7 @@ def line(start: list[float | None], end: list[float | None], controls: int, dura
 
 
 FREE = (1e-3, 1e5)
-_DOUBLE = dict(states="x v", controls="u", rates=lambda x, u: [x[1], u[0]])
+_DOUBLE = {"states": "x v", "controls": "u", "rates": lambda x, u: [x[1], u[0]]}
 
 
 def block_move(**further: object) -> Case:
