@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
 POINTS = 6001
+_STANDSTILL = 1e-9
 
 
 def assess(
@@ -48,7 +49,9 @@ def assess(
     body = rigid_body_history(robot, position, velocity, acceleration)
     process = np.einsum("kij,i->kj", body.jacobian, np.asarray(problem.process_force, dtype=float))
     spring_torque = body.link_torque - process
-    friction = robot.coulomb * np.sign(velocity) + robot.viscous * velocity
+    # Rounding of a velocity that is zero must not switch dry friction on.
+    direction = np.where(np.abs(velocity) > _STANDSTILL, np.sign(velocity), 0.0)
+    friction = robot.coulomb * direction + robot.viscous * velocity
     torque = spring_torque + robot.rotor_inertia * acceleration + friction
 
     windup = exact_windup(robot, spring_torque)

@@ -56,7 +56,8 @@ def rigid_body_history(
     for k in range(count):
         link_torque[k] = pin.rnea(model, data, position[k], velocity[k], acceleration[k])
         gravity_torque[k] = pin.computeGeneralizedGravity(model, data, position[k])
-        jacobian[k] = pin.computeFrameJacobian(model, data, position[k], frame, axes)[:3]
+        full = pin.computeFrameJacobian(model, data, position[k], frame, axes)
+        jacobian[k] = full.reshape(6, joints)[:3]
         pin.framesForwardKinematics(model, data, position[k])
         tool_position[k] = data.oMf[frame].translation
     return RigidBodyHistory(link_torque, gravity_torque, tool_position, jacobian)

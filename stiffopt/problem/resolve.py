@@ -6,7 +6,7 @@ reach, a pose that the drives cannot hold at rest.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -55,10 +55,11 @@ def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
     start = _joints(problem, problem.start, "motion.start", None)
     vias = []
     near = start
+    end = _joints(problem, problem.end, "motion.end", start)
     for number, via in enumerate(problem.vias, start=1):
-        near = _joints(problem, via, f"motion.via[{number}]", near)
+        where = f"motion.via[{number}]"
+        near = _joints(problem, _with_orientation(problem, via, start, end), where, near)
         vias.append(near)
-    end = _joints(problem, problem.end, "motion.end", near)
     motion = ResolvedMotion(
         start, end, tuple(vias), _is_fixed(problem.start), _is_fixed(problem.end)
     )
@@ -90,6 +91,7 @@ def tool_jacobian(problem: TrajectoryProblem, angles: np.ndarray) -> np.ndarray:
     data = model.createData()
     pin.computeJointJacobians(model, data, angles)
     joint = pin.getJointJacobian(model, data, tool.joint, pin.LOCAL_WORLD_ALIGNED)
+    joint = joint.reshape(6, model.nv)  # pin returns a flat one for a single joint
     arm = data.oMi[tool.joint].rotation @ np.asarray(tool.offset, dtype=float)
     return np.asarray(joint[:3] - pin.skew(arm) @ joint[3:])
 
@@ -119,6 +121,36 @@ def _joints(
         return np.asarray(solve_pose(problem.robot, target.position, rotation, guess))
     except ProblemError as error:
         raise ProblemError(f"{where}: {error}") from error
+
+
+def _with_orientation(
+    problem: TrajectoryProblem, via: Target, start: np.ndarray, end: np.ndarray
+) -> Target:
+    """A via position with an orientation between those of start and end, if the arm can take it.
+
+    The optimiser leaves the orientation at a via free; a guess and a baseline need one.
+    """
+    if via.position is None or via.rpy is not None:
+        return via
+    first, last = tool_placement(problem, start), tool_placement(problem, end)
+    before = np.linalg.norm(via.position - first.translation)
+    after = np.linalg.norm(last.translation - via.position)
+    turn = pin.log3(first.rotation.T @ last.rotation)
+    rotation = first.rotation @ pin.exp3(turn * before / max(before + after, 1e-12))
+    oriented = replace(via, rpy=pin.rpy.matrixToRpy(rotation))
+    try:
+        solve_pose(problem.robot, oriented.position, rotation, start)
+    except ProblemError:
+        return via
+    return oriented
+
+
+def tool_placement(problem: TrajectoryProblem, angles: np.ndarray) -> pin.SE3:
+    """Pose of the tool frame in the base."""
+    model, tool = problem.robot.model, problem.robot.tool
+    data = model.createData()
+    pin.forwardKinematics(model, data, angles)
+    return data.oMi[tool.joint] * pin.SE3(np.asarray(tool.rotation), np.asarray(tool.offset))
 
 
 def _resolve_path(problem: TrajectoryProblem) -> ResolvedMotion:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
+from stiffopt.drivetrain.compact import CompactChain
 from stiffopt.dynamics.deflection import (
     Deflection,
     SpringTorques,
@@ -52,6 +53,14 @@ class StageModel:
         self.position, self.velocity, self.acceleration = position, velocity, acceleration
         self.process_force = np.asarray(process_force, dtype=float)
         self.smoothing = smoothing
+
+    @cached_property
+    def chains(self) -> list[CompactChain | None]:
+        """Drivetrains in their compact form."""
+        return [
+            None if chain is None else CompactChain(chain, float(self.robot.torque_max[j]))
+            for j, chain in enumerate(self.robot.chains)
+        ]
 
     @cached_property
     def torques(self) -> SpringTorques:
@@ -96,13 +105,13 @@ class StageModel:
         """Wind-up of every joint (n,) [rad] under spring torques (n,)."""
         angles = [
             0.0 if chain is None else chain.windup(torque[j], smoothing=self.smoothing)
-            for j, chain in enumerate(self.robot.chains)
+            for j, chain in enumerate(self.chains)
         ]
         return ca.vertcat(*angles)
 
     def compliance(self, joint: int) -> Quantity:
         """Tangent compliance [rad/(N m)] of a joint (1-based) at its spring torque."""
-        chain = self.robot.chains[joint - 1]
+        chain = self.chains[joint - 1]
         if chain is None:
             raise ProblemError(
                 f"Joint {joint} of {self.robot.name} has no drivetrain, so it has no stiffness. "

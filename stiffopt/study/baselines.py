@@ -24,7 +24,11 @@ def baselines(problem: TrajectoryProblem, motion: ResolvedMotion) -> dict[str, B
     Where the duration is free, toppra's motion keeps its own (shortest) duration, and the quintic
     takes the shortest duration that toppra found, or the middle of the allowed range.
     """
-    path = JointPath.through(motion.points if problem.path is None else problem.path)
+    if problem.path is None:
+        # Vias lie unevenly: with equal steps of the path parameter the spline overshoots.
+        path = JointPath.through(motion.points, "chord")
+    else:
+        path = JointPath.through(problem.path)
     fixed = problem.duration[0] == problem.duration[1]
     duration = problem.duration[0] if fixed else None
     fastest = toppra_baseline(
