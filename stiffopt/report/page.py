@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from stiffopt.problem.objectives import UNITS
 from stiffopt.report.citations import solve_references
 from stiffopt.report.figures import (
     deflection_figure,
@@ -31,6 +32,7 @@ from stiffopt.report.wording import (
     comparison,
     is_maximised,
     limit_text,
+    objective_phrase,
     objective_text,
 )
 from stiffopt.result.assessment import Assessment
@@ -121,6 +123,8 @@ def _tiles(problem: TrajectoryProblem, solution: Solution) -> list[dict[str, str
         )
     if solution.assessment is not None:
         tiles += _motion_tiles(problem, solution.assessment)
+    if solution.objective is not None:
+        tiles += [_term_tile(name, each) for name, each in solution.objective.terms.items()]
     record = solution.solver
     tiles.append(
         {
@@ -130,6 +134,15 @@ def _tiles(problem: TrajectoryProblem, solution: Solution) -> list[dict[str, str
         }
     )
     return tiles
+
+
+def _term_tile(term: str, value: float) -> dict[str, str]:
+    name, _, measure = term.partition(" ")
+    return {
+        "name": "term of the objective",
+        "value": engineering(value, UNITS.get(name, ""), 3),
+        "note": objective_phrase(name, measure),
+    }
 
 
 def _motion_tiles(problem: TrajectoryProblem, assessment: Assessment) -> list[dict[str, str]]:

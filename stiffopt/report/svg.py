@@ -73,9 +73,12 @@ def house_style() -> Iterator[None]:
 
 
 def line_style(index: int) -> dict[str, Any]:
-    """Colour and dash pattern of the curve number `index` (from 0); repeats after 28."""
-    dash = DASHES[(index // len(PALETTE)) % len(DASHES)]
-    return {"color": PALETTE[index % len(PALETTE)], "linestyle": dash}
+    """Colour and dash pattern of the curve number `index` (from 0); repeats after 28.
+
+    Neighbours differ in both, so that equal curves stay visible on top of each other.
+    """
+    colour, round_ = index % len(PALETTE), index // len(PALETTE)
+    return {"color": PALETTE[colour], "linestyle": DASHES[(colour + round_) % len(DASHES)]}
 
 
 def thin(time: np.ndarray, values: np.ndarray, points: int = POINTS) -> tuple[Any, Any]:

@@ -1,0 +1,139 @@
+import functools
+import re
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from synthetic_solution import assessment, problem, robot, solution
+
+from stiffopt.report.figures import (
+    deflection_figure,
+    motion_figure,
+    stiffness_figure,
+    torque_figure,
+)
+from stiffopt.report.motions import compared_motions, robot_joint_units
+from stiffopt.report.space_figures import exaggeration, path_figure, windup_figure
+from stiffopt.report.stiffness_figures import (
+    relative_figure,
+    shares_figure,
+    stiffness_curves,
+    tangent_figure,
+)
+from stiffopt.report.svg import line_style, thin, to_png, to_svg
+
+
+@functools.cache
+def figures(joints):
+    stated, motions = problem(joints), compared_motions(solution(joints))
+    motion = motions[0].assessment
+    return {
+        "deflection": deflection_figure(motions),
+        "motion": motion_figure(stated, motion, motions[1]),
+        "torque": torque_figure(stated, motion),
+        "stiffness": stiffness_figure(stated, motion),
+        "path": path_figure(stated, motions, "dynamic"),
+        "windup": windup_figure(stated, motion, "dynamic"),
+    }
+
+
+def stiffness_rows(joints=(1, 2)):
+    names = ("joint", "torque_ratio", "tangent_stiffness", "reducer_only_tangent_stiffness")
+    return [
+        dict(zip(names, (joint, ratio, 9e3 * ratio**0.1, 1e4), strict=True))
+        | {"ratio_to_reducer_only": 0.9 * ratio**0.1, "windup": 1e-3 * ratio, "flanks": flanks}
+        for joint in joints
+        for flanks in ("parallel", "series")
+        for ratio in (0.001, 0.01, 0.1, 1.0)
+    ]
+
+
+def ids_and_uses(svg):
+    ids = re.findall(r' id="([^"]+)"', svg)
+    uses = re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', svg)
+    return ids, {a or b for a, b in uses}
+
+
+@pytest.mark.parametrize("joints", [1, 2, 5])
+def test_every_figure_is_valid_svg_for_any_number_of_joints(joints):
+    all_ids = []
+    for name, svg in figures(joints).items():
+        assert ET.fromstring(svg).tag.endswith("svg"), name
+        ids, uses = ids_and_uses(svg)
+        assert uses <= set(ids), name
+        assert len(svg) < 400_000, name
+        all_ids += ids
+    assert len(all_ids) == len(set(all_ids))
+
+
+def test_axes_carry_units_of_the_joint_kind():
+    drawn = figures(2)
+    for text in ("position [deg or mm]", "velocity [deg/s or mm/s]", "jerk [rad/s³ or m/s³]"):
+        assert text in drawn["motion"]
+    assert "J2 [N]" in drawn["torque"]
+    assert "tangent stiffness [N m/rad or N/m]" in drawn["stiffness"]
+    assert "deflection [mm]" in drawn["deflection"]
+    assert "wind-up [mrad or mm]" in drawn["windup"]
+
+
+def test_a_small_deflection_is_in_micrometres():
+    motions = compared_motions(solution(assessment=assessment(size=2e-6), baselines={}))
+    assert "deflection [µm]" in deflection_figure(motions)
+
+
+def test_an_infeasible_baseline_is_named_so():
+    assert "quintic (exceeds limits)" in figures(2)["deflection"]
+
+
+def test_a_rigid_joint_leaves_the_stiffness_figure_whole():
+    motion = assessment()
+    motion.stiffness[:, 1] = np.inf
+    svg = stiffness_figure(problem(), motion)
+    assert "J1: lowest" in svg
+    assert "J2" not in svg
+
+
+def test_the_same_figure_is_the_same_text():
+    again = deflection_figure(compared_motions(solution(2)))
+    assert again == figures(2)["deflection"]
+
+
+def test_thin_keeps_ends_and_peaks():
+    time = np.linspace(0, 1, 20001)
+    values = np.sin(3 * time)
+    values[7777], values[12345] = 5.0, -5.0
+    t, v = thin(time, values, 400)
+    assert len(t) <= 402
+    assert v.max() == 5.0
+    assert v.min() == -5.0
+    assert (t[0], t[-1]) == (0.0, 1.0)
+    assert np.all(np.diff(t) > 0)
+    assert np.array_equal(np.interp(t, time, values), v)
+
+
+@pytest.mark.parametrize(
+    ("extent", "largest", "factor"), [(0.3, 1.2e-4, 200), (0.3, 2.4e-4, 100), (0.1, 0.1, 1)]
+)
+def test_exaggeration_is_a_round_factor(extent, largest, factor):
+    assert exaggeration(extent, largest) == factor
+    assert exaggeration(extent, 0.0) == 1.0
+
+
+def test_line_styles_differ():
+    styles = [str(line_style(index)) for index in range(28)]
+    assert len(set(styles)) == 28
+
+
+def test_stiffness_figures_take_rows_and_draw():
+    units, curves = robot_joint_units(robot(3)), stiffness_curves(stiffness_rows())
+    assert [curve.flanks for curve in curves[1]] == ["parallel", "series"]
+    assert curves[2][0].at(0.01, curves[2][0].reducer_only) == pytest.approx(1e4)
+    drawn = {
+        "tangent": tangent_figure(curves, units, low_torque=False),
+        "low": tangent_figure(curves, units, low_torque=True),
+        "ratio": relative_figure(curves, units),
+        "shares": shares_figure(robot(3), units),
+    }
+    for name, figure in drawn.items():
+        assert ET.fromstring(to_svg(figure, name, "a & b <c>")).tag.endswith("svg")
+    assert to_png(drawn["ratio"]).startswith(b"\x89PNG")

@@ -1,0 +1,190 @@
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+from synthetic_solution import no_motion, problem, robot, solution
+from test_figures import stiffness_rows
+
+from stiffopt.errors import InputError, InputFileError
+from stiffopt.problem.objectives import Objective
+from stiffopt.report.citations import cited, references
+from stiffopt.report.page import write_solve_report
+from stiffopt.report.stiffness_page import write_stiffness_report
+from stiffopt.report.wording import amount, comparison
+from stiffopt.result.assessment import Violation
+from stiffopt.result.solution import ObjectiveValue
+from stiffopt.study.provenance import inputs_hash
+
+VOID = {"meta", "br", "link", "img", "hr", "input"}
+
+
+class Page(HTMLParser):
+    """Collects text and references of a page and checks that its tags are balanced."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.words, self.outside, self.tags = [], [], [], []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        if tag not in VOID:
+            self.open.append(tag)
+        for name, value in attrs:
+            if name in ("src", "href", "xlink:href", "data") and not value.startswith("#"):
+                self.outside.append(value)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self):
+        return re.sub(r"\s+", " ", " ".join(self.words))
+
+
+def page_of(stated, found, folder):
+    path = write_solve_report(stated, found, folder)
+    text = path.read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.outside == []
+    assert "script" not in page.tags
+    assert "@import" not in text
+    assert len(text) < 2_000_000
+    return page
+
+
+def test_report_tells_value_gain_limits_and_sources(tmp_path):
+    page = page_of(problem(), solution(), tmp_path)
+    for text in (
+        "Peak dynamic tool deflection 0.141 mm",
+        "4 times less than toppra's motion of the same duration.",
+        "Solved and certified",
+        "margin 2 %",
+        "not counted",
+        "torque, joint 2: exceeded by 40 %",
+        "The sag at the end is 0.4 mm.",
+        "width, length",
+        "a guess",
+        "0123abcd",
+        "An introduction to trajectory optimization",
+        "reachability analysis",
+        "stiffness of joint 1 at least",
+        "numpy",
+    ):
+        assert text in page.text, text
+    assert page.tags.count("svg") == 6
+
+
+def test_titles_are_escaped(tmp_path):
+    hostile = "<script>alert('x')</script>"
+    page = page_of(
+        problem(1, title=hostile), solution(1, notes=(hostile,), message=hostile), tmp_path
+    )
+    assert page.text.count("alert('x')") >= 3
+
+
+def test_report_of_seven_joints(tmp_path):
+    page = page_of(problem(7), solution(7), tmp_path)
+    assert "made_up, 7 joints" in page.text
+
+
+def test_report_without_a_motion_is_a_page(tmp_path):
+    page = page_of(problem(), no_motion(), tmp_path)
+    assert "No motion found" in page.text
+    assert "Rows that conflict: torque of joint 2." in page.text
+    assert "Too slow." in page.text
+    assert "svg" not in page.tags
+
+
+def test_report_without_baselines(tmp_path):
+    found = solution(1, baselines={}, ratio_to_better_baseline=None)
+    assert "No baseline meets all limits" in page_of(problem(1), found, tmp_path).text
+
+
+def test_report_marks_a_failed_certificate(tmp_path):
+    motion = solution(1).assessment
+    worst = (Violation(0.03, "velocity", 1, 0.2), *motion.violations)
+    found = solution(1, assessment=type(motion)(**{**vars(motion), "violations": worst}))
+    page = page_of(problem(1), found, tmp_path)
+    assert "limit exceeded by" in page.text
+    assert "exceeded by 3 %" in page.text
+
+
+def test_report_says_whether_results_match_inputs(tmp_path):
+    stated = problem()
+    own = replace(no_motion(), inputs_hash=inputs_hash(stated))
+    assert "Results match inputs" in page_of(stated, own, tmp_path).text
+    assert "Results do NOT match inputs" in page_of(stated, no_motion(), tmp_path).text
+
+
+def test_report_in_a_folder_that_cannot_be_made(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputFileError, match=r"report\.html"):
+        write_solve_report(problem(), no_motion(), tmp_path / "file")
+
+
+def test_weighted_sum_has_its_terms(tmp_path):
+    objectives = (Objective(weight=2.0), Objective(name="torque_squared", weight=0.5))
+    value = ObjectiveValue(
+        name="weighted_sum",
+        measure="",
+        value=0.7,
+        unit="",
+        terms={"dynamic_deflection peak": 1e-4, "torque_squared": 1.4},
+    )
+    page = page_of(problem(1, objectives=objectives), solution(1, objective=value), tmp_path)
+    assert "Weighted sum 0.7" in page.text
+    assert "peak dynamic tool deflection" in page.text
+
+
+@pytest.mark.parametrize(
+    ("ratio", "name", "maximised", "text"),
+    [
+        (0.29, "dynamic_deflection", False, "3.4 times less than"),
+        (0.83, "dynamic_deflection", False, "17 % less than"),
+        (1.2, "torque_squared", False, "20 % more than"),
+        (2.5, "torque_squared", False, "2.5 times as much as"),
+        (0.5, "duration", False, "50 % shorter than"),
+        (0.8, "joint_stiffness", True, "25 % more than"),
+        (1.25, "joint_stiffness", True, "20 % less than"),
+        (1.0, "duration", False, "The same as"),
+    ],
+)
+def test_amount_reads_well(ratio, name, maximised, text):
+    assert amount(ratio, name, maximised) == text
+
+
+def test_comparison_takes_only_feasible_baselines():
+    assert "toppra" in comparison(problem(), solution())
+    assert "There is no motion" in comparison(problem(), no_motion())
+
+
+def test_every_reference_can_be_printed():
+    for key, reference in references().items():
+        assert reference.fields["title"] in reference.text, key
+        assert "{" not in reference.text
+    with pytest.raises(InputError, match="Kelly2017"):
+        cited(["Kelly2018"])
+
+
+def test_stiffness_page_and_its_plots(tmp_path):
+    path = write_stiffness_report(robot(3), stiffness_rows(), tmp_path)
+    page = Page(path.read_text(encoding="utf-8"))
+    assert page.outside == []
+    assert page.tags.count("svg") == 4
+    assert "Contacts take up to 55 % of the stiffness" in page.text
+    assert "1.50" in page.text  # slip safety 45 N m / 30 N m
+    names = {each.name for each in tmp_path.iterdir()}
+    kinds = ("tangent", "low_torque", "ratio", "shares")
+    drawn = {f"stiffness_{kind}.{end}" for kind in kinds for end in ("svg", "png")}
+    assert names == drawn | {"stiffness.html"}
