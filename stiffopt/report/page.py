@@ -107,6 +107,8 @@ def _headline(problem: TrajectoryProblem, solution: Solution) -> str:
     if solution.objective is None:
         return "No motion found"
     text = objective_text(solution.objective)
+    if not solution.status.usable:
+        text = f"{str(solution.status).replace('_', ' ')}: {text}"
     return text[0].upper() + text[1:]
 
 

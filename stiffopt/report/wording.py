@@ -57,6 +57,8 @@ def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
     ratio = solution.ratio_to_better_baseline
     if solution.objective is None or solution.assessment is None:
         return "There is no motion to compare with the baselines."
+    if better is not None and ratio is None:
+        return "This motion does not meet all limits, so it is not compared with the baselines."
     if better is None or ratio is None:
         return "No baseline meets all limits, so none is counted."
     other = solution.baselines[better].assessment

@@ -14,6 +14,7 @@ from stiffopt.report.stiffness_page import write_stiffness_report
 from stiffopt.report.wording import amount, comparison
 from stiffopt.result.assessment import Violation
 from stiffopt.result.solution import ObjectiveValue
+from stiffopt.result.status import SolveStatus
 from stiffopt.study.provenance import inputs_hash
 
 VOID = {"meta", "br", "link", "img", "hr", "input"}
@@ -104,6 +105,14 @@ def test_report_without_a_motion_is_a_page(tmp_path):
     assert "Rows that conflict: torque of joint 2." in page.text
     assert "Too slow." in page.text
     assert "svg" not in page.tags
+
+
+def test_an_infeasible_motion_claims_no_gain(tmp_path):
+    found = solution(1, status=SolveStatus.INFEASIBLE, ratio_to_better_baseline=None)
+    page = page_of(problem(1), found, tmp_path)
+    assert "Infeasible: peak dynamic tool deflection" in page.text
+    assert "This motion does not meet all limits, so it is not compared" in page.text
+    assert "optimised (exceeds limits)" in page.text
 
 
 def test_report_without_baselines(tmp_path):
