@@ -27,6 +27,8 @@ _STATUS = {
     "Invalid_Number_Detected": "invalid_number",
 }
 
+_OPTIONS_HINT = "Check IpoptOptions.extra and linear_solver; allowed linear solvers: mumps, spral."
+
 
 @dataclass(frozen=True, kw_only=True)
 class RawSolution:
@@ -182,7 +184,12 @@ class IpoptSolver:
             "error_on_fail": False,
             **functions,
         }
-        return ca.nlpsol("solver", "ipopt", self.nlp.casadi, options)
+        try:
+            return ca.nlpsol("solver", "ipopt", self.nlp.casadi, options)
+        except RuntimeError as error:
+            if "IPOPT option" not in str(error):
+                raise
+            raise InputError(f"{str(error).splitlines()[-1]}. {_OPTIONS_HINT}") from error
 
     def _warm_solver(self) -> ca.Function:
         # IPOPT reads these options when it is set up; the derivatives are shared with the other.
@@ -235,10 +242,7 @@ class IpoptSolver:
 
 def _status(word: str) -> str:
     if word == "Invalid_Option":
-        raise InputError(
-            "IPOPT does not know or cannot use one of its options. Check IpoptOptions.extra and "
-            "linear_solver; allowed linear solvers: mumps, spral."
-        )
+        raise InputError(f"IPOPT cannot use one of its options. {_OPTIONS_HINT}")
     if word == "Not_Enough_Degrees_Of_Freedom":
         raise InputError(
             "The problem has more equations than free variables. Free a boundary value or remove "

@@ -15,7 +15,7 @@ import numpy as np
 from stiffopt.transcription import grid
 from stiffopt.transcription.scheme import Defect, Scheme, StagePoints, Symbols
 
-_NODES = np.array([0.0, 0.5, 1.0])
+_NODES = grid.lobatto_nodes(3)
 
 
 class HermiteSimpson(Scheme):

@@ -1,0 +1,313 @@
+"""Names, bounds and the way between NLP vectors and motions."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.polynomial import polynomial
+from textbook import CASES, block_move, guess, minimum_time, problem, second_order
+
+from stiffopt.errors import ProblemError
+from stiffopt.solve.ipopt import IpoptSolver
+from stiffopt.transcription import METHODS, Guess, Rows, Waypoint, transcribe, uniform_mesh
+
+INF = np.inf
+
+
+def solved(ocp, method, mesh, start):
+    made = transcribe(ocp, method, mesh)
+    found = IpoptSolver(made.nlp).solve(made.pack(start))
+    assert found.status == "optimal", found.reason
+    return made, found
+
+
+def with_rows(midpoints: bool):
+    """Block move with a power row and a speed row (second without bounds)."""
+    case = block_move(second_order=((0, 1, 0),))
+    x, u, p, z = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p", 0), ca.SX.sym("z", 0)
+    stage = ca.Function("stage", [x, u, z, p], [u**2, ca.vertcat(x[1] * u, x[1])])
+    rows = Rows.make(
+        "power", ["motor", "none"], [-5.0, -INF], [5.0, INF], 5.0, "W", midpoints=midpoints
+    )
+    return replace(case.ocp, stage=stage, path_rows=(rows,)), case.guess
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_pack_and_unpack_are_inverse(method):
+    scaled = {"state_scale": np.array([10.0, 0.5]), "control_scale": np.array([4.0])}
+    case = minimum_time(second_order=((0, 1, 0),), **scaled)
+    made = transcribe(case.ocp, method, uniform_mesh(7))
+    start = guess(lambda s: [s**2, 0.3 + s], [0.25], 2.5)
+    motion = made.unpack(made.pack(start))
+    inner = slice(1, -1)
+    s = motion.times / 2.5
+    assert motion.duration == pytest.approx(2.5)
+    assert motion.states[inner] == pytest.approx(start.states(s)[inner])
+    assert motion.controls == pytest.approx(0.25)
+    assert motion.states[0] == pytest.approx([0.0, 0.0])  # moved into the boundary values
+    assert motion.states[-1] == pytest.approx([1.0, 0.0])
+    assert motion.breaks == pytest.approx(np.linspace(0, 2.5, 8))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_scaling_does_not_change_the_optimum(method):
+    plain = block_move()
+    scaled = block_move(
+        state_scale=np.array([100.0, 0.01]), control_scale=np.array([30.0]), objective_scale=50.0
+    )
+    values = [
+        solved(case.ocp, method, uniform_mesh(10), case.guess)[1].objective
+        for case in (plain, scaled)
+    ]
+    assert values[0] == pytest.approx(values[1], rel=1e-7)
+
+
+def test_rows_are_named_with_unit_and_place():
+    ocp, _ = with_rows(midpoints=True)
+    made = transcribe(ocp, "piecewise_linear", [np.array([0.25, 0.75])])
+    names = {(made.nlp.rows.entry(i).name, made.nlp.rows.entry(i).label)
+             for i in range(made.nlp.rows.size)}  # fmt: skip
+    assert ("power", "motor") in names
+    assert ("power", "none") not in names  # a row without bounds is left out
+    power = [made.nlp.rows.entry(i) for i in range(made.nlp.rows.size)]
+    power = [entry for entry in power if entry.name == "power"]
+    assert [entry.fraction for entry in power] == pytest.approx([0, 0.25, 1, 0.125, 0.625])
+    assert power[0].unit == "W"
+    assert str(power[1]) == "power, motor (at 25 %)"
+    first = made.nlp.variables.entry(0)
+    assert (first.name, first.label, first.fraction) == ("state", "x", 0.0)
+
+
+def test_rows_without_midpoints_stand_at_the_nodes():
+    ocp, _ = with_rows(midpoints=False)
+    made = transcribe(ocp, "piecewise_linear", uniform_mesh(4))
+    entries = [made.nlp.rows.entry(i) for i in range(made.nlp.rows.size)]
+    assert sum(entry.name == "power" for entry in entries) == 5
+    assert sum(entry.name == "power" for entry in entries) < sum(
+        e.name == "power"
+        for m in [transcribe(ocp, "hermite_simpson", uniform_mesh(4)).nlp.rows]
+        for e in [m.entry(i) for i in range(m.size)]
+    )
+
+
+def test_midpoint_rows_hold_between_the_nodes():
+    worst = {}
+    for midpoints in (False, True):
+        ocp, start = with_rows(midpoints)
+        made, found = solved(ocp, "piecewise_linear", uniform_mesh(8), start)
+        fine = made.guess_from(found.x)
+        s = np.linspace(0, 1, 801)
+        worst[midpoints] = np.abs(fine.states(s)[:, 1] * fine.controls(s)[:, 0]).max() - 5.0
+    assert worst[True] < 0.2 * worst[False]
+
+
+def test_worst_rows_are_relative_to_the_scale_and_unique():
+    ocp, _ = with_rows(midpoints=False)
+    made = transcribe(ocp, "piecewise_linear", uniform_mesh(4))
+    g = np.zeros(made.nlp.rows.size)
+    index = [i for i in range(made.nlp.rows.size) if made.nlp.rows.entry(i).name == "power"]
+    g[index[1]], g[index[3]] = 1.5, -1.2  # scaled: bounds are at -1 and 1
+    g[0] = 1e-3
+    power, defect = made.nlp.worst_rows(g, n=5)
+    assert (power.entry.name, power.entry.fraction) == ("power", 0.25)
+    assert (power.value, power.bound) == (7.5, 5.0)
+    assert power.relative == pytest.approx(0.5)
+    assert "7.5 W against 5 W (50 % of its scale)" in str(power)
+    assert defect.entry.name == "velocity step"
+    assert made.nlp.worst_rows(g, tolerance=0.1) == [power]
+    assert [v.relative for v in made.nlp.worst_rows(g * np.nan)] == []
+
+
+def test_velocity_bounds_hold_at_every_instant():
+    case = minimum_time(second_order=((0, 1, 0),))
+    ocp = replace(case.ocp, state_upper=np.array([INF, 0.7]))
+    made, found = solved(ocp, "piecewise_linear", uniform_mesh(9), case.guess)
+    speed = made.guess_from(found.x).states(np.linspace(0, 1, 901))[:, 1]
+    assert speed.max() <= 0.7 * (1 + 1e-7)
+    assert found.objective == pytest.approx(1 / 0.7 + 0.7, rel=0.03)  # trapezoidal speed
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_exported_acceleration_reproduces_the_states(method):
+    case = minimum_time(second_order=((0, 1, 0),))
+    made, found = solved(case.ocp, method, uniform_mesh(10), case.guess)
+    motion = made.unpack(found.x)
+    breaks, coefficients, q, v = made.acceleration_polynomials(found.x)
+    assert breaks[-1] == pytest.approx(motion.duration)
+    borders = motion.states[:: len(made.scheme.state_nodes) - 1]
+    for k, local in enumerate(np.diff(breaks)):
+        once = polynomial.polyint(coefficients[k, :, 0], k=v[0])
+        twice = polynomial.polyint(once, k=q[0])
+        q[0], v[0] = polynomial.polyval(local, twice), polynomial.polyval(local, once)
+        assert (q[0], v[0]) == pytest.approx(tuple(borders[k + 1]), abs=1e-8)
+
+
+def test_export_needs_second_order_states():
+    case = CASES["rayleigh"]
+    made = transcribe(case.ocp, "radau", uniform_mesh(5))
+    with pytest.raises(ProblemError, match="no second-order states"):
+        made.acceleration_polynomials(made.pack(case.guess))
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", ["block_move", "cart_pole"])
+def test_a_solution_is_its_own_guess(method, name):
+    case = second_order(CASES[name]) if name == "block_move" else CASES[name]
+    made, found = solved(case.ocp, method, uniform_mesh(20), case.guess)
+    assert made.pack(made.guess_from(found.x)) == pytest.approx(found.x, abs=1e-6)
+
+
+def test_mesh_continuation_saves_iterations():
+    case = CASES["cart_pole"]
+    coarse, found = solved(case.ocp, "hermite_simpson", uniform_mesh(20), case.guess)
+    cold = solved(case.ocp, "hermite_simpson", uniform_mesh(60), case.guess)[1]
+    warm = solved(case.ocp, "hermite_simpson", uniform_mesh(60), coarse.guess_from(found.x))[1]
+    assert warm.objective == pytest.approx(cold.objective, rel=1e-7)
+    assert warm.iterations < 0.6 * cold.iterations
+
+
+def test_guesses_are_checked():
+    made = transcribe(block_move().ocp, "radau", uniform_mesh(5))
+    flat = Guess(states=lambda s: s, controls=lambda s: s[:, None], duration=1.0)
+    with pytest.raises(ProblemError, match=r"state callable returned shape \(16,\)"):
+        made.pack(flat)
+    broken = guess(lambda s: [s, np.nan], [0.0], 1.0)
+    with pytest.raises(ProblemError, match=r"state, v .* is not a finite number"):
+        made.pack(broken)
+
+
+def test_a_start_outside_the_limits_is_named():
+    case = block_move(state_bounds=[(0.5, 2.0), (-INF, INF)])
+    with pytest.raises(ProblemError, match=r"state, x .at 0 %. must be at least 0.5 and at most 0"):
+        transcribe(case.ocp, "piecewise_linear", uniform_mesh(5))
+
+
+def via(position: float, **further):
+    x = ca.SX.sym("x", 2)
+    rows = (Rows.make("via position", [""], position, position, unit="m"),)
+    return Waypoint(function=ca.Function("via", [x], [x[0]]), rows=rows)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("declared", [(), ((0, 1, 0),)])
+def test_out_and_back_through_a_via(method, declared):
+    """Rest at 0, through 1, rest at 0 in T = 2: by symmetry two block moves, 12 each, t1 = 1."""
+    case = block_move()
+    ocp = replace(
+        case.ocp, duration=(2.0, 2.0), vias=(via(1.0),), second_order=declared,
+        final_lower=np.zeros(2), final_upper=np.zeros(2),
+    )  # fmt: skip
+    start = replace(
+        guess(lambda s: [np.sin(np.pi * s), 0 * s], [0.0], 2.0),
+        phase_fractions=np.array([0.4, 0.6]),
+    )
+    made, found = solved(ocp, method, uniform_mesh(60, 2, shares=[1, 2]), start)
+    tolerance = 0.2 if method == "piecewise_linear" else 1e-6
+    motion = made.unpack(found.x)
+    assert found.objective == pytest.approx(24.0, abs=tolerance)
+    assert motion.phase_durations == pytest.approx([1.0, 1.0], abs=5e-3)
+    assert motion.duration == pytest.approx(2.0)
+    border = int(np.argmin(np.abs(motion.times - motion.phase_durations[0])))
+    assert motion.states[border, 0] == pytest.approx(1.0)
+
+
+def test_minimum_time_through_a_via_and_names_of_phases():
+    """Out and back with |u| <= 1 takes 1 + 2 + 1."""
+    case = minimum_time(second_order=((0, 1, 0),))
+    ocp = replace(
+        case.ocp, duration=(0.1, 20.0), vias=(via(1.0),), final_lower=np.zeros(2),
+        final_upper=np.zeros(2),
+    )  # fmt: skip
+    start = guess(lambda s: [np.sin(np.pi * s), 0 * s], [0.0], 5.0)
+    made, found = solved(ocp, "hermite_simpson", uniform_mesh(16, 2), start)
+    assert found.objective == pytest.approx(4.0, abs=1e-6)
+    entries = [made.nlp.rows.entry(i) for i in range(made.nlp.rows.size)]
+    assert str(next(e for e in entries if e.name == "via position")) == "via position (at 100 %)"
+    assert any("of phase 2" in str(e) for e in entries)
+    least = made.nlp.lower_x[made.durations.offset]
+    assert least == pytest.approx(0.02 * 20.0)
+
+
+def test_jerk_limited_minimum_time():
+    """From rest to rest with zero end acceleration: T = (32 distance/jerk)^(1/3)."""
+    zero = np.zeros(1)
+    ocp = replace(
+        minimum_time(second_order=((0, 1, 0),)).ocp,
+        control_lower=np.array([-INF]), control_upper=np.array([INF]),
+        control_rate_lower=np.array([-32.0]), control_rate_upper=np.array([32.0]),
+        initial_control_lower=zero, initial_control_upper=zero,
+        final_control_lower=zero, final_control_upper=zero,
+    )  # fmt: skip
+    start = guess(lambda s: [s, 0.5], [0.0], 1.5)
+    for method in ("piecewise_linear", "hermite_simpson"):
+        _, found = solved(ocp, method, uniform_mesh(16), start)
+        assert found.objective == pytest.approx(1.0, abs=1e-6)
+
+
+def test_rate_bounds_make_radau_controls_continuous():
+    """With free end acceleration T = (12 distance/jerk)^(1/3), by a linear acceleration."""
+    ocp = replace(
+        minimum_time(second_order=((0, 1, 0),)).ocp,
+        control_lower=np.array([-INF]), control_upper=np.array([INF]),
+        control_rate_lower=np.array([-12.0]), control_rate_upper=np.array([12.0]),
+    )  # fmt: skip
+    start = guess(lambda s: [s, 0.5], [0.0], 1.5)
+    made, found = solved(ocp, "radau", uniform_mesh(5), start)
+    assert found.objective == pytest.approx(1.0, abs=1e-7)
+    motion = made.unpack(found.x)
+    assert motion.controls[:, 0] == pytest.approx(6 - 12 * motion.control_times, abs=1e-3)
+
+
+def test_statics_bound_a_peak():
+    """Smallest peak control of the block move is 4: half at +4, half at -4."""
+    case = block_move(second_order=((0, 1, 0),))
+    x, u, p, z = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p", 0), ca.SX.sym("z", 1)
+    ends = [ca.SX.sym("I", 0), ca.SX.sym("T"), z, ca.SX.sym("a", 2), ca.SX.sym("b", 2), p]
+    ocp = replace(
+        case.ocp,
+        stage=ca.Function("stage", [x, u, z, p], [ca.SX(0, 1), ca.vertcat(z - u, z + u)]),
+        path_rows=(Rows.make("peak", ["above", "below"], 0.0, INF),),
+        objective=ca.Function("objective", ends, [z]),
+        statics=("peak",), static_lower=np.zeros(1), static_upper=np.full(1, INF),
+    )  # fmt: skip
+    made, found = solved(ocp, "hermite_simpson", uniform_mesh(20), replace(
+        case.guess, statics=np.array([5.0])))  # fmt: skip
+    assert found.objective == pytest.approx(4.0, abs=1e-6)
+    assert made.unpack(found.x).statics == pytest.approx([4.0], abs=1e-6)
+
+
+def test_parameters_change_without_rebuilding():
+    q, u, p, z = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p"), ca.SX.sym("z", 0)
+    ends = [ca.SX.sym("I"), ca.SX.sym("T"), z, ca.SX.sym("a", 2), ca.SX.sym("b", 2), p]
+    case = block_move()
+    ocp = replace(
+        case.ocp,
+        dynamics=ca.Function("dynamics", [q, u, p], [ca.vertcat(q[1], p * u)]),
+        stage=ca.Function("stage", [q, u, z, p], [u**2, ca.SX(0, 1)]),
+        objective=ca.Function("objective", ends, [ends[0]]),
+        parameters=np.array([1.0]),
+    )
+    made = transcribe(ocp, "radau", uniform_mesh(6))
+    solver = IpoptSolver(made.nlp)
+    for gain in (1.0, 2.0):
+        found = solver.solve(made.pack(case.guess), np.array([gain]))
+        assert found.objective == pytest.approx(12.0 / gain**2)
+        assert made.unpack(found.x, np.array([gain])).integrals == pytest.approx([12 / gain**2])
+
+
+def test_mixed_first_and_second_order_states():
+    """A motor's heat as a first-order state beside an exactly integrated axis."""
+    ocp = problem(
+        "heated axis", "x v heat", "u", lambda x, u: [x[1], u[0], u[0] ** 2 - 0.0 * x[2]],
+        start=[0, 0, 0], end=[1, 0, None], duration=(1, 1), second_order=((0, 1, 0),),
+        objective=lambda integrals, total, xf: xf[2],
+    )  # fmt: skip
+    start = guess(lambda s: [s, 0 * s, 0 * s], [0.0], 1.0)
+    for method, tolerance in (
+        ("piecewise_linear", 0.1),
+        ("hermite_simpson", 1e-7),
+        ("radau", 1e-7),
+    ):
+        _, found = solved(ocp, method, uniform_mesh(20), start)
+        assert found.objective == pytest.approx(12.0, abs=tolerance)
