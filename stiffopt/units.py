@@ -151,6 +151,30 @@ def to_si(value: object, dimension: str, where: str = "") -> float:
     return number
 
 
+def convert(value: float, unit: str, target: str) -> float:
+    """Value in another unit of the same kind; equal names need no conversion.
+
+    Raises
+    ------
+    UnitError
+        One of the units is unknown, or they are of different kinds.
+    """
+    if unit == target:
+        return value
+    import pint
+
+    try:
+        factor = _registry().Quantity(1.0, _spelled(unit)).to(_spelled(target)).magnitude
+    except (pint.PintError, TypeError, ValueError) as error:
+        raise UnitError(f"{unit!r} cannot be converted to {target!r}: {error}") from error
+    return value * float(factor)
+
+
+def _spelled(unit: str) -> str:
+    """A unit as shown to people, "N m/rad", as pint reads it."""
+    return unit.replace("N m", "N*m")
+
+
 class JointNumber(float):
     """A number of a joint whose kind is not known yet: keeps the dimension it was written in.
 

@@ -1,0 +1,5 @@
+"""`python -m stiffopt`."""
+
+from stiffopt.cli import main
+
+main()

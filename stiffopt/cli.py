@@ -1,0 +1,181 @@
+"""The command line: `stiffopt stiffness`, `solve`, `verify`, `schema`.
+
+Exit codes: 0 done, 1 a verified value is off, 2 wrong input or command line, 3 no usable motion, 130
+interrupted. Commands import what they need, so that help and errors come at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import App, CycloptsError, Parameter
+
+from stiffopt.errors import InputError, InputFileError
+
+app = App(
+    name="stiffopt",
+    help="Stiff and true trajectories for industrial robot arms.",
+    help_on_error=False,
+)
+
+Out = Annotated[Path, Parameter(name="--out", help="Folder for the results; made if missing.")]
+
+
+@app.command
+def solve(problem: Path, *, out: Out | None = None, quiet: bool = False) -> int:
+    """Optimise a trajectory and certify it.
+
+    Writes result.json, trajectory.csv and report.html. Ctrl-C ends the solve and keeps the best
+    motion so far.
+
+    Parameters
+    ----------
+    problem
+        A trajectory problem file (TOML).
+    out
+        Default: out/NAME of the problem file.
+    quiet
+        No progress display.
+    """
+    from stiffopt.certificate.assess import assess
+    from stiffopt.problem.files import load_problem
+    from stiffopt.report.page import write_solve_report
+    from stiffopt.report.terminal import print_solution
+    from stiffopt.result.store import export_times, write_result, write_trajectory
+    from stiffopt.study.optimise import solve as optimise
+
+    loaded = load_problem(problem)
+    folder = _folder(out or Path("out") / problem.stem)
+    with _progress(loaded.problem, quiet) as progress:
+        solution = optimise(loaded.problem, progress=progress, throw=False)
+    if solution.trajectory is not None:
+        times = export_times(solution.trajectory.duration)
+        exported = assess(loaded.problem, solution.trajectory, times=times)
+        write_trajectory(exported, folder)
+    write_solve_report(loaded.problem, solution, folder)
+    write_result(solution, folder)
+    print_solution(loaded.problem, solution, folder)
+    return solution.status.exit_code
+
+
+@app.command
+def verify(problems: Path, *, quiet: bool = False) -> int:
+    """Solve problem files anew and compare with the objective values they expect.
+
+    Parameters
+    ----------
+    problems
+        A problem file, or a folder of them.
+    quiet
+        No progress display.
+    """
+    from stiffopt.report.terminal import print_checks
+    from stiffopt.study.verify import problem_files, verify_file
+
+    checks = []
+    for path in problem_files(problems):
+        with _named_progress(path.stem, quiet) as progress:
+            checks.append(verify_file(path, progress))
+        if checks[-1].interrupted:
+            break
+    print_checks(checks)
+    if any(check.interrupted for check in checks):
+        return 130
+    return 0 if all(check.passed for check in checks) else 1
+
+
+@app.command
+def stiffness(
+    robot: str, *, out: Out | None = None, drivetrain: Path | None = None
+) -> int:
+    """Joint stiffness against torque, with and without contacts: stiffness.csv, plots and a page.
+
+    Parameters
+    ----------
+    robot
+        A shipped robot (er3a_c60, er3a_c60_contact, ur10), a robot TOML, or a URDF.
+    out
+        Default: out/stiffness_NAME.
+    drivetrain
+        Robot TOML beside a URDF.
+    """
+    from stiffopt.report.stiffness_page import write_stiffness_report
+    from stiffopt.robot.files import load_robot
+    from stiffopt.study.stiffness import stiffness_study, write_stiffness_csv
+
+    arm = load_robot(robot, drivetrain)
+    folder = _folder(out or Path("out") / f"stiffness_{arm.name}")
+    rows = stiffness_study(arm)
+    write_stiffness_csv(rows, folder / "stiffness.csv")
+    page = write_stiffness_report(arm, rows, folder)
+    print(f"Wrote {folder / 'stiffness.csv'} and {page}")
+    return 0
+
+
+@app.command
+def schema(kind: Literal["trajectory", "robot"] = "trajectory") -> int:
+    """Print the JSON Schema of a file kind, for editors.
+
+    Parameters
+    ----------
+    kind
+        Which file.
+    """
+    import json
+
+    if kind == "trajectory":
+        from stiffopt.problem.schema import json_schema
+    else:
+        from stiffopt.robot.schema import json_schema
+    print(json.dumps(json_schema(), indent=2))
+    return 0
+
+
+def _folder(path: Path) -> Path:
+    """The output folder, made before any long work so that a wrong path is told at once."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputFileError(
+            path, "", f"the folder cannot be made: {error.strerror}. Give another with --out."
+        ) from error
+    return path
+
+
+def _progress(problem: Any, quiet: bool) -> Any:
+    first = problem.objectives[0]
+    return _named_progress(problem.title, quiet, first.unit if len(problem.objectives) == 1 else "")
+
+
+def _named_progress(title: str, quiet: bool, unit: str = "") -> Any:
+    from contextlib import nullcontext
+
+    from stiffopt.report.progress import ProgressDisplay
+
+    return nullcontext() if quiet else ProgressDisplay(title, unit)
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line; return its exit code. Errors of the user become one message."""
+    tokens = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+    except (InputError, CycloptsError) as error:
+        print(f"stiffopt: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("stiffopt: interrupted; nothing was written.", file=sys.stderr)
+        return 130
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        print(f"stiffopt: {place}{error.strerror or error}", file=sys.stderr)
+        return 2
+    return code if isinstance(code, int) else 0
+
+
+def main() -> None:
+    """Entry point of the `stiffopt` command."""
+    sys.exit(run())
