@@ -21,7 +21,9 @@ class PiecewiseLinear(Scheme):
     """Control linear in each interval and continuous.
 
     Integrals use Simpson's rule when some row asks for midpoints (they are evaluated anyway),
-    else the trapezoidal rule on the nodes.
+    else the trapezoidal rule on the nodes. Midpoints double the work of an interval; on the torque
+    squared of a six-joint arm both rules are equally accurate for equal solve time, so midpoints
+    are not added for the integrals' sake.
     """
 
     name = "piecewise_linear"
