@@ -39,14 +39,16 @@ def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     path = Path(path)
     check_file(path)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        return tomllib.loads(text)
     except UnicodeDecodeError as error:
         raise InputFileError(path, "", "is not UTF-8 text. Save it as a TOML text file.") from error
     except OSError as error:
         raise InputFileError(path, "", f"cannot be read: {error.strerror}.") from error
     except tomllib.TOMLDecodeError as error:
         place = re.search(r"at line (\d+)", str(error))
-        where = f"line {place[1]}" if place else ""
+        line = int(place[1]) if place else len(text.splitlines())
+        where = f"line {line}"
         raise InputFileError(path, where, f"is not valid TOML: {error}.") from error
 
 

@@ -77,8 +77,7 @@ def antiderivative(
     edges = np.unique(np.concatenate(([0.0], graded, inner)))
     pending = np.column_stack((edges[:-1], edges[1:]))
     done: list[tuple[float, float, np.ndarray]] = []
-    smallest = upper * 2.0**-45
-    total = 0.0
+    smallest, settled_sum = upper * 2.0**-45, 0.0
     while len(pending):
         half = (pending[:, 1] - pending[:, 0]) / 2.0
         middle = (pending[:, 1] + pending[:, 0]) / 2.0
@@ -88,20 +87,19 @@ def antiderivative(
         # A panel with some infinite values is halved until the border is found.
         infinite = np.asarray(~finite.any(axis=1) | (~finite.all(axis=1) & (half < smallest)))
         series = np.where(finite, values, 0.0) @ _PROJECTION.T
-        series[infinite, 0] = np.inf
         tail = np.abs(series[:, -2:]).sum(axis=1)
-        total = max(total, float(np.nansum(np.where(finite, values, 0.0) @ _WEIGHTS * half)))
-        # Close to a slip torque rounding keeps the expansion from converging where it no longer
-        # matters: what a panel can still change is compared with the whole integral, too.
-        small = tail * half <= 1e-3 * relative_tolerance * total
-        converged = finite.all(axis=1) & (
-            (tail <= relative_tolerance * np.abs(series[:, 0])) | small
-        )
-        settled = np.asarray(infinite | converged | (half < smallest))
-        done += [
-            (pending[k, 0], pending[k, 1], series[k] * half[k]) for k in np.flatnonzero(settled)
-        ]
-        open_ = np.logical_not(settled)
+        whole = settled_sum + 2.0 * float(np.sum(series[:, 0] * half))
+        # What no longer matters to the whole may be noise, which halving would never settle.
+        small = tail * half <= 1e-3 * relative_tolerance * whole
+        converged = small | (tail <= relative_tolerance * np.abs(series[:, 0]))
+        settled = np.asarray(infinite | (finite.all(axis=1) & converged) | (half < smallest))
+        series[infinite, 0] = np.inf
+        for k in np.flatnonzero(settled).tolist():
+            done.append((pending[k, 0], pending[k, 1], series[k] * half[k]))
+        settled_sum += 2.0 * float(np.sum((series[:, 0] * half)[settled & ~infinite]))
+        # Behind an infinite panel the integral is infinite anyway.
+        border = float(np.min(pending[infinite, 0], initial=np.inf))
+        open_ = np.logical_not(settled) & (pending[:, 0] < border)
         left = np.column_stack((pending[open_, 0], middle[open_]))
         right = np.column_stack((middle[open_], pending[open_, 1]))
         pending = np.vstack((left, right))

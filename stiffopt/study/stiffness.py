@@ -6,6 +6,7 @@ import dataclasses
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from stiffopt.robot.robot import Robot
 DEFAULT_RATIOS: tuple[float, ...] = tuple(
     sorted({*(10.0 ** np.linspace(-3.0, 0.0, 61)).round(12).tolist(), 0.005, 0.02, 0.05, 0.2})
 )
+
+
+Flanks = Literal["series", "parallel"]
 
 
 @dataclass(frozen=True)
@@ -125,7 +129,7 @@ def compliance_by_element(robot: Robot, ratio: float) -> dict[int, dict[str, flo
     }
 
 
-def with_flanks(chain: Chain, flanks: str) -> Chain:
+def with_flanks(chain: Chain, flanks: Flanks) -> Chain:
     """Copy of a chain with the flanks of all its keys in "series" or in "parallel"."""
     stages = tuple(
         replace(s, element=replace(s.element, flanks=flanks)) if isinstance(s.element, Key) else s
@@ -137,7 +141,8 @@ def with_flanks(chain: Chain, flanks: str) -> Chain:
 def _readings(chain: Chain, both: bool) -> list[tuple[str, Chain]]:
     kinds = sorted({e.flanks for e in chain.elements.values() if isinstance(e, Key)})
     own = "none" if not kinds else kinds[0] if len(kinds) == 1 else "mixed"
-    others = [f for f in ("series", "parallel") if kinds and f != own] if both else []
+    readings: tuple[Flanks, ...] = ("series", "parallel")
+    others = [f for f in readings if kinds and f != own] if both else []
     return [(own, chain), *((f, with_flanks(chain, f)) for f in others)]
 
 
