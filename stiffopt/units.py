@@ -171,7 +171,7 @@ def convert(value: float, unit: str, target: str) -> float:
 
 
 def _spelled(unit: str) -> str:
-    """A unit as shown to people, "N m/rad", as pint reads it."""
+    """Spell a unit that is shown to people, such as "N m/rad", as pint reads it."""
     return unit.replace("N m", "N*m")
 
 
