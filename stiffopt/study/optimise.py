@@ -26,8 +26,8 @@ from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Baseline, Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solve.ipopt import IpoptSolver, RawSolution
-from stiffopt.solve.options import IpoptOptions
+from stiffopt.solver.ipopt import IpoptSolver, RawSolution
+from stiffopt.solver.options import IpoptOptions
 from stiffopt.study.baselines import baselines, better_baseline
 from stiffopt.study.guess import initial_guess
 from stiffopt.study.provenance import inputs_hash, versions

@@ -5,7 +5,7 @@ import pytest
 from textbook import CASES, minimum_time
 
 from stiffopt.errors import ProblemError
-from stiffopt.solve.ipopt import IpoptSolver
+from stiffopt.solver.ipopt import IpoptSolver
 from stiffopt.transcription import refine_mesh, transcribe, uniform_mesh
 from stiffopt.transcription.mesh import checked_mesh, split_counts
 

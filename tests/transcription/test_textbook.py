@@ -4,8 +4,8 @@ import pytest
 from textbook import CASES
 
 from stiffopt.errors import ProblemError
-from stiffopt.solve.ipopt import IpoptSolver
-from stiffopt.solve.options import IpoptOptions
+from stiffopt.solver.ipopt import IpoptSolver
+from stiffopt.solver.options import IpoptOptions
 from stiffopt.transcription import transcribe, uniform_mesh
 
 # IPOPT cannot do better than 1e-8 on these (singular arc, free controls at the ends).

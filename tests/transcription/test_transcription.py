@@ -9,7 +9,7 @@ from numpy.polynomial import polynomial
 from textbook import CASES, block_move, guess, minimum_time, problem, second_order
 
 from stiffopt.errors import ProblemError
-from stiffopt.solve.ipopt import IpoptSolver
+from stiffopt.solver.ipopt import IpoptSolver
 from stiffopt.transcription import METHODS, Guess, Rows, Waypoint, transcribe, uniform_mesh
 
 INF = np.inf

@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.errors import InputError
-from stiffopt.solve.monitor import Iterate, Monitor, Progress, interrupt_sets
-from stiffopt.solve.options import IpoptOptions
+from stiffopt.solver.monitor import Iterate, Monitor, Progress, interrupt_sets
+from stiffopt.solver.options import IpoptOptions
 from stiffopt.transcription.nlp import Entry, Nlp, Violation
 
 _STATUS = {

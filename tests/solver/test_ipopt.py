@@ -10,8 +10,8 @@ import pytest
 
 import stiffopt.symbolic  # noqa: F401 - CasADi conventions
 from stiffopt.errors import InputError
-from stiffopt.solve.ipopt import IpoptSolver
-from stiffopt.solve.options import IpoptOptions
+from stiffopt.solver.ipopt import IpoptSolver
+from stiffopt.solver.options import IpoptOptions
 from stiffopt.transcription import Guess, OptimalControlProblem, Rows, transcribe, uniform_mesh
 
 INF = np.inf
