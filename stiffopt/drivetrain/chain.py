@@ -170,8 +170,11 @@ class Chain:
     def windup_shares(self, torque: float) -> dict[str, float]:
         """Share of each element in the wind-up of the exact law from zero; they sum to 1.
 
-        A group in parallel is split among its members by the torque that each carries.
+        A group in parallel is split among its members by the torque that each carries. Without
+        torque the shares are their limit, those of the compliance.
         """
+        if torque == 0.0:
+            return self.compliance_shares(torque)
         at, shares = np.array([float(torque)]), {}
         for group in self._series(None):
             splits = exact_shares(group, at, None)

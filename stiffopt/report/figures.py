@@ -82,7 +82,8 @@ def deflection_figure(motions: Sequence[Motion], part: str = "dynamic") -> str:
             axes.set_ylabel(f"deflection [{name}]")
             axes.set_ylim(bottom=0.0)
             axes.margins(x=0.01)
-            axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.17), borderaxespad=0.0)
+            if axes.get_legend_handles_labels()[0]:
+                axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.17), borderaxespad=0.0)
         figure.subplots_adjust(left=0.06, right=0.995, wspace=0.2)
         return to_svg(figure, "deflection", f"Tool deflection over time, {part} part and all parts")
 
