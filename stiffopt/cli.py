@@ -88,9 +88,7 @@ def verify(problems: Path, *, quiet: bool = False) -> int:
 
 
 @app.command
-def stiffness(
-    robot: str, *, out: Out | None = None, drivetrain: Path | None = None
-) -> int:
+def stiffness(robot: str, *, out: Out | None = None, drivetrain: Path | None = None) -> int:
     """Joint stiffness against torque, with and without contacts: stiffness.csv, plots and a page.
 
     Parameters

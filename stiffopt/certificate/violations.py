@@ -21,7 +21,9 @@ def find_violations(problem: Any, motion: Assessment) -> Assessment:
     """
     limits = problem.active_limits
     span = limits.position_upper - limits.position_lower
-    beyond = np.maximum(motion.position - limits.position_upper, limits.position_lower - motion.position)
+    beyond = np.maximum(
+        motion.position - limits.position_upper, limits.position_lower - motion.position
+    )
     with np.errstate(invalid="ignore"):
         found = _per_joint("position", np.where(np.isfinite(span), beyond / span, -np.inf), motion)
     for name, values, bound in (
@@ -34,7 +36,11 @@ def find_violations(problem: Any, motion: Assessment) -> Assessment:
     if limits.velocity_map is not None:
         allowed = np.stack(
             [
-                np.interp(motion.position[:, j], limits.velocity_map[0][:, j], limits.velocity_map[1][:, j])
+                np.interp(
+                    motion.position[:, j],
+                    limits.velocity_map[0][:, j],
+                    limits.velocity_map[1][:, j],
+                )
                 for j in range(motion.position.shape[1])
             ],
             axis=1,
@@ -49,7 +55,9 @@ def find_violations(problem: Any, motion: Assessment) -> Assessment:
     ):
         if np.isfinite(bound):
             k = int(np.argmax(series))
-            found.append(Violation(float(series[k] / bound - 1.0), name, None, float(motion.time[k])))
+            found.append(
+                Violation(float(series[k] / bound - 1.0), name, None, float(motion.time[k]))
+            )
     for joint, floor in limits.joint_stiffness.items():
         low = motion.lowest_stiffness[joint - 1]
         found.append(Violation(1.0 - low.value / floor, "joint_stiffness", joint, low.time))

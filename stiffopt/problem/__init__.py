@@ -1,1 +1,1 @@
-"""TODO"""
+"""Trajectory problems: statement, files, checks before solving, and their formulation."""

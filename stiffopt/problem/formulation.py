@@ -91,9 +91,7 @@ def formulate(
         static_lower=terms.lower,
         static_upper=terms.upper,
         static_scale=terms.scale,
-        second_order=tuple(
-            (i, coordinates.size + i, i) for i in range(coordinates.size)
-        ),
+        second_order=tuple((i, coordinates.size + i, i) for i in range(coordinates.size)),
         parameters=np.ones(1),
         **_bounds(problem, motion, coordinates, margins),
     )

@@ -150,9 +150,9 @@ class LimitsSection(Section):
 class MethodSection(Section):
     """[method]: how to solve."""
 
-    transcription: Literal[
-        "piecewise_linear_acceleration", "hermite_simpson", "radau"
-    ] = "piecewise_linear_acceleration"
+    transcription: Literal["piecewise_linear_acceleration", "hermite_simpson", "radau"] = (
+        "piecewise_linear_acceleration"
+    )
     intervals: Annotated[int, Field(ge=4, le=2000)] = 60
     time_limit: Annotated[Time, Field(gt=0)] = 300.0
     max_iterations: Annotated[int, Field(ge=1)] = 500

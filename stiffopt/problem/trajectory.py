@@ -123,7 +123,9 @@ class Method:
 
     def __post_init__(self) -> None:
         if self.intervals < 4:
-            raise ProblemError(f"method.intervals = {self.intervals} is too few; allowed: 4 or more.")
+            raise ProblemError(
+                f"method.intervals = {self.intervals} is too few; allowed: 4 or more."
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,1 +1,1 @@
-"""TODO"""
+"""What a solve returns: status, trajectory, assessment, and the files they are written to."""

@@ -32,11 +32,9 @@ class Violation:
     time: float
 
     def describe(self) -> str:
-        """Text for messages: "torque of joint 2 at 0.21 s: 1.2 %"."""
+        """Text for messages: "torque of joint 2 at 0.210 s by 1.2 %"."""
         owner = f" of joint {self.joint}" if self.joint else ""
-        return (
-            f"{self.limit.replace('_', ' ')}{owner} at {self.time:.3f} s: {100 * self.value:.2g} %"
-        )
+        return f"{self.limit.replace('_', ' ')}{owner} at {self.time:.3f} s by {self.value:.2%}"
 
 
 @dataclass(frozen=True)

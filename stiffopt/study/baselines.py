@@ -19,7 +19,7 @@ FEASIBLE = 5e-3
 
 
 def baselines(problem: TrajectoryProblem, motion: ResolvedMotion) -> dict[str, Baseline]:
-    """toppra's and the quintic motion on the joint path through the poses.
+    """Toppra's and the quintic motion on the joint path through the poses.
 
     Where the duration is free, toppra's motion keeps its own (shortest) duration, and the quintic
     takes the shortest duration that toppra found, or the middle of the allowed range.

@@ -1,110 +1,41 @@
 """Solve a trajectory problem: baselines, staged collocation, certificate, refinement.
 
 The optimiser sees the smoothed model at nodes and midpoints; the certificate judges the motion with
-the exact model on a fine grid. A limit found exceeded there is tightened by the excess on a finer
-mesh, up to three times, or the solve ends as `certificate_failed`.
+the exact model on a fine grid. Where it finds a limit exceeded, the mesh is refined, then the limit
+tightened by the excess, up to three times in all, or the solve ends as `certificate_failed`.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from stiffopt.baseline.joint_path import JointPath
-from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import improvement, objective_value, term_value
 from stiffopt.errors import NoSolutionFound
 from stiffopt.problem.bounds import check_bounds
-from stiffopt.problem.formulation import Scales, formulate
-from stiffopt.problem.resolve import ResolvedMotion, resolve
+from stiffopt.problem.formulation import Scales
+from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Baseline, Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
-from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.ipopt import IpoptSolver, RawSolution
-from stiffopt.solver.options import IpoptOptions
+from stiffopt.solver.ipopt import RawSolution
 from stiffopt.study.baselines import baselines, better_baseline
 from stiffopt.study.guess import initial_guess
 from stiffopt.study.provenance import inputs_hash, versions
 from stiffopt.study.stages import Stage, smoothing_widths, stages
-from stiffopt.transcription.build import transcribe
-from stiffopt.transcription.mesh import uniform_mesh
+from stiffopt.study.staging import Outcome, ProgressCallback, Run, run_stages
 from stiffopt.transcription.ocp import Guess
-from stiffopt.transcription.transcription import Transcription
+from stiffopt.transcription.refine import refine_mesh
 
 # A limit exceeded by more than this share between nodes fails the certificate.
 CERTIFIED = 5e-3
 # Motions are tightened until the excess is below this, so that 0.5 % is never only just met.
 _AIM = 2e-3
 _REFINEMENTS = 3
-
-
-@dataclass(frozen=True)
-class SolveProgress:
-    """One iteration, for displays.
-
-    Attributes
-    ----------
-    stage : str
-        Which of how many, intervals and smoothing.
-    iteration : int
-    objective : float
-        In SI, of the smoothed model at the nodes.
-    violation : float
-        Worst row, relative to its scale.
-    row : str
-        Its name; empty when nothing is violated.
-    elapsed : float
-        Since the solve began [s].
-    """
-
-    stage: str
-    iteration: int
-    objective: float
-    violation: float
-    row: str
-    elapsed: float
-
-
-ProgressCallback = Callable[[SolveProgress], object]
-
-
-@dataclass
-class _Run:
-    """One solve in progress: its clock, its record and what it found so far."""
-
-    problem: TrajectoryProblem
-    motion: ResolvedMotion
-    scales: Scales
-    progress: ProgressCallback | None
-    begin: float = field(default_factory=time.perf_counter)
-    build_s: float = 0.0
-    solve_s: float = 0.0
-    iterations: int = 0
-    homotopy: list[dict[str, Any]] = field(default_factory=list)
-
-    @property
-    def elapsed(self) -> float:
-        return time.perf_counter() - self.begin
-
-    @property
-    def remaining(self) -> float:
-        return max(self.problem.method.time_limit - self.elapsed, 0.1)
-
-
-@dataclass(frozen=True)
-class _Outcome:
-    """End of one staged solve: the last NLP and what its motion is worth."""
-
-    raw: RawSolution
-    transcription: Transcription
-    trajectory: Trajectory
-    assessment: Assessment
+_GROWTH = 1.25
 
 
 def solve(
@@ -141,7 +72,7 @@ def solve(
     notes = check_bounds(problem, motion)
     beside = baselines(problem, motion)
     scales = _scales(problem, beside)
-    run = _Run(problem, motion, scales, progress)
+    run = Run(problem, motion, scales, progress)
     outcome = _best_of_starts(run, guess or initial_guess(problem, motion, beside))
     solution = _conclude(run, outcome, beside, notes)
     if throw and not (solution.status.usable or solution.status is SolveStatus.INTERRUPTED):
@@ -160,7 +91,7 @@ def _scales(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> Scales:
     return Scales()
 
 
-def _best_of_starts(run: _Run, guess: Guess) -> _Outcome:
+def _best_of_starts(run: Run, guess: Guess) -> Outcome:
     """The best certified outcome of the problem's number of starts."""
     problem = run.problem
     random = np.random.default_rng(problem.method.seed)
@@ -173,30 +104,36 @@ def _best_of_starts(run: _Run, guess: Guess) -> _Outcome:
     return best
 
 
-def _rank(problem: TrajectoryProblem, outcome: _Outcome) -> tuple[bool, float]:
+def _rank(problem: TrajectoryProblem, outcome: Outcome) -> tuple[bool, float]:
     """Certified outcomes first, then by objective."""
     value = objective_value(problem, outcome.assessment).value
     maximised = len(problem.objectives) == 1 and problem.objectives[0].maximised
     return not outcome.assessment.feasible(CERTIFIED), -value if maximised else value
 
 
-def _certified_solve(run: _Run, guess: Guess) -> _Outcome:
-    """Solve in stages; refine the mesh and tighten limits while the certificate finds excess."""
+def _certified_solve(run: Run, guess: Guess) -> Outcome:
+    """Solve in stages; while the certificate finds excess, refine the mesh, then tighten limits."""
     margins: dict[str, float] = {}
-    intervals = run.problem.method.intervals
-    plan = stages(run.problem, intervals)
-    for attempt in range(_REFINEMENTS + 1):
-        outcome = _staged(run, plan, guess, margins)
+    method = run.problem.method
+    outcome = run_stages(run, stages(run.problem, method.intervals), guess, margins)
+    final = smoothing_widths(run.problem)[-1]
+    for attempt in range(1, _REFINEMENTS + 1):
         excess = _excess(outcome.assessment)
-        stopped = outcome.raw.status in ("interrupted", "time_limit", "infeasible")
-        if not excess or stopped or attempt == _REFINEMENTS:
+        if not excess or not outcome.raw.converged:
             break
-        for name, value in excess.items():
-            margins[name] = margins.get(name, 0.0) + value
-        intervals = int(np.ceil(1.25 * intervals))
-        plan = (Stage(intervals, smoothing_widths(run.problem)[-1]),)
-        guess = outcome.transcription.guess_from(outcome.raw.x)
+        if attempt > 1:
+            for name, value in excess.items():
+                margins[name] = margins.get(name, 0.0) + value
+        intervals = int(np.ceil(method.intervals * _GROWTH**attempt))
+        outcome = _refined(run, outcome, Stage(intervals, final), margins)
     return outcome
+
+
+def _refined(run: Run, outcome: Outcome, stage: Stage, margins: dict[str, float]) -> Outcome:
+    """Solve again from an outcome, with short intervals where its controls change."""
+    mesh = refine_mesh(outcome.transcription, outcome.raw.x, stage.intervals)
+    guess = outcome.transcription.guess_from(outcome.raw.x)
+    return run_stages(run, (stage,), guess, margins, mesh)
 
 
 def _excess(assessment: Assessment) -> dict[str, float]:
@@ -207,90 +144,6 @@ def _excess(assessment: Assessment) -> dict[str, float]:
         for v in assessment.violations
         if v.value > _AIM and not v.limit.startswith(fixed)
     }
-
-
-def _staged(
-    run: _Run, plan: tuple[Stage, ...], guess: Guess, margins: dict[str, float]
-) -> _Outcome:
-    problem = run.problem
-    ocp = formulate(problem, run.motion, run.scales, margins)
-    made: tuple[int, Transcription, IpoptSolver] | None = None
-    x: np.ndarray | None = None
-    previous: RawSolution | None = None
-    for number, stage in enumerate(plan, start=1):
-        if made is None or made[0] != stage.intervals:
-            begin = time.perf_counter()
-            mesh = uniform_mesh(stage.intervals, ocp.phases, guess.phase_fractions)
-            transcription = transcribe(ocp, problem.method.transcription, mesh)
-            options = IpoptOptions(
-                tol=problem.method.tolerance, max_iterations=problem.method.max_iterations
-            )
-            made = (stage.intervals, transcription, IpoptSolver(transcription.nlp, options))
-            x, previous = transcription.pack(guess), None
-            run.build_s += time.perf_counter() - begin
-        _, transcription, solver = made
-        assert x is not None
-        label = (
-            f"stage {number} of {len(plan)}, {stage.intervals} intervals, "
-            f"smoothing {stage.smoothing:g}"
-        )
-        raw = solver.solve(
-            x,
-            np.array([stage.smoothing]),
-            warm=previous,
-            report=_reporter(run, label),
-            max_seconds=run.remaining,
-        )
-        _record(run, stage, raw)
-        x, previous = raw.x, raw if raw.converged else None
-        guess = transcription.guess_from(raw.x)
-        if raw.status in ("interrupted", "time_limit"):
-            break
-    trajectory = _trajectory(problem, transcription, raw.x)
-    return _Outcome(raw, transcription, trajectory, assess(problem, trajectory))
-
-
-def _trajectory(
-    problem: TrajectoryProblem, transcription: Transcription, x: np.ndarray
-) -> Trajectory:
-    """The motion of the joints, exactly as the transcription integrates it."""
-    motion = Trajectory.from_acceleration(*transcription.acceleration_polynomials(x))
-    if problem.path is None:
-        return motion
-    return JointPath.through(problem.path).follow(motion)
-
-
-def _reporter(run: _Run, label: str) -> Callable[[Any], None] | None:
-    if run.progress is None:
-        return None
-    report = run.progress
-    first = run.problem.objectives[0]
-    size = first.weight * run.scales.of(first.name)
-    sign = -1.0 if len(run.problem.objectives) == 1 and first.maximised else 1.0
-
-    def forward(event: Any) -> None:
-        value = sign * event.objective * size
-        report(
-            SolveProgress(
-                label, event.iteration, value, event.violation, event.row, run.elapsed
-            )
-        )
-
-    return forward
-
-
-def _record(run: _Run, stage: Stage, raw: RawSolution) -> None:
-    run.solve_s += raw.solve_s
-    run.iterations += raw.iterations
-    run.homotopy.append(
-        {
-            "intervals": stage.intervals,
-            "smoothing": stage.smoothing,
-            "iterations": raw.iterations,
-            "status": raw.status,
-            "solve_s": round(raw.solve_s, 4),
-        }
-    )
 
 
 def _perturbed(guess: Guess, problem: TrajectoryProblem, random: np.random.Generator) -> Guess:
@@ -317,7 +170,7 @@ def _perturbed(guess: Guess, problem: TrajectoryProblem, random: np.random.Gener
 
 
 def _conclude(
-    run: _Run, outcome: _Outcome, beside: dict[str, Baseline], notes: tuple[str, ...]
+    run: Run, outcome: Outcome, beside: dict[str, Baseline], notes: tuple[str, ...]
 ) -> Solution:
     problem, raw, assessment = run.problem, outcome.raw, outcome.assessment
     status = _status(raw, assessment)
@@ -362,18 +215,23 @@ def _status(raw: RawSolution, assessment: Assessment) -> SolveStatus:
 
 
 def _message(status: SolveStatus, raw: RawSolution, assessment: Assessment) -> str:
-    text = status.sentence
-    if status in (SolveStatus.INFEASIBLE, SolveStatus.TIME_LIMIT, SolveStatus.ITERATION_LIMIT):
-        rows = "; ".join(str(row) for row in raw.worst_rows[:3])
-        text += f" Rows that conflict: {rows}." if rows else ""
-        if raw.status == "invalid_number":
-            text += f" {raw.reason}."
-    elif status is not SolveStatus.INTERRUPTED:
-        text += f" Worst of all limits: {assessment.worst_violation.describe()}."
-    if status is SolveStatus.INTERRUPTED:
-        certified = assessment.feasible(CERTIFIED)
-        text += (
-            " It keeps all limits." if certified else
-            f" It does not keep all limits: {assessment.worst_violation.describe()}."
+    worst = assessment.worst_violation.describe()
+    if status is SolveStatus.INFEASIBLE:
+        entries = raw.conflicts or raw.worst_rows
+        return f"{status.sentence} These conflict: {_listed(entries)}."
+    if status is SolveStatus.INTERRUPTED or not raw.converged:
+        kept = assessment.feasible(CERTIFIED)
+        state = "It keeps all limits." if kept else f"It exceeds {worst}."
+        cause = (
+            f" {raw.reason[0].upper()}{raw.reason[1:]}." if raw.status == "invalid_number" else ""
         )
-    return text
+        return f"{status.sentence}{cause} {state}"
+    if status is SolveStatus.CERTIFICATE_FAILED:
+        return f"{status.sentence} It exceeds {worst}."
+    return status.sentence
+
+
+def _listed(entries: Sequence[object]) -> str:
+    """Return rows by name, without those that differ in their place only."""
+    names = dict.fromkeys(str(entry) for entry in entries)
+    return "; ".join(list(names)[:5]) or "none that can be named"

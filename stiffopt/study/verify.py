@@ -10,7 +10,8 @@ from stiffopt.errors import InputFileError
 from stiffopt.files import check_file, load_toml
 from stiffopt.problem.files import load_problem
 from stiffopt.result.status import SolveStatus
-from stiffopt.study.optimise import ProgressCallback, solve
+from stiffopt.study.optimise import solve
+from stiffopt.study.staging import ProgressCallback
 from stiffopt.units import convert
 
 
