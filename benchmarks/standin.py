@@ -5,22 +5,18 @@ The stand-in law is no shipped connection: it shows how a user's own `Connection
 
 from __future__ import annotations
 
-import json
-import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-import pinocchio as pin
+from common import numbers as data
+from common import urdf_model
 
 from stiffopt.connection.connection import Connection
 from stiffopt.connection.reducer import Reducer
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.robot.robot import Robot, Tool, place_at
-
-DATA = Path(os.environ.get("STIFFOPT_BENCHMARKS", "../shared/benchmarks"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,15 +49,10 @@ class SquareRootContact(Connection):
         return np.sqrt(self.rated) / self.factor / np.sqrt(np.abs(torque) + self.floor)
 
 
-def data() -> dict[str, Any]:
-    """Problem data of the UR10 benchmark."""
-    return json.loads((DATA / "ur10.json").read_text())
-
-
 def standin_robot() -> Robot:
     """UR10 with 5 kg, limits of the problem data, stand-in stiffness."""
     numbers = data()
-    model = pin.buildModelFromUrdf(str(DATA / numbers["urdf"]))
+    model = urdf_model()
     law = numbers["dynamic_deflection"]["stand_in_stiffness"]
     n = model.nv
     torque = np.array(numbers["torque_max"])
