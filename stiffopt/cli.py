@@ -7,7 +7,9 @@ interrupted. Commands import what they need, so that help and errors come at onc
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -48,15 +50,15 @@ def solve(problem: Path, *, out: Out | None = None, quiet: bool = False) -> int:
     from stiffopt.study.optimise import solve as optimise
 
     loaded = load_problem(problem)
-    folder = _folder(out or Path("out") / problem.stem)
-    with _progress(loaded.problem, quiet) as progress:
-        solution = optimise(loaded.problem, progress=progress, throw=False)
-    if solution.trajectory is not None:
-        times = export_times(solution.trajectory.duration)
-        exported = assess(loaded.problem, solution.trajectory, times=times)
-        write_trajectory(exported, folder)
-    write_solve_report(loaded.problem, solution, folder)
-    write_result(solution, folder)
+    with _folder(out or Path("out") / problem.stem) as folder:
+        with _progress(loaded.problem, quiet) as progress, _about(problem):
+            solution = optimise(loaded.problem, progress=progress, throw=False)
+        if solution.trajectory is not None:
+            times = export_times(solution.trajectory.duration)
+            exported = assess(loaded.problem, solution.trajectory, times=times)
+            write_trajectory(exported, folder)
+        write_solve_report(loaded.problem, solution, folder)
+        write_result(solution, folder)
     print_solution(loaded.problem, solution, folder)
     return solution.status.exit_code
 
@@ -72,12 +74,17 @@ def verify(problems: Path, *, quiet: bool = False) -> int:
     quiet
         No progress display.
     """
+    from stiffopt.problem.files import load_problem
     from stiffopt.report.terminal import print_checks
     from stiffopt.study.verify import problem_files, verify_file
 
     checks = []
-    for path in problem_files(problems):
-        with _named_progress(path.stem, quiet) as progress:
+    paths = problem_files(problems)
+    # A fault in the last file must not cost the time of the others.
+    for path in paths:
+        load_problem(path)
+    for path in paths:
+        with _named_progress(path.stem, quiet) as progress, _about(path):
             checks.append(verify_file(path, progress))
         if checks[-1].interrupted:
             break
@@ -105,10 +112,10 @@ def stiffness(robot: str, *, out: Out | None = None, drivetrain: Path | None = N
     from stiffopt.study.stiffness import stiffness_study, write_stiffness_csv
 
     arm = load_robot(robot, drivetrain)
-    folder = _folder(out or Path("out") / f"stiffness_{arm.name}")
-    rows = stiffness_study(arm)
-    write_stiffness_csv(rows, folder / "stiffness.csv")
-    page = write_stiffness_report(arm, rows, folder)
+    with _folder(out or Path("out") / f"stiffness_{arm.name}") as folder:
+        rows = stiffness_study(arm)
+        write_stiffness_csv(rows, folder / "stiffness.csv")
+        page = write_stiffness_report(arm, rows, folder)
     print(f"Wrote {folder / 'stiffness.csv'} and {page}")
     return 0
 
@@ -132,15 +139,36 @@ def schema(kind: Literal["trajectory", "robot"] = "trajectory") -> int:
     return 0
 
 
-def _folder(path: Path) -> Path:
-    """The output folder, made before any long work so that a wrong path is told at once."""
+@contextmanager
+def _folder(path: Path) -> Iterator[Path]:
+    """The output folder, tried before any long work; what stays empty is removed again."""
+    made = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputFileError(
-            path, "", f"the folder cannot be made: {error.strerror}. Give another with --out."
-        ) from error
-    return path
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=path):
+                pass
+        except OSError as error:
+            raise InputFileError(
+                path, "", f"the folder cannot be written: {error.strerror}. Give another as --out."
+            ) from error
+        yield path
+    except BaseException:
+        for folder in made:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
+
+
+@contextmanager
+def _about(path: Path) -> Iterator[None]:
+    """Add the problem file to what is said about the problem."""
+    try:
+        yield
+    except InputFileError:
+        raise
+    except InputError as error:
+        raise InputFileError(path, "", str(error)) from error
 
 
 def _progress(problem: Any, quiet: bool) -> Any:
@@ -149,8 +177,6 @@ def _progress(problem: Any, quiet: bool) -> Any:
 
 
 def _named_progress(title: str, quiet: bool, unit: str = "") -> Any:
-    from contextlib import nullcontext
-
     from stiffopt.report.progress import ProgressDisplay
 
     return nullcontext() if quiet else ProgressDisplay(title, unit)

@@ -10,14 +10,24 @@ from pathlib import Path
 
 import numpy as np
 
-from stiffopt.errors import InputError, InputFileError
+from stiffopt.errors import InputFileError
 from stiffopt.files import check_file, check_header, load_toml, validate
 from stiffopt.problem.objectives import Objective
 from stiffopt.problem.schema import ExpectedSection, LimitsSection, ProblemFile, TargetSection
-from stiffopt.problem.trajectory import Limits, Method, Target, TrajectoryProblem
-from stiffopt.robot.robot import Robot
+from stiffopt.problem.trajectory import (
+    Limits,
+    Method,
+    Target,
+    TrajectoryProblem,
+    check_duration,
+)
+from stiffopt.robot.elements import located
 from stiffopt.robot.files import load_robot, shipped_robots
-from stiffopt.units import fit_joint
+from stiffopt.robot.robot import Robot
+from stiffopt.units import convert, fit_joint
+
+# Beyond this a number is a slip, and it would spoil the scales of the optimisation.
+_LARGEST_LIMIT = 1e9
 
 
 @dataclass(frozen=True)
@@ -48,12 +58,11 @@ def load_problem(path: str | os.PathLike[str]) -> LoadedProblem:
     data = load_toml(path)
     check_header(data, path, "trajectory")
     document = validate(ProblemFile, data, path)
-    try:
+    with located(path, ""):
         problem = _build(document, path)
-    except InputFileError:
-        raise
-    except InputError as error:
-        raise InputFileError(path, "", str(error)) from error
+    if document.expected is not None and len(problem.objectives) == 1:
+        with located(path, "expected.unit"):
+            convert(1.0, problem.objectives[0].unit, document.expected.unit)
     return LoadedProblem(problem, document.expected, path)
 
 
@@ -66,6 +75,8 @@ def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
     else:
         upper = motion.duration.upper
         duration = (motion.duration.lower, np.inf if upper is None else upper)
+    with located(path, "motion.duration"):
+        check_duration(duration)
     waypoints = None
     if motion.path is not None:
         waypoints = np.stack(
@@ -84,8 +95,9 @@ def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
             joints(motion.boundary_velocity.end, "angular velocity", "boundary_velocity.end"),
         )
     for number, term in enumerate(document.minimise, start=1):
-        for joint in (*term.joints, *term.joint_weights):
-            joints.check_number(joint, f"minimise[{number}].joints")
+        for key in ("joints", "joint_weights"):
+            for joint in getattr(term, key):
+                joints.check_number(joint, f"minimise[{number}].{key}")
     return TrajectoryProblem(
         robot=robot,
         start=start,
@@ -119,17 +131,15 @@ def _robot(document: ProblemFile, path: Path) -> Robot:
     name = document.robot
     beside = path.parent / name
     source = name if name in shipped_robots() else beside if beside.exists() else name
-    try:
+    with located(path, "robot"):
         robot = load_robot(source)
-    except InputFileError:
-        raise
-    except InputError as error:
-        raise InputFileError(path, "robot", str(error)) from error
     if document.payload is not None:
         load = document.payload
-        robot = robot.with_payload(load.mass, load.com, load.inertia)
+        with located(path, "payload"):
+            robot = robot.with_payload(load.mass, load.com, load.inertia)
     if document.tool.link is not None or document.tool.offset is not None:
-        robot = robot.with_tool(document.tool.link, document.tool.offset)
+        with located(path, "tool"):
+            robot = robot.with_tool(document.tool.link, document.tool.offset)
     return robot
 
 
@@ -149,12 +159,11 @@ class _JointLists:
                 f"needs {len(self.names)} values, one a joint ({', '.join(self.names)}); got "
                 f"{len(values)}.",
             )
-        return np.array(
-            [
-                fit_joint(value, bool(self.prismatic[j]), dimension, f"{where}[{j + 1}]")
-                for j, value in enumerate(values)
-            ]
-        )
+        numbers = []
+        for j, value in enumerate(values):
+            with located(self.path, f"{where}[{j + 1}]"):
+                numbers.append(fit_joint(value, bool(self.prismatic[j]), dimension, self.names[j]))
+        return np.array(numbers)
 
     def check_number(self, joint: int, where: str) -> None:
         """Joint numbers start at 1."""
@@ -169,14 +178,15 @@ def _target(section: TargetSection, joints: _JointLists, where: str) -> Target:
         return None if values is None else joints(values, "angle", f"{where}.{key}")
 
     extra = {} if section.tolerance is None else {"tolerance": float(section.tolerance)}
-    return Target(
-        joints=angles(section.joints, "joints"),
-        position=None if section.position is None else np.array(section.position),
-        rpy=None if section.rpy is None else np.array(section.rpy),
-        near=angles(section.near, "near"),
-        angle_tolerance=section.angle_tolerance,
-        **extra,
-    )
+    with located(joints.path, where):
+        return Target(
+            joints=angles(section.joints, "joints"),
+            position=None if section.position is None else np.array(section.position),
+            rpy=None if section.rpy is None else np.array(section.rpy),
+            near=angles(section.near, "near"),
+            angle_tolerance=section.angle_tolerance,
+            **extra,
+        )
 
 
 def _limits(section: LimitsSection, robot: Robot, joints: _JointLists, path: Path) -> Limits:
@@ -195,9 +205,12 @@ def _limits(section: LimitsSection, robot: Robot, joints: _JointLists, path: Pat
             array = np.full(len(robot.joint_names), np.inf)
         else:
             array = joints(given, dimension, f"limits.{name}")
-            if np.any(array <= 0):
+            if np.any(array <= 0) or np.any(array > _LARGEST_LIMIT):
                 raise InputFileError(
-                    path, f"limits.{name}", "every limit must be greater than zero."
+                    path,
+                    f"limits.{name}",
+                    f"every limit must be greater than zero and at most {_LARGEST_LIMIT:g}; "
+                    f'got {array.tolist()}. Write "none" where there is no limit.',
                 )
         values[name] = array * getattr(section.scale, name)
     for name in ("position_lower", "position_upper"):
@@ -205,8 +218,13 @@ def _limits(section: LimitsSection, robot: Robot, joints: _JointLists, path: Pat
         values[name] = (
             getattr(own, name) if given is None else joints(given, "angle", f"limits.{name}")
         )
-    if np.any(values["position_lower"] >= values["position_upper"]):
-        raise InputFileError(path, "limits", "position_lower must be below position_upper.")
+    for j in np.flatnonzero(values["position_lower"] >= values["position_upper"]):
+        raise InputFileError(
+            path,
+            "limits",
+            f"joint {j + 1} has position_lower = {values['position_lower'][j]:g} and "
+            f"position_upper = {values['position_upper'][j]:g}; lower must be below upper.",
+        )
     for joint in section.joint_stiffness:
         joints.check_number(joint, "limits.joint_stiffness")
     speed_map = section.velocity_by_position

@@ -7,6 +7,7 @@ reach, a pose that the drives cannot hold at rest.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -15,6 +16,9 @@ from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.problem.waypoints import rotation_matrix
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,7 @@ def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
         if _is_fixed(target):
             _check_range(problem, where, angles)
             _check_rest(problem, where, angles)
+    _check_boundary_velocity(problem)
     for number, (via, angles) in enumerate(zip(problem.vias, vias, strict=True), start=1):
         if via.joints is not None:
             _check_range(problem, f"motion.via[{number}]", angles)
@@ -118,9 +123,17 @@ def _joints(
         guess = np.where(np.isfinite(middle), middle, 0.0)
     rotation = None if target.rpy is None else rotation_matrix(target.rpy)
     try:
-        return np.asarray(solve_pose(problem.robot, target.position, rotation, guess))
+        return np.asarray(solve_pose(_within_limits(problem), target.position, rotation, guess))
     except ProblemError as error:
         raise ProblemError(f"{where}: {error}") from error
+
+
+def _within_limits(problem: TrajectoryProblem) -> Robot:
+    """The robot with the joint range of the problem, in which poses are sought."""
+    limits = problem.active_limits
+    return replace(
+        problem.robot, position_lower=limits.position_lower, position_upper=limits.position_upper
+    )
 
 
 def _with_orientation(
@@ -139,7 +152,7 @@ def _with_orientation(
     rotation = first.rotation @ pin.exp3(turn * before / max(before + after, 1e-12))
     oriented = replace(via, rpy=pin.rpy.matrixToRpy(rotation))
     try:
-        solve_pose(problem.robot, oriented.position, rotation, start)
+        solve_pose(_within_limits(problem), oriented.position, rotation, start)
     except ProblemError:
         return via
     return oriented
@@ -176,6 +189,22 @@ def _check_range(problem: TrajectoryProblem, where: str, angles: np.ndarray) -> 
             raise ProblemError(
                 f"{where}: joint {j + 1} at {_both(angle)} is outside its range {_both(low)} to "
                 f"{_both(high)}. Choose a pose within the range, or widen limits.position."
+            )
+
+
+def _check_boundary_velocity(problem: TrajectoryProblem) -> None:
+    if problem.boundary_velocity is None:
+        return
+    limit = problem.active_limits.velocity
+    for side, velocity in zip(("start", "end"), problem.boundary_velocity, strict=True):
+        where = f"motion.boundary_velocity.{side}"
+        if np.shape(velocity) != (problem.joints,) or not np.all(np.isfinite(velocity)):
+            raise ProblemError(f"{where} needs {problem.joints} finite numbers, got {velocity}.")
+        for j in np.flatnonzero(np.abs(velocity) > limit):
+            raise ProblemError(
+                f"{where}: joint {j + 1} at {velocity[j]:.4g} exceeds its velocity limit "
+                f"{limit[j]:.4g}, so no duration can connect it. Lower it, or raise "
+                "limits.velocity."
             )
 
 

@@ -29,11 +29,11 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 class PayloadSection(Section):
-    """[payload]: fixed at the flange; com in the flange frame, inertia about the com."""
+    """[payload]: fixed at the flange; com in the flange frame, principal inertia about the com."""
 
-    mass: Annotated[Mass, Field(ge=0)]
+    mass: Annotated[Mass, Field(ge=0, le=1e5)]
     com: Vector3 = [0.0, 0.0, 0.0]
-    inertia: Annotated[list[Inertia], Field(min_length=3, max_length=6)] = [0.0, 0.0, 0.0]
+    inertia: Annotated[list[Inertia], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
 
 
 class ToolSection(Section):

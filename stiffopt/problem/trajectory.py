@@ -14,6 +14,10 @@ from stiffopt.problem.objectives import Objective
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
+# Outside these a number is a slip, and it would overflow on the way.
+_FAR = 1e3
+_DURATIONS = (1e-3, 1e5)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
@@ -47,6 +51,37 @@ class Target:
                 "A target needs either `joints` or `position`, not both and not neither; "
                 "`rpy` beside `position` makes it a pose."
             )
+        if self.rpy is not None and self.position is None:
+            raise ProblemError("`rpy` needs a `position` beside it; `joints` fix both.")
+        if self.position is not None:
+            _check_vector("position", self.position)
+            if np.linalg.norm(np.clip(self.position, -_FAR, _FAR)) >= _FAR:
+                raise ProblemError(
+                    f"position {np.asarray(self.position).tolist()} m is out of reach of any arm; "
+                    f"allowed: less than {_FAR:g} m from the base."
+                )
+        if self.rpy is not None:
+            _check_vector("rpy", self.rpy)
+        for name in ("tolerance", "angle_tolerance"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise ProblemError(f"{name} = {value:g} must be finite and greater than zero.")
+
+
+def _check_vector(name: str, value: np.ndarray) -> None:
+    if np.shape(value) != (3,) or not np.all(np.isfinite(value)):
+        raise ProblemError(f"{name} must hold 3 finite numbers, got {np.asarray(value).tolist()}.")
+
+
+def check_duration(duration: tuple[float, float]) -> None:
+    """Raise `ProblemError` unless the range (lower, upper) [s] holds a motion of an arm."""
+    lower, upper = duration
+    shortest, longest = _DURATIONS
+    if not shortest <= lower <= min(upper, longest) or longest < upper < np.inf:
+        raise ProblemError(
+            f"a duration from lower = {lower:g} s to upper = {upper:g} s cannot be used; allowed: "
+            f"{shortest:g} <= lower <= upper <= {longest:g} s, or no upper bound."
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,11 +204,7 @@ class TrajectoryProblem:
     def __post_init__(self) -> None:
         if not self.objectives:
             raise ProblemError("The problem has no objective; add at least one [[minimise]].")
-        lower, upper = self.duration
-        if not 0 < lower <= upper:
-            raise ProblemError(
-                f"duration = ({lower:g}, {upper:g}) s is empty; allowed: 0 < lower <= upper."
-            )
+        check_duration(self.duration)
 
     @property
     def active_limits(self) -> Limits:
