@@ -21,6 +21,9 @@ from stiffopt.errors import InputFileError, nearest
 
 Model = TypeVar("Model", bound=BaseModel)
 
+# Errors that say no more than that a value has not this form.
+_FORMS = ("model_type", "list_type", "dict_type", "literal_error", "tuple_type")
+
 
 class Section(BaseModel):
     """Base of every file section: unknown keys are errors, values do not change afterwards."""
@@ -90,7 +93,7 @@ def validate(model: type[Model], data: Mapping[str, Any], path: object) -> Model
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        faults = [_fault(model, data, e) for e in error.errors(include_url=False)]
+        faults = _faults(model, data, error.errors(include_url=False))
     where, reason = faults[0]
     more = "".join(f"\nAlso {place}: {text}" for place, text in faults[1:])
     raise InputFileError(path, where, reason + more)
@@ -120,8 +123,44 @@ def dotted(data: Any, location: Sequence[str | int]) -> str:
     return text
 
 
-def _fault(model: type[BaseModel], data: Any, error: Any) -> tuple[str, str]:
-    where = dotted(data, error["loc"])
+def _faults(model: type[BaseModel], data: Any, errors: list[Any]) -> list[tuple[str, str]]:
+    """Place and text of every error; of a key with several forms only what fits best."""
+    keys = [_keys(data, error) for error in errors]
+    faults = []
+    for error, own in zip(errors, keys, strict=True):
+        rivals = [
+            (other, place)
+            for other, place in zip(errors, keys, strict=True)
+            if other is not error and place[: len(own)] == own
+        ]
+        deeper = any(len(place) > len(own) for _, place in rivals)
+        form = error["type"] in _FORMS
+        if deeper or (form and any(other["type"] not in _FORMS for other, _ in rivals)):
+            continue
+        fault = _fault(model, dotted(data, own), error)
+        if fault not in faults:
+            faults.append(fault)
+    return faults
+
+
+def _keys(data: Any, error: Any) -> tuple[str | int, ...]:
+    """Location of an error without the names that pydantic gives to the forms of a key."""
+    keys: list[str | int] = []
+    last = len(error["loc"]) - 1
+    for number, part in enumerate(error["loc"]):
+        if isinstance(part, int):
+            held = isinstance(data, list | tuple) and part < len(data)
+        else:
+            held = isinstance(data, Mapping) and part in data
+        if held:
+            data = data[part]
+        elif not (number == last and error["type"] == "missing"):
+            continue
+        keys.append(part)
+    return tuple(keys)
+
+
+def _fault(model: type[BaseModel], where: str, error: Any) -> tuple[str, str]:
     kind, given = error["type"], error.get("input")
     if kind == "extra_forbidden":
         allowed = _fields(model, error["loc"][:-1])

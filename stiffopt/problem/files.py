@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,9 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from stiffopt.errors import InputFileError
-from stiffopt.files import check_file, check_header, load_toml, validate
+from stiffopt.files import check_header, load_toml, validate
 from stiffopt.problem.objectives import Objective
 from stiffopt.problem.schema import ExpectedSection, LimitsSection, ProblemFile, TargetSection
+from stiffopt.problem.speed_map import read_speed_map
 from stiffopt.problem.trajectory import (
     Limits,
     Method,
@@ -230,7 +230,9 @@ def _limits(section: LimitsSection, robot: Robot, joints: _JointLists, path: Pat
     speed_map = section.velocity_by_position
     return Limits(
         **values,
-        velocity_map=None if speed_map is None else _speed_map(path.parent / speed_map, robot),
+        velocity_map=None
+        if speed_map is None
+        else read_speed_map(path.parent / speed_map, len(robot.joint_names)),
         tool_speed=np.inf if section.tool_speed is None else section.tool_speed,
         dynamic_deflection=_or_inf(section.dynamic_deflection),
         total_deflection=_or_inf(section.total_deflection),
@@ -240,27 +242,3 @@ def _limits(section: LimitsSection, robot: Robot, joints: _JointLists, path: Pat
 
 def _or_inf(value: float | None) -> float:
     return np.inf if value is None else value
-
-
-def _speed_map(path: Path, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Columns q1.., v1.. of a CSV file, in SI: positions increasing in every column."""
-    check_file(path)
-    n = len(robot.joint_names)
-    with path.open(newline="") as stream:
-        rows = list(csv.DictReader(stream))
-    columns = [f"{letter}{j + 1}" for letter in "qv" for j in range(n)]
-    missing = [c for c in columns if not rows or c not in rows[0]]
-    if missing or len(rows) < 2:
-        raise InputFileError(
-            path, "", f"needs at least two rows and the columns {', '.join(columns)}."
-        )
-    try:
-        table = np.array([[float(row[c]) for c in columns] for row in rows])
-    except (TypeError, ValueError) as error:
-        raise InputFileError(path, "", f"holds a value that is no number: {error}.") from error
-    positions, speeds = table[:, :n], table[:, n:]
-    if not np.all(np.isfinite(table)) or np.any(np.diff(positions, axis=0) <= 0):
-        raise InputFileError(path, "", "positions must be finite and increase from row to row.")
-    if np.any(speeds <= 0):
-        raise InputFileError(path, "", "every speed limit must be greater than zero.")
-    return positions, speeds

@@ -10,7 +10,7 @@ from typing import Any
 
 import pinocchio as pin
 
-from stiffopt.errors import InputFileError, RobotError
+from stiffopt.errors import InputFileError, RobotError, nearest
 from stiffopt.files import check_file
 
 _KINDS = ("revolute", "continuous", "prismatic", "fixed")
@@ -47,9 +47,10 @@ def load_urdf(path: str | os.PathLike[str]) -> tuple[Any, dict[str, dict[str, fl
     if tree.tag != "robot":
         raise InputFileError(path, "", f"is not a URDF: the root is <{tree.tag}>, not <robot>.")
     _check_links(tree, path)
+    links = [link.get("name", "") for link in tree.findall("link")]
     moving = {}
     for joint in tree.findall("joint"):
-        found = _joint(joint, path)
+        found = _joint(joint, links, path)
         if found is not None:
             moving[joint.get("name", "")] = found
     if not moving:
@@ -61,7 +62,7 @@ def load_urdf(path: str | os.PathLike[str]) -> tuple[Any, dict[str, dict[str, fl
     return model, moving
 
 
-def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
+def _joint(joint: ET.Element, links: list[str], path: Path) -> dict[str, float] | None:
     """Check one joint; None if it is fixed."""
     name, kind = joint.get("name", ""), joint.get("type", "")
     if kind not in _KINDS:
@@ -69,6 +70,13 @@ def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
             f"{path}: joint {name!r} is of the kind {kind!r}; allowed are "
             f"{', '.join(_KINDS)}. Fix it, or replace it by several of these."
         )
+    for end in ("parent", "child"):
+        found = joint.find(end)
+        link = "" if found is None else found.get("link", "")
+        if link not in links:
+            raise RobotError(
+                f"{path}: joint {name!r} has no {end} {link!r}. {nearest(link, links)}"
+            )
     if joint.find("mimic") is not None:
         raise RobotError(
             f"{path}: joint {name!r} is of the kind 'mimic' (it follows another joint); allowed "
