@@ -1,0 +1,52 @@
+"""Run all benchmarks and write their tables to RESULTS.md beside this file.
+
+    python benchmarks/run.py [NAME ...]
+
+With names (fixed_path, model_cost, ...) only those run, and only print. Peers need their own
+environment first: sh benchmarks/rockit_environment.sh. Run it on a computer with nothing else to do.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+from common import HERE, require_data, table
+
+from stiffopt.study.provenance import versions
+
+BENCHMARKS = (
+    "ur10_torque_squared",
+    "fixed_path",
+    "dynamic_deflection",
+    "elastic_simulation",
+    "model_cost",
+)
+HEAD = """# Results of one run
+
+Ratios of times hold within one table, the seconds themselves only on the computer of the run.
+Reference numbers come from the problem data and from the peers named in each row. "Worst limit
+between nodes" is the largest violation on the certificate's grid, negative where there is margin.
+"""
+
+
+def main(names: list[str]) -> None:
+    """Run the named benchmarks, or all of them and keep the tables."""
+    require_data()
+    unknown = sorted(set(names) - set(BENCHMARKS))
+    if unknown:
+        sys.exit(f"no benchmark {', '.join(unknown)}; allowed: {', '.join(BENCHMARKS)}")
+    tables = []
+    for name in names or BENCHMARKS:
+        module = import_module(name)
+        tables.append(table(module.TITLE, module.run()))
+        print(tables[-1], flush=True)
+        print()
+    if not names:
+        used = ", ".join(f"{package} {number}" for package, number in versions().items())
+        text = "\n\n".join([HEAD + f"\nVersions: {used}.", *tables])
+        (HERE / "RESULTS.md").write_text(text + "\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
