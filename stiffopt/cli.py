@@ -1,7 +1,7 @@
 """The command line: `stiffopt stiffness`, `solve`, `verify`, `schema`.
 
-Exit codes: 0 done, 1 a verified value is off, 2 wrong input or command line, 3 no usable motion, 130
-interrupted. Commands import what they need, so that help and errors come at once.
+Exit codes: 0 done, 1 a verified value is off, 2 wrong input or command line, 3 no usable motion,
+130 interrupted. Commands import what they need, so that help and errors come at once.
 """
 
 from __future__ import annotations
@@ -131,11 +131,12 @@ def schema(kind: Literal["trajectory", "robot"] = "trajectory") -> int:
     """
     import json
 
-    if kind == "trajectory":
-        from stiffopt.problem.schema import json_schema
-    else:
-        from stiffopt.robot.schema import json_schema
-    print(json.dumps(json_schema(), indent=2))
+    from stiffopt.files import Section
+    from stiffopt.problem.schema import ProblemFile
+    from stiffopt.robot.schema import RobotFile
+
+    models: dict[str, type[Section]] = {"trajectory": ProblemFile, "robot": RobotFile}
+    print(json.dumps(models[kind].model_json_schema(by_alias=True), indent=2))
     return 0
 
 

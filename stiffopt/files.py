@@ -165,6 +165,8 @@ def _fault(model: type[BaseModel], where: str, error: Any) -> tuple[str, str]:
     if kind == "extra_forbidden":
         allowed = _fields(model, error["loc"][:-1])
         return where, f"unknown key {error['loc'][-1]!r}. {nearest(error['loc'][-1], allowed)}"
+    if kind == "missing" and isinstance(error["loc"][-1], int):
+        return where, "this entry of the list is required and missing."
     if kind == "missing":
         return where, "this key is required and missing."
     if kind == "union_tag_not_found":

@@ -67,6 +67,9 @@ PRISMATIC = {
     "inertia": "mass",
 }
 
+# Far above any modulus or stiffness, far below what overflows when multiplied.
+LARGEST = 1e15
+
 _NUMBER_AND_UNIT = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 _ANGLE_UNITS = (
     "radian",
@@ -148,6 +151,8 @@ def to_si(value: object, dimension: str, where: str = "") -> float:
         number = float(value)
     if not math.isfinite(number):
         raise UnitError(f"{place}{kind.name} must be a finite number, got {value!r}. {allowed}")
+    if abs(number) > LARGEST:
+        raise UnitError(f"{place}{value!r} is beyond any machine, at most {LARGEST:g}. {allowed}")
     return number
 
 

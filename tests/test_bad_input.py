@@ -111,7 +111,7 @@ PROBLEMS = {
     "too few limits": ({"limits": "velocity = [1.0]"}, ["limits.velocity", "2 values", "got 1"]),
     "two numbers for a position": (
         {"end": "{ position = [0.5, 0.1] }"},
-        ["motion.end.position", "3 items"],
+        ["motion.end.position[3]", "missing"],
     ),
     "a limit of zero": (
         {"limits": "velocity = [0.0, 1.0]"},
@@ -183,9 +183,9 @@ PROBLEMS = {
     "duration of 1e-300": ({"duration": "1e-300"}, ["motion.duration", "1e-"]),
     "joint angle of 1e300": (
         {"start": "{ joints = [1e300, 0] }"},
-        ["motion.start", "joint 1", "outside its range"],
+        ["motion.start.joints[1]", "1e+300", "at most 1e+15"],
     ),
-    "position of 1e300": ({"end": "{ position = [1e300, 0, 0] }"}, ["motion.end", "out of reach"]),
+    "position of 1e9": ({"end": "{ position = [1e9, 0, 0] }"}, ["motion.end", "out of reach"]),
     "negative payload": ({"extra": "[payload]\nmass = '-1 kg'"}, ["payload.mass", "or equal to 0"]),
     "payload of 1e300": ({"extra": "[payload]\nmass = 1e300"}, ["payload.mass", "1e+300"]),
     "impossible inertia": (

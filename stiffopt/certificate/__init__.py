@@ -1,1 +1,1 @@
-"""Certification of motions on a fine grid with the unsmoothed model, independent of the optimiser."""
+"""Certification on a fine grid with the unsmoothed model, independent of the optimiser."""

@@ -1,7 +1,7 @@
 """Assess a motion on a fine grid: true stiffness, true deflection, worst violation of every limit.
 
-The formulas of the optimiser are not used: dynamics and kinematics come from pinocchio, wind-up from
-quadrature of the exact contact and reducer laws, and the unsmoothed friction law.
+The formulas of the optimiser are not used: dynamics and kinematics come from pinocchio, wind-up
+from quadrature of the exact contact and reducer laws, friction from its unsmoothed law.
 """
 
 from __future__ import annotations

@@ -85,8 +85,8 @@ def _targets(problem: Any, motion: Assessment) -> list[Violation]:
 def _distance(target: Any, motion: Assessment) -> np.ndarray:
     """Distance to a target over time: [m] of the tool, or the largest joint angle [rad]."""
     if target.joints is not None:
-        return np.max(np.abs(motion.position - target.joints), axis=1)
-    return np.linalg.norm(motion.tool - target.position, axis=1)
+        return np.asarray(np.max(np.abs(motion.position - target.joints), axis=1))
+    return np.asarray(np.linalg.norm(motion.tool - target.position, axis=1))
 
 
 def _per_joint(name: str, excess: np.ndarray, motion: Assessment) -> list[Violation]:

@@ -18,6 +18,9 @@ from stiffopt.problem.objectives import Objective
 from stiffopt.problem.resolve import ResolvedMotion, gravity_torque, tool_jacobian
 from stiffopt.problem.trajectory import TrajectoryProblem
 
+# Objectives that do not ask for an ever slower motion.
+_ENDING = ("duration", "joint_stiffness")
+
 
 @dataclass(frozen=True)
 class Bound:
@@ -44,9 +47,9 @@ def find_bounds(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[Bou
     """Bounds of all objectives of a problem."""
     found: list[Bound] = []
     for objective in problem.objectives:
-        if np.isinf(problem.duration[1]) and objective.name != "duration":
-            if objective.name != "joint_stiffness" and len(problem.objectives) == 1:
-                found.append(_endless(objective))
+        alone = len(problem.objectives) == 1
+        if alone and np.isinf(problem.duration[1]) and objective.name not in _ENDING:
+            found.append(_endless(objective))
         if objective.name == "joint_stiffness":
             found += _stiffness_bounds(problem, motion, objective)
         if objective.name == "total_deflection" and objective.measure == "peak":
@@ -142,6 +145,13 @@ def sign_change(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) 
     return ""
 
 
+def torque_sides(problem: TrajectoryProblem, motion: ResolvedMotion) -> np.ndarray:
+    """Sign of each joint's torque at rest in the start pose; 0 where it must change (n,)."""
+    signs = np.sign(gravity_torque(problem, motion.start))
+    forced = [bool(sign_change(problem, motion, j + 1)) for j in range(problem.joints)]
+    return np.asarray(np.where(forced, 0.0, signs))
+
+
 def stiffness_at(problem: TrajectoryProblem, joint: int, torque: float) -> float:
     """Tangent stiffness [N m/rad] of a joint by the exact law."""
     chain = problem.robot.chains[joint - 1]
@@ -168,7 +178,7 @@ def _never_loaded_by_gravity(problem: TrajectoryProblem, joint: int) -> bool:
     high = np.where(np.isfinite(limits.position_upper), limits.position_upper, np.pi)
     poses = low + (high - low) * random.random((20, problem.joints))
     torques = [abs(gravity_torque(problem, pose)[joint - 1]) for pose in poses]
-    return max(torques) < 1e-9 * float(problem.robot.torque_max[joint - 1])
+    return bool(max(torques) < 1e-9 * float(problem.robot.torque_max[joint - 1]))
 
 
 def _sag_bounds(problem: TrajectoryProblem, motion: ResolvedMotion) -> list[Bound]:

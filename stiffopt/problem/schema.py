@@ -1,8 +1,8 @@
-"""Schema of trajectory problem files: keys, units, defaults. Every key is optional unless marked."""
+"""Schema of trajectory problem files: keys, units, defaults; optional unless marked."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -23,17 +23,17 @@ from stiffopt.units import (
     Time,
 )
 
-Vector3 = Annotated[list[Length], Field(min_length=3, max_length=3)]
+Vector3 = tuple[Length, Length, Length]
 Unlimited = Literal["none"]
-Positive = Annotated[float, Field(gt=0)]
+Positive = Annotated[float, Field(gt=0, le=1e15)]
 
 
 class PayloadSection(Section):
     """[payload]: fixed at the flange; com in the flange frame, principal inertia about the com."""
 
     mass: Annotated[Mass, Field(ge=0, le=1e5)]
-    com: Vector3 = [0.0, 0.0, 0.0]
-    inertia: Annotated[list[Inertia], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
+    com: Vector3 = (0.0, 0.0, 0.0)
+    inertia: tuple[Inertia, Inertia, Inertia] = (0.0, 0.0, 0.0)
 
 
 class ToolSection(Section):
@@ -41,7 +41,7 @@ class ToolSection(Section):
 
     link: str | None = None
     offset: Vector3 | None = None
-    process_force: Annotated[list[Force], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
+    process_force: tuple[Force, Force, Force] = (0.0, 0.0, 0.0)
 
 
 class TargetSection(Section):
@@ -49,7 +49,7 @@ class TargetSection(Section):
 
     joints: list[JointPosition] | None = None
     position: Vector3 | None = None
-    rpy: Annotated[list[Angle], Field(min_length=3, max_length=3)] | None = None
+    rpy: tuple[Angle, Angle, Angle] | None = None
     near: list[JointPosition] | None = None
     tolerance: Length | Angle | None = None
     angle_tolerance: Annotated[Angle, Field(gt=0)] = 0.01
@@ -85,7 +85,7 @@ class MotionSection(Section):
     """[motion] (required): start and end with vias between, or a fixed joint path."""
 
     start: TargetSection | None = None
-    via: list[TargetSection] = []
+    via: tuple[TargetSection, ...] = ()
     end: TargetSection | None = None
     path: list[list[JointPosition]] | None = None
     duration: Annotated[Time, Field(gt=0)] | DurationSection
@@ -116,8 +116,8 @@ class MinimiseSection(Section):
     ]
     measure: Literal["peak", "rms"] = "peak"
     weight: Positive = 1.0
-    joints: list[Annotated[int, Field(ge=1)]] = []
-    joint_weights: dict[int, Positive] = {}
+    joints: tuple[Annotated[int, Field(ge=1)], ...] = ()
+    joint_weights: dict[int, Positive] = Field(default_factory=dict)
     accept_bound: bool = False
 
 
@@ -144,7 +144,7 @@ class LimitsSection(Section):
     tool_speed: Annotated[Speed, Field(gt=0)] | None = None
     dynamic_deflection: Annotated[Length, Field(gt=0)] | None = None
     total_deflection: Annotated[Length, Field(gt=0)] | None = None
-    joint_stiffness: dict[int, Annotated[JointStiffness, Field(gt=0)]] = {}
+    joint_stiffness: dict[int, Annotated[JointStiffness, Field(gt=0)]] = Field(default_factory=dict)
 
 
 class MethodSection(Section):
@@ -184,8 +184,3 @@ class ProblemFile(Section):
     limits: LimitsSection = LimitsSection()
     method: MethodSection = MethodSection()
     expected: ExpectedSection | None = None
-
-
-def json_schema() -> dict[str, Any]:
-    """JSON Schema of problem files, for editors."""
-    return ProblemFile.model_json_schema(by_alias=True)

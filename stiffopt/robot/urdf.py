@@ -50,7 +50,8 @@ def load_urdf(path: str | os.PathLike[str]) -> tuple[Any, dict[str, dict[str, fl
     links = [link.get("name", "") for link in tree.findall("link")]
     moving = {}
     for joint in tree.findall("joint"):
-        found = _joint(joint, links, path)
+        _check_ends(joint, links, path)
+        found = _joint(joint, path)
         if found is not None:
             moving[joint.get("name", "")] = found
     if not moving:
@@ -62,7 +63,7 @@ def load_urdf(path: str | os.PathLike[str]) -> tuple[Any, dict[str, dict[str, fl
     return model, moving
 
 
-def _joint(joint: ET.Element, links: list[str], path: Path) -> dict[str, float] | None:
+def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
     """Check one joint; None if it is fixed."""
     name, kind = joint.get("name", ""), joint.get("type", "")
     if kind not in _KINDS:
@@ -70,13 +71,6 @@ def _joint(joint: ET.Element, links: list[str], path: Path) -> dict[str, float] 
             f"{path}: joint {name!r} is of the kind {kind!r}; allowed are "
             f"{', '.join(_KINDS)}. Fix it, or replace it by several of these."
         )
-    for end in ("parent", "child"):
-        found = joint.find(end)
-        link = "" if found is None else found.get("link", "")
-        if link not in links:
-            raise RobotError(
-                f"{path}: joint {name!r} has no {end} {link!r}. {nearest(link, links)}"
-            )
     if joint.find("mimic") is not None:
         raise RobotError(
             f"{path}: joint {name!r} is of the kind 'mimic' (it follows another joint); allowed "
@@ -115,6 +109,17 @@ def _joint(joint: ET.Element, links: list[str], path: Path) -> dict[str, float] 
         text = "0" if dynamics is None else dynamics.get(key, "0")
         values[key] = _numbers(text, 1, f"{path}: joint {name!r}, dynamics {key}")[0]
     return values
+
+
+def _check_ends(joint: ET.Element, links: list[str], path: Path) -> None:
+    for end in ("parent", "child"):
+        found = joint.find(end)
+        link = "" if found is None else found.get("link", "")
+        if link not in links:
+            raise RobotError(
+                f"{path}: joint {joint.get('name')!r} names the {end} {link!r}, which is no link. "
+                f"{nearest(link, links)}"
+            )
 
 
 def _check_links(tree: ET.Element, path: Path) -> None:

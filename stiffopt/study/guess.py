@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from stiffopt.problem.resolve import ResolvedMotion
@@ -30,7 +32,7 @@ def initial_guess(
     )
 
 
-def _sampler(s: np.ndarray, values: np.ndarray) -> object:
+def _sampler(s: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     def sample(at: np.ndarray) -> np.ndarray:
         columns = [np.interp(at, s, values[:, j]) for j in range(values.shape[1])]
         return np.stack(columns, axis=1)
