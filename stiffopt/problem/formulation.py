@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
+from stiffopt.problem.bounds import torque_sides
 from stiffopt.problem.coordinates import Coordinates, coordinates_of
 from stiffopt.problem.limit_rows import limit_rows
 from stiffopt.problem.objective_terms import Terms, objective_terms
@@ -64,7 +65,13 @@ def formulate(
     p = ca.SX.sym("smoothing")
     position, velocity, acceleration = coordinates.joint_motion(x, u)
     model = StageModel(
-        problem.robot, position, velocity, acceleration, problem.process_force, smoothing=p
+        problem.robot,
+        position,
+        velocity,
+        acceleration,
+        problem.process_force,
+        smoothing=p,
+        sides=torque_sides(problem, motion),
     )
     terms = objective_terms(problem, model, scales)
     rows = limit_rows(problem, model, coordinates, margins)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import casadi as ca
 import numpy as np
 
+from stiffopt.problem.bounds import stiffness_at
 from stiffopt.problem.coordinates import Coordinates
 from stiffopt.problem.stage_model import StageModel
 from stiffopt.problem.trajectory import Limits, TrajectoryProblem
@@ -44,6 +45,8 @@ def limit_rows(
             blocks.append(_length(name, vector, cap, margins))
     if limits.joint_stiffness:
         blocks.append(_stiffness_floor(model, limits, margins.get("joint_stiffness", 0.0)))
+        floors = sorted(limits.joint_stiffness.items())
+        blocks += model.one_sided([j for j, k in floors if k > stiffness_at(problem, j, 0.0)])
     return blocks
 
 

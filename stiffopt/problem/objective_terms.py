@@ -137,5 +137,5 @@ def _stiffness(
     expressions = [bound * objective.weight_of(j) * model.compliance(j) - 1.0 for j in joints]
     labels = [f"joint {j}" for j in joints]
     row = Rows.make("minimum joint stiffness", labels, -np.inf, 0.0, midpoints=True)
-    terms.path_rows.append((row, ca.vertcat(*expressions)))
+    terms.path_rows += [(row, ca.vertcat(*expressions)), *model.one_sided(joints)]
     return lambda integral, duration: bound

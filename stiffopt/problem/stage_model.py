@@ -5,6 +5,7 @@ Rotor inertia and friction load the drive, not the spring.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,7 @@ from stiffopt.dynamics.friction import drive_torque
 from stiffopt.dynamics.kinematics import point_jacobian
 from stiffopt.errors import ProblemError
 from stiffopt.symbolic import Quantity
+from stiffopt.transcription.ocp import Rows
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
@@ -38,6 +40,8 @@ class StageModel:
         Acts on the tool, base frame.
     smoothing : SX or float
         Factor on every smoothing width of the stiffness model.
+    sides : array (n,)
+        Sign of the spring torque of joints that need not change it; 0 for the others.
     """
 
     def __init__(
@@ -48,11 +52,13 @@ class StageModel:
         acceleration: Quantity,
         process_force: np.ndarray,
         smoothing: Quantity,
+        sides: np.ndarray,
     ) -> None:
         self.robot = robot
         self.position, self.velocity, self.acceleration = position, velocity, acceleration
         self.process_force = np.asarray(process_force, dtype=float)
         self.smoothing = smoothing
+        self.sides = sides
 
     @cached_property
     def chains(self) -> list[CompactChain | None]:
@@ -118,6 +124,23 @@ class StageModel:
                 "Describe its elements in the robot file, or leave the joint out."
             )
         return chain.tangent_compliance(self.torques.spring[joint - 1], smoothing=self.smoothing)
+
+    def one_sided(self, joints: Sequence[int]) -> list[tuple[Rows, Quantity]]:
+        """Rows that keep the spring torque of `joints` (1-based) on the side of their rest torque.
+
+        A joint whose torque changes sign has its stiffness at zero torque as the minimum. A motion
+        with a higher one stays on one side; without these rows it could change over between nodes.
+        """
+        kept = [j for j in joints if self.sides[j - 1] != 0]
+        if not kept:
+            return []
+        expressions = [
+            self.sides[j - 1] * self.torques.spring[j - 1] / self.robot.torque_max[j - 1]
+            for j in kept
+        ]
+        labels = [f"joint {j}" for j in kept]
+        rows = Rows.make("torque on one side", labels, 0.0, np.inf, midpoints=True)
+        return [(rows, ca.vertcat(*expressions))]
 
     @cached_property
     def deflection(self) -> Deflection:
