@@ -111,7 +111,7 @@ def fine_grid(motion: Any) -> np.ndarray:
         # Twenty points in every interval, however short the mesh made it.
         inner = np.linspace(breaks[:-1], breaks[1:], 21).ravel()
         grid = np.union1d(grid, np.clip(inner, 0.0, motion.duration))
-    return grid[np.concatenate(([True], np.diff(grid) > 1e-12 * motion.duration))]
+    return grid[np.concatenate(([True], np.diff(grid) > 1e-9 * motion.duration))]
 
 
 def exact_windup(robot: Robot, torque: np.ndarray) -> np.ndarray:

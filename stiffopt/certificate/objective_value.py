@@ -50,8 +50,11 @@ def objective_value(problem: Any, motion: Assessment) -> ObjectiveValue:
     )
 
 
+def is_maximised(problem: Any) -> bool:
+    """Whether a larger objective is better: only for the minimum stiffness on its own."""
+    return len(problem.objectives) == 1 and bool(problem.objectives[0].maximised)
+
+
 def improvement(problem: Any, value: float, baseline: float) -> float:
     """Ratio to a baseline's objective: below one is better, for maximised objectives too."""
-    if len(problem.objectives) == 1 and problem.objectives[0].maximised:
-        return baseline / value
-    return value / baseline
+    return baseline / value if is_maximised(problem) else value / baseline

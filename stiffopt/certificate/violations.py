@@ -29,7 +29,7 @@ def find_violations(problem: Any, motion: Assessment) -> Assessment:
     for name, values, bound in (
         ("velocity", motion.velocity, limits.velocity),
         ("acceleration", motion.acceleration, limits.acceleration),
-        ("jerk", motion.jerk, limits.jerk),
+        ("jerk", _jerk_with_jumps(motion), limits.jerk),
         ("torque", motion.torque, limits.torque),
     ):
         found += _per_joint(name, np.abs(values) / bound - 1.0, motion)
@@ -64,6 +64,14 @@ def find_violations(problem: Any, motion: Assessment) -> Assessment:
     found += _targets(problem, motion)
     found.sort(key=lambda violation: -violation.value)
     return replace(motion, violations=tuple(found))
+
+
+def _jerk_with_jumps(motion: Assessment) -> np.ndarray:
+    """Jerk (K, n), at a jump of the acceleration as steep as the grid can show it."""
+    slope = np.abs(np.diff(motion.acceleration, axis=0)) / np.diff(motion.time)[:, None]
+    jerk = np.abs(motion.jerk)
+    jerk[:-1] = np.maximum(jerk[:-1], slope)
+    return np.asarray(jerk)
 
 
 def _targets(problem: Any, motion: Assessment) -> list[Violation]:

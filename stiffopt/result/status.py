@@ -56,7 +56,7 @@ _SENTENCES = {
         "Stopped by the user; the best motion so far is kept. Run the same command to start anew."
     ),
     SolveStatus.CERTIFICATE_FAILED: (
-        "The solver finished, but the fine grid shows a limit exceeded by more than 0.5 %. Do not "
-        "run this motion; raise method.intervals or lower the scale of that limit."
+        "The solver finished, but the fine grid shows otherwise between the nodes. Do not run this "
+        "motion; raise method.intervals, or lower the scale of the limit that is named."
     ),
 }

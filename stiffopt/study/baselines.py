@@ -40,7 +40,10 @@ def baselines(problem: TrajectoryProblem, motion: ResolvedMotion) -> dict[str, B
             stretched = fastest.motion.scaled_to(duration)
             fastest = BaselineMotion(name="toppra", motion=stretched, fastest=fastest.fastest)
     quintic = quintic_baseline(path, duration)
-    return {"toppra": _assessed(problem, fastest), "quintic": _assessed(problem, quintic)}
+    return {
+        "toppra": _assessed(problem, fastest, ignored=("jerk",)),
+        "quintic": _assessed(problem, quintic),
+    }
 
 
 def better_baseline(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> Baseline | None:
@@ -51,7 +54,10 @@ def better_baseline(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> 
     return min(feasible, key=lambda b: improvement(problem, b.objective or np.inf, 1.0))
 
 
-def _assessed(problem: TrajectoryProblem, baseline: BaselineMotion) -> Baseline:
+def _assessed(
+    problem: TrajectoryProblem, baseline: BaselineMotion, ignored: tuple[str, ...] = ()
+) -> Baseline:
+    """Assess a baseline; limits that its method cannot take are named but do not exclude it."""
     if baseline.motion is None:
         return Baseline(
             name=baseline.name,
@@ -61,12 +67,16 @@ def _assessed(problem: TrajectoryProblem, baseline: BaselineMotion) -> Baseline:
             reason=baseline.reason,
         )
     assessment = assess(problem, baseline.motion)
-    feasible = assessment.feasible(FEASIBLE)
-    reason = "" if feasible else f"Exceeds {assessment.worst_violation.describe()}."
+    exceeded = [v for v in assessment.violations if v.value > FEASIBLE]
+    counted = [v for v in exceeded if v.limit not in ignored]
+    reason = f"Exceeds {counted[0].describe()}." if counted else ""
+    if exceeded and not counted:
+        names = ", ".join(dict.fromkeys(v.limit for v in exceeded))
+        reason = f"Its method cannot take the limit on {names}, which it exceeds."
     return Baseline(
         name=baseline.name,
         assessment=assessment,
         objective=objective_value(problem, assessment).value,
-        feasible=feasible,
+        feasible=not counted,
         reason=reason,
     )

@@ -11,6 +11,7 @@ import numpy as np
 
 from stiffopt.baseline.joint_path import JointPath
 from stiffopt.certificate.assess import assess
+from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.trajectory import TrajectoryProblem
@@ -80,6 +81,12 @@ class Run:
         """Seconds left of the time limit."""
         return max(self.problem.method.time_limit - self.elapsed, 0.1)
 
+    def in_si(self, objective: float) -> float:
+        """The objective of an NLP in the unit that people see."""
+        first = self.problem.objectives[0]
+        sign = -1.0 if is_maximised(self.problem) else 1.0
+        return sign * objective * first.weight * self.scales.of(first.name)
+
     def record(self, stage: Stage, raw: RawSolution) -> None:
         """Add one NLP solve to the record."""
         self.solve_s += raw.solve_s
@@ -97,12 +104,23 @@ class Run:
 
 @dataclass(frozen=True)
 class Outcome:
-    """End of one staged solve: the last NLP and what its motion is worth."""
+    """End of one staged solve: the last NLP and what its motion is worth.
+
+    Parameters
+    ----------
+    raw : RawSolution
+    transcription : Transcription
+    trajectory : Trajectory
+    assessment : Assessment
+    objective_gap : float
+        How much worse the certified objective is than the one at the nodes, relative.
+    """
 
     raw: RawSolution
     transcription: Transcription
     trajectory: Trajectory
     assessment: Assessment
+    objective_gap: float
 
 
 def run_stages(
@@ -157,7 +175,17 @@ def run_stages(
     assert made is not None
     assert raw is not None
     trajectory = _trajectory(run.problem, made.transcription, raw.x)
-    return Outcome(raw, made.transcription, trajectory, assess(run.problem, trajectory))
+    assessment = assess(run.problem, trajectory)
+    gap = _objective_gap(run, raw, assessment)
+    return Outcome(raw, made.transcription, trajectory, assessment, gap)
+
+
+def _objective_gap(run: Run, raw: RawSolution, assessment: Assessment) -> float:
+    """How much worse the certified objective is than the one at the nodes, relative."""
+    problem = run.problem
+    claimed, certified = run.in_si(raw.objective), objective_value(problem, assessment).value
+    worse = claimed - certified if is_maximised(problem) else certified - claimed
+    return float(worse / max(abs(claimed), abs(certified), 1e-300))
 
 
 @dataclass(frozen=True)
@@ -196,12 +224,9 @@ def _reporter(run: Run, label: str) -> Callable[[Any], None] | None:
     if run.progress is None:
         return None
     report = run.progress
-    first = run.problem.objectives[0]
-    size = first.weight * run.scales.of(first.name)
-    sign = -1.0 if len(run.problem.objectives) == 1 and first.maximised else 1.0
 
     def forward(event: Any) -> None:
-        value = sign * event.objective * size
+        value = run.in_si(event.objective)
         report(
             SolveProgress(label, event.iteration, value, event.violation, event.row, run.elapsed)
         )
