@@ -1,8 +1,13 @@
 """Minimum peak dynamic deflection: reference value, gain over the baselines, and how sure it is.
 
-Three problems: the UR10 with the stand-in stiffness (reference 0.397 mm at N = 100 on a uniform
-mesh), the UR10 with its shipped drivetrain, and the ER3A cycle. The last two also from two other
-initial guesses, and with N = 60 against N = 120.
+Three problems: the UR10 with the stand-in stiffness, the UR10 with its shipped drivetrain, and the
+ER3A cycle. The last two also from two other initial guesses, and with N = 60 against N = 120.
+
+The reference 0.397 mm of the stand-in problem belongs to N = 100 equal intervals and is not
+converged: with N = 30, 60, 100 it was 0.444, 0.409, 0.397 mm, falling as 1/N. The optimal
+acceleration jumps at both ends, which rest allows only within one interval. Deflection rows at the
+nodes only come closest to this sequence; rows at midpoints, and intervals placed where the
+acceleration changes, come closer to the limit. Free acceleration at the ends bounds it from below.
 """
 
 from __future__ import annotations
@@ -13,16 +18,19 @@ import numpy as np
 from common import HERE, Row, deflection_problem, loaded_ur10, main, numbers
 from standin import standin_robot
 
+from stiffopt.certificate.assess import assess
 from stiffopt.problem.files import load_problem
-from stiffopt.problem.formulation import Scales
+from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import Method, TrajectoryProblem
 from stiffopt.result.solution import Solution
+from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.ipopt import IpoptSolver
 from stiffopt.study.baselines import baselines
 from stiffopt.study.guess import initial_guess
 from stiffopt.study.optimise import solve
-from stiffopt.study.stages import Stage
-from stiffopt.study.staging import Run, run_stages
+from stiffopt.transcription.build import transcribe
+from stiffopt.transcription.mesh import uniform_mesh
 from stiffopt.transcription.ocp import Guess
 
 TITLE = "Minimum peak dynamic deflection"
@@ -51,16 +59,35 @@ def standin() -> list[Row]:
         value = 1e3 * (beside[name].objective or np.nan)
         known = reference["toppra_stretched_mm" if name == "toppra" else "quintic_mm"]
         rows.append(_agreement(f"stand-in, {name}", value, known))
-    run = Run(problem, motion, Scales({"dynamic_deflection": 1e-3}), None)
-    plan = tuple(Stage(100, width) for width in (4.0, 1.0, 0.25))
-    uniform = run_stages(run, plan, initial_guess(problem, motion, beside), {})
-    peak = 1e3 * uniform.assessment.deflection_summary()["dynamic"].peak
-    rows.append(_agreement("stand-in, N = 100, uniform mesh", peak, reference["minimum_peak_mm"]))
+    guess = initial_guess(problem, motion, beside)
+    best = reference["minimum_peak_mm"]
+    peak = on_equal_intervals(problem, guess, midpoints=False)
+    rows.append(_agreement("stand-in, N = 100, equal intervals, rows at nodes only", peak, best))
+    peak = on_equal_intervals(problem, guess, midpoints=True)
+    rows.append(_not_above("stand-in, N = 100, equal intervals", peak, best))
+    free = replace(problem, boundary_acceleration="free")
+    bound = on_equal_intervals(free, guess, midpoints=True)
+    rows.append(Row("stand-in, N = 100, free acceleration at the ends: peak", f"{bound:.4f} mm"))
     graded = solve(problem, throw=False)
-    rows.append(_agreement("stand-in, N = 100, default stages", _peak(graded), peak, wanted=False))
+    rows.append(_not_above("stand-in, N = 100, default stages", _peak(graded), best))
     rows.append(_certificate("stand-in, N = 100, default stages", graded))
     rows.append(_gain("stand-in", graded, GAIN))
     return rows
+
+
+def on_equal_intervals(problem: TrajectoryProblem, guess: Guess, midpoints: bool) -> float:
+    """Certified peak [mm] on a uniform mesh, with rows also at midpoints or at nodes only."""
+    ocp = formulate(problem, resolve(problem), Scales({"dynamic_deflection": 1e-3}))
+    if not midpoints:
+        ocp = replace(ocp, path_rows=tuple(replace(r, midpoints=False) for r in ocp.path_rows))
+    made = transcribe(ocp, "piecewise_linear", uniform_mesh(problem.method.intervals))
+    solver = IpoptSolver(made.nlp)
+    x, raw = made.pack(guess), None
+    for width in (4.0, 1.0, 0.25):
+        raw = solver.solve(x, np.array([width]), warm=raw)
+        x = raw.x
+    motion = assess(problem, Trajectory.from_acceleration(*made.acceleration_polynomials(x)))
+    return 1e3 * motion.deflection_summary()["dynamic"].peak
 
 
 def shipped(name: str, problem: TrajectoryProblem, gain: float | None) -> list[Row]:
@@ -110,14 +137,25 @@ def _peak(solution: Solution) -> float:
     return np.nan if solution.objective is None else 1e3 * solution.objective.value
 
 
-def _agreement(what: str, value: float, reference: float, wanted: bool = True) -> Row:
+def _agreement(what: str, value: float, reference: float) -> Row:
     off = value / reference - 1
     return Row(
         f"{what}: peak",
         f"{value:.4f} mm ({100 * off:+.2f} %)",
         f"{reference:.4g} mm",
-        f"within {100 * AGREEMENT:g} %" if wanted else "",
-        bool(abs(off) <= AGREEMENT) if wanted else None,
+        f"within {100 * AGREEMENT:g} %",
+        bool(abs(off) <= AGREEMENT),
+    )
+
+
+def _not_above(what: str, value: float, reference: float) -> Row:
+    off = value / reference - 1
+    return Row(
+        f"{what}: peak",
+        f"{value:.4f} mm ({100 * off:+.2f} %)",
+        f"{reference:.4g} mm",
+        f"at most {100 * AGREEMENT:g} % above",
+        bool(off <= AGREEMENT),
     )
 
 

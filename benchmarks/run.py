@@ -3,7 +3,7 @@
     python benchmarks/run.py [NAME ...]
 
 With names (fixed_path, model_cost, ...) only those run, and only print. Peers need their own
-environment first: sh benchmarks/rockit_environment.sh. Run it on a computer with nothing else to do.
+environment first: sh benchmarks/rockit_environment.sh. The computer should have nothing else to do.
 """
 
 from __future__ import annotations
