@@ -34,7 +34,7 @@ _PUBLIC = {
     "NoSolutionFound": "stiffopt.errors",
 }
 
-__all__ = ["__version__", *sorted(_PUBLIC)]  # noqa: PLE0604
+__all__ = ["__version__", *sorted(_PUBLIC)]
 
 
 def __getattr__(name: str) -> Any:

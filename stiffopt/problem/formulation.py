@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -21,7 +22,7 @@ from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.stage_model import StageModel
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.problem.waypoints import boundary_waypoint, via_waypoint
-from stiffopt.transcription.ocp import OptimalControlProblem, Rows
+from stiffopt.transcription.ocp import OptimalControlProblem
 
 
 @dataclass(frozen=True)
@@ -109,14 +110,14 @@ def _bounds(
     motion: ResolvedMotion,
     coordinates: Coordinates,
     margins: Mapping[str, float],
-) -> dict[str, np.ndarray | None]:
+) -> dict[str, Any]:
     """Bounds and scales of states and controls."""
     lower, upper = coordinates.state_bounds(margins)
     control = coordinates.control_bound(margins)
     rate = coordinates.rate_bound(margins)
     start, end = coordinates.boundary_states(motion)
     free = (slice(0, coordinates.size),)
-    bounds: dict[str, np.ndarray | None] = {
+    bounds: dict[str, Any] = {
         "state_lower": lower,
         "state_upper": upper,
         "control_lower": -control,
@@ -154,6 +155,3 @@ def _integral_function(terms: Terms, p: ca.SX) -> ca.Function | None:
     duration = ca.SX.sym("duration")
     rows = terms.integral_expressions(integral, duration)
     return ca.Function("integral_rows", [integral, duration, terms.statics, p], [rows])
-
-
-__all__ = ["Rows", "Scales", "formulate"]
