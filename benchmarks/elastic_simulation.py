@@ -73,6 +73,12 @@ class Springs:
         low = self.table[self._joint, index]
         return low + (place - index) * (self.table[self._joint, index + 1] - low)
 
+    def windup(self, torque: np.ndarray) -> np.ndarray:
+        """Wind-ups (n,) [rad] at torques (n,) [N m]; the inverse of `torque`."""
+        share = np.linspace(-1.0, 1.0, self.table.shape[1])
+        shares = [np.interp(t, table, share) for t, table in zip(torque, self.table, strict=True)]
+        return np.array(shares) * self.windup_max
+
     def stiffness(self, torque: np.ndarray, robot: Robot) -> np.ndarray:
         """Tangent stiffness (n,) [N m/rad] at torques (n,)."""
         slopes = [
@@ -97,13 +103,9 @@ def simulate(robot: Robot, motion: Any) -> Simulated:
         """Link position at rest for a motor position."""
         q = at.copy()
         for _ in range(8):
-            gravity = pin.computeGeneralizedGravity(model, data, q)
-            q = at - np.array(
-                [np.interp(g, t, s) for g, t, s in zip(gravity, springs.table, grid, strict=True)]
-            )
+            q = at - springs.windup(pin.computeGeneralizedGravity(model, data, q))
         return q
 
-    grid = np.linspace(-1.0, 1.0, springs.table.shape[1]) * springs.windup_max[:, None]
     q = hanging(motor[0])
     v = np.zeros(robot.n)
     inertia = np.diag(pin.crba(model, data, q))
