@@ -160,6 +160,35 @@ def stiffness_at(problem: TrajectoryProblem, joint: int, torque: float) -> float
     return float(1.0 / np.asarray(chain.exact_tangent_compliance(np.array([torque])))[0])
 
 
+def torque_of_stiffness(problem: TrajectoryProblem, joint: int, floor: float) -> float | None:
+    """Torque [N m] from which on a joint is at least as stiff as `floor` [N m/rad].
+
+    None where no such torque separates the stiff from the soft: the stiffness falls again within
+    one and a half times the joint's largest torque, or the joint is rigid.
+    """
+    chain = problem.robot.chains[joint - 1]
+    if chain is None:
+        return None
+    largest = 1.5 * float(problem.robot.torque_max[joint - 1])
+    # Just beside each jump, so that the search below ends on it.
+    jumps = [t * side for t in chain.breakpoints() for side in (1 - 1e-9, 1 + 1e-9)]
+    torques = np.unique([0.0, *np.geomspace(1e-4 * largest, largest, 300), *jumps])
+    stiff = 1.0 / np.asarray(chain.exact_tangent_compliance(torques)) >= floor
+    first = int(np.argmax(stiff))
+    if not np.all(stiff[first:]) or not stiff[-1]:
+        return None
+    if first == 0:
+        return 0.0
+    low, high = torques[first - 1], torques[first]
+    while high - low > 1e-9 * largest:
+        middle = 0.5 * (low + high)
+        if stiffness_at(problem, joint, middle) >= floor:
+            high = middle
+        else:
+            low = middle
+    return float(high)
+
+
 def static_sag(problem: TrajectoryProblem, angles: np.ndarray) -> float:
     """Length [m] of the tool's deflection at rest, with the process force."""
     torque = gravity_torque(problem, angles)

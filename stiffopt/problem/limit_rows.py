@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import casadi as ca
 import numpy as np
 
-from stiffopt.problem.bounds import stiffness_at
+from stiffopt.problem.bounds import torque_of_stiffness
 from stiffopt.problem.coordinates import Coordinates
 from stiffopt.problem.stage_model import StageModel
 from stiffopt.problem.trajectory import Limits, TrajectoryProblem
@@ -15,6 +15,9 @@ from stiffopt.symbolic import Quantity
 from stiffopt.transcription.ocp import Rows
 
 Block = tuple[Rows, Quantity]
+
+# Share of the torque at which the exact stiffness jumps.
+_BESIDE_JUMP = 2e-3
 
 
 def limit_rows(
@@ -44,9 +47,7 @@ def limit_rows(
             vector = getattr(model.deflection, name.removesuffix("_deflection"))
             blocks.append(_length(name, vector, cap, margins))
     if limits.joint_stiffness:
-        blocks.append(_stiffness_floor(model, limits, margins.get("joint_stiffness", 0.0)))
-        floors = sorted(limits.joint_stiffness.items())
-        blocks += model.one_sided([j for j, k in floors if k > stiffness_at(problem, j, 0.0)])
+        blocks.append(_stiffness_floor(problem, model, margins.get("joint_stiffness", 0.0)))
     return blocks
 
 
@@ -101,10 +102,22 @@ def _piecewise_linear(x: Quantity, knots: np.ndarray, values: np.ndarray) -> Qua
     return result
 
 
-def _stiffness_floor(model: StageModel, limits: Limits, margin: float) -> Block:
-    """Tangent stiffness above a floor, in compliance: smooth where stiffness is steep."""
-    floors = dict(sorted(limits.joint_stiffness.items()))
-    labels = [f"joint {j}" for j in floors]
-    expressions = [floor * model.compliance(j) for j, floor in floors.items()]
-    rows = Rows.make("joint_stiffness", labels, -np.inf, 1.0 - margin, midpoints=True)
+def _stiffness_floor(problem: TrajectoryProblem, model: StageModel, margin: float) -> Block:
+    """Tangent stiffness above a floor, as torque where a torque separates stiff from soft.
+
+    The stiffness of a reducer jumps at two torques. A bound on the torque is smooth where one on
+    the smoothed stiffness is flat, then steep, and still meets the jump only nearly.
+    """
+    labels, expressions = [], []
+    for j, floor in sorted(problem.active_limits.joint_stiffness.items()):
+        labels.append(f"joint {j}")
+        needed = torque_of_stiffness(problem, j, floor)
+        if needed and model.sides[j - 1]:
+            # A little beyond the jump, so that rounding does not fall off it.
+            share = model.sides[j - 1] * model.torques.spring[j - 1] / needed
+            expressions.append(1.0 + _BESIDE_JUMP + margin - share)
+        else:
+            # In compliance, which is bounded where stiffness is steep.
+            expressions.append(floor * model.compliance(j) - (1.0 - margin))
+    rows = Rows.make("joint_stiffness", labels, -np.inf, 0.0, midpoints=True)
     return rows, ca.vertcat(*expressions)
