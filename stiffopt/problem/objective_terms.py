@@ -22,6 +22,9 @@ from stiffopt.transcription.ocp import Rows
 if TYPE_CHECKING:
     from stiffopt.problem.formulation import Scales
 
+# Relative loss of stiffness that outweighs a torque of torque_max on the other side.
+_RELIEF_PRICE = 10.0
+
 # (integrals, duration) -> scalar
 Piece = Callable[[Quantity, Quantity], Quantity]
 
@@ -137,5 +140,9 @@ def _stiffness(
     expressions = [bound * objective.weight_of(j) * model.compliance(j) - 1.0 for j in joints]
     labels = [f"joint {j}" for j in joints]
     row = Rows.make("minimum joint stiffness", labels, -np.inf, 0.0, midpoints=True)
-    terms.path_rows += [(row, ca.vertcat(*expressions)), *model.one_sided(joints)]
-    return lambda integral, duration: bound
+    terms.path_rows.append((row, ca.vertcat(*expressions)))
+    if not np.any(model.sides[np.array(joints) - 1]):
+        return lambda integral, duration: bound
+    relief = terms.static("torque on the other side", 1.0)
+    terms.path_rows.append(model.one_sided(joints, relief))
+    return lambda integral, duration: bound - _RELIEF_PRICE * scale * relief

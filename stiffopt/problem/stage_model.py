@@ -125,22 +125,22 @@ class StageModel:
             )
         return chain.tangent_compliance(self.torques.spring[joint - 1], smoothing=self.smoothing)
 
-    def one_sided(self, joints: Sequence[int]) -> list[tuple[Rows, Quantity]]:
+    def one_sided(self, joints: Sequence[int], relief: Quantity) -> tuple[Rows, Quantity]:
         """Rows that keep the spring torque of `joints` (1-based) on the side of their rest torque.
 
         A joint whose torque changes sign has its stiffness at zero torque as the minimum. A motion
         with a higher one stays on one side; without these rows it could change over between nodes.
+        `relief` [-] is the share of the largest torque that may act on the other side: a motion
+        too quick to stay on one needs some.
         """
         kept = [j for j in joints if self.sides[j - 1] != 0]
-        if not kept:
-            return []
         expressions = [
-            self.sides[j - 1] * self.torques.spring[j - 1] / self.robot.torque_max[j - 1]
+            self.sides[j - 1] * self.torques.spring[j - 1] / self.robot.torque_max[j - 1] + relief
             for j in kept
         ]
         labels = [f"joint {j}" for j in kept]
         rows = Rows.make("torque on one side", labels, 0.0, np.inf, midpoints=True)
-        return [(rows, ca.vertcat(*expressions))]
+        return rows, ca.vertcat(*expressions)
 
     @cached_property
     def deflection(self) -> Deflection:

@@ -6,6 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from stiffopt.certificate.objective_value import term_value
+from stiffopt.problem.bounds import torque_sides
+from stiffopt.problem.objectives import DEFLECTIONS
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
@@ -18,7 +21,7 @@ def initial_guess(
 ) -> Guess:
     """A guess from the baselines, sampled; vias at the instants where the baseline passes them."""
     source = next(b.assessment for b in (beside["toppra"], beside["quintic"]) if b.assessment)
-    statics = _statics(problem, beside)
+    statics = _statics(problem, motion, beside)
     if problem.path is not None:
         return _path_guess(source, statics)
     states = np.hstack([source.position, source.velocity])
@@ -55,19 +58,24 @@ def _path_guess(source: Assessment, statics: np.ndarray) -> Guess:
     )
 
 
-def _statics(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> np.ndarray:
+def _statics(
+    problem: TrajectoryProblem, motion: ResolvedMotion, beside: dict[str, Baseline]
+) -> np.ndarray:
     """Bounds of peaks, root mean squares and stiffness: those of the first baseline."""
-    from stiffopt.certificate.objective_value import term_value
-    from stiffopt.problem.objectives import DEFLECTIONS
-
     source = next(b.assessment for b in (beside["toppra"], beside["quintic"]) if b.assessment)
-    return np.array(
-        [
-            term_value(o, source, problem.joints)
-            for o in problem.objectives
-            if o.name in DEFLECTIONS or o.name == "joint_stiffness"
-        ]
-    )
+    sides = torque_sides(problem, motion)
+    values: list[float] = []
+    for objective in problem.objectives:
+        if objective.name in DEFLECTIONS or objective.name == "joint_stiffness":
+            values.append(term_value(objective, source, problem.joints))
+        if objective.name == "joint_stiffness":
+            numbers = objective.joints or range(1, problem.joints + 1)
+            kept = [j - 1 for j in numbers if sides[j - 1] != 0]
+            if kept:
+                turned = -sides[kept] * source.spring_torque[:, kept]
+                share = turned / problem.robot.torque_max[kept]
+                values.append(float(max(np.max(share), 0.0)))
+    return np.array(values)
 
 
 def _phase_fractions(source: Assessment, motion: ResolvedMotion) -> np.ndarray:
