@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from math import comb
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -38,6 +39,26 @@ def lobatto_nodes(count: int) -> np.ndarray:
 def power_from_values(nodes: np.ndarray) -> np.ndarray:
     """Matrix (m, m) from values at the nodes to power coefficients, lowest power first."""
     return np.linalg.inv(np.vander(np.asarray(nodes, dtype=float), increasing=True))
+
+
+def bernstein_from_values(nodes: np.ndarray) -> np.ndarray:
+    """Matrix (m, m): values at m nodes to the Bernstein coefficients on [0, 1].
+
+    On [0, 1] the polynomial through the values lies between its least and largest coefficient.
+    """
+    return _bernstein_from_power(len(nodes)) @ power_from_values(nodes)
+
+
+def bernstein_of_integral(nodes: np.ndarray) -> np.ndarray:
+    """Matrix (m + 1, m): the same for the integral from 0 of the polynomial."""
+    m = len(nodes)
+    power = power_from_values(nodes) / np.arange(1, m + 1)[:, None]
+    return _bernstein_from_power(m + 1) @ np.vstack([np.zeros(m), power])
+
+
+def _bernstein_from_power(m: int) -> np.ndarray:
+    """Matrix (m, m) from power to Bernstein coefficients of degree m - 1 on [0, 1]."""
+    return np.array([[comb(j, k) / comb(m - 1, k) for k in range(m)] for j in range(m)])
 
 
 def differentiation_matrix(nodes: np.ndarray) -> np.ndarray:

@@ -13,7 +13,6 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.transcription.nlp import Places
-from stiffopt.transcription.ocp import Rows
 from stiffopt.transcription.scheme import Defect, Scheme, StagePoints, Symbols
 
 
@@ -72,29 +71,6 @@ class PiecewiseLinear(Scheme):
             ),
             main=np.arange(2 * count + 1) <= count,
         )
-
-    def extra_rows(self, s: Symbols) -> Iterator[tuple[Rows, ca.MX, Places]]:
-        """Velocity bounds between the nodes, by the middle Bernstein coefficient of each interval.
-
-        A quadratic lies within its Bernstein coefficients, so these linear rows keep the bound at
-        every instant; on a plateau and at its entry they cost nothing.
-        """
-        _, v, a = s.second_order
-        lower, upper = s.ocp.state_lower[v], s.ocp.state_upper[v]
-        use = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
-        if not use.size:
-            return
-        v, a = [v[i] for i in use], [a[i] for i in use]
-        x0, _, u0, _ = _ends(s)
-        value = x0[v, :] + s.step(len(v)) * u0[a, :] / 2.0
-        rows = Rows.make(
-            "velocity within interval",
-            [s.ocp.states[i] for i in v],
-            lower[use],
-            upper[use],
-            s.ocp.scales_of_states[v],
-        )
-        yield rows, value, s.intervals.places(np.array([0.5]))
 
 
 def _ends(s: Symbols) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:

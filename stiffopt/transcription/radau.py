@@ -1,8 +1,8 @@
 """Legendre-Gauss-Radau collocation (flipped: the points include each interval's end).
 
 States are polynomials of the given degree through the interval's start and its points; controls
-live at the points only. So no control stands at t = 0: bounds on the initial control apply to
-nothing, and the exported acceleration there is the polynomial through the first interval's points.
+live at the points only. So no control stands at t = 0: bounds on the initial control hold for the
+polynomial through the first interval's points, which is also the exported acceleration there.
 Second-order states integrate that polynomial exactly. Integrals use the Radau weights, path rows
 hold at the points.
 """
@@ -16,6 +16,8 @@ import numpy as np
 
 from stiffopt.errors import ProblemError
 from stiffopt.transcription import grid
+from stiffopt.transcription.nlp import Places
+from stiffopt.transcription.ocp import Rows
 from stiffopt.transcription.scheme import Defect, Scheme, StagePoints, Symbols
 
 
@@ -69,6 +71,19 @@ class Radau(Scheme):
             places=self.control_places(s.intervals),
             main=np.ones(self.degree * count, dtype=bool),
         )
+
+    def extra_rows(self, s: Symbols) -> Iterator[tuple[Rows, ca.MX, Places]]:
+        """Velocity rows, and bounds of the initial control on its polynomial at t = 0."""
+        yield from super().extra_rows(s)
+        lower, upper = s.ocp.initial_control_lower, s.ocp.initial_control_upper
+        if lower is None or upper is None:
+            return
+        start = grid.interpolation_matrix(self.control_nodes, np.array([0.0]))[0]
+        value = ca.mtimes(s.controls[:, : self.degree], ca.DM(start))
+        rows = Rows.make(
+            "control at the start", s.ocp.controls, lower, upper, s.ocp.scales_of_controls
+        )
+        yield rows, value, Places(np.array([0]), np.array([0.0]))
 
     def control_jumps(self, s: Symbols) -> ca.MX:
         """Control polynomial at each inner interval's start less the one before (nu, K - 1)."""

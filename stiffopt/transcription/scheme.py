@@ -171,8 +171,40 @@ class Scheme(abc.ABC):
         """Points for path rows and integrals; `midpoints` when some row asks for them."""
 
     def extra_rows(self, s: Symbols) -> Iterator[tuple[Rows, ca.MX, Places]]:
-        """Further rows that the scheme needs."""
-        yield from ()
+        """Velocity and acceleration bounds within the intervals, by Bernstein coefficients.
+
+        A polynomial lies within its Bernstein coefficients, so these linear rows keep the bounds
+        of second-order states at every instant, not at nodes only; where the polynomial is constant
+        or enters a constant stretch they cost nothing.
+        """
+        _, v, a = s.second_order
+        ocp, nodes, places = s.ocp, self.control_nodes, s.intervals.places
+        degree = len(nodes)
+        first = self.state_columns(len(s.intervals))[:, 0].tolist()
+        bounds = (ocp.state_lower[v], ocp.state_upper[v])
+        kept, rows = _bounded("velocity", ocp.states, ocp.scales_of_states, v, bounds)
+        if rows is not None:
+            v, own = [v[i] for i in kept], [a[i] for i in kept]
+            for j, weights in enumerate(grid.bernstein_of_integral(nodes)[1:-1], start=1):
+                change = s.step(len(v)) * self._combined(s, weights, own)
+                yield rows, s.states[v, first] + change, places(np.array([j / degree]))
+        bounds = (ocp.control_lower[a], ocp.control_upper[a])
+        kept, rows = _bounded("acceleration", ocp.controls, ocp.scales_of_controls, a, bounds)
+        if rows is not None:
+            own = [a[i] for i in kept]
+            for j, weights in enumerate(grid.bernstein_from_values(nodes)):
+                local = j / max(degree - 1, 1)
+                # At an end that is a node the coefficient is the node's value: bounded already.
+                if local not in (0.0, 1.0) or local not in nodes:
+                    yield rows, self._combined(s, weights, own), places(np.array([local]))
+
+    def _combined(self, s: Symbols, weights: np.ndarray, controls: list[int]) -> ca.MX:
+        """Weighted sum of the controls at the nodes of every interval (len(controls), K)."""
+        columns = self.control_columns(len(s.intervals))
+        total = ca.MX(len(controls), len(columns))
+        for i, weight in enumerate(weights):
+            total += float(weight) * s.controls[controls, columns[:, i].tolist()]
+        return total
 
     def control_jumps(self, s: Symbols) -> ca.MX:
         """Jumps of the controls between intervals (nu, K - 1)."""
@@ -189,6 +221,28 @@ class Scheme(abc.ABC):
             float(w) * s.controls[:, columns[:, j].tolist()] for j, w in enumerate(slopes[0])
         )
         return total / s.step(s.controls.shape[0])
+
+
+def _bounded(
+    name: str,
+    labels: tuple[str, ...],
+    scales: np.ndarray,
+    indices: list[int],
+    bounds: tuple[np.ndarray, np.ndarray],
+) -> tuple[np.ndarray, Rows | None]:
+    """Which of `indices` have a finite bound, and rows for them."""
+    kept = np.flatnonzero(np.isfinite(bounds[0]) | np.isfinite(bounds[1]))
+    if not kept.size:
+        return kept, None
+    own = [indices[i] for i in kept]
+    rows = Rows.make(
+        f"{name} within interval",
+        [labels[i] for i in own],
+        bounds[0][kept],
+        bounds[1][kept],
+        scales[own],
+    )
+    return kept, rows
 
 
 def _columns(count: int, nodes: int, shared: bool) -> np.ndarray:
