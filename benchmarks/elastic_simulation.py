@@ -8,6 +8,9 @@ the optimiser misses is what its motion excites.
 
 The dynamic deflection is the tool's distance from where it would hang at rest at the same motor
 position, found by iteration, so that the sag's change with the pose is not counted as vibration.
+
+The peak of the motion of minimum squared torque lies in its first interval, where the acceleration
+leaves zero at once, and depends on the mesh; its rms is what agrees with the reference.
 """
 
 from __future__ import annotations
