@@ -61,3 +61,16 @@ def rigid_body_history(
         pin.framesForwardKinematics(model, data, position[k])
         tool_position[k] = data.oMf[frame].translation
     return RigidBodyHistory(link_torque, gravity_torque, tool_position, jacobian)
+
+
+def tool_angle(robot: Robot, position: np.ndarray, rpy: np.ndarray) -> np.ndarray:
+    """Angle (K,) [rad] between the tool and an orientation given as roll, pitch, yaw [rad]."""
+    wanted = pin.rpy.rpyToMatrix(np.asarray(rpy, dtype=float))
+    own = np.asarray(robot.tool.rotation)
+    data = robot.model.createData()
+    angles = np.empty(len(position))
+    for k, q in enumerate(position):
+        pin.forwardKinematics(robot.model, data, q)
+        rotation = data.oMi[robot.tool.joint].rotation @ own
+        angles[k] = np.linalg.norm(pin.log3(wanted.T @ rotation))
+    return angles

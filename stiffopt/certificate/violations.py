@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt.certificate.rigid_body import tool_angle
 from stiffopt.result.assessment import Assessment, Violation
 
 
@@ -81,13 +82,21 @@ def _targets(problem: Any, motion: Assessment) -> list[Violation]:
     stops = [("start", problem.start, 0), ("end", problem.end, last)]
     first = 0
     for number, via in enumerate(problem.vias, start=1):
-        distance = _distance(via, motion)
-        first += int(np.argmin(distance[first:]))
+        first += int(np.argmin(_miss(problem, via, motion)[first:]))
         stops.append((f"via_{number}", via, first))
     for name, target, k in stops:
-        miss = _distance(target, motion)[k] / target.tolerance
+        miss = _miss(problem, target, motion)[k]
         found.append(Violation(float(miss - 1.0), name, None, float(motion.time[k])))
     return found
+
+
+def _miss(problem: Any, target: Any, motion: Assessment) -> np.ndarray:
+    """Miss of a target over time, relative to its tolerance; of a pose the worse of its two."""
+    place = _distance(target, motion) / target.tolerance
+    if target.rpy is None:
+        return place
+    turn = tool_angle(problem.robot, motion.position, target.rpy)
+    return np.asarray(np.maximum(place, turn / target.angle_tolerance))
 
 
 def _distance(target: Any, motion: Assessment) -> np.ndarray:

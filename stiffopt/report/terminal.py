@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from stiffopt.result.solution import Solution
     from stiffopt.study.verify import Check
 
+# Of a table in a file or a log, where names must not be cut.
+_LOG_WIDTH = 140
+
 
 def print_solution(problem: TrajectoryProblem, solution: Solution, folder: Path) -> None:
     """A few lines: what came out, how it compares, what to do next, where the files are."""
@@ -47,6 +50,8 @@ def print_checks(checks: Sequence[Check]) -> None:
             "ok" if check.passed else f"OFF ({check.status})",
         )
     console = Console(highlight=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=_LOG_WIDTH)
     console.print(table)
     for check in checks:
         if not check.passed:
