@@ -37,6 +37,11 @@ def friction_torque(
     return coulomb * np.tanh(velocity / width) + viscous * velocity
 
 
+def smoothing_width(velocity_max: Quantity) -> Quantity:
+    """Speed scale of the smooth dry friction (n,), 1 % of the velocity limit; 0.01 without one."""
+    return SMOOTH_SHARE * np.where(np.isfinite(velocity_max), velocity_max, 1.0)
+
+
 def drive_torque(
     spring_torque: Quantity,
     velocity: Quantity,

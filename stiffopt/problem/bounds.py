@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,16 @@ from stiffopt.problem.trajectory import TrajectoryProblem
 
 # Objectives that do not ask for an ever slower motion.
 _ENDING = ("duration", "joint_stiffness")
+
+
+# Peaks that a pose at rest fixes, with what fixes them and what to minimise instead.
+_PINNED = {
+    "total_deflection": (
+        "the static sag",
+        "'dynamic_deflection' (what the motion adds), or ",
+    ),
+    "process_deflection": ("what the process force does at rest", ""),
+}
 
 
 @dataclass(frozen=True)
@@ -52,8 +62,8 @@ def find_bounds(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[Bou
             found.append(_endless(objective))
         if objective.name == "joint_stiffness":
             found += _stiffness_bounds(problem, motion, objective)
-        if objective.name == "total_deflection" and objective.measure == "peak":
-            found += _sag_bounds(problem, motion)
+        if objective.name in _PINNED and objective.measure == "peak":
+            found += _rest_bounds(problem, motion, objective.name)
     return tuple(found)
 
 
@@ -189,14 +199,16 @@ def torque_of_stiffness(problem: TrajectoryProblem, joint: int, floor: float) ->
     return float(high)
 
 
-def static_sag(problem: TrajectoryProblem, angles: np.ndarray) -> float:
-    """Length [m] of the tool's deflection at rest, with the process force."""
+def rest_deflection(problem: TrajectoryProblem, angles: np.ndarray, objective: str) -> float:
+    """Length [m] of the tool's "total_deflection" or "process_deflection" at rest in a pose."""
     torque = gravity_torque(problem, angles)
-    windup = [
-        0.0 if chain is None else float(np.asarray(chain.exact_windup(np.array([torque[j]])))[0])
-        for j, chain in enumerate(problem.robot.chains)
-    ]
-    return float(np.linalg.norm(tool_jacobian(problem, angles) @ np.array(windup)))
+    without_force = gravity_torque(replace(problem, process_force=np.zeros(3)), angles)
+    windup = np.zeros(problem.joints)
+    for j, chain in enumerate(problem.robot.chains):
+        if chain is not None:
+            loaded, unloaded = chain.exact_windup(np.array([torque[j], without_force[j]]))
+            windup[j] = loaded - (unloaded if objective == "process_deflection" else 0.0)
+    return float(np.linalg.norm(tool_jacobian(problem, angles) @ windup))
 
 
 def _never_loaded_by_gravity(problem: TrajectoryProblem, joint: int) -> bool:
@@ -210,27 +222,23 @@ def _never_loaded_by_gravity(problem: TrajectoryProblem, joint: int) -> bool:
     return bool(max(torques) < 1e-9 * float(problem.robot.torque_max[joint - 1]))
 
 
-def _sag_bounds(problem: TrajectoryProblem, motion: ResolvedMotion) -> list[Bound]:
-    if problem.boundary_acceleration != "zero" or problem.boundary_velocity is not None:
-        return []
-    sags = [
-        (static_sag(problem, angles), where)
+def _rest_bounds(problem: TrajectoryProblem, motion: ResolvedMotion, objective: str) -> list[Bound]:
+    """Deflections of given rest poses, below which the peak over the motion cannot be."""
+    values = [
+        (rest_deflection(problem, angles, objective), where)
         for where, angles, fixed in _rest_poses(problem, motion)
         if fixed
     ]
-    if not sags:
+    if not values:
         return []
-    sag, where = max(sags)
-    return [
-        Bound(
-            "total_deflection",
-            sag,
-            f"The peak total deflection cannot be below the static sag of the {where} pose, "
-            f"{1e3 * sag:.4g} mm, whatever the motion. Minimise 'dynamic_deflection' (what the "
-            "motion adds), the rms of the total, or set minimise.accept_bound = true.",
-            True,
-        )
-    ]
+    value, where = max(values)
+    what, other = _PINNED[objective]
+    text = (
+        f"The peak {objective.replace('_', ' ')} cannot be below {what} of the {where} pose, "
+        f"{1e3 * value:.4g} mm, whatever the motion. Minimise {other}its rms, or set "
+        "minimise.accept_bound = true."
+    )
+    return [Bound(objective, value, text, True)]
 
 
 def _rest_poses(
@@ -263,7 +271,7 @@ def _check_limits(problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
     for where, angles, fixed in _rest_poses(problem, motion):
         if not fixed:
             continue
-        sag = static_sag(problem, angles)
+        sag = rest_deflection(problem, angles, "total_deflection")
         if sag > limits.total_deflection:
             raise ProblemError(
                 f"limits.total_deflection: the static sag of the {where} pose is "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -32,7 +33,7 @@ def limit_rows(
     """
     limits = problem.active_limits
     blocks: list[Block] = []
-    blocks += _magnitudes("torque", model.drive_torque, limits.torque, margins, midpoints=True)
+    blocks += _torques(problem, model, margins)
     if not coordinates.bounds_joints:
         for name in ("velocity", "acceleration"):
             values, bound = getattr(model, name), getattr(limits, name)
@@ -48,6 +49,22 @@ def limit_rows(
             blocks.append(_length(name, vector, cap, margins))
     if limits.joint_stiffness:
         blocks.append(_stiffness_floor(problem, model, margins.get("joint_stiffness", 0.0)))
+    return blocks
+
+
+def _torques(
+    problem: TrajectoryProblem, model: StageModel, margins: Mapping[str, float]
+) -> list[Block]:
+    """|drive torque| <= limit; with dry friction, each side by its own envelope."""
+    bound = problem.active_limits.torque
+    if not np.any(problem.robot.coulomb):
+        return _magnitudes("torque", model.drive_torque, bound, margins, midpoints=True)
+    blocks = []
+    for side in (1.0, -1.0):
+        torque = side * model.torque_envelope(side)
+        for rows, ratio in _magnitudes("torque", torque, bound, margins, midpoints=True):
+            one_sided = replace(rows, lower=np.full(len(rows), -np.inf))
+            blocks.append((one_sided, ratio))
     return blocks
 
 

@@ -19,7 +19,7 @@ from stiffopt.dynamics.deflection import (
     spring_torques,
     tool_deflection,
 )
-from stiffopt.dynamics.friction import drive_torque
+from stiffopt.dynamics.friction import drive_torque, smoothing_width
 from stiffopt.dynamics.kinematics import point_jacobian
 from stiffopt.errors import ProblemError
 from stiffopt.symbolic import Quantity
@@ -101,6 +101,26 @@ class StageModel:
             viscous=self.robot.viscous,
             velocity_max=self.robot.velocity_max,
         )
+
+    def torque_envelope(self, side: float) -> Quantity:
+        """Drive torque with dry friction as it is on one side of standstill (n,) [N m].
+
+        Friction jumps at standstill, between nodes as well. On the upper side (+1) it is taken as
+        if the joint were two smoothing widths faster, so that the limit holds for the sharp law.
+        """
+        robot = self.robot
+        without = drive_torque(
+            self.torques.spring,
+            self.velocity,
+            self.acceleration,
+            rotor_inertia=robot.rotor_inertia,
+            coulomb=np.zeros_like(robot.coulomb),
+            viscous=robot.viscous,
+            velocity_max=robot.velocity_max,
+        )
+        width = smoothing_width(robot.velocity_max)
+        place = self.velocity / ca.DM(width) + 2.0 * side
+        return without + ca.DM(robot.coulomb) * ca.tanh(place)
 
     @cached_property
     def tool_velocity(self) -> Quantity:

@@ -46,14 +46,14 @@ def bernstein_from_values(nodes: np.ndarray) -> np.ndarray:
 
     On [0, 1] the polynomial through the values lies between its least and largest coefficient.
     """
-    return _bernstein_from_power(len(nodes)) @ power_from_values(nodes)
+    return np.asarray(_bernstein_from_power(len(nodes)) @ power_from_values(nodes))
 
 
 def bernstein_of_integral(nodes: np.ndarray) -> np.ndarray:
     """Matrix (m + 1, m): the same for the integral from 0 of the polynomial."""
     m = len(nodes)
     power = power_from_values(nodes) / np.arange(1, m + 1)[:, None]
-    return _bernstein_from_power(m + 1) @ np.vstack([np.zeros(m), power])
+    return np.asarray(_bernstein_from_power(m + 1) @ np.vstack([np.zeros(m), power]))
 
 
 def _bernstein_from_power(m: int) -> np.ndarray:
