@@ -94,7 +94,7 @@ def _miss(problem: Any, target: Any, motion: Assessment) -> np.ndarray:
     """Miss of a target over time, relative to its tolerance; of a pose the worse of its two."""
     place = _distance(target, motion) / target.tolerance
     if target.rpy is None:
-        return place
+        return np.asarray(place)
     turn = tool_angle(problem.robot, motion.position, target.rpy)
     return np.asarray(np.maximum(place, turn / target.angle_tolerance))
 
