@@ -1,0 +1,31 @@
+"""Importing the package costs next to nothing; heavy libraries come with what needs them."""
+
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = {"casadi", "pinocchio", "toppra", "scipy", "matplotlib", "pint", "numpy", "pydantic"}
+
+
+def loaded(code):
+    """Top-level modules in memory after a piece of code, in a fresh process."""
+    program = f"{code}\nimport sys\nprint(*sorted({{m.split('.')[0] for m in sys.modules}}))"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True
+    )
+    return set(done.stdout.split())
+
+
+@pytest.mark.parametrize("code", ["import stiffopt", "import stiffopt\nstiffopt.__all__"])
+def test_import_is_light(code):
+    assert not loaded(code) & HEAVY
+
+
+def test_command_line_is_light():
+    assert not loaded("import stiffopt.cli") & (HEAVY - {"numpy", "pydantic"})
+
+
+def test_the_command_needs_nothing_heavy_for_a_wrong_command_line():
+    code = "from stiffopt.cli import run\nassert run(['slove']) == 2"
+    assert not loaded(code) & (HEAVY - {"numpy", "pydantic"})

@@ -1,0 +1,46 @@
+"""The shipped problem files: each loads, says where its expected value comes from, and verifies."""
+
+import pytest
+from small_arms import ROOT
+
+from stiffopt.files import load_toml
+from stiffopt.problem.bounds import check_bounds
+from stiffopt.problem.files import load_problem
+from stiffopt.problem.resolve import resolve
+
+FILES = [
+    path
+    for path in sorted((ROOT / "problems").glob("*.toml"))
+    if load_toml(path).get("kind") == "trajectory"
+]
+IDS = [path.stem for path in FILES]
+
+
+def test_there_are_problems():
+    assert len(FILES) >= 8
+    assert "er3a_pick_and_place" in IDS
+
+
+@pytest.mark.parametrize("path", FILES, ids=IDS)
+def test_problem_loads_and_can_be_stated_honestly(path):
+    problem = load_problem(path).problem
+    motion = resolve(problem)
+    assert motion.points.shape[1] == problem.joints
+    check_bounds(problem, motion)
+
+
+@pytest.mark.parametrize("path", FILES, ids=IDS)
+def test_expected_value_has_a_source(path):
+    expected = load_problem(path).expected
+    assert expected is not None
+    assert expected.rtol <= 1e-4
+    assert len(expected.source) > 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", FILES, ids=IDS)
+def test_problem_verifies(path):
+    from stiffopt.study.verify import verify_file
+
+    check = verify_file(path)
+    assert check.passed, f"{check.value} for {check.expected} {check.unit}: {check.message}"
