@@ -56,16 +56,9 @@ def assess(
 
     windup = exact_windup(robot, spring_torque)
     link_windup = exact_windup(robot, body.link_torque) if np.any(process) else windup
-    static_windup = exact_windup(robot, body.gravity_torque)
-    parts = {
-        "dynamic": link_windup - static_windup,
-        "static": static_windup,
-        "process": windup - link_windup,
-        "total": windup,
-    }
-    deflection = {
-        part: -np.einsum("kij,kj->ki", body.jacobian, angle) for part, angle in parts.items()
-    }
+    deflection = _deflection(
+        body.jacobian, exact_windup(robot, body.gravity_torque), link_windup, windup
+    )
     compliance = exact_compliance(robot, spring_torque)
     with np.errstate(divide="ignore"):
         stiffness = 1.0 / compliance
@@ -101,6 +94,24 @@ def assess(
         integrals=integrals,
     )
     return find_violations(problem, assessment)
+
+
+def _deflection(
+    jacobian: np.ndarray, static: np.ndarray, link: np.ndarray, spring: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Parts of the tool's deflection (K, 3) [m] from wind-ups (K, n) at the three torques."""
+    # A connection that slips winds up without end: its parts are infinite, not undefined.
+    with np.errstate(invalid="ignore"):
+        parts = {
+            "dynamic": link - static,
+            "static": static,
+            "process": spring - link,
+            "total": spring,
+        }
+        if link is spring:
+            parts["process"] = np.zeros_like(spring)
+        vectors = {k: -np.einsum("kij,kj->ki", jacobian, angle) for k, angle in parts.items()}
+    return {part: np.where(np.isnan(v), np.inf, v) for part, v in vectors.items()}
 
 
 def fine_grid(motion: Any) -> np.ndarray:
