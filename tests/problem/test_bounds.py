@@ -90,9 +90,18 @@ def test_accepted_stiffness_bound_is_reached(tmp_path):
     assert any("must change sign" in note for note in solution.notes)
 
 
-@pytest.mark.parametrize("objective", ["total_deflection"])
-def test_total_deflection_between_given_poses(objective, tmp_path):
-    problem = load(tmp_path, "pendulum", minimise=f'objective = "{objective}"')
+def test_process_deflection_between_given_poses(tmp_path):
+    force = "[tool]\nprocess_force = [0, 0, -4.0]"
+    goal = 'objective = "process_deflection"'
+    message = refusal(load(tmp_path, "pendulum", minimise=goal, extra=force))
+    # By hand: 4 N at 0.4 m, all of it within the first slope.
+    torque = 4.0 * 0.4 * np.cos(0.6)
+    assert number(message, "pose,") == pytest.approx(1e3 * 0.4 * torque / K1, rel=1e-3)
+    assert "accept_bound = true" in message
+
+
+def test_total_deflection_between_given_poses(tmp_path):
+    problem = load(tmp_path, "pendulum", minimise='objective = "total_deflection"')
     message = refusal(problem)
     # By hand: 2 kg at 0.2 m under a first slope of 8e3 up to 7 N m, tool at 0.4 m.
     torque = 2.0 * 9.81 * 0.2 * np.cos(0.6)
