@@ -109,7 +109,12 @@ def test_solve_prints_what_matters(tmp_path, capsys):
 
 
 def test_no_usable_motion(tmp_path, capsys):
-    path = write_problem(tmp_path, duration="0.12", method="intervals = 16\ntime_limit = 20")
+    path = write_problem(
+        tmp_path,
+        duration="0.32",
+        limits="torque = [14.0, 60.0]",
+        method="intervals = 16\ntime_limit = 20",
+    )
     out = tmp_path / "out"
     assert run(["solve", str(path), "--out", str(out), "--quiet"]) == 3
     result = json.loads((out / "result.json").read_text())

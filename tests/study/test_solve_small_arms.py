@@ -257,7 +257,12 @@ def test_other_transcriptions_agree(method, tmp_path):
 
 
 def test_too_short_a_duration_ends_with_the_limits_that_conflict(tmp_path):
-    problem = load(tmp_path, duration="0.12", method="intervals = 20\ntime_limit = 20")
+    problem = load(
+        tmp_path,
+        duration="0.32",
+        limits="torque = [14.0, 60.0]",
+        method="intervals = 20\ntime_limit = 20",
+    )
     with pytest.raises(NoSolutionFound) as error:
         solve(problem)
     solution = error.value.solution
