@@ -84,6 +84,33 @@ def check_bounds(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[st
     return tuple(b.text for b in bounds)
 
 
+def shortest_duration(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[float, str]:
+    """A duration [s] that no motion can undercut, and the sentence why; (0, "") where none is seen.
+
+    Each joint on its own, from rest to rest: its way, its velocity and its acceleration limit.
+    """
+    if not (motion.start_fixed and motion.end_fixed) or problem.boundary_velocity is not None:
+        return 0.0, ""
+    limits = problem.active_limits
+    way = np.abs(motion.end - motion.start)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ramp = np.where(np.isinf(limits.acceleration), 0.0, limits.velocity / limits.acceleration)
+        needed = np.where(
+            way <= limits.velocity * ramp,
+            2.0 * np.sqrt(way / limits.acceleration),
+            way / limits.velocity + ramp,
+        )
+    needed = np.nan_to_num(needed, nan=0.0)
+    j = int(np.argmax(needed))
+    unit = "m" if problem.robot.prismatic[j] else "rad"
+    return float(needed[j]), (
+        f"Joint {j + 1} has to move by {way[j]:.4g} {unit} and needs at least {needed[j]:.4g} s for "
+        f"that within its velocity limit {limits.velocity[j]:.4g} {unit}/s and its acceleration "
+        f"limit {limits.acceleration[j]:.4g} {unit}/s^2; the duration allows "
+        f"{problem.duration[1]:.4g} s."
+    )
+
+
 def _endless(objective: Objective) -> Bound:
     return Bound(
         objective.name,

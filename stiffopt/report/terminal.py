@@ -11,6 +11,7 @@ from rich.table import Table
 
 from stiffopt.report.quantities import engineering
 from stiffopt.report.wording import comparison, objective_text
+from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -25,7 +26,7 @@ def print_solution(problem: TrajectoryProblem, solution: Solution, folder: Path)
     """A few lines: what came out, how it compares, what to do next, where the files are."""
     console = Console(highlight=False, soft_wrap=True)
     console.print(f"{solution.status}: {solution.message}", markup=False)
-    if solution.objective is not None:
+    if solution.objective is not None and solution.status is not SolveStatus.INFEASIBLE:
         console.print(objective_text(solution.objective), markup=False)
         console.print(comparison(problem, solution), markup=False)
     for note in solution.notes:

@@ -76,7 +76,7 @@ def _statics(
                 share = turned / problem.robot.torque_max[kept]
                 values.append(float(max(np.max(share), 0.0)))
     # A baseline far too fast makes connections slip: any finite bound will do then.
-    return np.nan_to_num(np.array(values), nan=1e-3, posinf=1e-3)
+    return np.asarray(np.nan_to_num(np.array(values), nan=1e-3, posinf=1e-3))
 
 
 def _phase_fractions(source: Assessment, motion: ResolvedMotion) -> np.ndarray:
