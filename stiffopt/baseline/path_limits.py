@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from stiffopt.baseline.joint_path import JointPath
+from stiffopt.result.joint_path import JointPath
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import Limits

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from stiffopt.baseline.joint_path import JointPath
 from stiffopt.baseline.motion import Baseline
+from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
 
 

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stiffopt.baseline.joint_path import JointPath
 from stiffopt.baseline.motion import Baseline
 from stiffopt.baseline.path_limits import PathLimits, path_limits
+from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
 
 if TYPE_CHECKING:

@@ -104,7 +104,7 @@ def shortest_duration(problem: TrajectoryProblem, motion: ResolvedMotion) -> tup
     j = int(np.argmax(needed))
     unit = "m" if problem.robot.prismatic[j] else "rad"
     return float(needed[j]), (
-        f"Joint {j + 1} has to move by {way[j]:.4g} {unit} and needs at least {needed[j]:.4g} s for "
+        f"Joint {j + 1} has to move by {way[j]:.4g} {unit} and needs {needed[j]:.4g} s or more for "
         f"that within its velocity limit {limits.velocity[j]:.4g} {unit}/s and its acceleration "
         f"limit {limits.acceleration[j]:.4g} {unit}/s^2; the duration allows "
         f"{problem.duration[1]:.4g} s."

@@ -11,6 +11,7 @@ import numpy as np
 from stiffopt.errors import ProblemError
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.trajectory import Limits, TrajectoryProblem
+from stiffopt.result.joint_path import JointPath
 from stiffopt.symbolic import Quantity
 
 
@@ -125,7 +126,11 @@ class PathCoordinates(Coordinates):
         duration = _typical(problem.duration)
         self.state_scale = np.array([1.0, 1.0 / duration])
         self.control_scale = np.array([6.0 / duration**2])
-        self.knots, self.truncated_powers = spline_coefficients(problem.path)
+        path = JointPath.through(problem.path)
+        # q(s) = sum_i polynomial[i] s^i + sum_j jumps[j] max(s - knots[j], 0)^3, smooth to order 2.
+        self.knots = path.knots[1:-1]
+        self.polynomial = path.coefficients[0]
+        self.jumps = np.diff(path.coefficients[:, 3], axis=0)
 
     def joint_motion(self, x: Quantity, u: Quantity) -> tuple[Quantity, Quantity, Quantity]:
         """Chain rule along the spline."""
@@ -139,12 +144,11 @@ class PathCoordinates(Coordinates):
 
     def _spline(self, s: Quantity, order: int) -> Quantity:
         """Derivative of the spline with respect to s, in truncated powers (C2 in s)."""
-        polynomial, jumps = self.truncated_powers
         factor = {0: (1, 1, 1, 1), 1: (0, 1, 2, 3), 2: (0, 0, 2, 6)}[order]
         value: Quantity = 0.0
         for degree in range(order, 4):
-            value = value + ca.DM(polynomial[degree] * factor[degree]) * s ** (degree - order)
-        for knot, jump in zip(self.knots, jumps, strict=True):
+            value = value + ca.DM(self.polynomial[degree] * factor[degree]) * s ** (degree - order)
+        for knot, jump in zip(self.knots, self.jumps, strict=True):
             value = value + ca.DM(jump * factor[3]) * ca.fmax(s - knot, 0.0) ** (3 - order)
         return value
 
@@ -168,29 +172,3 @@ class PathCoordinates(Coordinates):
 def _typical(duration: tuple[float, float]) -> float:
     """A duration for scales: one second if allowed, else the nearest allowed."""
     return float(np.clip(1.0, *duration))
-
-
-def spline_coefficients(
-    waypoints: np.ndarray,
-) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Not-a-knot cubic spline over [0, 1] through equally spaced waypoints.
-
-    Parameters
-    ----------
-    waypoints : array (k, n)
-
-    Returns
-    -------
-    knots : array (k - 4,) or (0,)
-        Where the third derivative jumps.
-    coefficients : (polynomial (4, n), jumps (len(knots), n))
-        q(s) = sum_i polynomial[i] s^i + sum_j jumps[j] max(s - knots[j], 0)^3.
-    """
-    from scipy.interpolate import CubicSpline
-
-    s = np.linspace(0.0, 1.0, len(waypoints))
-    spline = CubicSpline(s, waypoints, axis=0, bc_type="not-a-knot")
-    polynomial = np.stack([np.asarray(spline(0.0, k)) / f for k, f in enumerate((1, 1, 2, 6))])
-    cubic = spline.c[0]
-    jumps = np.diff(cubic, axis=0)
-    return s[1:-1], (polynomial, jumps)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from stiffopt.baseline.joint_path import JointPath
 from stiffopt.baseline.motion import Baseline as BaselineMotion
 from stiffopt.baseline.quintic import quintic_baseline
 from stiffopt.baseline.toppra_motion import toppra_baseline
@@ -12,6 +11,7 @@ from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import improvement, objective_value
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
 
 # A baseline that exceeds a limit by more than this share is shown, never counted.

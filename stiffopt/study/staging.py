@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.baseline.joint_path import JointPath
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
+from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.ipopt import IpoptSolver, RawSolution
 from stiffopt.solver.options import IpoptOptions

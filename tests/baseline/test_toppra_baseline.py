@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from stiffopt.baseline.joint_path import JointPath
 from stiffopt.baseline.toppra_motion import toppra_baseline
 from stiffopt.problem.trajectory import Limits
+from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
 
 BENCHMARKS = Path(__file__).resolve().parents[3] / "shared" / "benchmarks"

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from stiffopt.baseline.joint_path import JointPath
 from stiffopt.baseline.quintic import quintic_baseline, quintic_law
 from stiffopt.errors import ProblemError
+from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
 
 POINTS = np.array([[-1.0, 0.5], [-0.4, 0.7], [0.4, -0.2], [0.6, -0.9], [1.0, 0.1]])
