@@ -70,13 +70,16 @@ def _assessed(
     exceeded = [v for v in assessment.violations if v.value > FEASIBLE]
     counted = [v for v in exceeded if v.limit not in ignored]
     reason = f"Exceeds {counted[0].describe()}." if counted else ""
-    if exceeded and not counted:
+    moving = problem.boundary_velocity is not None and np.any(problem.boundary_velocity)
+    if moving:
+        reason = "It goes from rest to rest, not between the given boundary velocities."
+    elif exceeded and not counted:
         names = ", ".join(dict.fromkeys(v.limit for v in exceeded))
         reason = f"Its method cannot take the limit on {names}, which it exceeds."
     return Baseline(
         name=baseline.name,
         assessment=assessment,
         objective=objective_value(problem, assessment).value,
-        feasible=not counted,
+        feasible=not counted and not moving,
         reason=reason,
     )
