@@ -55,6 +55,11 @@ def is_maximised(problem: Any) -> bool:
     return len(problem.objectives) == 1 and bool(problem.objectives[0].maximised)
 
 
-def improvement(problem: Any, value: float, baseline: float) -> float:
-    """Ratio to a baseline's objective: below one is better, for maximised objectives too."""
+def improvement(problem: Any, value: float, baseline: float) -> float | None:
+    """Ratio to a baseline's objective: below one is better, for maximised objectives too.
+
+    None where a ratio has no meaning: values that are not positive and finite.
+    """
+    if not (0.0 < value < np.inf and 0.0 < baseline < np.inf):
+        return None
     return baseline / value if is_maximised(problem) else value / baseline

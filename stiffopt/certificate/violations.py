@@ -10,6 +10,8 @@ import numpy as np
 from stiffopt.certificate.rigid_body import tool_angle
 from stiffopt.result.assessment import Assessment, Violation
 
+_BOUNDARY = 1e-3
+
 
 def find_violations(problem: Any, motion: Assessment) -> Assessment:
     """The assessment with its `violations` filled, worst first.
@@ -63,6 +65,7 @@ def find_violations(problem: Any, motion: Assessment) -> Assessment:
         low = motion.lowest_stiffness[joint - 1]
         found.append(Violation(1.0 - low.value / floor, "joint_stiffness", joint, low.time))
     found += _targets(problem, motion)
+    found += _boundary(problem, motion)
     found.sort(key=lambda violation: -violation.value)
     return replace(motion, violations=tuple(found))
 
@@ -87,6 +90,25 @@ def _targets(problem: Any, motion: Assessment) -> list[Violation]:
     for name, target, k in stops:
         miss = _miss(problem, target, motion)[k]
         found.append(Violation(float(miss - 1.0), name, None, float(motion.time[k])))
+    return found
+
+
+def _boundary(problem: Any, motion: Assessment) -> list[Violation]:
+    """Start and end velocities and accelerations against the given ones, at 1e-3 of the limits."""
+    limits, n = problem.active_limits, motion.position.shape[1]
+    zero = np.zeros(n)
+    velocities = problem.boundary_velocity or (zero, zero)
+    found = []
+    for side, k, velocity in (("start", 0, velocities[0]), ("end", -1, velocities[1])):
+        rows = [("velocity", motion.velocity[k] - velocity, limits.velocity)]
+        if problem.boundary_acceleration == "zero":
+            rows.append(("acceleration", motion.acceleration[k], limits.acceleration))
+        for name, miss, limit in rows:
+            typical = np.where(np.isfinite(limit), limit, np.max(np.abs(getattr(motion, name))))
+            share = np.abs(miss) / (_BOUNDARY * np.maximum(typical, 1e-9))
+            j = int(np.argmax(share))
+            time = float(motion.time[k])
+            found.append(Violation(float(share[j] - 1.0), f"{side}_{name}", j + 1, time))
     return found
 
 

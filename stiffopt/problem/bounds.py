@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,6 +21,8 @@ from stiffopt.problem.trajectory import TrajectoryProblem
 # Objectives that do not ask for an ever slower motion.
 _ENDING = ("duration", "joint_stiffness")
 
+
+_ACCEPT = ", or set minimise.accept_bound = true."
 
 # Peaks that a pose at rest fixes, with what fixes them and what to minimise instead.
 _PINNED = {
@@ -81,7 +83,7 @@ def check_bounds(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[st
     refused = [b for b in bounds if b.degenerate and b.objective not in accepted]
     if refused:
         raise ProblemError("\n".join(b.text for b in refused))
-    return tuple(b.text for b in bounds)
+    return tuple(b.text.removesuffix(_ACCEPT) + "." * b.text.endswith(_ACCEPT) for b in bounds)
 
 
 def shortest_duration(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[float, str]:
@@ -127,6 +129,11 @@ def _stiffness_bounds(
 ) -> list[Bound]:
     found = []
     for joint in objective.joints or range(1, problem.joints + 1):
+        if problem.robot.chains[joint - 1] is None:
+            raise ProblemError(
+                f"Joint {joint} of {problem.robot.name} has no drivetrain, so it has no stiffness. "
+                "Describe its elements in the robot file, or leave it out of minimise.joints."
+            )
         cause = sign_change(problem, motion, joint)
         weight = objective.weight_of(joint)
         if cause:
@@ -138,8 +145,7 @@ def _stiffness_bounds(
                     f"The torque of joint {joint} must change sign ({cause}), so its lowest "
                     f"stiffness is the one at zero torque, {value:.4g} N m/rad, whatever the "
                     f"motion. Leave joint {joint} out (minimise.joints), minimise "
-                    "'mean_compliance' or 'dynamic_deflection' instead, or set "
-                    "minimise.accept_bound = true.",
+                    f"'mean_compliance' or 'dynamic_deflection' instead{_ACCEPT}",
                     True,
                 )
             )
@@ -229,7 +235,7 @@ def torque_of_stiffness(problem: TrajectoryProblem, joint: int, floor: float) ->
 def rest_deflection(problem: TrajectoryProblem, angles: np.ndarray, objective: str) -> float:
     """Length [m] of the tool's "total_deflection" or "process_deflection" at rest in a pose."""
     torque = gravity_torque(problem, angles)
-    without_force = gravity_torque(replace(problem, process_force=np.zeros(3)), angles)
+    without_force = torque + tool_jacobian(problem, angles).T @ problem.process_force
     windup = np.zeros(problem.joints)
     for j, chain in enumerate(problem.robot.chains):
         if chain is not None:
@@ -262,8 +268,7 @@ def _rest_bounds(problem: TrajectoryProblem, motion: ResolvedMotion, objective: 
     what, other = _PINNED[objective]
     text = (
         f"The peak {objective.replace('_', ' ')} cannot be below {what} of the {where} pose, "
-        f"{1e3 * value:.4g} mm, whatever the motion. Minimise {other}its rms, or set "
-        "minimise.accept_bound = true."
+        f"{1e3 * value:.4g} mm, whatever the motion. Minimise {other}its rms{_ACCEPT}"
     )
     return [Bound(objective, value, text, True)]
 

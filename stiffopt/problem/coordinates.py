@@ -83,7 +83,7 @@ class JointCoordinates(Coordinates):
         """Position and velocity limits; a margin narrows the range of the position."""
         limits = self.limits
         span = limits.position_upper - limits.position_lower
-        inset = np.where(np.isfinite(span), margins.get("position", 0.0) * span, 0.0)
+        inset = margins.get("position", 0.0) * np.where(np.isfinite(span), span, 0.0)
         speed = limits.velocity * (1.0 - margins.get("velocity", 0.0))
         lower = np.concatenate([limits.position_lower + inset, -speed])
         return lower, np.concatenate([limits.position_upper - inset, speed])

@@ -63,6 +63,9 @@ class Objective:
                 f"The weight of {self.name} is {self.weight:g}; allowed: greater than zero."
             )
 
+        if any(not weight > 0 for weight in self.joint_weights.values()):
+            raise ProblemError("joint_weights must all be greater than zero.")
+
     @property
     def maximised(self) -> bool:
         """Whether a larger value is better."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 # Outside these a number is a slip, and it would overflow on the way.
 _FAR = 1e3
-_DURATIONS = (1e-3, 1e5)
+_DURATIONS = (1e-3, 600.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +46,10 @@ class Target:
     angle_tolerance: float = 0.01
 
     def __post_init__(self) -> None:
+        for name in ("joints", "position", "rpy", "near"):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, np.asarray(value, dtype=float))
         if (self.joints is None) == (self.position is None):
             raise ProblemError(
                 "A target needs either `joints` or `position`, not both and not neither; "
@@ -161,6 +165,11 @@ class Method:
             raise ProblemError(
                 f"method.intervals = {self.intervals} is too few; allowed: 4 or more."
             )
+        if self.starts < 1 or not self.time_limit > 0 or self.max_iterations < 1:
+            raise ProblemError(
+                f"method.starts = {self.starts}, time_limit = {self.time_limit:g} s and "
+                f"max_iterations = {self.max_iterations} must all be above zero."
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,6 +214,34 @@ class TrajectoryProblem:
         if not self.objectives:
             raise ProblemError("The problem has no objective; add at least one [[minimise]].")
         check_duration(self.duration)
+        if self.path is not None:
+            object.__setattr__(self, "path", np.asarray(self.path, dtype=float))
+        object.__setattr__(self, "process_force", np.asarray(self.process_force, dtype=float))
+        _check_vector("process_force", self.process_force)
+        if self.boundary_acceleration not in ("zero", "free"):
+            raise ProblemError(
+                f"boundary_acceleration = {self.boundary_acceleration!r} is unknown; allowed: "
+                "'zero' or 'free'."
+            )
+        for objective in self.objectives:
+            self._check_objective(objective)
+
+    def _check_objective(self, objective: Objective) -> None:
+        for joint in (*objective.joints, *objective.joint_weights):
+            if not 1 <= joint <= self.joints:
+                raise ProblemError(
+                    f"{objective.name} names joint {joint}; allowed: 1 to {self.joints}."
+                )
+        if objective.name == "process_deflection" and not np.any(self.process_force):
+            raise ProblemError(
+                "process_deflection is the deflection that a force on the tool causes, and there "
+                "is none. Give tool.process_force, or minimise 'dynamic_deflection'."
+            )
+        if objective.name == "duration" and self.duration[0] == self.duration[1]:
+            raise ProblemError(
+                f"The duration is fixed at {self.duration[0]:g} s, so it cannot be minimised. Give "
+                "motion.duration as { lower, upper }, or minimise something else."
+            )
 
     @property
     def active_limits(self) -> Limits:

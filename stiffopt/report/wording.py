@@ -57,6 +57,8 @@ def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
     ratio = solution.ratio_to_better_baseline
     if solution.objective is None or solution.assessment is None:
         return "There is no motion to compare with the baselines."
+    if better is not None and ratio is None and solution.status.usable:
+        return "Values of this objective have no ratio; the table of baselines shows them."
     if better is not None and ratio is None:
         return "This motion does not meet all limits, so it is not compared with the baselines."
     if better is None or ratio is None:
@@ -65,7 +67,8 @@ def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
     motion = f"{better}'s motion" if better == "toppra" else f"the {better} motion"
     if other is not None and abs(other.duration - solution.assessment.duration) < 1e-6:
         motion += " of the same duration"
-    return f"{amount(ratio, problem.objectives[0].name, maximised)} {motion}."
+    name = problem.objectives[0].name if len(problem.objectives) == 1 else ""
+    return f"{amount(ratio, name, maximised)} {motion}."
 
 
 def amount(ratio: float, name: str = "", maximised: bool = False) -> str:

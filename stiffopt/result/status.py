@@ -35,7 +35,10 @@ class SolveStatus(StrEnum):
 
 
 _SENTENCES = {
-    SolveStatus.OPTIMAL: "Solved and certified: every limit holds on the fine grid.",
+    SolveStatus.OPTIMAL: (
+        "Solved and certified: every limit holds on the fine grid. The motion is in "
+        "trajectory.csv; check the estimated inputs in the report before you rely on its numbers."
+    ),
     SolveStatus.ACCEPTABLE: (
         "Solved to the looser tolerance and certified; the motion may be used. Raise "
         "method.intervals or method.time_limit for the full tolerance."

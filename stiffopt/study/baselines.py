@@ -8,7 +8,7 @@ from stiffopt.baseline.motion import Baseline as BaselineMotion
 from stiffopt.baseline.quintic import quintic_baseline
 from stiffopt.baseline.toppra_motion import toppra_baseline
 from stiffopt.certificate.assess import assess
-from stiffopt.certificate.objective_value import improvement, objective_value
+from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.joint_path import JointPath
@@ -41,7 +41,9 @@ def baselines(problem: TrajectoryProblem, motion: ResolvedMotion) -> dict[str, B
             fastest = BaselineMotion(name="toppra", motion=stretched, fastest=fastest.fastest)
     quintic = quintic_baseline(path, duration)
     return {
-        "toppra": _assessed(problem, fastest, ignored=("jerk",)),
+        "toppra": _assessed(
+            problem, fastest, ignored=("jerk", "start_acceleration", "end_acceleration")
+        ),
         "quintic": _assessed(problem, quintic),
     }
 
@@ -51,7 +53,8 @@ def better_baseline(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> 
     feasible = [b for b in beside.values() if b.feasible and b.objective is not None]
     if not feasible:
         return None
-    return min(feasible, key=lambda b: improvement(problem, b.objective or np.inf, 1.0))
+    sign = -1.0 if is_maximised(problem) else 1.0
+    return min(feasible, key=lambda b: sign * (b.objective or 0.0))
 
 
 def _assessed(

@@ -253,8 +253,7 @@ def _message(status: SolveStatus, outcome: Outcome) -> str:
     raw, assessment = outcome.raw, outcome.assessment
     worst = assessment.worst_violation.describe()
     if status is SolveStatus.INFEASIBLE:
-        entries = raw.conflicts or raw.worst_rows
-        return f"{status.sentence} These conflict: {_listed(entries)}."
+        return f"{status.sentence} These conflict: {_listed(raw.conflicts or raw.worst_rows)}."
     if not raw.converged:
         state = f"It exceeds {worst}."
         if assessment.feasible(CERTIFIED):
@@ -265,14 +264,17 @@ def _message(status: SolveStatus, outcome: Outcome) -> str:
         return f"{status.sentence} It exceeds {worst}."
     if outcome.objective_gap > TRUE_OBJECTIVE:
         return (
-            f"{status.sentence} Between the nodes the objective is {outcome.objective_gap:.1%} "
-            "worse than at them, so a finer mesh or another transcription can still improve it; "
-            "the value given is the true one."
+            "Solved and certified: every limit holds on the fine grid. But between the nodes the "
+            f"objective is {outcome.objective_gap:.1%} worse than at them, so a finer mesh or "
+            "another transcription can still improve it; the value given is the true one."
         )
     return status.sentence
 
 
 def _listed(entries: Sequence[object]) -> str:
-    """Return rows by name, without those that differ in their place only."""
-    names = dict.fromkeys(str(entry) for entry in entries)
-    return "; ".join(list(names)[:5]) or "none that can be named"
+    """Return limits by name first; the many boundary states count as one entry, the last."""
+    names = list(dict.fromkeys(str(entry) for entry in entries))
+    poses = [name for name in names if name.startswith(("state,", "start", "end"))]
+    limits = [name for name in names if name not in poses][:5]
+    ends = ["the given start and end"] if poses else []
+    return "; ".join(limits + ends) or "none that can be named"

@@ -238,7 +238,7 @@ class Nlp:
         return list(found.values())
 
     def conflicts(
-        self, multipliers_x: np.ndarray, multipliers_g: np.ndarray, n: int = 6
+        self, multipliers_x: np.ndarray, multipliers_g: np.ndarray, n: int = 40
     ) -> list[Entry]:
         """Find the limits and boundary values that cannot hold together.
 
