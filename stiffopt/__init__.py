@@ -32,6 +32,7 @@ _PUBLIC = {
     "StiffoptError": "stiffopt.errors",
     "InputError": "stiffopt.errors",
     "NoSolutionFound": "stiffopt.errors",
+    "ProblemError": "stiffopt.errors",
 }
 
 __all__ = ["__version__", *sorted(_PUBLIC)]

@@ -17,6 +17,7 @@ NAMES = [
     "Method",
     "NoSolutionFound",
     "Objective",
+    "ProblemError",
     "Robot",
     "Solution",
     "SolveStatus",
