@@ -211,11 +211,6 @@ def reducer(name: str) -> ReducerData:
     )
 
 
-def bolt_names() -> list[str]:
-    """Return the packaged bolt sizes."""
-    return list(_rows("bolts", "bolt", "size"))
-
-
 def bolt(size: str) -> BoltData:
     """Look up a bolt by size, for example "M5"."""
     row = dict(_find("bolt", size, _rows("bolts", "bolt", "size")))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from stiffopt.certificate.objective_value import is_maximised
 from stiffopt.problem.objectives import UNITS
 from stiffopt.report.citations import solve_references
 from stiffopt.report.figures import (
@@ -30,7 +31,6 @@ from stiffopt.report.tables import (
 )
 from stiffopt.report.wording import (
     comparison,
-    is_maximised,
     limit_text,
     objective_phrase,
     objective_text,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from stiffopt.certificate.objective_value import is_maximised
 from stiffopt.report.motions import better_baseline
 from stiffopt.report.quantities import engineering, significant
 from stiffopt.result.assessment import Violation
@@ -43,11 +44,6 @@ def objective_text(objective: ObjectiveValue) -> str:
     """Phrase and value: "peak dynamic tool deflection 0.297 mm"."""
     phrase = objective_phrase(objective.name, objective.measure)
     return f"{phrase} {engineering(objective.value, objective.unit, 3)}"
-
-
-def is_maximised(problem: TrajectoryProblem) -> bool:
-    """Whether a larger objective value is better."""
-    return len(problem.objectives) == 1 and problem.objectives[0].maximised
 
 
 def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
