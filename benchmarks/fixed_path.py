@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from common import Row, loaded_ur10, main, numbers, ur10_problem
 
-from stiffopt.baseline.joint_path import JointPath
 from stiffopt.baseline.toppra_motion import toppra_baseline
 from stiffopt.problem.objectives import Objective
 from stiffopt.problem.trajectory import Method
+from stiffopt.result.joint_path import JointPath
 from stiffopt.study.optimise import solve
 
 TITLE = "UR10, minimum time on the fixed path"
