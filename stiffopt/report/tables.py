@@ -147,19 +147,19 @@ def limits_table(problem: TrajectoryProblem) -> Table:
             (
                 unit.label,
                 str(problem.robot.joint_names[j]),
-                f"{_bound(low)} to {_bound(high)} {name}",
-                f"{_bound(limits.velocity[j] * factor)} {name}/s",
-                f"{_bound(limits.acceleration[j])} {unit.rate}/s²",
-                f"{_bound(limits.jerk[j])} {unit.rate}/s³",
-                f"{_bound(limits.torque[j])} {unit.torque}",
+                _bound(high, name) if np.isinf(high) else f"{_bound(low)} to {_bound(high, name)}",
+                _bound(limits.velocity[j] * factor, f"{name}/s"),
+                _bound(limits.acceleration[j], f"{unit.rate}/s²"),
+                _bound(limits.jerk[j], f"{unit.rate}/s³"),
+                _bound(limits.torque[j], unit.torque),
             )
         )
     head = ("", "joint", "position", "velocity", "acceleration", "jerk", "drive torque")
     return Table(head, tuple(rows))
 
 
-def _bound(value: float) -> str:
-    return significant(float(value)) if np.isfinite(value) else "none"
+def _bound(value: float, unit: str = "") -> str:
+    return f"{significant(float(value))} {unit}".strip() if np.isfinite(value) else "none"
 
 
 def inputs_table(problem: TrajectoryProblem) -> Table:

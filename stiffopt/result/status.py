@@ -36,8 +36,8 @@ class SolveStatus(StrEnum):
 
 _SENTENCES = {
     SolveStatus.OPTIMAL: (
-        "Solved and certified: every limit holds on the fine grid. The motion is in "
-        "trajectory.csv; check the estimated inputs in the report before you rely on its numbers."
+        "Solved and certified: every limit holds on the fine grid, so the motion may be run. Check "
+        "the estimated inputs in the report before you rely on its numbers."
     ),
     SolveStatus.ACCEPTABLE: (
         "Solved to the looser tolerance and certified; the motion may be used. Raise "
