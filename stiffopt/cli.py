@@ -76,7 +76,7 @@ def verify(problems: Path, *, quiet: bool = False) -> int:
     """
     from stiffopt.problem.files import load_problem
     from stiffopt.report.terminal import print_checks
-    from stiffopt.study.verify import problem_files, verify_file
+    from stiffopt.verify import problem_files, verify_file
 
     checks = []
     paths = problem_files(problems)

@@ -40,7 +40,7 @@ def test_expected_value_has_a_source(path):
 @pytest.mark.slow
 @pytest.mark.parametrize("path", FILES, ids=IDS)
 def test_problem_verifies(path):
-    from stiffopt.study.verify import verify_file
+    from stiffopt.verify import verify_file
 
     check = verify_file(path)
     assert check.passed, f"{check.value} for {check.expected} {check.unit}: {check.message}"

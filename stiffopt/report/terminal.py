@@ -16,7 +16,7 @@ from stiffopt.result.status import SolveStatus
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.solution import Solution
-    from stiffopt.study.verify import Check
+    from stiffopt.verify import Check
 
 # Of a table in a file or a log, where names must not be cut.
 _LOG_WIDTH = 140

@@ -1,0 +1,1 @@
+"""Strength and tightening of bolts and set screws."""
