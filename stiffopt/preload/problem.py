@@ -1,0 +1,310 @@
+"""What a preload study asks: joints, load cases, objective, requirements, tightening."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.drivetrain.stage import Stage
+from stiffopt.errors import ProblemError, nearest
+from stiffopt.fastening.limits import PreloadLimit, embedding_loss, fastener_count, preload_limits
+from stiffopt.fastening.tightening import Tightening
+from stiffopt.symbolic import Quantity
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+OBJECTIVES = {
+    "total_preload": "N",
+    "bolt_utilisation": "",
+    "joint_stiffness": "N m/rad",
+    "tool_deflection": "m",
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoadCase:
+    """Torques that the joints carry at one instant.
+
+    Parameters
+    ----------
+    name : str
+    torque : array (n,)
+        In the joints' springs [N m], signed.
+    reference_torque : array (n,), optional
+        Torque whose wind-up does not count in the tool deflection [N m]: gravity, where the sag
+        is calibrated away.
+    jacobian : array (3, n), optional
+        Of the tool point, base axes; without it the case has no tool deflection.
+    time : float, optional
+        Along the motion that the case is taken from [s].
+    source : str
+        Where the torques come from.
+    """
+
+    name: str
+    torque: np.ndarray
+    reference_torque: np.ndarray | None = None
+    jacobian: np.ndarray | None = None
+    time: float | None = None
+    source: str = "given"
+
+    def __post_init__(self) -> None:
+        for key in ("torque", "reference_torque", "jacobian"):
+            value = getattr(self, key)
+            if value is None:
+                continue
+            array = np.asarray(value, dtype=float)
+            if not np.isfinite(array).all():
+                raise ProblemError(f"Load case {self.name!r}: {key} must be finite numbers.")
+            object.__setattr__(self, key, array)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Requirements:
+    """What every design of the study must keep.
+
+    Parameters
+    ----------
+    joint_stiffness : mapping of joint number to float
+        Least tangent stiffness in every load case [N m/rad].
+    tool_deflection : float or None
+        Largest deflection of the tool over the load cases that have a pose [m].
+    slip_safety : float
+        Slip torque over torque, for every friction connection and load case, with the least
+        preload that tightening leaves.
+    bolt_utilisation : float
+        Share of the permissible tightening stress, at the largest preload.
+    """
+
+    joint_stiffness: Mapping[int, float] = field(default_factory=dict)
+    tool_deflection: float | None = None
+    slip_safety: float = 1.2
+    bolt_utilisation: float = 1.0
+
+    def __post_init__(self) -> None:
+        values = {f"joint_stiffness of joint {j}": k for j, k in self.joint_stiffness.items()}
+        if self.tool_deflection is not None:
+            values["tool_deflection"] = self.tool_deflection
+        for name, value in values.items():
+            if not (np.isfinite(value) and value > 0.0):
+                raise ProblemError(f"require.{name} = {value:g} must be above 0.")
+        if not (np.isfinite(self.slip_safety) and self.slip_safety >= 1.0):
+            raise ProblemError(
+                f"require.slip_safety = {self.slip_safety:g} must be 1 or above: below 1 the "
+                "connection slips."
+            )
+        if not 0.0 < self.bolt_utilisation <= 1.0:
+            raise ProblemError(
+                f"require.bolt_utilisation = {self.bolt_utilisation:g} must be above 0 and at "
+                "most 1, which is 90 % of the yield strength while tightening."
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """Catalogue designs to choose from, for every free bolted flange of the study.
+
+    Parameters
+    ----------
+    sizes, grades : tuple of str
+    counts : tuple of int
+    torques : tuple of float
+        Tightening torques of the workshop [N m]; empty: the R20 preferred numbers.
+
+    Notes
+    -----
+    An empty tuple keeps what the flange has.
+    """
+
+    sizes: tuple[str, ...] = ()
+    grades: tuple[str, ...] = ()
+    counts: tuple[int, ...] = ()
+    torques: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if any(count < 1 for count in self.counts):
+            raise ProblemError("choose.counts must be whole numbers of 1 or above.")
+        if any(not torque > 0.0 for torque in self.torques):
+            raise ProblemError("choose.torques must be above 0 N m.")
+
+
+@dataclass(frozen=True)
+class FreeElement:
+    """A connection whose preload the study chooses.
+
+    Parameters
+    ----------
+    joint : int
+        1-based.
+    stage : Stage
+        The connection, with its present preload, and where it sits.
+    limits : tuple of PreloadLimit
+        At the largest preload that tightening leaves.
+    count : int
+        Bolts or pins.
+    embedding_loss : float
+        Of one bolt or pin [N].
+    key : str
+        Name in results.
+    """
+
+    joint: int
+    stage: Stage
+    limits: tuple[PreloadLimit, ...]
+    count: int
+    embedding_loss: float
+    key: str
+
+    @property
+    def name(self) -> str:
+        """Name of the element within its joint."""
+        return self.stage.element.name
+
+    def least(self, preload: Quantity, scatter: float) -> Quantity:
+        """Preload after unlucky tightening and embedding [N]; `preload` is the largest."""
+        return preload / scatter - self.embedding_loss
+
+    def largest(self, least: Quantity, scatter: float) -> Quantity:
+        """Inverse of `least` [N]."""
+        return scatter * (least + self.embedding_loss)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreloadProblem:
+    """A preload study of one joint, of several or of the whole robot.
+
+    Parameters
+    ----------
+    robot : Robot
+    joints : tuple of int
+        1-based.
+    load_cases : tuple of LoadCase
+    tightening : Tightening
+    objective : str
+        total_preload : clamping forces of all bolts and pins together [N]. bolt_utilisation : the
+        largest utilisation of any bolt or pin. joint_stiffness : MAXIMISES the smallest of
+        k_j / weight_j over joints and load cases. tool_deflection : the largest over the load
+        cases that have a pose.
+    joint_weights : mapping of joint number to float
+        For joint_stiffness [N m/rad]; the stiffness with the design preloads where left out, so
+        that joints of different size compare.
+    requirements : Requirements
+    free : tuple of str
+        Names of the elements whose preload is chosen; empty: all bolts and pins of the joints.
+    individual : bool
+        One preload a bolt or pin instead of one a connection.
+    choose : Choice or None
+    title : str
+    """
+
+    robot: Robot
+    joints: tuple[int, ...]
+    load_cases: tuple[LoadCase, ...]
+    tightening: Tightening = field(default_factory=Tightening)
+    objective: str = "total_preload"
+    joint_weights: Mapping[int, float] = field(default_factory=dict)
+    requirements: Requirements = field(default_factory=Requirements)
+    free: tuple[str, ...] = ()
+    individual: bool = False
+    choose: Choice | None = None
+    title: str = ""
+
+    def __post_init__(self) -> None:
+        if self.objective not in OBJECTIVES:
+            raise ProblemError(
+                f"Unknown objective {self.objective!r}. {nearest(self.objective, OBJECTIVES)}"
+            )
+        self._check_joints()
+        self._check_load_cases()
+        if not self.elements:
+            raise ProblemError(
+                f"{self.robot.name}: joints {', '.join(map(str, self.joints))} have no bolted "
+                "flange and no pins, so there is no preload to choose."
+            )
+
+    def _check_joints(self) -> None:
+        n = self.robot.n
+        asked = [*self.joints, *self.requirements.joint_stiffness, *self.joint_weights]
+        for joint in asked:
+            if not 1 <= joint <= n:
+                raise ProblemError(f"{self.robot.name} has joints 1 to {n}, got joint {joint}.")
+        if len(set(self.joints)) != len(self.joints) or not self.joints:
+            raise ProblemError("joints must be a list of different joint numbers, at least one.")
+        for joint in self.joints:
+            if self.robot.chains[joint - 1] is None:
+                raise ProblemError(
+                    f"Joint {joint} of {self.robot.name} has no drivetrain. Describe its elements "
+                    "in the robot file, or leave the joint out."
+                )
+        outside = set(self.requirements.joint_stiffness) - set(self.joints)
+        if outside:
+            raise ProblemError(
+                f"require.joint_stiffness names joint {min(outside)}, which is not among the "
+                f"study's joints {list(self.joints)}. Add it to joints or drop the requirement."
+            )
+        if any(not weight > 0.0 for weight in self.joint_weights.values()):
+            raise ProblemError("joint_weights must all be above 0.")
+
+    def _check_load_cases(self) -> None:
+        n = self.robot.n
+        if not self.load_cases:
+            raise ProblemError("A preload study needs at least one [[load_case]].")
+        for case in self.load_cases:
+            if case.torque.shape != (n,):
+                raise ProblemError(
+                    f"Load case {case.name!r}: torque needs one number a joint, {n}, got "
+                    f"{case.torque.size}."
+                )
+        names = [case.name for case in self.load_cases]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ProblemError(f"Load case names must differ, used twice: {', '.join(twice)}.")
+        posed = any(case.jacobian is not None for case in self.load_cases)
+        wanted = self.requirements.tool_deflection is not None
+        if (wanted or self.objective == "tool_deflection") and not posed:
+            raise ProblemError(
+                "The tool deflection needs a load case with a pose: give it `joints` and a tool "
+                "`force`, or a `trajectory`."
+            )
+
+    @cached_property
+    def elements(self) -> tuple[FreeElement, ...]:
+        """Connections whose preload is chosen, joint by joint from motor to link."""
+        candidates = [
+            (joint, stage) for joint in self.joints for stage in self._stages(joint)
+        ]
+        known = {stage.element.name for _, stage in candidates}
+        for name in self.free:
+            if name not in known:
+                raise ProblemError(
+                    f"free: no bolted flange and no pins named {name!r} in the study's joints. "
+                    f"{nearest(name, known)}"
+                )
+        return tuple(
+            self._element(joint, stage)
+            for joint, stage in candidates
+            if not self.free or stage.element.name in self.free
+        )
+
+    def _stages(self, joint: int) -> list[Stage]:
+        chain = self.robot.chains[joint - 1]
+        assert chain is not None
+        return [s for s in chain.stages if s.element.kind in ("bolted_flange", "clamping_pins")]
+
+    def _element(self, joint: int, stage: Stage) -> FreeElement:
+        name = stage.element.name
+        return FreeElement(
+            joint=joint,
+            stage=stage,
+            limits=preload_limits(
+                stage.element, self.tightening, self.requirements.bolt_utilisation
+            ),
+            count=fastener_count(stage.element),
+            embedding_loss=embedding_loss(stage.element, self.tightening),
+            key=name if len(self.joints) == 1 else f"joint_{joint}.{name}",
+        )
