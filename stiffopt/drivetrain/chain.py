@@ -7,7 +7,7 @@ and its wind-up counts 1/ratio, so its stiffness counts ratio^2.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -187,6 +187,20 @@ class Chain:
         """Return the chain without contacts and shafts: reducers and constant stiffnesses."""
         kept = tuple(s for s in self.stages if s.element.kind in ("reducer", "constant"))
         return replace(self, stages=kept)
+
+    def split(self, names: Iterable[str]) -> tuple[Chain, Chain]:
+        """Chains of the groups that hold one of these elements, and of the others.
+
+        The two are in series, so their wind-ups and compliances add up to those of the whole.
+        """
+        wanted = set(names)
+        self._check_names(dict.fromkeys(wanted, 0.0))
+        inside: list[Stage] = []
+        outside: list[Stage] = []
+        for group in self._series(None):
+            held = any(stage.element.name in wanted for stage in group)
+            (inside if held else outside).extend(group)
+        return replace(self, stages=tuple(inside)), replace(self, stages=tuple(outside))
 
     def slip_torques(self) -> dict[str, float]:
         """Joint torque at which each element alone would slip [N m]; infinite where none can."""

@@ -13,6 +13,7 @@ from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import ProblemError, nearest
 from stiffopt.fastening.limits import PreloadLimit, embedding_loss, fastener_count, preload_limits
 from stiffopt.fastening.tightening import Tightening
+from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.symbolic import Quantity
 
 if TYPE_CHECKING:
@@ -24,44 +25,6 @@ OBJECTIVES = {
     "joint_stiffness": "N m/rad",
     "tool_deflection": "m",
 }
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LoadCase:
-    """Torques that the joints carry at one instant.
-
-    Parameters
-    ----------
-    name : str
-    torque : array (n,)
-        In the joints' springs [N m], signed.
-    reference_torque : array (n,), optional
-        Torque whose wind-up does not count in the tool deflection [N m]: gravity, where the sag
-        is calibrated away.
-    jacobian : array (3, n), optional
-        Of the tool point, base axes; without it the case has no tool deflection.
-    time : float, optional
-        Along the motion that the case is taken from [s].
-    source : str
-        Where the torques come from.
-    """
-
-    name: str
-    torque: np.ndarray
-    reference_torque: np.ndarray | None = None
-    jacobian: np.ndarray | None = None
-    time: float | None = None
-    source: str = "given"
-
-    def __post_init__(self) -> None:
-        for key in ("torque", "reference_torque", "jacobian"):
-            value = getattr(self, key)
-            if value is None:
-                continue
-            array = np.asarray(value, dtype=float)
-            if not np.isfinite(array).all():
-                raise ProblemError(f"Load case {self.name!r}: {key} must be finite numbers.")
-            object.__setattr__(self, key, array)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,12 +42,16 @@ class Requirements:
         preload that tightening leaves.
     bolt_utilisation : float
         Share of the permissible tightening stress, at the largest preload.
+    least_preload : float
+        Share of the permissible preload that is tightened at least: a hardly tightened bolt works
+        loose, whatever the torque.
     """
 
     joint_stiffness: Mapping[int, float] = field(default_factory=dict)
     tool_deflection: float | None = None
     slip_safety: float = 1.2
     bolt_utilisation: float = 1.0
+    least_preload: float = 0.3
 
     def __post_init__(self) -> None:
         values = {f"joint_stiffness of joint {j}": k for j, k in self.joint_stiffness.items()}
@@ -102,6 +69,11 @@ class Requirements:
             raise ProblemError(
                 f"require.bolt_utilisation = {self.bolt_utilisation:g} must be above 0 and at "
                 "most 1, which is 90 % of the yield strength while tightening."
+            )
+        if not 0.0 < self.least_preload < 1.0:
+            raise ProblemError(
+                f"require.least_preload = {self.least_preload:g} must be above 0 and below 1, the "
+                "share of the permissible preload."
             )
 
 
@@ -165,6 +137,11 @@ class FreeElement:
         """Name of the element within its joint."""
         return self.stage.element.name
 
+    @property
+    def capacity(self) -> float:
+        """Largest preload that every limit allows [N]."""
+        return min(limit.capacity for limit in self.limits)
+
     def least(self, preload: Quantity, scatter: float) -> Quantity:
         """Preload after unlucky tightening and embedding [N]; `preload` is the largest."""
         return preload / scatter - self.embedding_loss
@@ -184,6 +161,8 @@ class PreloadProblem:
     joints : tuple of int
         1-based.
     load_cases : tuple of LoadCase
+    histories : tuple of LoadHistory
+        Motions; their worst instants join the load cases.
     tightening : Tightening
     objective : str
         total_preload : clamping forces of all bolts and pins together [N]. bolt_utilisation : the
@@ -204,7 +183,8 @@ class PreloadProblem:
 
     robot: Robot
     joints: tuple[int, ...]
-    load_cases: tuple[LoadCase, ...]
+    load_cases: tuple[LoadCase, ...] = ()
+    histories: tuple[LoadHistory, ...] = ()
     tightening: Tightening = field(default_factory=Tightening)
     objective: str = "total_preload"
     joint_weights: Mapping[int, float] = field(default_factory=dict)
@@ -252,19 +232,20 @@ class PreloadProblem:
 
     def _check_load_cases(self) -> None:
         n = self.robot.n
-        if not self.load_cases:
+        loads = (*self.load_cases, *self.histories)
+        if not loads:
             raise ProblemError("A preload study needs at least one [[load_case]].")
-        for case in self.load_cases:
-            if case.torque.shape != (n,):
+        for load in loads:
+            if load.torque.shape[-1:] != (n,):
                 raise ProblemError(
-                    f"Load case {case.name!r}: torque needs one number a joint, {n}, got "
-                    f"{case.torque.size}."
+                    f"Load case {load.name!r}: torque needs one number a joint, {n}, got "
+                    f"{load.torque.shape[-1] if load.torque.ndim else 1}."
                 )
-        names = [case.name for case in self.load_cases]
+        names = [load.name for load in loads]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ProblemError(f"Load case names must differ, used twice: {', '.join(twice)}.")
-        posed = any(case.jacobian is not None for case in self.load_cases)
+        posed = any(load.jacobian is not None for load in loads)
         wanted = self.requirements.tool_deflection is not None
         if (wanted or self.objective == "tool_deflection") and not posed:
             raise ProblemError(
@@ -301,9 +282,7 @@ class PreloadProblem:
         return FreeElement(
             joint=joint,
             stage=stage,
-            limits=preload_limits(
-                stage.element, self.tightening, self.requirements.bolt_utilisation
-            ),
+            limits=preload_limits(stage.element, self.tightening),
             count=fastener_count(stage.element),
             embedding_loss=embedding_loss(stage.element, self.tightening),
             key=name if len(self.joints) == 1 else f"joint_{joint}.{name}",

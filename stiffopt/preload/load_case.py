@@ -1,0 +1,135 @@
+"""Torques that a preload design has to carry: at one instant, and along a motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stiffopt.errors import ProblemError
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoadCase:
+    """Torques that the joints carry at one instant.
+
+    Parameters
+    ----------
+    name : str
+    torque : array (n,)
+        In the joints' springs [N m], signed.
+    reference_torque : array (n,), optional
+        Torque whose wind-up does not count in the tool deflection [N m]: gravity, where the sag
+        is calibrated away.
+    jacobian : array (3, n), optional
+        Of the tool point, base axes; without it the case has no tool deflection.
+    time : float, optional
+        Along the motion that the case is taken from [s].
+    source : str
+        Where the torques come from.
+    """
+
+    name: str
+    torque: np.ndarray
+    reference_torque: np.ndarray | None = None
+    jacobian: np.ndarray | None = None
+    time: float | None = None
+    source: str = "given"
+
+    def __post_init__(self) -> None:
+        _require_finite(self, f"Load case {self.name!r}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoadHistory:
+    """Torques along a motion, of which the worst instants become load cases.
+
+    Parameters
+    ----------
+    name : str
+    time : array (K,) [s]
+    torque : array (K, n) [N m]
+    reference_torque : array (K, n), optional [N m]
+    jacobian : array (K, 3, n), optional
+    source : str
+    """
+
+    name: str
+    time: np.ndarray
+    torque: np.ndarray
+    reference_torque: np.ndarray | None = None
+    jacobian: np.ndarray | None = None
+    source: str = "given"
+
+    def __post_init__(self) -> None:
+        _require_finite(self, f"Load history {self.name!r}")
+        if self.torque.ndim != 2 or len(self.time) != len(self.torque) or not len(self.time):
+            raise ProblemError(
+                f"Load history {self.name!r}: time (K,) and torque (K, n) do not fit: "
+                f"{self.time.shape} and {self.torque.shape}."
+            )
+
+    def at(self, index: int) -> LoadCase:
+        """Load case at an instant, named after the motion and the time."""
+        reference, jacobian = self.reference_torque, self.jacobian
+        return LoadCase(
+            name=f"{self.name} at {self.time[index]:.3f} s",
+            torque=self.torque[index],
+            reference_torque=None if reference is None else reference[index],
+            jacobian=None if jacobian is None else jacobian[index],
+            time=float(self.time[index]),
+            source=self.source,
+        )
+
+    def worst(
+        self,
+        joints: tuple[int, ...],
+        compliance: Callable[[int, np.ndarray], np.ndarray],
+        windup: Callable[[int, np.ndarray], np.ndarray],
+    ) -> tuple[LoadCase, ...]:
+        """Instants that matter: the worst for slip, for stiffness and for the tool.
+
+        Parameters
+        ----------
+        joints : tuple of int
+            1-based; each contributes its largest torque and its lowest stiffness.
+        compliance, windup : callable
+            (joint, torques (K,)) -> (K,) with the preloads in question [rad/(N m)], [rad].
+
+        Returns
+        -------
+        tuple of LoadCase
+            In order of time, each instant once.
+        """
+        found = set()
+        for joint in joints:
+            torque = self.torque[:, joint - 1]
+            found.add(int(np.argmax(np.abs(torque))))
+            found.add(int(np.argmax(compliance(joint, torque))))
+        if self.jacobian is not None:
+            found.add(int(np.argmax(self._deflection(windup))))
+        return tuple(self.at(index) for index in sorted(found))
+
+    def _deflection(self, windup: Callable[[int, np.ndarray], np.ndarray]) -> np.ndarray:
+        """Size of the tool's deflection (K,) [m]."""
+        assert self.jacobian is not None
+        angles = np.zeros_like(self.torque)
+        for j in range(self.torque.shape[1]):
+            angles[:, j] = windup(j + 1, self.torque[:, j])
+            if self.reference_torque is not None:
+                angles[:, j] -= windup(j + 1, self.reference_torque[:, j])
+        return np.asarray(np.linalg.norm(np.einsum("kin,kn->ki", self.jacobian, angles), axis=1))
+
+
+def _require_finite(loads: Any, owner: str) -> None:
+    """Turn the array fields into arrays and refuse what is not a finite number."""
+    for key in ("time", "torque", "reference_torque", "jacobian"):
+        value = getattr(loads, key)
+        if value is None or isinstance(value, float):
+            continue
+        array = np.asarray(value, dtype=float)
+        if not np.isfinite(array).all():
+            raise ProblemError(f"{owner}: {key} must be finite numbers.")
+        object.__setattr__(loads, key, array)

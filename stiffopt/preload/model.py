@@ -1,0 +1,231 @@
+"""Stiffness, wind-up, deflection and slip of a study's joints as functions of the preloads.
+
+What a preload changes is a smooth law in the preload; all other elements come in as numbers of
+their exact law at the torque of the load case, since neither changes during a study.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from stiffopt.connection import BoltedFlange, ClampingPins, Connection
+from stiffopt.drivetrain.chain import Chain
+from stiffopt.drivetrain.stage import Stage
+from stiffopt.errors import ProblemError
+from stiffopt.preload.load_case import LoadCase
+from stiffopt.preload.problem import FreeElement, PreloadProblem
+from stiffopt.symbolic import Quantity
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """Drivetrain of a joint, parted by whether the study changes it."""
+
+    varying: Chain
+    rest: Chain
+
+
+class PreloadModel:
+    """The joints of a study under given load cases.
+
+    Parameters
+    ----------
+    problem : PreloadProblem
+    cases : sequence of LoadCase, optional
+        Default: those of the problem.
+
+    Attributes
+    ----------
+    size : int
+        Number of preloads: one a free element, or one a bolt or pin of it.
+
+    Notes
+    -----
+    Preloads are the largest that tightening leaves, (size,) [N]; stiffness, wind-up and slip are
+    taken at the least, F/alpha_A minus the embedding loss.
+    """
+
+    def __init__(self, problem: PreloadProblem, cases: Sequence[LoadCase] | None = None) -> None:
+        self.problem = problem
+        self.cases = tuple(problem.load_cases if cases is None else cases)
+        self.elements = problem.elements
+        widths = [e.count if problem.individual else 1 for e in self.elements]
+        edges = np.concatenate([[0], np.cumsum(widths)])
+        self.slices = tuple(slice(int(a), int(b)) for a, b in pairwise(edges))
+        self.size = int(edges[-1])
+        self._joints = {joint: self._parted(joint) for joint in problem.joints}
+
+    # ---- design vector
+
+    @property
+    def design(self) -> np.ndarray:
+        """Preloads that the robot has now (size,) [N]."""
+        return self.spread([float(e.stage.element.preload) for e in self.elements])
+
+    def spread(self, preloads: Sequence[float]) -> np.ndarray:
+        """Design vector with one preload for all bolts or pins of each element."""
+        return np.concatenate(
+            [np.full(s.stop - s.start, f) for s, f in zip(self.slices, preloads, strict=True)]
+        )
+
+    def of_element(self, preloads: Quantity, index: int) -> list[Quantity]:
+        """Preloads of an element's bolts or pins; one entry where they are equal."""
+        part = self.slices[index]
+        return [preloads[i] for i in range(part.start, part.stop)]
+
+    # ---- smooth law: arrays, SX, MX
+
+    def compliance(self, preloads: Quantity, joint: int, case: LoadCase) -> Quantity:
+        """Tangent compliance of the elements that the study changes [rad/(N m)]."""
+        torque = float(case.torque[joint - 1])
+        least = self._least(preloads, joint)
+        return self._joints[joint].varying.tangent_compliance(torque, preloads=least)
+
+    def windup(self, preloads: Quantity, joint: int, torque: float) -> Quantity:
+        """Wind-up of the elements that the study changes [rad]."""
+        least = self._least(preloads, joint)
+        return self._joints[joint].varying.windup(torque, preloads=least)
+
+    def slip_torque(self, preloads: Quantity, index: int) -> Quantity:
+        """Joint torque at which an element slips [N m]; linear in its preloads."""
+        element = self.elements[index]
+        own = self.of_element(preloads, index)
+        mean = sum(own[1:], own[0]) / len(own)
+        least = element.least(mean, self.problem.tightening.alpha)
+        return element.stage.element.slip_torque(least) * element.stage.reduction
+
+    # ---- exact law
+
+    def rest_compliance(self, joint: int, torques: np.ndarray) -> np.ndarray:
+        """Exact tangent compliance of all other elements (k,) [rad/(N m)]."""
+        return self._joints[joint].rest.exact_tangent_compliance(np.asarray(torques))
+
+    def rest_windup(self, joint: int, torques: np.ndarray) -> np.ndarray:
+        """Exact wind-up of all other elements (k,) [rad]; also of joints outside the study."""
+        if joint in self._joints:
+            return self._joints[joint].rest.exact_windup(np.asarray(torques))
+        chain = self.problem.robot.chains[joint - 1]
+        return np.zeros(np.shape(torques)) if chain is None else chain.exact_windup(torques)
+
+    def exact_compliance(
+        self, preloads: np.ndarray, joint: int, torques: np.ndarray
+    ) -> np.ndarray:
+        """Exact tangent compliance of a whole joint (k,) [rad/(N m)]; infinite where it slips."""
+        parts = self._joints[joint]
+        varying = parts.varying.exact_tangent_compliance(
+            np.asarray(torques), preloads=self._least(preloads, joint)
+        )
+        return varying + self.rest_compliance(joint, torques)
+
+    def exact_windup(self, preloads: np.ndarray, joint: int, torques: np.ndarray) -> np.ndarray:
+        """Exact wind-up of a whole joint (k,) [rad]."""
+        rest = self.rest_windup(joint, torques)
+        if joint not in self._joints:
+            return rest
+        varying = self._joints[joint].varying.exact_windup(
+            np.asarray(torques), preloads=self._least(preloads, joint)
+        )
+        return varying + rest
+
+    def exact_stiffness(self, preloads: np.ndarray) -> np.ndarray:
+        """Tangent stiffness, (joints, cases) [N m/rad]; zero where a connection slips."""
+        rows = []
+        for joint in self.problem.joints:
+            torques = np.array([case.torque[joint - 1] for case in self.cases])
+            rows.append(1.0 / self.exact_compliance(preloads, joint, torques))
+        return np.array(rows)
+
+    def exact_deflection(self, preloads: np.ndarray) -> np.ndarray:
+        """Deflection of the tool, (cases, 3) [m]; nan for cases without a pose."""
+        rows = []
+        for case in self.cases:
+            if case.jacobian is None:
+                rows.append(np.full(3, np.nan))
+                continue
+            angles = [
+                self._net(lambda t, j=j: self.exact_windup(preloads, j, t), case, j)  # type: ignore[misc]
+                for j in range(1, self.problem.robot.n + 1)
+            ]
+            rows.append(-case.jacobian @ np.array(angles))
+        return np.array(rows)
+
+    @staticmethod
+    def _net(windup: Callable[[np.ndarray], np.ndarray], case: LoadCase, joint: int) -> float:
+        """Wind-up beyond that of the reference torque [rad]."""
+        torques = [case.torque[joint - 1]]
+        if case.reference_torque is not None:
+            torques.append(case.reference_torque[joint - 1])
+        angles = windup(np.array(torques))
+        return float(angles[0] - angles[1]) if len(torques) == 2 else float(angles[0])
+
+    # ---- parts
+
+    @cached_property
+    def indices(self) -> dict[int, tuple[int, ...]]:
+        """Positions in `elements` of each joint's elements."""
+        return {
+            joint: tuple(i for i, e in enumerate(self.elements) if e.joint == joint)
+            for joint in self.problem.joints
+        }
+
+    def _parted(self, joint: int) -> _Joint:
+        chain = self.problem.robot.chains[joint - 1]
+        assert chain is not None
+        own = [e for e in self.elements if e.joint == joint]
+        varying, rest = chain.split(e.name for e in own)
+        if self.problem.individual:
+            stages = [s for stage in varying.stages for s in _individually(stage, own)]
+            varying = replace(varying, stages=tuple(stages))
+        return _Joint(varying, rest)
+
+    def _least(self, preloads: Quantity, joint: int) -> dict[str, Quantity]:
+        """Least preloads of a joint's elements, by the names in its varying chain."""
+        least: dict[str, Quantity] = {}
+        alpha = self.problem.tightening.alpha
+        for index in self.indices[joint]:
+            element = self.elements[index]
+            for name, own in zip(
+                self._names(element), self.of_element(preloads, index), strict=True
+            ):
+                least[name] = element.least(own, alpha)
+        return least
+
+    def _names(self, element: FreeElement) -> Iterator[str]:
+        if not self.problem.individual:
+            return iter((element.name,))
+        return (f"{element.name} {i}" for i in range(1, element.count + 1))
+
+
+def _one_fastener(element: Connection) -> Connection:
+    """What one bolt or pin holds: its sector of the ring, or its own tip."""
+    if isinstance(element, BoltedFlange):
+        return replace(element, bolt_count=1, sectors=element.bolt_count)
+    assert isinstance(element, ClampingPins)
+    return replace(element, pin_count=1)
+
+
+def _individually(stage: Stage, own: Sequence[FreeElement]) -> list[Stage]:
+    """One stage a bolt or pin, in parallel: they turn together and their torques add."""
+    names = [e.name for e in own]
+    if stage.element.name not in names:
+        return [stage]
+    if stage.group is not None:
+        raise ProblemError(
+            f"{stage.element.name} is in parallel with other elements; individual preloads are "
+            "for elements in series. Set individual = false."
+        )
+    count = own[names.index(stage.element.name)].count
+    one = _one_fastener(stage.element)
+    return [
+        replace(
+            stage,
+            element=replace(one, name=f"{one.name} {i}", torque_max=one.torque_max / count),
+            group=stage.element.name,
+        )
+        for i in range(1, count + 1)
+    ]
