@@ -6,7 +6,7 @@ their exact law at the torque of the load case, since neither changes during a s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -112,9 +112,7 @@ class PreloadModel:
         chain = self.problem.robot.chains[joint - 1]
         return np.zeros(np.shape(torques)) if chain is None else chain.exact_windup(torques)
 
-    def exact_compliance(
-        self, preloads: np.ndarray, joint: int, torques: np.ndarray
-    ) -> np.ndarray:
+    def exact_compliance(self, preloads: np.ndarray, joint: int, torques: np.ndarray) -> np.ndarray:
         """Exact tangent compliance of a whole joint (k,) [rad/(N m)]; infinite where it slips."""
         parts = self._joints[joint]
         varying = parts.varying.exact_tangent_compliance(
@@ -148,19 +146,17 @@ class PreloadModel:
                 rows.append(np.full(3, np.nan))
                 continue
             angles = [
-                self._net(lambda t, j=j: self.exact_windup(preloads, j, t), case, j)  # type: ignore[misc]
-                for j in range(1, self.problem.robot.n + 1)
+                self.net_windup(preloads, j, case) for j in range(1, self.problem.robot.n + 1)
             ]
             rows.append(-case.jacobian @ np.array(angles))
         return np.array(rows)
 
-    @staticmethod
-    def _net(windup: Callable[[np.ndarray], np.ndarray], case: LoadCase, joint: int) -> float:
-        """Wind-up beyond that of the reference torque [rad]."""
+    def net_windup(self, preloads: np.ndarray, joint: int, case: LoadCase) -> float:
+        """Exact wind-up of a joint beyond that of the reference torque [rad]."""
         torques = [case.torque[joint - 1]]
         if case.reference_torque is not None:
             torques.append(case.reference_torque[joint - 1])
-        angles = windup(np.array(torques))
+        angles = self.exact_windup(preloads, joint, np.array(torques))
         return float(angles[0] - angles[1]) if len(torques) == 2 else float(angles[0])
 
     # ---- parts

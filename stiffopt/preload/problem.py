@@ -140,7 +140,7 @@ class FreeElement:
     @property
     def capacity(self) -> float:
         """Largest preload that every limit allows [N]."""
-        return min(limit.capacity for limit in self.limits)
+        return min((1.0 - limit.fixed) * limit.capacity for limit in self.limits)
 
     def least(self, preload: Quantity, scatter: float) -> Quantity:
         """Preload after unlucky tightening and embedding [N]; `preload` is the largest."""
@@ -256,9 +256,7 @@ class PreloadProblem:
     @cached_property
     def elements(self) -> tuple[FreeElement, ...]:
         """Connections whose preload is chosen, joint by joint from motor to link."""
-        candidates = [
-            (joint, stage) for joint in self.joints for stage in self._stages(joint)
-        ]
+        candidates = [(joint, stage) for joint in self.joints for stage in self._stages(joint)]
         known = {stage.element.name for _, stage in candidates}
         for name in self.free:
             if name not in known:

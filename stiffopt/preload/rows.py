@@ -159,7 +159,9 @@ def _keys(model: PreloadModel) -> Iterator[UtilisationRow]:
                 yield UtilisationRow(
                     kind="key pressure",
                     joint=joint,
-                    element=key.name if len(model.problem.joints) == 1 else f"joint_{joint}.{key.name}",
+                    element=key.name
+                    if len(model.problem.joints) == 1
+                    else f"joint_{joint}.{key.name}",
                     case=case.name,
                     value=pressure,
                     limit=allowed,

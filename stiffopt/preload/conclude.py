@@ -1,0 +1,122 @@
+"""From a design vector to the solution that people and files get, by the exact law."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stiffopt.fastening.limits import workshop_torque
+from stiffopt.preload.model import PreloadModel
+from stiffopt.preload.rows import UtilisationRow, utilisation_rows
+from stiffopt.preload.solution import PreloadSolution, Stopper
+from stiffopt.result.status import SolveStatus
+
+_SENTENCES = {
+    SolveStatus.OPTIMAL: "Solved; every requirement holds by the exact law.",
+    SolveStatus.ACCEPTABLE: "Solved to the looser tolerance; every requirement holds.",
+    SolveStatus.ITERATION_LIMIT: "The solver ended before the optimum; do not use these preloads.",
+    SolveStatus.TIME_LIMIT: "The time limit came before the optimum.",
+    SolveStatus.INTERRUPTED: "Stopped by the user; the preloads are those of the last iteration.",
+    SolveStatus.INFEASIBLE: "The requirements cannot be met together; relax one of them.",
+}
+
+
+def conclude(
+    model: PreloadModel,
+    preloads: np.ndarray,
+    status: SolveStatus,
+    *,
+    kkt_residual: float = float("nan"),
+    iterations: int = 0,
+    stoppers: tuple[Stopper, ...] = (),
+) -> PreloadSolution:
+    """Evaluate a design by the exact law and say what it means.
+
+    Parameters
+    ----------
+    model : PreloadModel
+    preloads : array (size,) [N]
+    status : SolveStatus
+        Of the solver; a usable one becomes `certificate_failed` where the exact law finds a
+        requirement exceeded.
+    """
+    rows = utilisation_rows(model, preloads)
+    if status.usable and not all(row.kept for row in rows):
+        status = SolveStatus.CERTIFICATE_FAILED
+    own = {
+        e.key: tuple(float(f) for f in preloads[part])
+        for e, part in zip(model.elements, model.slices, strict=True)
+    }
+    means = {key: float(np.mean(each)) for key, each in own.items()}
+    total = sum(e.count * means[e.key] for e in model.elements)
+    stiffness = model.exact_stiffness(preloads)
+    deflection = _sizes(model, preloads)
+    return PreloadSolution(
+        status=status,
+        message=_message(model, status, rows, stoppers),
+        preloads=means,
+        individual=own if model.problem.individual else {},
+        tightening={
+            e.key: workshop_torque(e.stage.element, means[e.key], model.problem.tightening)
+            for e in model.elements
+        },
+        vector=preloads,
+        cases=model.cases,
+        rows=rows,
+        rows_before=utilisation_rows(model, model.design),
+        stiffness=stiffness,
+        stiffness_before=model.exact_stiffness(model.design),
+        deflection=deflection,
+        deflection_before=_sizes(model, model.design),
+        objective={
+            "total_preload": total,
+            "bolt_utilisation": largest_utilisation(model, preloads),
+            "joint_stiffness": float(stiffness.min()),
+            "tool_deflection": _largest(deflection),
+        }[model.problem.objective],
+        total_preload=total,
+        kkt_residual=kkt_residual,
+        iterations=iterations,
+        stoppers=stoppers,
+    )
+
+
+def largest_utilisation(model: PreloadModel, preloads: np.ndarray) -> float:
+    """Largest utilisation of any limit of bolts and pins that depends on the preload [-]."""
+    return max(
+        float(limit.utilisation(preload))
+        for index, element in enumerate(model.elements)
+        for limit in element.limits
+        if np.isfinite(limit.capacity)
+        for preload in model.of_element(preloads, index)
+    )
+
+
+def _sizes(model: PreloadModel, preloads: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.norm(model.exact_deflection(preloads), axis=1))
+
+
+def _largest(deflection: np.ndarray) -> float:
+    posed = deflection[np.isfinite(deflection)]
+    return float(posed.max()) if posed.size else float("nan")
+
+
+def _message(
+    model: PreloadModel,
+    status: SolveStatus,
+    rows: tuple[UtilisationRow, ...],
+    stoppers: tuple[Stopper, ...],
+) -> str:
+    if stoppers:
+        return "No preload meets this study. " + " ".join(str(stop) for stop in stoppers)
+    if status is SolveStatus.CERTIFICATE_FAILED:
+        worst = max(rows, key=lambda row: row.utilisation)
+        return (
+            "The solver finished, but the exact law finds a requirement exceeded: "
+            f"{worst.name}, utilisation {worst.utilisation:.4f}. Do not use these preloads."
+        )
+    text = _SENTENCES[status]
+    if not status.usable:
+        return text
+    binding = list(dict.fromkeys(row.kind for row in rows if row.active))
+    what = " and ".join(binding) if binding else "none"
+    return f"{text} What binds: {what}."

@@ -1,0 +1,217 @@
+"""Optimise the preloads of a study, with proof and with the reason where none will do.
+
+The smooth law is shifted onto the exact one at each solution and solved again until the two agree
+there, so the optimum holds for the exact law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stiffopt.errors import NoSolutionFound
+from stiffopt.preload.conclude import conclude
+from stiffopt.preload.load_case import LoadCase
+from stiffopt.preload.model import PreloadModel
+from stiffopt.preload.nlp import Levels, PreloadNlp
+from stiffopt.preload.problem import PreloadProblem
+from stiffopt.preload.solution import PreloadSolution, Stopper
+from stiffopt.preload.stoppers import find_stoppers
+from stiffopt.result.status import SolveStatus
+from stiffopt.solver.ipopt import IpoptSolver, RawSolution
+from stiffopt.solver.kkt import kkt_residual
+from stiffopt.solver.monitor import Progress
+from stiffopt.solver.options import IpoptOptions
+
+Report = Callable[[Progress], object]
+
+_OPTIONS = IpoptOptions(
+    tol=1e-10, acceptable_tol=1e-8, max_iterations=300, extra={"bound_relax_factor": 0.0}
+)
+# Shifts of the smooth law, and the change of a preload that ends them.
+_SHIFTS = 12
+_SETTLED = 1e-9
+# Rounds in which worst instants of a motion are looked for anew.
+_ROUNDS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """End of one optimisation under fixed load cases."""
+
+    preloads: np.ndarray
+    raw: RawSolution
+    kkt_residual: float
+    iterations: int
+
+
+def optimise_preloads(
+    problem: PreloadProblem, *, progress: Report | None = None, throw: bool = True
+) -> PreloadSolution:
+    """Find the best preloads of a study.
+
+    Parameters
+    ----------
+    problem : PreloadProblem
+    progress : callable, optional
+        Called with a `Progress` in every iteration.
+    throw : bool
+        Raise `NoSolutionFound` unless the status is usable or interrupted.
+
+    Returns
+    -------
+    PreloadSolution
+
+    Raises
+    ------
+    NoSolutionFound
+        No preload meets the requirements, with the reason; `solution` holds the best reachable.
+    """
+    cases = with_worst_instants(problem, problem.load_cases, PreloadModel(problem).design)
+    for _ in range(_ROUNDS):
+        model = PreloadModel(problem, cases)
+        solution = _solve(model, progress)
+        if not solution.status.usable:
+            break
+        more = with_worst_instants(problem, cases, solution.vector)
+        if len(more) == len(cases):
+            break
+        cases = more
+    if throw and not (solution.status.usable or solution.status is SolveStatus.INTERRUPTED):
+        raise NoSolutionFound(solution.message, solution)
+    return solution
+
+
+def with_worst_instants(
+    problem: PreloadProblem, cases: tuple[LoadCase, ...], preloads: np.ndarray
+) -> tuple[LoadCase, ...]:
+    """Add the instants of the study's motions that are worst with these preloads."""
+    model = PreloadModel(problem, cases)
+    found = {case.name: case for case in cases}
+    for history in problem.histories:
+        worst = history.worst(
+            problem.joints,
+            lambda joint, torques: model.exact_compliance(preloads, joint, torques),
+            lambda joint, torques: model.exact_windup(preloads, joint, torques),
+        )
+        for case in worst:
+            found.setdefault(case.name, case)
+    return tuple(found.values())
+
+
+def levels_of(model: PreloadModel) -> Levels:
+    """Weights of the stiffnesses and scale of the deflection: what the joints have without slip.
+
+    With every preload at its largest the connections hold where they can hold at all, so the
+    stiffnesses there compare joints of different size.
+    """
+    upper = model.spread([e.capacity for e in model.elements])
+    stiffness = model.exact_stiffness(upper).min(axis=1)
+    weights = {
+        joint: float(model.problem.joint_weights.get(joint, own if own > 0.0 else 1.0))
+        for joint, own in zip(model.problem.joints, stiffness, strict=True)
+    }
+    deflection = np.linalg.norm(model.exact_deflection(upper), axis=1)
+    posed = deflection[np.isfinite(deflection)]
+    largest = float(posed.max()) if posed.size else 0.0
+    return Levels(weights, largest if largest > 0.0 else 1.0)
+
+
+def optimum(
+    model: PreloadModel,
+    objective: str,
+    *,
+    levels: Levels | None = None,
+    progress: Report | None = None,
+) -> Optimum:
+    """Optimise one objective under the model's load cases, by the exact law.
+
+    Two objectives leave preloads undetermined that do not matter to them; of these designs the one
+    with the least total preload is taken.
+    """
+    levels = levels or levels_of(model)
+    first = _settled(PreloadNlp(model, objective, levels), progress)
+    if objective != "bolt_utilisation" or not first.raw.converged:
+        return first
+    least = PreloadNlp(model, "total_preload", levels, ceiling=first.raw.objective * (1 + 1e-9))
+    second = _settled(least, progress)
+    return second if second.raw.converged else first
+
+
+def _settled(nlp: PreloadNlp, progress: Report | None) -> Optimum:
+    """Solve and shift the smooth law until its optimum is that of the exact law."""
+    solver = IpoptSolver(nlp.nlp, _OPTIONS)
+    size = nlp.model.size
+    lower, upper = nlp.bounds()
+    preloads = lower + 0.7 * (upper - lower)
+    x0 = np.concatenate([preloads / nlp.scale, np.full(nlp.nlp.x.numel() - size, 2.0)])
+    iterations = 0
+    for _ in range(_SHIFTS):
+        parameters = nlp.parameters(preloads)
+        raw = solver.solve(x0, parameters, report=progress)
+        iterations += raw.iterations
+        found = raw.x[:size] * nlp.scale
+        step = float(np.max(np.abs(found - preloads) / nlp.scale))
+        preloads = found
+        if not raw.converged or step < _SETTLED:
+            break
+    return Optimum(preloads, raw, kkt_residual(nlp.nlp, raw, parameters), iterations)
+
+
+def _solve(model: PreloadModel, progress: Report | None) -> PreloadSolution:
+    problem = model.problem
+    nlp = PreloadNlp(model, problem.objective, levels_of(model))
+    stoppers = find_stoppers(nlp)
+    _, upper = nlp.bounds()
+    if stoppers:
+        return conclude(model, upper, SolveStatus.INFEASIBLE, stoppers=stoppers)
+    if problem.requirements.tool_deflection is not None:
+        stoppers = _deflection_stopper(model, progress)
+        if stoppers:
+            return conclude(model, upper, SolveStatus.INFEASIBLE, stoppers=stoppers)
+    found = optimum(model, problem.objective, progress=progress)
+    status = _STATUS.get(found.raw.status, SolveStatus.ITERATION_LIMIT)
+    return conclude(
+        model,
+        found.preloads,
+        status,
+        kkt_residual=found.kkt_residual,
+        iterations=found.iterations,
+    )
+
+
+_STATUS = {
+    "optimal": SolveStatus.OPTIMAL,
+    "acceptable": SolveStatus.ACCEPTABLE,
+    "infeasible": SolveStatus.INFEASIBLE,
+    "stalled": SolveStatus.INFEASIBLE,
+    "interrupted": SolveStatus.INTERRUPTED,
+    "time_limit": SolveStatus.TIME_LIMIT,
+}
+
+
+def _deflection_stopper(model: PreloadModel, progress: Report | None) -> tuple[Stopper, ...]:
+    """The least deflection within all other limits, where it is still too large."""
+    needs = model.problem.requirements
+    allowed = needs.tool_deflection
+    assert allowed is not None
+    free = PreloadModel(
+        replace(model.problem, requirements=replace(needs, tool_deflection=None)), model.cases
+    )
+    least = optimum(free, "tool_deflection", progress=progress)
+    sizes = np.linalg.norm(model.exact_deflection(least.preloads), axis=1)
+    worst = int(np.nanargmax(sizes))
+    if sizes[worst] <= allowed * (1 + 1e-9):
+        return ()
+    return (
+        Stopper(
+            limit=f"tool deflection, {model.cases[worst].name}",
+            best=float(sizes[worst]),
+            required=allowed,
+            unit="m",
+            against="The largest preloads that bolts and pins bear",
+            remedy="a smaller load, another pose, larger bolts, or stiffer reducers",
+        ),
+    )

@@ -1,0 +1,109 @@
+"""Outcome of a preload optimisation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stiffopt.fastening.limits import WorkshopTorque
+from stiffopt.preload.load_case import LoadCase
+from stiffopt.preload.rows import UtilisationRow
+from stiffopt.result.status import SolveStatus
+
+
+@dataclass(frozen=True)
+class Stopper:
+    """Why no preload meets the study.
+
+    Parameters
+    ----------
+    limit : str
+        Name of the requirement that cannot be met.
+    best, required : float
+        Best reachable and required value, in `unit`.
+    unit : str
+    against : str
+        What stands against it.
+    remedy : str
+        What to change.
+    """
+
+    limit: str
+    best: float
+    required: float
+    unit: str
+    against: str
+    remedy: str
+
+    def __str__(self) -> str:
+        unit = f" {self.unit}" if self.unit else ""
+        stop = f" {self.against} stops it." if self.against else ""
+        return (
+            f"{self.limit}: required {self.required:.4g}{unit}, best reachable "
+            f"{self.best:.4g}{unit}.{stop} To change: {self.remedy}."
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PreloadSolution:
+    """Preloads of a study and what they lead to, by the exact law.
+
+    Parameters
+    ----------
+    status : SolveStatus
+    message : str
+    preloads : mapping of element key to float
+        Largest preload of one bolt or pin that tightening leaves [N]; of individual preloads the
+        mean.
+    individual : mapping of element key to tuple of float
+        One number a bolt or pin [N]; empty unless the study asks for them.
+    tightening : mapping of element key to WorkshopTorque or None
+        None where no screw is known.
+    vector : array (size,)
+        The design vector [N].
+    cases : tuple of LoadCase
+        Load cases used, the worst instants of motions among them.
+    rows, rows_before : tuple of UtilisationRow
+        Of this design and of the robot's present preloads.
+    stiffness, stiffness_before : array (joints, cases)
+        Tangent stiffness [N m/rad]; zero where a connection slips.
+    deflection, deflection_before : array (cases,)
+        Of the tool [m]; nan for cases without a pose.
+    objective : float
+        In its unit.
+    total_preload : float
+        [N]
+    kkt_residual : float
+        See `stiffopt.solver.kkt`; nan where nothing was solved.
+    iterations : int
+    stoppers : tuple of Stopper
+        Why the study cannot be met; empty where it can.
+    notes : tuple of str
+    """
+
+    status: SolveStatus
+    message: str
+    preloads: Mapping[str, float]
+    individual: Mapping[str, tuple[float, ...]]
+    tightening: Mapping[str, WorkshopTorque | None]
+    vector: np.ndarray
+    cases: tuple[LoadCase, ...]
+    rows: tuple[UtilisationRow, ...]
+    rows_before: tuple[UtilisationRow, ...]
+    stiffness: np.ndarray
+    stiffness_before: np.ndarray
+    deflection: np.ndarray
+    deflection_before: np.ndarray
+    objective: float
+    total_preload: float
+    kkt_residual: float
+    iterations: int
+    stoppers: tuple[Stopper, ...] = ()
+    notes: tuple[str, ...] = field(default_factory=tuple)
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """Names of the rows that the design lies at."""
+        return tuple(row.name for row in self.rows if row.active)

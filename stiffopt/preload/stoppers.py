@@ -1,0 +1,123 @@
+"""Why a study cannot be met: the requirement, the best value within the limits, what to change."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stiffopt.preload.model import PreloadModel
+from stiffopt.preload.nlp import PreloadNlp
+from stiffopt.preload.problem import FreeElement
+from stiffopt.preload.rows import UtilisationRow, utilisation_rows
+from stiffopt.preload.solution import Stopper
+
+_FIXED = ("key pressure", "thread engagement", "bolt spacing")
+
+
+def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
+    """Requirements that no preload within the limits can meet.
+
+    Parameters
+    ----------
+    nlp : PreloadNlp
+
+    Returns
+    -------
+    tuple of Stopper
+        First what no preload changes, then slip, then stiffness and deflection with every preload
+        at its largest. Empty where each requirement alone can be met.
+    """
+    model = nlp.model
+    _, upper = nlp.bounds()
+    found = [_fixed(row) for row in _worst_by_owner(model, upper, _FIXED)]
+    for index, element in enumerate(model.elements):
+        stop = _slip(model, upper, index, element)
+        if stop is not None:
+            found.append(stop)
+    if not found:
+        found = [
+            _reach(model, row, upper) for row in _worst_by_owner(model, upper, ("joint stiffness",))
+        ]
+    return tuple(found)
+
+
+def _worst_by_owner(
+    model: PreloadModel, preloads: np.ndarray, kinds: tuple[str, ...]
+) -> list[UtilisationRow]:
+    """Rows of some kinds that a design exceeds, the worst load case of each owner."""
+    worst: dict[tuple[str, str, int | None], UtilisationRow] = {}
+    for row in utilisation_rows(model, preloads):
+        owner = (row.kind, row.element, row.joint)
+        if row.kind not in kinds or row.kept:
+            continue
+        if owner not in worst or row.utilisation > worst[owner].utilisation:
+            worst[owner] = row
+    return list(worst.values())
+
+
+def _fixed(row: UtilisationRow) -> Stopper:
+    return Stopper(
+        limit=row.name,
+        best=row.value,
+        required=row.limit,
+        unit=row.unit,
+        against="No preload changes this, so it",
+        remedy=row.remedy,
+    )
+
+
+def limiting(element: FreeElement, bolt_utilisation: float) -> str:
+    """Name of the limit that ends an element's preload, with that preload."""
+    ends = {
+        limit.name: ((bolt_utilisation if limit.name == "bolt utilisation" else 1.0) - limit.fixed)
+        * limit.capacity
+        for limit in element.limits
+    }
+    name = min(ends, key=lambda each: ends[each])
+    return f"{name[0].upper()}{name[1:]} of {element.key} (at most {ends[name]:.0f} N)"
+
+
+def _slip(
+    model: PreloadModel, upper: np.ndarray, index: int, element: FreeElement
+) -> Stopper | None:
+    needs = model.problem.requirements
+    slip = float(model.slip_torque(upper, index))
+    case = max(model.cases, key=lambda c: abs(float(c.torque[element.joint - 1])))
+    torque = abs(float(case.torque[element.joint - 1]))
+    if slip >= needs.slip_safety * torque:
+        return None
+    return Stopper(
+        limit=f"slip safety, {element.key}, {case.name}",
+        best=slip / torque,
+        required=needs.slip_safety,
+        unit="",
+        against=limiting(element, needs.bolt_utilisation),
+        remedy="a larger bolt or a higher grade, more bolts, more friction, or less scatter",
+    )
+
+
+def _reach(model: PreloadModel, row: UtilisationRow, upper: np.ndarray) -> Stopper:
+    """A stiffness that even the largest preloads do not give, with what yields most there."""
+    assert row.joint is not None
+    case = next(c for c in model.cases if c.name == row.case)
+    chain = model.problem.robot.chains[row.joint - 1]
+    assert chain is not None
+    torques = np.array([case.torque[row.joint - 1]])
+    whole = float(model.exact_compliance(upper, row.joint, torques)[0])
+    share = 1.0 - float(model.rest_compliance(row.joint, torques)[0]) / whole
+    ends = [
+        limiting(e, model.problem.requirements.bolt_utilisation)
+        for e in model.elements
+        if e.joint == row.joint
+    ]
+    stop = " and ".join(ends) if ends else "No preload of this joint is free; its fixed elements"
+    return Stopper(
+        limit=row.name,
+        best=row.value,
+        required=row.limit,
+        unit=row.unit,
+        against=stop,
+        remedy=(
+            f"the preloaded connections hold {share:.1%} of the compliance there, so larger bolts "
+            f"gain at most that; beyond it a stiffer reducer or stiffer elements, or less stiffness"
+        ),
+    )
