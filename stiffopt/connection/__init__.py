@@ -4,6 +4,7 @@ from stiffopt.connection.bolted_flange import BoltedFlange
 from stiffopt.connection.clamping_pins import ClampingPins
 from stiffopt.connection.connection import Connection, ContactConnection
 from stiffopt.connection.constant import Constant
+from stiffopt.connection.fastener import Bolt, SetScrew
 from stiffopt.connection.gear_pair import GearPair
 from stiffopt.connection.key import Key
 from stiffopt.connection.linear import LinearConnection
@@ -12,6 +13,7 @@ from stiffopt.connection.shaft import Shaft
 from stiffopt.connection.timing_belt import TimingBelt
 
 __all__ = [
+    "Bolt",
     "BoltedFlange",
     "ClampingPins",
     "Connection",
@@ -21,6 +23,7 @@ __all__ = [
     "Key",
     "LinearConnection",
     "Reducer",
+    "SetScrew",
     "Shaft",
     "TimingBelt",
 ]

@@ -11,10 +11,16 @@ import numpy as np
 
 from stiffopt.connection.connection import ContactConnection
 from stiffopt.connection.exact import annulus_compliance
+from stiffopt.connection.fastener import Bolt
 from stiffopt.contact.shear import SHEAR_LAWS, ShearLaw, shear_softening, shear_travel
 from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
 from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law, require_law
-from stiffopt.contact.validate import require_one_of, require_ordered, require_positive
+from stiffopt.contact.validate import (
+    require_at_least,
+    require_one_of,
+    require_ordered,
+    require_positive,
+)
 from stiffopt.symbolic import Quantity
 
 # Ring faces of reducers are pressed harder than key flanks.
@@ -26,7 +32,7 @@ class BoltedFlange(ContactConnection):
     """Annular face under the even pressure p = n F/A of its bolts.
 
     Without slip the torsional stiffness is k_t(p) J_p with J_p = pi/2 (Ro^4 - Ri^4); towards the
-    slip torque it falls by the shear law.
+    slip torque it falls by the shear law. A sector of the ring has its share of A and J_p.
 
     Parameters
     ----------
@@ -43,8 +49,11 @@ class BoltedFlange(ContactConnection):
     shear : {"mindlin", "load"}
         See `stiffopt.contact.shear`.
     contact_law : {"log_cubic", "power_law"} or ContactLaw
-    bolt_size : str
-        Such as "M5"; for reports.
+    bolt : Bolt or None
+        What one of the bolts is; sets its limits and its loss of preload, not the stiffness.
+    sectors : int
+        How many such connections share the ring: with `bolt_count` 1 and as many sectors as there
+        are bolts this is the sector that one bolt presses. Sectors are parallel springs.
 
     Notes
     -----
@@ -63,7 +72,8 @@ class BoltedFlange(ContactConnection):
     friction: float | None = None
     shear: ShearLaw = "mindlin"
     contact_law: LawName | ContactLaw = "log_cubic"
-    bolt_size: str = ""
+    bolt: Bolt | None = None
+    sectors: int = 1
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -76,6 +86,7 @@ class BoltedFlange(ContactConnection):
         )
         require_ordered(self.owner, inner_radius=self.inner_radius, outer_radius=self.outer_radius)
         require_positive(self.owner, outer_radius=self.outer_radius)
+        require_at_least(self.owner, 1, sectors=self.sectors)
         require_one_of(self.owner, SHEAR_LAWS, shear=self.shear)
         require_law(self.owner, self.contact_law)
 
@@ -91,13 +102,13 @@ class BoltedFlange(ContactConnection):
 
     @property
     def area(self) -> float:
-        """Area of the ring [m^2]."""
-        return math.pi * (self.outer_radius**2 - self.inner_radius**2)
+        """Area of the ring, or of the sector [m^2]."""
+        return math.pi * (self.outer_radius**2 - self.inner_radius**2) / self.sectors
 
     @property
     def polar_moment(self) -> float:
-        """J_p of the ring [m^4]."""
-        return math.pi / 2 * (self.outer_radius**4 - self.inner_radius**4)
+        """J_p of the ring, or of the sector [m^4]."""
+        return math.pi / 2 * (self.outer_radius**4 - self.inner_radius**4) / self.sectors
 
     def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
         """Pressure n F/A of the ring [Pa], whatever the torque."""
@@ -106,7 +117,7 @@ class BoltedFlange(ContactConnection):
     def slip_torque(self, preload: Quantity | None = None) -> Quantity:
         """Torque at which the whole ring slips, mu p 2 pi/3 (Ro^3 - Ri^3) [N m]."""
         pressure = self.bolt_count * self._preload(preload) / self.area
-        lever = 2 * math.pi / 3 * (self.outer_radius**3 - self.inner_radius**3)
+        lever = 2 * math.pi / 3 * (self.outer_radius**3 - self.inner_radius**3) / self.sectors
         return self.friction_coefficient * pressure * lever
 
     def slip_torque_circle(self, preload: Quantity | None = None) -> Quantity:
@@ -149,4 +160,5 @@ class BoltedFlange(ContactConnection):
             self.bolt_count * self._preload(preload),
             self.friction_coefficient,
             mindlin=self.shear == "mindlin",
+            sectors=self.sectors,
         )

@@ -11,6 +11,7 @@ import numpy as np
 
 from stiffopt.connection.connection import ContactConnection
 from stiffopt.connection.exact import pin_compliance
+from stiffopt.connection.fastener import SetScrew
 from stiffopt.contact.shear import SHEAR_LAWS, ShearLaw, shear_softening, shear_travel
 from stiffopt.contact.surface import SurfacePair
 from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law, require_law
@@ -48,6 +49,8 @@ class ClampingPins(ContactConnection):
         Count the half space under the tip.
     shear : {"mindlin", "load"}
     contact_law : {"log_cubic", "power_law"} or ContactLaw
+    screw : SetScrew or None
+        What presses one tip; sets its limits and its loss of preload, not the stiffness.
 
     Notes
     -----
@@ -66,6 +69,7 @@ class ClampingPins(ContactConnection):
     half_space: bool = True
     shear: ShearLaw = "mindlin"
     contact_law: LawName | ContactLaw = "log_cubic"
+    screw: SetScrew | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

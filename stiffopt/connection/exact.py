@@ -68,12 +68,17 @@ def annulus_compliance(
     friction: float,
     *,
     mindlin: bool,
+    sectors: int = 1,
 ) -> np.ndarray:
-    """Ring face between two radii [m] under a normal force [N], twisted by a torque."""
-    pressure = normal_force / (np.pi * (outer**2 - inner**2))
-    slip = friction * pressure * 2.0 * np.pi / 3.0 * (outer**3 - inner**3)
+    """Ring face between two radii [m] under a normal force [N], twisted by a torque.
+
+    With `sectors` above 1, one of that many equal sectors of the ring.
+    """
+    angle = 2.0 * np.pi / sectors
+    pressure = normal_force / (angle / 2.0 * (outer**2 - inner**2))
+    slip = friction * pressure * angle / 3.0 * (outer**3 - inner**3)
     ratio = np.abs(np.asarray(torque, dtype=float)) / slip
-    second_moment = np.pi / 2.0 * (outer**4 - inner**4)
+    second_moment = angle / 4.0 * (outer**4 - inner**4)
     return _invert(
         sheared_stiffness_per_area(surface, pressure, ratio, mindlin=mindlin) * second_moment
     )

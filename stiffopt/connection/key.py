@@ -48,6 +48,8 @@ class Key(ContactConnection):
         as some literature has it; roughly four times stiffer.
     contact_law : {"log_cubic", "power_law"} or ContactLaw
         Smooth law of the optimisation; the exact compliance always uses the fractal law.
+    hub_material : str
+        Steel, iron or aluminium; sets the permissible flank pressure, not the stiffness.
 
     Notes
     -----
@@ -64,6 +66,7 @@ class Key(ContactConnection):
     prepressure: float = 0.0
     flanks: Literal["series", "parallel"] = "series"
     contact_law: LawName | ContactLaw = "log_cubic"
+    hub_material: str = "steel"
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -8,25 +8,25 @@ from __future__ import annotations
 
 import functools
 import itertools
-import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import resources
-from typing import Any
 
 from stiffopt.contact.surface import Material, SurfacePair
+from stiffopt.drivetrain.fasteners import BoltData as BoltData
+from stiffopt.drivetrain.fasteners import ClampedMaterial as ClampedMaterial
+from stiffopt.drivetrain.fasteners import SetScrewData as SetScrewData
+from stiffopt.drivetrain.fasteners import bolt as bolt
+from stiffopt.drivetrain.fasteners import bolt_grades as bolt_grades
+from stiffopt.drivetrain.fasteners import bolt_modulus as bolt_modulus
+from stiffopt.drivetrain.fasteners import bolt_sizes as bolt_sizes
+from stiffopt.drivetrain.fasteners import clamped_material as clamped_material
+from stiffopt.drivetrain.fasteners import proof_stress as proof_stress
+from stiffopt.drivetrain.fasteners import set_screw as set_screw
+from stiffopt.drivetrain.fasteners import set_screw_sizes as set_screw_sizes
+from stiffopt.drivetrain.fasteners import shaft_proof_stress as shaft_proof_stress
+from stiffopt.drivetrain.tables import Entry as Entry
+from stiffopt.drivetrain.tables import find, read_table, rows, source_text
 from stiffopt.errors import InputError, nearest
-
-
-@dataclass(frozen=True, kw_only=True)
-class Entry:
-    """Where a catalogue entry comes from."""
-
-    name: str
-    provenance: str
-    source: str
-    estimated: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,20 +52,6 @@ class ReducerData(Entry):
     T1: float
     T2: float
     ratings: tuple[float, float, float] | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class BoltData(Entry):
-    """Metric bolt: lengths [m], areas [m^2], largest assembly preload by grade [N]."""
-
-    diameter: float
-    pitch: float
-    pitch_diameter: float
-    minor_diameter: float
-    stress_area: float
-    head_area: float
-    hole: float
-    assembly_preload_max: Mapping[str, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,41 +123,6 @@ class FlangeData(Entry):
     transmissible_torque: float
 
 
-@functools.cache
-def _table(name: str) -> dict[str, Any]:
-    text = (
-        resources.files("stiffopt.drivetrain").joinpath("data", f"{name}.toml").read_text("utf-8")
-    )
-    return tomllib.loads(text)
-
-
-def _source(table: Mapping[str, Any], text: str) -> str:
-    """Source with the short names of the file's [sources] written out."""
-    for short, full in table.get("sources", {}).items():
-        text = re.sub(rf"\b{short}\b", full, text)
-    return text
-
-
-def _entry(table: Mapping[str, Any], row: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        **row,
-        "source": _source(table, row["source"]),
-        "estimated": tuple(row.get("estimated", ())),
-    }
-
-
-@functools.cache
-def _rows(table_name: str, list_name: str, key: str) -> dict[str, dict[str, Any]]:
-    table = _table(table_name)
-    return {row[key]: _entry(table, row) for row in table[list_name]}
-
-
-def _find(kind: str, name: str, known: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
-    if name not in known:
-        raise InputError(f"no {kind} {name!r} in the catalogue. {nearest(name, known)}")
-    return known[name]
-
-
 # Ratios that the makers list; the stiffness class of each is 30, 50 or 80.
 _RATIOS = (30, 50, 80, 100, 120, 160)
 
@@ -182,7 +133,7 @@ def _stiffness_class(ratio: int) -> str:
 
 def reducer_names() -> list[str]:
     """Return the names of the packaged reducers: harmonic_SIZE_RATIO."""
-    sizes = sorted({row["size"] for row in _table("reducers")["reducer"]})
+    sizes = sorted({row["size"] for row in read_table("reducers")["reducer"]})
     return [f"harmonic_{size}_{ratio}" for size in sizes for ratio in _RATIOS]
 
 
@@ -191,7 +142,7 @@ def reducer(name: str) -> ReducerData:
     if name not in reducer_names():
         raise InputError(f"no reducer {name!r} in the catalogue. {nearest(name, reducer_names())}")
     size, ratio = (int(part) for part in name.split("_")[1:])
-    table = _table("reducers")
+    table = read_table("reducers")
     for row in table["reducer"]:
         if row["size"] == size and row["class"] == _stiffness_class(ratio):
             break
@@ -199,7 +150,7 @@ def reducer(name: str) -> ReducerData:
     return ReducerData(
         name=name,
         provenance=row["provenance"],
-        source=_source(table, row["source"]),
+        source=source_text(table, row["source"]),
         estimated=tuple(row.get("estimated", ())),
         ratio=ratio,
         K1=row["K"][0],
@@ -211,51 +162,37 @@ def reducer(name: str) -> ReducerData:
     )
 
 
-def bolt(size: str) -> BoltData:
-    """Look up a bolt by size, for example "M5"."""
-    row = dict(_find("bolt", size, _rows("bolts", "bolt", "size")))
-    return BoltData(name=row.pop("size"), **row)
-
-
-def proof_stress(grade: str) -> float:
-    """Yield strength R_p0.2 of a bolt grade such as "12.9" [Pa]."""
-    grades = {k: v for k, v in _table("bolts")["grades"].items() if isinstance(v, float)}
-    if grade not in grades:
-        raise InputError(f"no bolt grade {grade!r} in the catalogue. {nearest(grade, grades)}")
-    return float(grades[grade])
-
-
 def key(width: float, height: float) -> KeyData:
     """Look up a parallel key by its section [m]."""
     name = f"{width * 1e3:g}x{height * 1e3:g}"
-    row = dict(_find("key", name, _rows("keys", "key", "size")))
+    row = dict(find("key", name, rows("keys", "key", "size")))
     return KeyData(name=row.pop("size"), **row)
 
 
 def belt(name: str) -> BeltData:
     """Look up a belt profile by name, for example "HTD3M"."""
-    return BeltData(**_find("belt", name, _rows("belts", "belt", "name")))
+    return BeltData(**find("belt", name, rows("belts", "belt", "name")))
 
 
 def flange_names() -> list[str]:
     """Names of the packaged bolt patterns."""
-    return list(_rows("flanges", "flange", "name"))
+    return list(rows("flanges", "flange", "name"))
 
 
 def flange(name: str) -> FlangeData:
     """Look up a bolt pattern by name, for example "flexspline_25"."""
-    row = dict(_find("flange pattern", name, _rows("flanges", "flange", "name")))
+    row = dict(find("flange pattern", name, rows("flanges", "flange", "name")))
     diameter = bolt(row["bolt"]).diameter
     row["inner_radius"] = row["circle_diameter"] / 2 - diameter
     row["outer_radius"] = row["circle_diameter"] / 2 + diameter
-    row["preload"] = float(_table("flanges")["preload"][row["bolt"]])
+    row["preload"] = float(read_table("flanges")["preload"][row["bolt"]])
     row["estimated"] = ("inner_radius", "outer_radius", "preload")
     return FlangeData(**row)
 
 
 def material(name: str) -> Material:
     """Look up a material by name: steel, aluminium or iron."""
-    row = _find("material", name, _table("surfaces")["materials"])
+    row = find("material", name, read_table("surfaces")["materials"])
     return Material(
         name=name, modulus=row["young"], poisson=row["poisson"], hardness=row["hardness"]
     )
@@ -263,19 +200,19 @@ def material(name: str) -> Material:
 
 def surface_names() -> list[str]:
     """Names of the packaged surface pairs."""
-    return list(_rows("surfaces", "surface", "name"))
+    return list(rows("surfaces", "surface", "name"))
 
 
 def surface_entry(name: str) -> Entry:
     """Provenance of a packaged surface pair."""
-    row = _find("surface", name, _rows("surfaces", "surface", "name"))
+    row = find("surface", name, rows("surfaces", "surface", "name"))
     return Entry(name=name, provenance=row["provenance"], source=row["source"])
 
 
 @functools.cache
 def surface(name: str) -> SurfacePair:
     """Look up a pair of surfaces by name, for example "fine_steel"."""
-    row = _find("surface", name, _rows("surfaces", "surface", "name"))
+    row = find("surface", name, rows("surfaces", "surface", "name"))
     return SurfacePair(
         name=name,
         first=material(row["first"]),

@@ -121,7 +121,7 @@ class Chain:
                 s.exact_tangent_compliance(f * torque, preloads)
                 for s, f in zip(group, shares, strict=True)
             ]
-            total = total + (slopes[0] if len(group) == 1 else 1.0 / sum(1.0 / c for c in slopes))
+            total = total + (slopes[0] if len(group) == 1 else _parallel(slopes))
         return total
 
     def exact_windup(self, torque: np.ndarray, *, preloads: Preloads = None) -> np.ndarray:
@@ -229,6 +229,13 @@ class Chain:
         for name in preloads or {}:
             if name not in self.elements:
                 raise InputError(f"no element {name!r} to preload. {nearest(name, self.elements)}")
+
+
+def _parallel(compliances: list[np.ndarray]) -> np.ndarray:
+    """Compliance of elements side by side; infinite where all of them slip."""
+    stiffness = np.sum([1.0 / c for c in compliances], axis=0)
+    held = stiffness > 0.0
+    return np.where(held, 1.0 / np.where(held, stiffness, 1.0), np.inf)
 
 
 def _group_secant(

@@ -90,10 +90,23 @@ def exact_shares(
     if not loaded.any():
         return shares
     whole = size[loaded]
-    # No element carries more than the whole, so the softest alone bounds the wind-up from above.
-    upper = np.min([s.exact_windup(whole, preloads) for s in stages], axis=0)
-    if not np.isfinite(upper).all():
-        raise StiffoptError("elements in parallel need a finite wind-up; give a pre-pressure")
+    # Two upper bounds of the wind-up: that of the stiffest alone under the whole torque, and that
+    # of the softest under an even share, at which every other carries at least its own.
+    alone = np.min([s.exact_windup(whole, preloads) for s in stages], axis=0)
+    evenly = np.max([s.exact_windup(whole / len(stages), preloads) for s in stages], axis=0)
+    upper = np.minimum(alone, evenly)
+    held = np.isfinite(upper)
+    if not held.all():
+        slip = np.array([s.slip_torque(preloads) for s in stages])
+        if not np.isfinite(slip).all():
+            raise StiffoptError("elements in parallel need a finite wind-up; give a pre-pressure")
+        # The whole group slips: each carries what it can, whatever the wind-up.
+        for share, own in zip(shares, slip, strict=True):
+            share[loaded] = own / slip.sum()
+        if not held.any():
+            return shares
+        loaded[loaded] = held
+        whole, upper = whole[held], upper[held]
     lower = np.zeros_like(upper)
     for _ in range(60):
         middle = (lower + upper) / 2.0

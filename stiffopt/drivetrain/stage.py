@@ -107,9 +107,9 @@ class Stage:
         curve = _exact_curve(self.element, self._preload(preloads), base * 2.0**octaves)
         return self.counts * curve(own)
 
-    def slip_torque(self) -> float:
+    def slip_torque(self, preloads: Preloads = None) -> float:
         """Joint torque at which this stage alone would slip [N m]."""
-        return float(self.element.slip_torque()) * self.reduction
+        return float(self.element.slip_torque(self._preload(preloads))) * self.reduction
 
     def _preload(self, preloads: Preloads) -> Quantity | None:
         return (preloads or {}).get(self.element.name)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from stiffopt.connection import (
+    Bolt,
     BoltedFlange,
     ClampingPins,
     Connection,
@@ -15,6 +16,7 @@ from stiffopt.connection import (
     GearPair,
     Key,
     Reducer,
+    SetScrew,
     Shaft,
     TimingBelt,
 )
@@ -26,6 +28,7 @@ from stiffopt.errors import InputError, InputFileError, nearest
 from stiffopt.robot.schema import (
     AssemblySection,
     BeltSection,
+    BoltSection,
     ConstantSection,
     Element,
     FlangeSection,
@@ -35,6 +38,7 @@ from stiffopt.robot.schema import (
     MaterialSection,
     PinsSection,
     ReducerSection,
+    SetScrewSection,
     ShaftSection,
     SurfaceSection,
 )
@@ -105,6 +109,7 @@ class ElementBuilder:
             data = catalogue.key(s.width, s.height)
             shaft = data.shaft_flank_height if shaft is None else shaft
             hub = data.hub_flank_height if hub is None else hub
+        catalogue.clamped_material(s.hub_material)
         return Key(
             name=s.name,
             torque_max=torque_max,
@@ -116,6 +121,7 @@ class ElementBuilder:
             prepressure=s.prepressure,
             flanks=s.flanks,
             contact_law=self.assembly.contact_law,
+            hub_material=s.hub_material,
         )
 
     def _flange(self, s: FlangeSection, torque_max: float) -> BoltedFlange:
@@ -125,7 +131,7 @@ class ElementBuilder:
             "preload": s.preload,
             "circle_diameter": None if s.bolt is None else s.bolt.circle_diameter,
             "bolt_count": None if s.bolt is None else s.bolt.count,
-            "bolt_size": None if s.bolt is None else s.bolt.size,
+            "bolt": None if s.bolt is None else _bolt(s.bolt),
         }
         if s.pattern is not None:
             data = catalogue.flange(s.pattern)
@@ -135,7 +141,7 @@ class ElementBuilder:
                 "preload": data.preload,
                 "circle_diameter": data.circle_diameter,
                 "bolt_count": data.count,
-                "bolt_size": data.bolt,
+                "bolt": Bolt(size=data.bolt),
             }
             values = {k: own[k] if v is None else v for k, v in values.items()}
         missing = [k for k, v in values.items() if v is None]
@@ -144,9 +150,6 @@ class ElementBuilder:
                 f"{', '.join(missing)} missing. Give inner_radius, outer_radius, bolt and preload, "
                 "or a pattern of the catalogue."
             )
-        if s.bolt is not None:
-            catalogue.bolt(s.bolt.size)
-            catalogue.proof_stress(s.bolt.grade)
         return BoltedFlange(
             name=s.name,
             torque_max=torque_max,
@@ -169,6 +172,7 @@ class ElementBuilder:
             friction=s.friction,
             both_sides=s.both_sides,
             half_space=s.half_space,
+            screw=None if s.screw is None else _set_screw(s.screw),
             shear=self.assembly.shear,
             contact_law=self.assembly.contact_law,
         )
@@ -246,6 +250,29 @@ class ElementBuilder:
 
     def _constant(self, s: ConstantSection, torque_max: float) -> Constant:
         return Constant(name=s.name, torque_max=torque_max, stiffness=float(s.stiffness))
+
+
+def _bolt(s: BoltSection) -> Bolt:
+    """Bolt whose size, grade and materials the catalogue knows."""
+    catalogue.bolt(s.size)
+    catalogue.proof_stress(s.grade)
+    for material in (s.head_material, s.thread_material):
+        catalogue.clamped_material(material)
+    return Bolt(
+        size=s.size,
+        grade=s.grade,
+        clamp_length=s.clamp_length,
+        engagement=s.engagement,
+        head_material=s.head_material,
+        thread_material=s.thread_material,
+    )
+
+
+def _set_screw(s: SetScrewSection) -> SetScrew:
+    """Set screw whose size and shaft material the catalogue knows."""
+    catalogue.set_screw(s.size)
+    catalogue.shaft_proof_stress(s.shaft_material)
+    return SetScrew(size=s.size, length=s.length, shaft_material=s.shaft_material)
 
 
 def _check_reducer(values: Mapping[str, float]) -> None:

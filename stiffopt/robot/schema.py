@@ -63,15 +63,20 @@ class KeySection(ElementSection):
     flanks: Literal["series", "parallel"] = "series"
     surface: str
     prepressure: Pressure = 0.1e6
+    hub_material: str = "steel"
 
 
 class BoltSection(Section):
-    """Bolts of a flange."""
+    """Bolts of a flange; materials are of the parts under the head and with the thread."""
 
     size: str
     grade: str = "12.9"
     count: int = Field(gt=0)
     circle_diameter: Length
+    clamp_length: Length | None = None
+    engagement: Length | None = None
+    head_material: str = "steel"
+    thread_material: str = "steel"
 
 
 class FlangeSection(ElementSection):
@@ -87,6 +92,14 @@ class FlangeSection(ElementSection):
     friction: Ratio | None = None
 
 
+class SetScrewSection(Section):
+    """Set screw that presses a tip."""
+
+    size: str
+    length: Length | None = None
+    shaft_material: str = "hardened_steel"
+
+
 class PinsSection(ElementSection):
     """Pins or set screws that clamp a shaft."""
 
@@ -99,6 +112,7 @@ class PinsSection(ElementSection):
     friction: Ratio | None = None
     both_sides: bool = True
     half_space: bool = True
+    screw: SetScrewSection | None = None
 
 
 class BeltSection(ElementSection):

@@ -10,7 +10,7 @@ import pytest
 from elements import FINE, ROUGH, belt, flange, gears, key, pins, reducer
 from scipy.integrate import quad
 
-from stiffopt.connection import BoltedFlange, Shaft
+from stiffopt.connection import Bolt, BoltedFlange, Shaft
 from stiffopt.contact.fractal import FractalLaw
 from stiffopt.contact.surrogate import PowerLaw
 
@@ -42,7 +42,7 @@ def ring(count: int, size: str, circle: float, preload: float, **changes: object
     bolt = float(size[1:]) * 1e-3
     return flange(
         bolt_count=count,
-        bolt_size=size,
+        bolt=Bolt(size=size),
         circle_diameter=circle,
         inner_radius=(circle - 2 * bolt) / 2,
         outer_radius=(circle + 2 * bolt) / 2,

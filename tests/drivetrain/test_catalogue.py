@@ -35,23 +35,40 @@ def test_stiffer_with_size_and_ratio():
         assert stiffness == sorted(stiffness)
 
 
-@pytest.mark.parametrize(
-    ("size", "limits"),
-    [
-        ("M3", (2545, 3739, 4375)),
-        ("M4", (4421, 6494, 7599)),
-        ("M5", (7202, 10578, 12378)),
-        ("M6", (10182, 14955, 17500)),
-        ("M8", (18627, 27359, 32016)),
-    ],
-)
-def test_bolts(size, limits):
-    bolt = catalogue.bolt(size)
-    assert tuple(bolt.assembly_preload_max[g] for g in ("8.8", "10.9", "12.9")) == limits
-    # Stress area from the pitch and the minor diameter, to the printed digits.
-    area = math.pi / 4 * ((bolt.pitch_diameter + bolt.minor_diameter) / 2) ** 2
-    assert area == pytest.approx(bolt.stress_area, rel=2e-3)
+def test_bolts():
+    assert catalogue.bolt_sizes() == ["M3", "M4", "M5", "M6", "M8"]
+    assert catalogue.bolt_grades() == ["8.8", "10.9", "12.9"]
     assert catalogue.proof_stress("12.9") == 1100e6
+    for size in catalogue.bolt_sizes():
+        bolt = catalogue.bolt(size)
+        # ISO 724: d2 and d3 from the pitch; ISO 898-1: stress area from both, to printed digits.
+        assert bolt.pitch_diameter == pytest.approx(bolt.diameter - 0.6495 * bolt.pitch, abs=1e-6)
+        assert bolt.minor_diameter == pytest.approx(bolt.diameter - 1.2269 * bolt.pitch, abs=1e-6)
+        area = math.pi / 4 * bolt.stress_diameter**2
+        assert area == pytest.approx(bolt.stress_area, rel=2e-3)
+        # The flat under the head is smaller than the head and larger than the hole.
+        assert bolt.diameter < bolt.hole < bolt.bearing_diameter < bolt.head_diameter
+    # Bearing areas of socket heads as VDI 2230 tables them [mm^2].
+    for size, head_area in (("M4", 17.6), ("M5", 26.9), ("M6", 34.9), ("M8", 55.8)):
+        assert catalogue.bolt(size).head_area == pytest.approx(head_area * 1e-6, rel=3e-3)
+
+
+def test_set_screws_and_materials():
+    forces = []
+    for size in catalogue.set_screw_sizes():
+        screw = catalogue.set_screw(size)
+        assert screw.minor_diameter == pytest.approx(catalogue.bolt(size).minor_diameter)
+        assert screw.provenance == "estimated"
+        forces.append(screw.tightening_torque / (screw.nut_factor * screw.diameter))
+    assert forces == pytest.approx([1500.0, 2750.0, 4500.0, 6250.0])
+    steel, aluminium = map(catalogue.clamped_material, ("steel", "aluminium"))
+    assert steel.head_pressure > aluminium.head_pressure
+    assert aluminium.modulus == catalogue.material("aluminium").modulus
+    for name in ("steel", "iron", "aluminium"):
+        data = catalogue.clamped_material(name)
+        assert list(data.engagement) == catalogue.bolt_grades()
+        assert data.key_pressure["reversing"] < data.key_pressure["steady"]
+        assert data.provenance == "estimated"
 
 
 def test_flanges_carry_their_catalogue_torque():
@@ -94,6 +111,9 @@ def test_surfaces():
         (lambda: catalogue.surface("fine_stel"), "Did you mean 'fine_steel'"),
         (lambda: catalogue.flange("flexspline_26"), "Did you mean 'flexspline_"),
         (lambda: catalogue.proof_stress("12.8"), "Did you mean '12.9'"),
+        (lambda: catalogue.set_screw("M7"), "no set screw 'M7' in the catalogue"),
+        (lambda: catalogue.clamped_material("aluminum"), "Did you mean 'aluminium'"),
+        (lambda: catalogue.shaft_proof_stress("hard_steel"), "Did you mean 'hardened_steel'"),
     ],
 )
 def test_unknown_names(call, text):

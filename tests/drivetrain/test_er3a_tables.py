@@ -235,8 +235,8 @@ def test_shipped_robots_carry_the_reference_inputs(er3a, er3a_contact):
             pattern = f"{short}_{joint['reducer']}"
             count, size, circle = data["rings"]["patterns"][pattern]
             assert flange.bolt_count == count
-            assert flange.bolt_size == f"M{size}"
-            assert flange.preload == data["rings"]["preload_N"][flange.bolt_size]
+            assert flange.bolt.size == f"M{size}"
+            assert flange.preload == data["rings"]["preload_N"][flange.bolt.size]
             outer, inner = data["rings"]["radii_mm"][pattern]
             radii = [1e3 * flange.outer_radius, 1e3 * flange.inner_radius]
             np.testing.assert_allclose(radii, [outer, inner], rtol=1e-12)

@@ -1,0 +1,161 @@
+"""Packaged bolts, set screws and what the parts around them bear, each with its provenance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from stiffopt.drivetrain.tables import Entry, find, read_table, rows
+from stiffopt.errors import InputError, nearest
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoltData(Entry):
+    """Socket head bolt with coarse thread.
+
+    Parameters
+    ----------
+    diameter, pitch : float
+        d and P [m].
+    pitch_diameter, minor_diameter : float
+        d2 and d3 of the thread [m].
+    stress_area : float
+        A_S [m^2].
+    head_diameter : float
+        d_k, room that the head takes [m].
+    bearing_diameter : float
+        d_w, of the flat under the head [m].
+    hole : float
+        d_h, of the clearance hole [m].
+    """
+
+    diameter: float
+    pitch: float
+    pitch_diameter: float
+    minor_diameter: float
+    stress_area: float
+    head_diameter: float
+    bearing_diameter: float
+    hole: float
+
+    @property
+    def stress_diameter(self) -> float:
+        """d_S = (d2 + d3)/2, of the circle with the stress area [m]."""
+        return (self.pitch_diameter + self.minor_diameter) / 2
+
+    @property
+    def minor_area(self) -> float:
+        """A_3 = pi/4 d3^2, core of the thread [m^2]."""
+        return math.pi / 4 * self.minor_diameter**2
+
+    @property
+    def nominal_area(self) -> float:
+        """A_N = pi/4 d^2 [m^2]."""
+        return math.pi / 4 * self.diameter**2
+
+    @property
+    def head_area(self) -> float:
+        """Bearing annulus between head and clearance hole, pi/4 (d_w^2 - d_h^2) [m^2]."""
+        return math.pi / 4 * (self.bearing_diameter**2 - self.hole**2)
+
+    @property
+    def friction_diameter(self) -> float:
+        """D_Km = (d_w + d_h)/2, lever of the friction under the head [m]."""
+        return (self.bearing_diameter + self.hole) / 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class SetScrewData(Entry):
+    """Set screw of class 45H: thread [m], tightening torque [N m], nut factor F = M/(factor d)."""
+
+    diameter: float
+    minor_diameter: float
+    tightening_torque: float
+    nut_factor: float
+
+    @property
+    def minor_area(self) -> float:
+        """Core of the thread [m^2]."""
+        return math.pi / 4 * self.minor_diameter**2
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClampedMaterial(Entry):
+    """What a material bears around fasteners.
+
+    Parameters
+    ----------
+    modulus : float
+        Young's modulus [Pa].
+    head_pressure : float
+        Permissible under a bolt head [Pa].
+    engagement : mapping of grade to float
+        Length of thread needed, in bolt diameters.
+    engagement_assumed : float
+        Length of thread where none is given, in bolt diameters.
+    key_pressure : mapping
+        "steady" and "reversing": permissible on key flanks in a hub of it [Pa].
+    """
+
+    modulus: float
+    head_pressure: float
+    engagement: Mapping[str, float]
+    engagement_assumed: float
+    key_pressure: Mapping[str, float]
+
+
+def bolt_sizes() -> list[str]:
+    """Names of the packaged bolts, small to large."""
+    return list(rows("bolts", "bolt", "size"))
+
+
+def bolt(size: str) -> BoltData:
+    """Look up a bolt by size, for example "M5"."""
+    row = dict(find("bolt", size, rows("bolts", "bolt", "size")))
+    return BoltData(name=row.pop("size"), **row)
+
+
+def bolt_grades() -> list[str]:
+    """Names of the packaged bolt grades, weak to strong."""
+    return [
+        name for name, value in read_table("bolts")["grades"].items() if isinstance(value, float)
+    ]
+
+
+def proof_stress(grade: str) -> float:
+    """Yield strength R_p0.2 of a bolt grade such as "12.9" [Pa]."""
+    if grade not in bolt_grades():
+        raise InputError(
+            f"no bolt grade {grade!r} in the catalogue. {nearest(grade, bolt_grades())}"
+        )
+    return float(read_table("bolts")["grades"][grade])
+
+
+def bolt_modulus() -> float:
+    """Young's modulus of bolts and set screws [Pa]."""
+    return float(read_table("bolts")["material"]["modulus"])
+
+
+def set_screw_sizes() -> list[str]:
+    """Names of the packaged set screws, small to large."""
+    return list(rows("set_screws", "set_screw", "size"))
+
+
+def set_screw(size: str) -> SetScrewData:
+    """Look up a set screw by size, for example "M4"."""
+    row = dict(find("set screw", size, rows("set_screws", "set_screw", "size")))
+    factor = float(read_table("set_screws")["torque"]["nut_factor"])
+    return SetScrewData(name=row.pop("size"), nut_factor=factor, **row)
+
+
+def clamped_material(name: str) -> ClampedMaterial:
+    """Look up what steel, iron or aluminium bears."""
+    row = find("material", name, read_table("fastening")["material"])
+    modulus = float(read_table("surfaces")["materials"][name]["young"])
+    return ClampedMaterial(name=name, modulus=modulus, **row)
+
+
+def shaft_proof_stress(material: str) -> float:
+    """Yield strength of a shaft under pin tips: hardened_steel or steel_45 [Pa]."""
+    return float(find("shaft material", material, read_table("fastening")["shaft"])["proof_stress"])

@@ -1,0 +1,61 @@
+"""Reading of the packaged tables: rows with provenance, found by name."""
+
+from __future__ import annotations
+
+import functools
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+from stiffopt.errors import InputError, nearest
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """Where a catalogue entry comes from."""
+
+    name: str
+    provenance: str
+    source: str
+    estimated: tuple[str, ...] = ()
+
+
+@functools.cache
+def read_table(name: str) -> dict[str, Any]:
+    """One file of the packaged data."""
+    text = (
+        resources.files("stiffopt.drivetrain").joinpath("data", f"{name}.toml").read_text("utf-8")
+    )
+    return tomllib.loads(text)
+
+
+def source_text(table: Mapping[str, Any], text: str) -> str:
+    """Source with the short names of the file's [sources] written out."""
+    for short, full in table.get("sources", {}).items():
+        text = re.sub(rf"\b{short}\b", full, text)
+    return text
+
+
+def _entry(table: Mapping[str, Any], row: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        **row,
+        "source": source_text(table, row["source"]),
+        "estimated": tuple(row.get("estimated", ())),
+    }
+
+
+@functools.cache
+def rows(table_name: str, list_name: str, key: str) -> dict[str, dict[str, Any]]:
+    """Rows of one list of a file by the value of `key`."""
+    table = read_table(table_name)
+    return {row[key]: _entry(table, row) for row in table[list_name]}
+
+
+def find(kind: str, name: str, known: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """Row by name, or `InputError` with the nearest name."""
+    if name not in known:
+        raise InputError(f"no {kind} {name!r} in the catalogue. {nearest(name, known)}")
+    return known[name]

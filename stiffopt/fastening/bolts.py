@@ -1,0 +1,160 @@
+"""Bolts of a flange: bounds on their preload, loss by embedding, workshop torque."""
+
+from __future__ import annotations
+
+import math
+
+from stiffopt.connection import Bolt, BoltedFlange
+from stiffopt.drivetrain import catalogue
+from stiffopt.errors import InputError
+from stiffopt.fastening.bolt_strength import largest_assembly_preload
+from stiffopt.fastening.compliance import bolt_compliance, clamped_compliance
+from stiffopt.fastening.preload_limit import PreloadLimit
+from stiffopt.fastening.tightening import Tightening, tightening_torque
+from stiffopt.fastening.workshop import WorkshopTorque
+
+# Clamp length where none is given, in bolt diameters.
+_CLAMP_LENGTH = 2.0
+# Room between two heads, as a share of the head: the closest screw circles at reducers (nine M3 on
+# 17 mm) leave 5.7 %.
+_HEAD_GAP = 0.05
+
+
+def flange_bolt(flange: BoltedFlange) -> Bolt:
+    """Bolt of a flange, or `InputError` that says what to add."""
+    if flange.bolt is None:
+        raise InputError(
+            f"{flange.owner}: which bolts hold it is not known, so neither are their limits. Add "
+            "`bolt = { size = ..., grade = ..., count = ..., circle_diameter = ... }` to the "
+            "element in the robot file."
+        )
+    return flange.bolt
+
+
+def strength(flange: BoltedFlange, tightening: Tightening) -> float:
+    """Largest assembly preload of one bolt, 90 % of yield while tightening [N]."""
+    bolt = flange_bolt(flange)
+    return float(
+        largest_assembly_preload(
+            catalogue.bolt(bolt.size),
+            catalogue.proof_stress(bolt.grade),
+            tightening.thread_friction,
+        )
+    )
+
+
+def limits(
+    flange: BoltedFlange, tightening: Tightening, bolt_utilisation: float
+) -> tuple[PreloadLimit, ...]:
+    """Bounds on the preload of one bolt; the first is its strength."""
+    bolt = flange_bolt(flange)
+    data = catalogue.bolt(bolt.size)
+    head = catalogue.clamped_material(bolt.head_material)
+    return (
+        PreloadLimit(
+            name="bolt utilisation",
+            capacity=bolt_utilisation * strength(flange, tightening),
+            provenance=data.provenance,
+            source=(
+                f"VDI 2230, {bolt.size} {bolt.grade}: {90 * bolt_utilisation:.3g} % of R_p0.2 in "
+                "tension and torsion while tightening; ISO 898-1"
+            ),
+            remedy="a larger bolt, a higher grade or less thread friction",
+        ),
+        PreloadLimit(
+            name="head pressure",
+            capacity=head.head_pressure * data.head_area,
+            provenance=head.provenance,
+            source=f"permissible pressure on {head.name}, {head.source}; head by {data.source}",
+            remedy="a harder part or a hard washer under the head, or a larger bolt",
+        ),
+        _engagement_limit(bolt, data),
+        *_spacing_limits(flange, data),
+    )
+
+
+def _engagement_limit(bolt: Bolt, data: catalogue.BoltData) -> PreloadLimit:
+    thread = catalogue.clamped_material(bolt.thread_material)
+    catalogue.proof_stress(bolt.grade)
+    needed = thread.engagement[bolt.grade] * data.diameter
+    assumed = thread.engagement_assumed * data.diameter
+    present = assumed if bolt.engagement is None else bolt.engagement
+    how = "assumed" if bolt.engagement is None else "given"
+    return PreloadLimit(
+        name="thread engagement",
+        capacity=math.inf,
+        fixed=needed / present,
+        provenance=thread.provenance,
+        source=(
+            f"{thread.engagement[bolt.grade]:g} d needed in {thread.name} for {bolt.grade}, "
+            f"{thread.source}; {present / data.diameter:.3g} d {how}"
+        ),
+        remedy="a deeper thread, a thread insert, a harder part or a lower grade",
+    )
+
+
+def _spacing_limits(flange: BoltedFlange, data: catalogue.BoltData) -> tuple[PreloadLimit, ...]:
+    half = flange.circle_diameter / 2
+    room = 2 * min(half - flange.inner_radius, flange.outer_radius - half)
+    # A circle outside its ring leaves no room at all.
+    in_ring = PreloadLimit(
+        name="hole in ring",
+        capacity=math.inf,
+        fixed=data.hole / room if room > 0.0 else math.inf,
+        provenance=data.provenance,
+        source="clearance hole by ISO 273 within the pressed ring",
+        remedy="a smaller bolt or a wider ring",
+    )
+    count = flange.bolt_count * flange.sectors
+    if count == 1:
+        return (in_ring,)
+    chord = flange.circle_diameter * math.sin(math.pi / count)
+    return (
+        PreloadLimit(
+            name="bolt spacing",
+            capacity=math.inf,
+            fixed=(1 + _HEAD_GAP) * data.head_diameter / chord,
+            provenance="estimated",
+            source=f"heads by ISO 4762 with {100 * _HEAD_GAP:g} % of their diameter between them",
+            remedy="fewer or smaller bolts, or a larger bolt circle",
+        ),
+        in_ring,
+    )
+
+
+def clamp_length(bolt: Bolt) -> float:
+    """l_K in use [m]."""
+    if bolt.clamp_length is not None:
+        return bolt.clamp_length
+    return _CLAMP_LENGTH * catalogue.bolt(bolt.size).diameter
+
+
+def joint_compliance(flange: BoltedFlange) -> float:
+    """delta_S + delta_P of one bolt and what it clamps [m/N]."""
+    bolt = flange_bolt(flange)
+    data = catalogue.bolt(bolt.size)
+    length = clamp_length(bolt)
+    head = catalogue.clamped_material(bolt.head_material)
+    thread = catalogue.clamped_material(bolt.thread_material)
+    # Each bolt has its share of the ring: as wide as the ring, as long as the way to the next one.
+    count = flange.bolt_count * flange.sectors
+    share = min(flange.outer_radius - flange.inner_radius, math.pi * flange.circle_diameter / count)
+    return bolt_compliance(
+        data, length, catalogue.bolt_modulus(), thread.modulus
+    ) + clamped_compliance(data, length, share, head.modulus)
+
+
+def workshop_torque(flange: BoltedFlange, preload: float, tightening: Tightening) -> WorkshopTorque:
+    """Wrench setting for the largest preload [N] of one bolt."""
+    data = catalogue.bolt(flange_bolt(flange).size)
+    thread, head = tightening.thread_friction, tightening.head_friction
+    nominal = float(tightening_torque(data, preload, thread, head))
+    # The thread's pitch takes its part of the torque whatever the friction.
+    pitch = float(tightening_torque(data, preload, 0.0, 0.0))
+    alpha = tightening.alpha
+    return WorkshopTorque(
+        nominal=nominal,
+        lower=nominal / alpha,
+        upper=nominal,
+        friction_factor=(alpha * nominal - pitch) / (nominal - pitch),
+    )

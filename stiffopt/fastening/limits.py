@@ -1,0 +1,129 @@
+"""What bounds and diminishes the preload of a connection, whichever fasteners it has.
+
+Preloads are the largest that assembly leaves in one bolt or pin; after scatter and embedding as
+little as F/alpha_A minus the embedding loss is left.
+"""
+
+from __future__ import annotations
+
+from stiffopt.connection import BoltedFlange, ClampingPins, Connection
+from stiffopt.contact.validate import require_positive
+from stiffopt.drivetrain import catalogue
+from stiffopt.errors import InputError
+from stiffopt.fastening import bolts, set_screws
+from stiffopt.fastening.preload_limit import PreloadLimit as PreloadLimit
+from stiffopt.fastening.tightening import Tightening
+from stiffopt.fastening.workshop import WorkshopTorque as WorkshopTorque
+
+
+def _fastened(element: Connection) -> BoltedFlange | ClampingPins:
+    if isinstance(element, BoltedFlange | ClampingPins):
+        return element
+    raise InputError(
+        f"{element.owner} has no bolts and no pins. Fasteners are those of a bolted_flange or of "
+        "clamping_pins; name one of these."
+    )
+
+
+def fastener_count(element: Connection) -> int:
+    """Number of bolts or pins."""
+    fastened = _fastened(element)
+    return fastened.bolt_count if isinstance(fastened, BoltedFlange) else fastened.pin_count
+
+
+def preload_limits(
+    element: Connection, tightening: Tightening, bolt_utilisation: float = 1.0
+) -> tuple[PreloadLimit, ...]:
+    """Bounds on the preload of one bolt or pin.
+
+    Parameters
+    ----------
+    element : BoltedFlange or ClampingPins
+    tightening : Tightening
+    bolt_utilisation : float
+        Share of the largest assembly preload of VDI 2230 that may be used; 1 is 90 % of the yield
+        strength. The bound's capacity is that share, so that its utilisation ends at 1.
+
+    Returns
+    -------
+    tuple of PreloadLimit
+        Bolts: bolt utilisation, head pressure, thread engagement, bolt spacing, hole in ring.
+        Pins: screw torque (where the screw is known), tip indentation.
+    """
+    fastened = _fastened(element)
+    require_positive(element.owner, bolt_utilisation=bolt_utilisation)
+    if isinstance(fastened, BoltedFlange):
+        return bolts.limits(fastened, tightening, bolt_utilisation)
+    return set_screws.limits(fastened)
+
+
+def check_preload(
+    element: Connection, tightening: Tightening, preload: float | None = None
+) -> None:
+    """Raise `InputError` if a preload is more than the fastener itself bears.
+
+    Parameters
+    ----------
+    element : BoltedFlange or ClampingPins
+    tightening : Tightening
+    preload : float or None
+        [N]; None: the element's own.
+    """
+    fastened = _fastened(element)
+    force = fastened.preload if preload is None else preload
+    assert force is not None  # both kinds refuse to be built without
+    require_positive(element.owner, preload=force)
+    if isinstance(fastened, BoltedFlange):
+        bolt = bolts.flange_bolt(fastened)
+        most = bolts.strength(fastened, tightening)
+        what = f"the largest assembly preload {most / 1e3:.4g} kN of {bolt.size} {bolt.grade}"
+        why = f"VDI 2230, thread friction {tightening.thread_friction:g}"
+        remedy = "a larger bolt, a higher grade or less thread friction"
+    else:
+        most = set_screws.torque_capacity(fastened)
+        size = "" if fastened.screw is None else fastened.screw.size
+        what = f"the {most / 1e3:.4g} kN that a set screw {size} reaches at its tightening torque"
+        why = "strength class 45H"
+        remedy = "a larger screw or more pins"
+    if force > most:
+        raise InputError(
+            f"preload {force / 1e3:.4g} kN of {element.name} is above {what} ({why}). Lower the "
+            f"preload, or take {remedy}."
+        )
+
+
+def embedding_loss(element: Connection, tightening: Tightening) -> float:
+    """Preload that one bolt or pin loses as its faces settle, f_Z/(delta_S + delta_P) [N]."""
+    fastened = _fastened(element)
+    if isinstance(fastened, BoltedFlange):
+        return tightening.embedding / bolts.joint_compliance(fastened)
+    return tightening.embedding / set_screws.pin_compliance(fastened)
+
+
+def workshop_torque(element: Connection, preload: float, tightening: Tightening) -> WorkshopTorque:
+    """Torque to set for the largest preload of one bolt or pin [N]; see `WorkshopTorque`."""
+    fastened = _fastened(element)
+    require_positive(element.owner, preload=preload)
+    if isinstance(fastened, BoltedFlange):
+        return bolts.workshop_torque(fastened, preload, tightening)
+    return set_screws.workshop_torque(fastened, preload, tightening)
+
+
+def key_pressure_limit(hub_material: str, reversing: bool) -> tuple[float, str, str]:
+    """Permissible flank pressure of a parallel key.
+
+    Parameters
+    ----------
+    hub_material : str
+        steel, iron or aluminium.
+    reversing : bool
+        Whether the torque changes its sign in service.
+
+    Returns
+    -------
+    (pressure [Pa], provenance, source)
+    """
+    data = catalogue.clamped_material(hub_material)
+    kind = "reversing" if reversing else "steady"
+    source = f"key in a hub of {hub_material}, {kind} torque, in the order of DIN 6892"
+    return data.key_pressure[kind], data.provenance, source

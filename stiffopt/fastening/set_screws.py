@@ -1,0 +1,83 @@
+"""Set screws and pins on a shaft: bounds on their preload, loss by embedding, workshop torque."""
+
+from __future__ import annotations
+
+import math
+
+from stiffopt.connection import ClampingPins
+from stiffopt.drivetrain import catalogue
+from stiffopt.errors import InputError
+from stiffopt.fastening.compliance import tip_compliance
+from stiffopt.fastening.preload_limit import PreloadLimit
+from stiffopt.fastening.tightening import Tightening
+from stiffopt.fastening.workshop import WorkshopTorque
+
+# A flat tip sinks in at about 2.8 times the yield strength; 0.9 of it is permitted.
+_INDENTATION = 0.9 * 2.8
+# Screw length in diameters, and screw diameter in tip diameters, where they are not given.
+_LENGTH, _DIAMETER = 1.5, 2.0
+# Shaft where no screw tells: the softer one.
+_SHAFT = "steel_45"
+
+
+def torque_capacity(pins: ClampingPins) -> float:
+    """Preload at the tightening torque that the screw bears, M/(0.2 d) [N]; inf without screw."""
+    if pins.screw is None:
+        return math.inf
+    data = catalogue.set_screw(pins.screw.size)
+    return data.tightening_torque / (data.nut_factor * data.diameter)
+
+
+def limits(pins: ClampingPins) -> tuple[PreloadLimit, ...]:
+    """Bounds on the preload of one pin; the first is what the screw bears, where it is known."""
+    shaft = _SHAFT if pins.screw is None else pins.screw.shaft_material
+    pressure = _INDENTATION * catalogue.shaft_proof_stress(shaft)
+    assumed = ", assumed because the element names no screw" if pins.screw is None else ""
+    indentation = PreloadLimit(
+        name="tip indentation",
+        capacity=pressure * pins.tip_area,
+        provenance="estimated",
+        source=f"0.9 x 2.8 R_p0.2 of the shaft, {shaft}{assumed}",
+        remedy="a larger tip, a harder shaft or more pins",
+    )
+    if pins.screw is None:
+        return (indentation,)
+    data = catalogue.set_screw(pins.screw.size)
+    torque = PreloadLimit(
+        name="screw torque",
+        capacity=torque_capacity(pins),
+        provenance=data.provenance,
+        source=f"M/({data.nut_factor:g} d) with {data.tightening_torque:g} N m, {data.source}",
+        remedy="a larger screw or more pins",
+    )
+    return (torque, indentation)
+
+
+def pin_compliance(pins: ClampingPins) -> float:
+    """Screw over its length and half space under the tip, one after the other [m/N]."""
+    if pins.screw is None:
+        diameter = _DIAMETER * pins.tip_diameter
+        length, area = _LENGTH * diameter, math.pi / 4 * diameter**2
+    else:
+        data = catalogue.set_screw(pins.screw.size)
+        area = data.minor_area
+        length = _LENGTH * data.diameter if pins.screw.length is None else pins.screw.length
+    screw = length / (catalogue.bolt_modulus() * area)
+    return screw + tip_compliance(pins.surface.contact_modulus, pins.tip_diameter)
+
+
+def workshop_torque(pins: ClampingPins, preload: float, tightening: Tightening) -> WorkshopTorque:
+    """Wrench setting for the largest preload [N] of one screw, by the nut factor."""
+    if pins.screw is None:
+        raise InputError(
+            f"{pins.owner}: no screw is known, so there is no tightening torque. Add "
+            '`screw = { size = "M4" }` to the element in the robot file.'
+        )
+    data = catalogue.set_screw(pins.screw.size)
+    nominal = data.nut_factor * data.diameter * preload
+    return WorkshopTorque(
+        nominal=nominal,
+        lower=nominal / tightening.alpha,
+        upper=nominal,
+        friction_factor=tightening.alpha,
+    )

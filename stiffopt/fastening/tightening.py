@@ -1,0 +1,125 @@
+"""Tightening: from preload to torque and back, and how far the preload scatters."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.contact.validate import require_at_least, require_not_negative, require_positive
+from stiffopt.drivetrain.catalogue import BoltData
+from stiffopt.errors import InputError, nearest
+from stiffopt.symbolic import Quantity
+
+# alpha_A = F_max/F_min at assembly, by method: the range of VDI 2230 for friction classes known
+# from experience is 1.4 to 1.6 for torque wrenches (its unfavourable end is taken), 1.2 to 1.4 for
+# angle and for yield control (middle and favourable end: the bolt itself ends the tightening).
+SCATTER = {"torque_wrench": 1.6, "angle": 1.3, "yield": 1.2}
+
+# Preferred numbers R20 of ISO 3 between 1 and 10.
+_R20 = (
+    *(1.0, 1.12, 1.25, 1.4, 1.6, 1.8, 2.0, 2.24, 2.5, 2.8),
+    *(3.15, 3.55, 4.0, 4.5, 5.0, 5.6, 6.3, 7.1, 8.0, 9.0),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tightening:
+    """How bolts and pins are tightened.
+
+    Parameters
+    ----------
+    method : {"torque_wrench", "angle", "yield"}
+    scatter : float or None
+        alpha_A = F_max/F_min at assembly [-]; None: by method.
+    thread_friction, head_friction : float
+        Lowest coefficients to be expected; higher friction is part of the scatter.
+    embedding : float
+        f_Z, by which all faces of one fastener together settle [m].
+    """
+
+    method: str = "torque_wrench"
+    scatter: float | None = None
+    thread_friction: float = 0.12
+    head_friction: float = 0.12
+    embedding: float = 3e-6
+
+    def __post_init__(self) -> None:
+        if self.method not in SCATTER:
+            raise InputError(
+                f"tightening: no method {self.method!r}. {nearest(self.method, SCATTER)}"
+            )
+        if self.scatter is not None:
+            require_at_least("tightening", 1.0, scatter=self.scatter)
+        for name in ("thread_friction", "head_friction"):
+            value = getattr(self, name)
+            require_positive("tightening", **{name: value})
+            if value >= 1.0:
+                raise InputError(
+                    f"tightening: {name} = {value:g} is no coefficient of friction of a bolt; "
+                    "allowed is above 0 and below 1, customary 0.08 to 0.2. Correct it."
+                )
+        require_not_negative("tightening", embedding=self.embedding)
+
+    @property
+    def alpha(self) -> float:
+        """alpha_A in use, F_max/F_min at assembly [-]."""
+        return SCATTER[self.method] if self.scatter is None else self.scatter
+
+
+def _lever(bolt: BoltData, thread_friction: Quantity, head_friction: Quantity) -> Quantity:
+    """Torque over preload [m]."""
+    return (
+        bolt.pitch / (2 * math.pi)
+        + bolt.pitch_diameter / (2 * math.cos(math.pi / 6)) * thread_friction
+        + bolt.friction_diameter / 2 * head_friction
+    )
+
+
+def tightening_torque(
+    bolt: BoltData, preload: Quantity, thread_friction: Quantity, head_friction: Quantity
+) -> Quantity:
+    """Torque that tightens a bolt to a preload.
+
+    M_A = F (P/(2 pi) + d2/(2 cos 30 deg) mu_G + D_Km/2 mu_K), which VDI 2230 prints as
+    F (0.16 P + 0.58 d2 mu_G + D_Km/2 mu_K).
+
+    Parameters
+    ----------
+    bolt : BoltData
+    preload : scalar or (n,) [N]
+    thread_friction, head_friction : scalar [-]
+
+    Returns
+    -------
+    scalar or (n,) [N m]
+    """
+    return preload * _lever(bolt, thread_friction, head_friction)
+
+
+def preload_at_torque(
+    bolt: BoltData, torque: Quantity, thread_friction: Quantity, head_friction: Quantity
+) -> Quantity:
+    """Preload [N] that a tightening torque [N m] leaves; inverse of `tightening_torque`."""
+    return torque / _lever(bolt, thread_friction, head_friction)
+
+
+def standard_torques(lower: float, upper: float) -> np.ndarray:
+    """Tightening torques to choose from: preferred numbers R20 of ISO 3 from `lower` to `upper`.
+
+    Parameters
+    ----------
+    lower, upper : float
+        Bounds, both included [N m]; lower above 0.
+
+    Returns
+    -------
+    (n,) [N m], ascending; empty where no preferred number lies between the bounds
+    """
+    require_positive("standard torques", lower=lower, upper=upper)
+    decades = range(math.floor(math.log10(lower)) - 1, math.floor(math.log10(upper)) + 2)
+    # Rounding keeps 0.28 and 2.8 the decimal numbers that are printed on wrenches.
+    torques = np.array([round(step * 10.0**e, 3 - e) for e in decades for step in _R20])
+    slack = 1e-9
+    return torques[(torques >= lower * (1 - slack)) & (torques <= upper * (1 + slack))]
