@@ -161,6 +161,33 @@ class PreloadModel:
 
     # ---- parts
 
+    def drivetrain(self, preloads: np.ndarray, joint: int) -> Chain:
+        """Whole drivetrain of a joint with the least preloads that tightening leaves.
+
+        From motor to link; with individual preloads each bolt or pin is an element.
+        """
+        parts, chain = self._joints[joint], self.problem.robot.chains[joint - 1]
+        assert chain is not None
+        owners, places = self.owners(joint), list(chain.elements)
+        varying = parts.varying.with_preloads(self._least(preloads, joint))
+        stages = sorted(
+            (*varying.stages, *parts.rest.stages),
+            key=lambda stage: places.index(owners[stage.element.name]),
+        )
+        return replace(chain, stages=tuple(stages))
+
+    def owners(self, joint: int) -> dict[str, str]:
+        """Element that each stage of `drivetrain` belongs to, by the names of both."""
+        found = {
+            stage.element.name: stage.element.name for stage in self._joints[joint].rest.stages
+        }
+        for stage in self._joints[joint].varying.stages:
+            found[stage.element.name] = stage.element.name
+        for index in self.indices[joint]:
+            element = self.elements[index]
+            found |= dict.fromkeys(self._names(element), element.name)
+        return found
+
     @cached_property
     def indices(self) -> dict[int, tuple[int, ...]]:
         """Positions in `elements` of each joint's elements."""

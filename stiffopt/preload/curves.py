@@ -1,0 +1,225 @@
+"""Stiffness, slip safety and utilisation over the preload of one connection at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.errors import ProblemError
+from stiffopt.preload.load_case import LoadCase
+from stiffopt.preload.model import PreloadModel
+from stiffopt.preload.sensitivity import largest_torque
+
+# Curves run from this share of the largest permissible preload to this one.
+_SHOWN = (0.05, 1.1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PreloadCurve:
+    """A joint under one load case over the preload of one of its connections.
+
+    Parameters
+    ----------
+    key : str
+        Of the element; all other preloads are those of the design.
+    joint : int
+        1-based.
+    case : str
+    torque : float
+        At the joint [N m].
+    design : float
+        Preload of the design [N], of individual ones the mean.
+    preload : array (K,)
+        F, the largest of one bolt or pin that tightening leaves [N], ascending.
+    stiffness : array (K,)
+        Tangent stiffness of the joint by the exact law with the least preload that tightening to F
+        leaves [N m/rad]; 0 where a connection slips.
+    stiffness_high : array (K,)
+        The same with the largest, F itself: the other end of the scatter [N m/rad].
+    slip_safety : array (K,)
+        Slip torque with the least preload over torque [-]; infinite without torque.
+    utilisation : mapping of limit name to array (K,)
+        Of every limit that depends on the preload, 1 where it ends it [-].
+    limits : mapping of name to float
+        Preload at which each requirement binds [N]: "slip safety" and "least preload" from below,
+        the fastener's limits from above; "slip" is where the connection begins to hold at all.
+    """
+
+    key: str
+    joint: int
+    case: str
+    torque: float
+    design: float
+    preload: np.ndarray
+    stiffness: np.ndarray
+    stiffness_high: np.ndarray
+    slip_safety: np.ndarray
+    utilisation: Mapping[str, np.ndarray]
+    limits: Mapping[str, float]
+
+    @property
+    def stiffness_low(self) -> np.ndarray:
+        """Stiffness at the unfavourable end of the scatter (K,) [N m/rad]: the one that counts."""
+        return self.stiffness
+
+
+def preload_curves(
+    model: PreloadModel, preloads: np.ndarray, points: int = 60
+) -> tuple[PreloadCurve, ...]:
+    """Vary the preload of each free element while the others keep their design.
+
+    Parameters
+    ----------
+    model : PreloadModel
+    preloads : array (size,)
+        Of the design [N].
+    points : int
+        At least 2.
+
+    Returns
+    -------
+    tuple of PreloadCurve
+        For each element the load case of least stiffness and that of largest torque, once where
+        they are the same.
+    """
+    if points < 2:
+        raise ProblemError(f"preload curves: points = {points} must be 2 or above.")
+    stiffness = model.exact_stiffness(preloads)
+    curves = []
+    for index, element in enumerate(model.elements):
+        row = stiffness[model.problem.joints.index(element.joint)]
+        softest = model.cases[int(np.argmin(row))]
+        cases = dict.fromkeys((softest.name, largest_torque(model, element.joint).name))
+        curves += [
+            _curve(model, preloads, index, case, points)
+            for case in model.cases
+            if case.name in cases
+        ]
+    return tuple(curves)
+
+
+def _curve(
+    model: PreloadModel, preloads: np.ndarray, index: int, case: LoadCase, points: int
+) -> PreloadCurve:
+    element = model.elements[index]
+    alpha = model.problem.tightening.alpha
+    torque = float(case.torque[element.joint - 1])
+    first, last = (share * element.capacity for share in _SHOWN)
+    # Below the embedding loss nothing is left after tightening.
+    first = max(first, 1.02 * element.largest(0.0, alpha))
+    force = np.linspace(first, last, points)
+    own = float(np.mean(preloads[model.slices[index]]))
+    slip = np.array([model.slip_torque(_with(model, preloads, index, f), index) for f in force])
+    with np.errstate(divide="ignore"):
+        safety = slip / abs(torque)
+    return PreloadCurve(
+        key=element.key,
+        joint=element.joint,
+        case=case.name,
+        torque=torque,
+        design=own,
+        preload=force,
+        stiffness=_stiffness(model, preloads, index, torque, force),
+        stiffness_high=_stiffness(model, preloads, index, torque, element.largest(force, alpha)),
+        slip_safety=safety,
+        utilisation={
+            limit.name: np.asarray(limit.utilisation(force))
+            for limit in element.limits
+            if limit.depends_on_preload
+        },
+        limits=binding_preloads(model, index, abs(torque)),
+    )
+
+
+def binding_preloads(model: PreloadModel, index: int, torque: float) -> dict[str, float]:
+    """Preload at which each requirement of an element binds.
+
+    Parameters
+    ----------
+    model : PreloadModel
+    index : int
+        Of the element.
+    torque : float
+        Size of the joint's torque [N m].
+
+    Returns
+    -------
+    dict of name to preload [N]
+    """
+    element, needs = model.elements[index], model.problem.requirements
+    alpha = model.problem.tightening.alpha
+    # The slip torque is proportional to the least preload.
+    at_one = _with(model, model.design, index, float(element.largest(1.0, alpha)))
+    unit = float(model.slip_torque(at_one, index))
+    found = {
+        "slip": float(element.largest(torque / unit, alpha)),
+        "slip safety": float(element.largest(needs.slip_safety * torque / unit, alpha)),
+        "least preload": needs.least_preload * element.capacity,
+    }
+    for limit in element.limits:
+        if limit.depends_on_preload:
+            allowed = needs.bolt_utilisation if limit.name == "bolt utilisation" else 1.0
+            found[limit.name] = (allowed - limit.fixed) * limit.capacity
+    return found
+
+
+def _with(model: PreloadModel, preloads: np.ndarray, index: int, force: float) -> np.ndarray:
+    """Design vector with another preload in all bolts or pins of an element."""
+    changed = preloads.copy()
+    changed[model.slices[index]] = force
+    return changed
+
+
+def _stiffness(
+    model: PreloadModel, preloads: np.ndarray, index: int, torque: float, forces: np.ndarray
+) -> np.ndarray:
+    joint, at = model.elements[index].joint, np.array([torque])
+    compliance = [
+        float(model.exact_compliance(_with(model, preloads, index, force), joint, at)[0])
+        for force in forces
+    ]
+    return np.asarray(1.0 / np.array(compliance))
+
+
+def curve_rows(
+    curves: Sequence[PreloadCurve],
+) -> tuple[tuple[str, ...], list[tuple[str | float, ...]]]:
+    """Table of curves: one line a preload.
+
+    Parameters
+    ----------
+    curves : sequence of PreloadCurve
+
+    Returns
+    -------
+    (columns, rows)
+        Units are part of the names of the columns; a limit that an element does not have is nan.
+    """
+    names = tuple(dict.fromkeys(name for curve in curves for name in curve.utilisation))
+    columns = (
+        "element",
+        "joint",
+        "load case",
+        "torque [N m]",
+        "preload [N]",
+        "stiffness [N m/rad]",
+        "stiffness at largest preload [N m/rad]",
+        "slip safety",
+        *names,
+    )
+    rows: list[tuple[str | float, ...]] = []
+    for curve in curves:
+        used = [curve.utilisation.get(n, np.full(len(curve.preload), np.nan)) for n in names]
+        numbers = zip(
+            curve.preload,
+            curve.stiffness,
+            curve.stiffness_high,
+            curve.slip_safety,
+            *used,
+            strict=True,
+        )
+        head = (curve.key, curve.joint, curve.case, curve.torque)
+        rows += [(*head, *(float(number) for number in line)) for line in numbers]
+    return columns, rows

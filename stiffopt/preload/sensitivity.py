@@ -1,0 +1,229 @@
+"""What a preload is worth in stiffness, and which connection of a joint is its weakest spring."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.drivetrain.chain import Chain
+from stiffopt.preload.load_case import LoadCase
+from stiffopt.preload.model import PreloadModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreloadWorth:
+    """Gain in a joint's stiffness from one more newton in every bolt or pin of an element.
+
+    Parameters
+    ----------
+    key : str
+        Of the element.
+    joint : int
+        1-based.
+    case : str
+    stiffness : float
+        Exact tangent stiffness K of the joint [N m/rad].
+    slope : float
+        dK/dF [N m/rad per N], F the largest preload of one bolt or pin that tightening leaves; 0
+        where a connection slips and no stiffness is left to gain from.
+    elasticity : float
+        d ln K/d ln F [-]: per cent of stiffness for one per cent of preload.
+    """
+
+    key: str
+    joint: int
+    case: str
+    stiffness: float
+    slope: float
+    elasticity: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindupShare:
+    """Part of an element in the yielding of its joint.
+
+    Parameters
+    ----------
+    joint : int
+        1-based.
+    case : str
+    element : str
+    kind : str
+        Kind of connection, such as "reducer".
+    share : float
+        Of the wind-up from zero to the torque of the case [-].
+    compliance_share : float
+        Of the tangent compliance at that torque [-].
+    """
+
+    joint: int
+    case: str
+    element: str
+    kind: str
+    share: float
+    compliance_share: float
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Worth of the preloads and shares of the elements at one design.
+
+    Parameters
+    ----------
+    worth : tuple of PreloadWorth
+        Every free element in every load case.
+    shares : tuple of WindupShare
+        Every element of the study's joints in every load case, from motor to link; the shares of a
+        joint and case sum to 1.
+    weakest : dict of joint number to element name
+        Largest share of the wind-up under the largest torque of the joint.
+    """
+
+    worth: tuple[PreloadWorth, ...]
+    shares: tuple[WindupShare, ...]
+    weakest: dict[int, str]
+
+
+def sensitivity(model: PreloadModel, preloads: np.ndarray) -> Sensitivity:
+    """Evaluate what each preload is worth and where the joints yield.
+
+    Parameters
+    ----------
+    model : PreloadModel
+    preloads : array (size,)
+        Largest preloads [N].
+
+    Returns
+    -------
+    Sensitivity
+
+    Notes
+    -----
+    Stiffness and shares are of the exact law. The slope is -K^2 dC/dF with the derivative of the
+    smooth law, which holds up to 0.95 of the slip torque.
+    """
+    shares = tuple(_shares(model, preloads))
+    weakest = {}
+    for joint in model.problem.joints:
+        case = largest_torque(model, joint).name
+        own = [s for s in shares if s.joint == joint and s.case == case]
+        weakest[joint] = max(own, key=lambda s: s.share).element
+    return Sensitivity(tuple(_worth(model, preloads)), shares, weakest)
+
+
+def largest_torque(model: PreloadModel, joint: int) -> LoadCase:
+    """Load case with the largest torque at a joint (1-based), where slip is nearest."""
+    return max(model.cases, key=lambda case: abs(float(case.torque[joint - 1])))
+
+
+def _worth(model: PreloadModel, preloads: np.ndarray) -> Iterator[PreloadWorth]:
+    slopes = compliance_slopes(model, preloads)
+    stiffness = model.exact_stiffness(preloads)
+    for index, element in enumerate(model.elements):
+        part, row = model.slices[index], model.problem.joints.index(element.joint)
+        mean = float(np.mean(preloads[part]))
+        for column, case in enumerate(model.cases):
+            own = float(stiffness[row, column])
+            # All bolts or pins of the element together.
+            slope = -(own**2) * float(slopes[row, column, part].sum())
+            yield PreloadWorth(
+                key=element.key,
+                joint=element.joint,
+                case=case.name,
+                stiffness=own,
+                slope=slope,
+                elasticity=slope * mean / own if own > 0.0 else 0.0,
+            )
+
+
+def compliance_slopes(model: PreloadModel, preloads: np.ndarray) -> np.ndarray:
+    """Derivatives of the joints' tangent compliances with respect to the preloads.
+
+    Parameters
+    ----------
+    model : PreloadModel
+    preloads : array (size,) [N]
+
+    Returns
+    -------
+    array (joints, cases, size) [rad/(N m) per N]
+    """
+    symbol = ca.SX.sym("preload", model.size)
+    joints = model.problem.joints
+    values = [model.compliance(symbol, joint, case) for joint in joints for case in model.cases]
+    slope = ca.jacobian(ca.vertcat(*values), symbol)
+    function = ca.Function("slopes", [symbol], [ca.densify(slope)])
+    return np.asarray(function(preloads)).reshape(len(joints), len(model.cases), model.size)
+
+
+def _shares(model: PreloadModel, preloads: np.ndarray) -> Iterator[WindupShare]:
+    for joint in model.problem.joints:
+        chain = model.drivetrain(preloads, joint)
+        owners, kinds = model.owners(joint), {}
+        for stage in chain.stages:
+            kinds[owners[stage.element.name]] = stage.element.kind
+        for case in model.cases:
+            torque = float(case.torque[joint - 1])
+            angles: dict[str, float] = dict.fromkeys(kinds, 0.0)
+            slopes = dict(angles)
+            for name, (angle, slope) in element_shares(chain, torque).items():
+                angles[owners[name]] += angle
+                slopes[owners[name]] += slope
+            for name, kind in kinds.items():
+                yield WindupShare(
+                    joint=joint,
+                    case=case.name,
+                    element=name,
+                    kind=kind,
+                    share=angles[name],
+                    compliance_share=slopes[name],
+                )
+
+
+def element_shares(chain: Chain, torque: float) -> dict[str, tuple[float, float]]:
+    """Shares of the elements in wind-up and in tangent compliance by the exact law.
+
+    Parameters
+    ----------
+    chain : Chain
+        With the preloads in question.
+    torque : float
+        Of the joint [N m].
+
+    Returns
+    -------
+    dict of element name to (share of wind-up, share of compliance)
+        Each sums to 1. What slips, or has no stiffness without pressure, takes the whole.
+    """
+    groups: dict[object, list[str]] = {}
+    for stage in chain.stages:
+        alone = stage.element.name
+        groups.setdefault(("alone", alone) if stage.group is None else stage.group, []).append(
+            alone
+        )
+    names = list(groups.values())
+    parts = [chain.split(group)[0] for group in names]
+    at = np.array([torque])
+    slopes = [float(part.exact_tangent_compliance(at)[0]) for part in parts]
+    angles = [abs(float(part.exact_windup(at)[0])) for part in parts] if torque else slopes
+    found: dict[str, tuple[float, float]] = {}
+    for group, part, angle, slope in zip(
+        names, parts, _normalised(angles), _normalised(slopes), strict=True
+    ):
+        if len(group) == 1:
+            found[group[0]] = (angle, slope)
+            continue
+        by_angle, by_slope = part.windup_shares(torque), part.compliance_shares(torque)
+        found |= {name: (angle * by_angle[name], slope * by_slope[name]) for name in group}
+    return found
+
+
+def _normalised(values: list[float]) -> list[float]:
+    """Shares of a sum; what is infinite takes all of it."""
+    if not np.isfinite(values).all():
+        values = [float(np.isinf(value)) for value in values]
+    whole = sum(values)
+    return [value / whole for value in values]
