@@ -19,6 +19,12 @@ def _law(surface: SurfacePair) -> FractalLaw:
     return FractalLaw(surface)
 
 
+@lru_cache(maxsize=4096)
+def _stiffness_at(surface: SurfacePair, pressure: float) -> float:
+    """k_n of one pressure; a clamped face asks for it again at every torque."""
+    return float(_law(surface).normal_stiffness_per_area(np.array(pressure)))
+
+
 def _invert(stiffness: np.ndarray) -> np.ndarray:
     """1/stiffness, infinite where the stiffness is zero."""
     some = stiffness > 0.0
@@ -54,8 +60,7 @@ def sheared_stiffness_per_area(
     law = _law(surface)
     ratio = 4.0 * surface.contact_shear_modulus / surface.contact_modulus
     if mindlin:
-        base = float(law.normal_stiffness_per_area(np.array(pressure)))
-        return np.asarray(ratio * base * np.cbrt(rest))
+        return np.asarray(ratio * _stiffness_at(surface, float(pressure)) * np.cbrt(rest))
     return np.asarray(ratio * law.normal_stiffness_per_area(pressure * rest))
 
 

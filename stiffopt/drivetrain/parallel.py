@@ -20,6 +20,8 @@ from stiffopt.symbolic import Quantity
 # Unrolled, so that the split stays a differentiable expression. Three steps leave 1e-12 of the
 # wind-up for a key beside a bolted flange.
 _STEPS = 4
+# Bisection alone needs 60 to exhaust the precision; Newton's steps end it long before.
+_ROOT_STEPS = 80
 
 Law = Callable[[Quantity], Quantity]
 
@@ -76,8 +78,8 @@ def exact_shares(
 ) -> list[np.ndarray]:
     """Share of the torque that each stage of a group carries, for the unsmoothed laws, (k,).
 
-    By bisection on the common wind-up: safe with jumps and kinks, and no code shared with
-    `smooth_shares`.
+    By bracketed Newton steps on the common wind-up: safe with jumps and kinks, and no code shared
+    with `smooth_shares`.
     """
     size = np.abs(np.asarray(torque, dtype=float))
     if len(stages) == 1:
@@ -107,26 +109,54 @@ def exact_shares(
             return shares
         loaded[loaded] = held
         whole, upper = whole[held], upper[held]
-    lower = np.zeros_like(upper)
-    for _ in range(60):
-        middle = (lower + upper) / 2.0
-        carried = sum(_torque_at(s, middle, whole, preloads) for s in stages)
-        lower = np.where(carried < whole, middle, lower)
-        upper = np.where(carried < whole, upper, middle)
-    parts = [_torque_at(s, (lower + upper) / 2.0, whole, preloads) for s in stages]
-    for share, part in zip(shares, parts, strict=True):
-        share[loaded] = part / sum(parts)
+    carried: list[np.ndarray] = []
+
+    def surplus(windup: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        carried[:] = [_torque_at(s, windup, whole, preloads) for s in stages]
+        slopes = [
+            1.0 / s.exact_tangent_compliance(t, preloads)
+            for s, t in zip(stages, carried, strict=True)
+        ]
+        return sum(carried) - whole, np.sum(slopes, axis=0)
+
+    _root(surplus, np.zeros_like(upper), upper, upper, whole)
+    for share, part in zip(shares, carried, strict=True):
+        share[loaded] = part / sum(carried)
     return shares
 
 
 def _torque_at(
     stage: Stage, windup: np.ndarray, largest: np.ndarray, preloads: Preloads
 ) -> np.ndarray:
-    """Torque of a stage at a given wind-up, by bisection up to `largest`."""
-    lower, upper = np.zeros_like(largest), largest.copy()
-    for _ in range(60):
-        middle = (lower + upper) / 2.0
-        short = stage.exact_windup(middle, preloads) < windup
-        lower = np.where(short, middle, lower)
-        upper = np.where(short, upper, middle)
-    return np.asarray((lower + upper) / 2.0)
+    """Torque of a stage at a given wind-up, at most `largest`."""
+
+    def excess(torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        slope = stage.exact_tangent_compliance(torque, preloads)
+        return stage.exact_windup(torque, preloads) - windup, slope
+
+    return _root(excess, np.zeros_like(largest), largest.copy(), largest / 2.0, windup)
+
+
+def _root(
+    function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    lower: np.ndarray,
+    upper: np.ndarray,
+    start: np.ndarray,
+    scale: np.ndarray,
+) -> np.ndarray:
+    """Root of a rising function in a bracket, by Newton steps that never leave it.
+
+    Where a step would leave the bracket, or the law is infinite or kinked, it is halved instead.
+    """
+    lower, upper, x = lower.copy(), upper.copy(), start.copy()
+    for _ in range(_ROOT_STEPS):
+        value, slope = function(x)
+        if np.all((np.abs(value) <= 1e-13 * scale) | (upper - lower <= 1e-15 * upper)):
+            break
+        below = value < 0.0
+        lower, upper = np.where(below, x, lower), np.where(below, upper, x)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            step = x - value / slope
+            inside = np.isfinite(step) & (step > lower) & (step < upper)
+        x = np.where(inside, step, (lower + upper) / 2.0)
+    return x

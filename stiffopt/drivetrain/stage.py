@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -104,7 +104,9 @@ class Stage:
         base = self.element.torque_max
         # Whole octaves of the largest torque meant, so that one curve serves many calls.
         octaves = max(0, math.ceil(math.log2(largest / base))) if largest > base else 0
-        curve = _exact_curve(self.element, self._preload(preloads), base * 2.0**octaves)
+        # Without the name, so that equal elements share a curve.
+        unnamed = replace(self.element, name="")
+        curve = _exact_curve(unnamed, self._preload(preloads), base * 2.0**octaves)
         return self.counts * curve(own)
 
     def slip_torque(self, preloads: Preloads = None) -> float:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from stiffopt.fastening.limits import workshop_torque
+from stiffopt.connection import ClampingPins
+from stiffopt.fastening.limits import WorkshopTorque, workshop_torque
+from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.model import PreloadModel
+from stiffopt.preload.problem import FreeElement
 from stiffopt.preload.rows import UtilisationRow, utilisation_rows
 from stiffopt.preload.solution import PreloadSolution, Stopper
 from stiffopt.result.status import SolveStatus
@@ -56,7 +59,7 @@ def conclude(
         preloads=means,
         individual=own if model.problem.individual else {},
         tightening={
-            e.key: workshop_torque(e.stage.element, means[e.key], model.problem.tightening)
+            e.key: _workshop_torque(e, means[e.key], model.problem.tightening)
             for e in model.elements
         },
         vector=preloads,
@@ -89,6 +92,16 @@ def largest_utilisation(model: PreloadModel, preloads: np.ndarray) -> float:
         if np.isfinite(limit.capacity)
         for preload in model.of_element(preloads, index)
     )
+
+
+def _workshop_torque(
+    element: FreeElement, preload: float, tightening: Tightening
+) -> WorkshopTorque | None:
+    """Tightening torque; None where no screw is known that could be turned."""
+    fastened = element.stage.element
+    if isinstance(fastened, ClampingPins) and fastened.screw is None:
+        return None
+    return workshop_torque(fastened, preload, tightening)
 
 
 def _sizes(model: PreloadModel, preloads: np.ndarray) -> np.ndarray:
