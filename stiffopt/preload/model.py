@@ -65,7 +65,7 @@ class PreloadModel:
     @property
     def design(self) -> np.ndarray:
         """Preloads that the robot has now (size,) [N]."""
-        return self.spread([float(e.stage.element.preload) for e in self.elements])
+        return self.spread([preload_of(e) for e in self.elements])
 
     def spread(self, preloads: Sequence[float]) -> np.ndarray:
         """Design vector with one preload for all bolts or pins of each element."""
@@ -118,7 +118,7 @@ class PreloadModel:
         varying = parts.varying.exact_tangent_compliance(
             np.asarray(torques), preloads=self._least(preloads, joint)
         )
-        return varying + self.rest_compliance(joint, torques)
+        return np.asarray(varying + self.rest_compliance(joint, torques))
 
     def exact_windup(self, preloads: np.ndarray, joint: int, torques: np.ndarray) -> np.ndarray:
         """Exact wind-up of a whole joint (k,) [rad]."""
@@ -128,7 +128,7 @@ class PreloadModel:
         varying = self._joints[joint].varying.exact_windup(
             np.asarray(torques), preloads=self._least(preloads, joint)
         )
-        return varying + rest
+        return np.asarray(varying + rest)
 
     def exact_stiffness(self, preloads: np.ndarray) -> np.ndarray:
         """Tangent stiffness, (joints, cases) [N m/rad]; zero where a connection slips."""
@@ -222,6 +222,13 @@ class PreloadModel:
         if not self.problem.individual:
             return iter((element.name,))
         return (f"{element.name} {i}" for i in range(1, element.count + 1))
+
+
+def preload_of(element: FreeElement) -> float:
+    """Preload that the robot has now in one bolt or pin [N]."""
+    preload = element.stage.element.preload
+    assert preload is not None
+    return float(preload)
 
 
 def _one_fastener(element: Connection) -> Connection:

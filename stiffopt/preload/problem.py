@@ -232,7 +232,7 @@ class PreloadProblem:
 
     def _check_load_cases(self) -> None:
         n = self.robot.n
-        loads = (*self.load_cases, *self.histories)
+        loads: list[LoadCase | LoadHistory] = [*self.load_cases, *self.histories]
         if not loads:
             raise ProblemError("A preload study needs at least one [[load_case]].")
         for load in loads:
