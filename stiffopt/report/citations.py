@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from stiffopt.errors import InputError, nearest
 
 if TYPE_CHECKING:
+    from stiffopt.preload.study import PreloadStudy
     from stiffopt.problem.trajectory import TrajectoryProblem
 
 _CONTACTS = ("key", "bolted_flange", "clamping_pins", "gear_pair")
@@ -91,4 +92,19 @@ def solve_references(problem: TrajectoryProblem, baselines: Iterable[str]) -> li
     keys += _ENGINE
     if "toppra" in baselines:
         keys.append("PhamPham2018")
+    return cited(keys)
+
+
+def preload_references(study: PreloadStudy) -> list[Reference]:
+    """Collect the sources of a preload study: fasteners, model, solver, and the front's knee."""
+    keys = ["VDI2230", "ISO898", "ISO4762"]
+    kinds = {row.kind for row in study.solution.rows}
+    if "key pressure" in kinds:
+        keys.append("DIN6892")
+    if study.problem.choose is not None:
+        keys.append("ISO3")
+    keys += [reference.key for reference in robot_references(study.problem.robot)]
+    if study.front is not None:
+        keys.append("Das1999")
+    keys += _ENGINE[:2]
     return cited(keys)

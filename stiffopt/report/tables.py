@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -216,10 +216,19 @@ def _vector(values: np.ndarray, unit: str) -> str:
     return f"({', '.join(significant(float(v)) for v in values)}) {unit}"
 
 
-def estimated_table(robot: Any) -> Table | None:
-    """List the inputs of a robot that are estimated; None where there are none."""
+def estimated_table(robot: Any, joints: Container[str] | None = None) -> Table | None:
+    """List the inputs of a robot that are estimated; None where there are none.
+
+    Parameters
+    ----------
+    robot : Robot
+    joints : container of str, optional
+        Names of the joints whose inputs count, with those of no joint; default: all.
+    """
     keys: dict[tuple[str, str, str], list[str]] = {}
     for each in robot.estimated():
+        if joints is not None and each.joint and each.joint not in joints:
+            continue
         keys.setdefault((each.joint, each.element, each.source), []).append(each.key)
     rows = tuple(
         (joint or DASH, element or DASH, ", ".join(names), source or DASH)

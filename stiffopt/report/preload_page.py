@@ -1,0 +1,222 @@
+"""report.html of a preload study: what to tighten to, what binds, and what it rests on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from stiffopt.files import atomic_write
+from stiffopt.report.citations import preload_references
+from stiffopt.report.motions import robot_joint_units
+from stiffopt.report.preload_bars import limit_sources, utilisation_bars
+from stiffopt.report.preload_figures import (
+    Recommended,
+    curves_figure,
+    front_figure,
+    loosening_figure,
+    shares_figure,
+)
+from stiffopt.report.preload_inputs import (
+    bolts_table,
+    cases_table,
+    pins_table,
+    present_preload,
+    study_table,
+    tightening_table,
+)
+from stiffopt.report.preload_tables import (
+    deflection_table,
+    individual_table,
+    loosening_table,
+    recommended_table,
+    shares_by_joint,
+    stiffness_table,
+    worth_table,
+)
+from stiffopt.report.preload_wording import headline, spoken, stiffness_sentence, what_binds
+from stiffopt.report.quantities import significant
+from stiffopt.report.rendering import PageFigure, page_figure, write_page
+from stiffopt.report.svg import to_png, to_svg
+from stiffopt.report.tables import Table, estimated_table
+
+if TYPE_CHECKING:
+    from stiffopt.preload.study import PreloadStudy
+
+REPORT_FILE = "report.html"
+
+
+def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
+    """Write report.html and its figures as SVG and PNG into `directory`; return the page.
+
+    Parameters
+    ----------
+    study : PreloadStudy
+        Of any status; parts that were not run are left out.
+    directory : path
+
+    Returns
+    -------
+    Path
+    """
+    folder = Path(directory)
+    problem, solution = study.problem, study.solution
+    shown, every = utilisation_bars(solution.rows)
+    names = problem.robot.joint_names
+    context = {
+        "title": problem.title or f"Preloads of {problem.robot.title or problem.robot.name}",
+        "headline": headline(problem, solution),
+        "lead": " ".join(
+            filter(None, (what_binds(problem, solution), stiffness_sentence(problem, solution)))
+        ),
+        "status": str(solution.status).replace("_", " "),
+        "usable": solution.status.usable,
+        "message": solution.message,
+        "stoppers": [_stopper(stop) for stop in solution.stoppers],
+        "notes": solution.notes,
+        "tiles": _tiles(study),
+        "recommended": recommended_table(problem, solution),
+        "individual": individual_table(problem, solution),
+        "stiffness": stiffness_table(problem, solution),
+        "deflection": deflection_table(solution),
+        "bars": shown,
+        "all_bars": every if len(every) > len(shown) else [],
+        "front": study.front,
+        "loosening": loosening_table(study.loosening),
+        "worth": worth_table(study.sensitivity, problem),
+        "inputs": study_table(problem),
+        "tightening": tightening_table(problem),
+        "cases": cases_table(problem, solution),
+        "fasteners": [t for t in (bolts_table(problem), pins_table(problem)) if t is not None],
+        "limit_sources": limit_sources(solution.rows),
+        "estimated": estimated_table(problem.robot, {names[j - 1] for j in problem.joints}),
+        "versions": Table(("", ""), tuple(sorted(study.versions.items()))),
+        "references": preload_references(study),
+        "seconds": f"{study.seconds:.1f} s",
+    } | _figures(study, folder)
+    return write_page("preload.html.j2", folder / REPORT_FILE, context)
+
+
+def _stopper(stop: Any) -> dict[str, str]:
+    unit = f" {stop.unit}" if stop.unit else ""
+    return {
+        "limit": spoken(stop.limit),
+        "required": f"{significant(stop.required)}{unit}",
+        "best": f"{significant(stop.best)}{unit}",
+        "against": spoken(stop.against),
+        "remedy": stop.remedy,
+    }
+
+
+def _tiles(study: PreloadStudy) -> list[dict[str, str]]:
+    solution, problem = study.solution, study.problem
+    slip = [row for row in solution.rows if row.kind == "slip safety"]
+    tiles = []
+    if slip:
+        worst = min(slip, key=lambda row: row.value)
+        tiles.append(
+            {
+                "name": "least slip safety",
+                "value": f"{worst.value:.2f}" if np.isfinite(worst.value) else "no load",
+                "note": f"{spoken(worst.element)}, {worst.case}",
+            }
+        )
+    bolts = [row for row in solution.rows if row.kind == "bolt utilisation"]
+    if bolts:
+        most = max(bolts, key=lambda row: row.value)
+        tiles.append(
+            {
+                "name": "largest bolt utilisation",
+                "value": f"{100 * most.value:.0f} %",
+                "note": f"{spoken(most.element)}; 100 % is 90 % of yield",
+            }
+        )
+    tiles.append(
+        {
+            "name": "total preload",
+            "value": f"{significant(solution.total_preload / 1e3, 3)} kN",
+            "note": f"of {sum(e.count for e in problem.elements)} bolts and pins",
+        }
+    )
+    posed = solution.deflection[np.isfinite(solution.deflection)]
+    if posed.size:
+        tiles.append(
+            {
+                "name": "largest tool deflection",
+                "value": f"{significant(1e3 * float(posed.max()), 3)} mm",
+                "note": "over the load cases with a pose",
+            }
+        )
+    if np.isfinite(solution.kkt_residual):
+        tiles.append(
+            {
+                "name": "proof of the optimum",
+                "value": f"{solution.kkt_residual:.0e}",
+                "note": f"KKT residual, 0 is exact; {solution.iterations} iterations",
+            }
+        )
+    return tiles
+
+
+def _figures(study: PreloadStudy, folder: Path) -> dict[str, PageFigure | None]:
+    problem, solution = study.problem, study.solution
+    units = robot_joint_units(problem.robot)
+    alpha = problem.tightening.alpha
+    chosen = {
+        e.key: Recommended(
+            largest=solution.preloads[e.key],
+            least=max(float(e.least(solution.preloads[e.key], alpha)), 0.0),
+            present=present_preload(e),
+        )
+        for e in problem.elements
+    }
+    front = None
+    if study.front is not None and len(study.front.points) > 1:
+        front = _saved(
+            front_figure(study.front, units, problem.joints),
+            "preload_front",
+            "Total preload against stiffness",
+            f"{study.front.note} {study.front.knee_reason}",
+            folder,
+        )
+    return {
+        "curves_figure": _saved(
+            curves_figure(study.curves, chosen, units),
+            "preload_curves",
+            "Stiffness against preload",
+            "Each panel varies one connection; all others stay as recommended. Red lines bound "
+            "the preload from below, grey ones from above; beyond them is shaded. The line counts "
+            "on the least preload that tightening to this value can leave, the band reaches up "
+            "to what the largest would give. Thin grey: a further load case.",
+            folder,
+        ),
+        "front_figure": front,
+        "shares_figure": _saved(
+            shares_figure(
+                shares_by_joint(study.sensitivity, problem, solution),
+                [e.name for e in problem.elements],
+            ),
+            "preload_shares",
+            "Share of the wind-up",
+            "What yields, each joint under its largest torque; the longest bar is the weakest "
+            "spring. Bold: what this study tightens.",
+            folder,
+        ),
+        "loosening_figure": _saved(
+            loosening_figure(study.loosening.first_slip_fraction, study.loosening.slip_fraction),
+            "preload_loosening",
+            "How far each connection may loosen",
+            "Under the largest torque of the joint, starting from the least preload that "
+            "tightening leaves.",
+            folder,
+        ),
+    }
+
+
+def _saved(figure: Figure, name: str, title: str, caption: str, folder: Path) -> PageFigure:
+    svg = to_svg(figure, name, title)
+    atomic_write(folder / f"{name}.svg", svg)
+    atomic_write(folder / f"{name}.png", to_png(figure))
+    return page_figure(svg, caption, title)

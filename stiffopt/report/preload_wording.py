@@ -1,0 +1,210 @@
+"""Words of a preload report: names, headline, what sets each preload, what stiffness gains."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.connection import BoltedFlange, ClampingPins
+from stiffopt.report.quantities import engineering, significant
+
+if TYPE_CHECKING:
+    from stiffopt.preload.problem import FreeElement, PreloadProblem
+    from stiffopt.preload.rows import UtilisationRow
+    from stiffopt.preload.solution import PreloadSolution
+
+# Marks an estimated number.
+MARK = " *"
+# Below this relative change of stiffness the preload is set by something else.
+_SMALL = 0.02
+_UNCHANGED = 5e-5
+_OBJECTIVES = {
+    "total_preload": "least total preload",
+    "bolt_utilisation": "least utilisation of bolts and pins",
+    "joint_stiffness": "most joint stiffness",
+    "tool_deflection": "least tool deflection",
+}
+_METHODS = {
+    "torque_wrench": "torque wrench",
+    "angle": "angle of rotation",
+    "yield": "yield-controlled",
+}
+
+
+def spoken(key: str) -> str:
+    """Name of an element as people say it.
+
+    >>> spoken("joint_2.flexspline_flange"), spoken("motor_key")
+    ('joint 2 flexspline flange', 'motor key')
+    """
+    return key.replace(".", " ").replace("_", " ")
+
+
+def objective_name(problem: PreloadProblem) -> str:
+    """Objective in words."""
+    return _OBJECTIVES[problem.objective]
+
+
+def method_name(problem: PreloadProblem) -> str:
+    """Tightening method in words."""
+    return _METHODS[problem.tightening.method]
+
+
+def row_name(row: UtilisationRow) -> str:
+    """Kind, owner and load case of a row in words."""
+    return ", ".join(part for part in (row.kind, owner_name(row), row.case) if part)
+
+
+def owner_name(row: UtilisationRow) -> str:
+    """Element, else joint, else the tool."""
+    if row.element:
+        return spoken(row.element)
+    return f"joint {row.joint}" if row.joint else "tool"
+
+
+def listed(names: Iterable[str]) -> str:
+    """Join with commas and an "and".
+
+    >>> listed(["slip", "head pressure", "stiffness"]), listed(["slip"])
+    ('slip, head pressure and stiffness', 'slip')
+    """
+    each = list(names)
+    return each[0] if len(each) == 1 else f"{', '.join(each[:-1])} and {each[-1]}" if each else ""
+
+
+def change(ratio: float) -> str:
+    """Relative change with its sign.
+
+    >>> change(1.0031), change(0.98), change(1.0)
+    ('+0.31 %', '−2 %', '0 %')
+    """
+    size = ratio - 1.0
+    if abs(size) < _UNCHANGED:
+        return "0 %"
+    return f"{'+' if size > 0 else '−'}{significant(100 * abs(size), 2)} %"
+
+
+def sets(solution: PreloadSolution, key: str, joint: int) -> str:
+    """What an element's preload is set by: its own active limits, else its joint's, else a dash."""
+    own = [row.kind for row in solution.rows if row.active and row.element == key]
+    if not own:
+        shared = (None, joint)
+        own = [r.kind for r in solution.rows if r.active and not r.element and r.joint in shared]
+    return listed(dict.fromkeys(own)) or "–"
+
+
+def headline(problem: PreloadProblem, solution: PreloadSolution) -> str:
+    """What to tighten to, in one line."""
+    if not solution.status.usable:
+        if solution.stoppers:
+            return "No preload meets this study"
+        return f"No design to use: {str(solution.status).replace('_', ' ')}"
+    if len(problem.elements) == 1:
+        element = problem.elements[0]
+        torque = solution.tightening[element.key]
+        what = f"the {element.count} {fastener_word(element)}s of the {spoken(element.key)}"
+        force = f"{significant(solution.preloads[element.key] / 1e3, 3)} kN"
+        if torque is None:
+            return f"Press {what} with {force} each at most"
+        return f"Tighten {what} to {significant(torque.nominal, 3)} N m ({force} each at most)"
+    total = significant(solution.total_preload / 1e3, 3)
+    return f"Tighten {len(problem.elements)} connections as listed, {total} kN in all"
+
+
+def fasteners(element: FreeElement) -> str:
+    """Count, size and grade: "9 × M5 12.9"."""
+    connection = element.stage.element
+    if isinstance(connection, BoltedFlange) and connection.bolt is not None:
+        return f"{element.count} × {connection.bolt.size} {connection.bolt.grade}"
+    if isinstance(connection, ClampingPins) and connection.screw is not None:
+        return f"{element.count} × {connection.screw.size} set screw"
+    return f"{element.count} pins"
+
+
+def fastener_word(element: FreeElement) -> str:
+    """Bolt or pin."""
+    return "bolt" if element.stage.element.kind == "bolted_flange" else "pin"
+
+
+def what_binds(problem: PreloadProblem, solution: PreloadSolution) -> str:
+    """Sentence on the limits at which the design lies."""
+    if not solution.status.usable:
+        return ""
+    counts: dict[str, int] = {}
+    for element in problem.elements:
+        why = sets(solution, element.key, element.joint)
+        counts[why] = counts.get(why, 0) + 1
+    free = counts.pop("–", 0)
+    if not counts:
+        return "No limit binds; the objective alone sets the preloads."
+    if len(problem.elements) == 1:
+        return f"It is set by {next(iter(counts))}{_where(problem, solution)}."
+    parts = [f"{why} in {count}" for why, count in sorted(counts.items(), key=lambda e: -e[1])]
+    rest = f"; {free} lie at no limit" if free else ""
+    return f"What sets them: {listed(parts)}{rest}."
+
+
+def _where(problem: PreloadProblem, solution: PreloadSolution) -> str:
+    """Load case of a single active row, where there is a choice of load cases."""
+    cases = {row.case for row in solution.rows if row.active and row.case}
+    return f" at {cases.pop()}" if len(cases) == 1 and len(solution.cases) > 1 else ""
+
+
+def stiffness_gains(problem: PreloadProblem, solution: PreloadSolution) -> dict[int, float]:
+    """Least stiffness over the load cases, recommended over present preload, by joint.
+
+    A joint that slips with the present preload has nan: its stiffness there means nothing.
+    """
+    before, after = solution.stiffness_before.min(axis=1), solution.stiffness.min(axis=1)
+    return {
+        joint: float(new / old) if old > 0.0 else float("nan")
+        for joint, old, new in zip(problem.joints, before, after, strict=True)
+    }
+
+
+def stiffness_sentence(problem: PreloadProblem, solution: PreloadSolution) -> str:
+    """How stiffness changes from the present to the recommended preload; small is said as small."""
+    if not solution.status.usable:
+        return ""
+    gains = stiffness_gains(problem, solution)
+    slipping = [f"joint {joint}" for joint, gain in gains.items() if np.isnan(gain)]
+    known = {joint: gain for joint, gain in gains.items() if not np.isnan(gain)}
+    parts = []
+    if slipping:
+        verb = "slips" if len(slipping) == 1 else "slip"
+        parts.append(f"With the present preload, least tightened, {listed(slipping)} {verb}.")
+    if known:
+        parts.append(_changes(known))
+    if _slip_decides(solution) and all(abs(gain - 1.0) < _SMALL for gain in known.values()):
+        parts.append("Slip, not stiffness, sets the preload.")
+    return " ".join(parts)
+
+
+def _changes(gains: dict[int, float]) -> str:
+    if len(gains) == 1:
+        joint, gain = next(iter(gains.items()))
+        return (
+            "From the present to the recommended preload the stiffness of "
+            f"joint {joint} changes by {change(gain)}."
+        )
+    low, high = min(gains, key=lambda j: gains[j]), max(gains, key=lambda j: gains[j])
+    return (
+        "From the present to the recommended preload the stiffness changes by "
+        f"{change(gains[low])} (joint {low}) to {change(gains[high])} (joint {high})."
+    )
+
+
+def _slip_decides(solution: PreloadSolution) -> bool:
+    active = {row.kind for row in solution.rows if row.active}
+    return "slip safety" in active and not active & {"joint stiffness", "tool deflection"}
+
+
+def quantity(value: float, unit: str, digits: int = 4) -> str:
+    """Value as text; forces in kN, pressures in MPa."""
+    if unit == "N":
+        return f"{significant(value / 1e3, digits)} kN"
+    if unit == "Pa":
+        return f"{significant(value / 1e6, digits)} MPa"
+    return engineering(value, unit, digits)
