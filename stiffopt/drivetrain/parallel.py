@@ -92,19 +92,24 @@ def exact_shares(
     if not loaded.any():
         return shares
     whole = size[loaded]
-    # Two upper bounds of the wind-up: that of the stiffest alone under the whole torque, and that
-    # of the softest under an even share, at which every other carries at least its own.
+    # Two upper bounds of the wind-up: that of the stiffest alone under the whole torque, and the
+    # largest of a split by slip torques (even where some cannot slip). At that wind-up each carries
+    # at least its part, and nothing slips before all would.
+    slip = np.array([s.slip_torque(preloads) for s in stages])
+    can_slip = bool(np.isfinite(slip).all())
+    split = slip / slip.sum() if can_slip else np.full(len(stages), 1.0 / len(stages))
     alone = np.min([s.exact_windup(whole, preloads) for s in stages], axis=0)
-    evenly = np.max([s.exact_windup(whole / len(stages), preloads) for s in stages], axis=0)
-    upper = np.minimum(alone, evenly)
+    together = np.max(
+        [s.exact_windup(f * whole, preloads) for s, f in zip(stages, split, strict=True)], axis=0
+    )
+    upper = np.minimum(alone, together)
     held = np.isfinite(upper)
     if not held.all():
-        slip = np.array([s.slip_torque(preloads) for s in stages])
-        if not np.isfinite(slip).all():
+        if not can_slip:
             raise StiffoptError("elements in parallel need a finite wind-up; give a pre-pressure")
         # The whole group slips: each carries what it can, whatever the wind-up.
-        for share, own in zip(shares, slip, strict=True):
-            share[loaded] = own / slip.sum()
+        for share, own in zip(shares, split, strict=True):
+            share[loaded] = own
         if not held.any():
             return shares
         loaded[loaded] = held
