@@ -43,9 +43,7 @@ def strength(flange: BoltedFlange, tightening: Tightening) -> float:
     )
 
 
-def limits(
-    flange: BoltedFlange, tightening: Tightening, bolt_utilisation: float
-) -> tuple[PreloadLimit, ...]:
+def limits(flange: BoltedFlange, tightening: Tightening) -> tuple[PreloadLimit, ...]:
     """Bounds on the preload of one bolt; the first is its strength."""
     bolt = flange_bolt(flange)
     data = catalogue.bolt(bolt.size)
@@ -53,11 +51,11 @@ def limits(
     return (
         PreloadLimit(
             name="bolt utilisation",
-            capacity=bolt_utilisation * strength(flange, tightening),
+            capacity=strength(flange, tightening),
             provenance=data.provenance,
             source=(
-                f"VDI 2230, {bolt.size} {bolt.grade}: {90 * bolt_utilisation:.3g} % of R_p0.2 in "
-                "tension and torsion while tightening; ISO 898-1"
+                f"VDI 2230, {bolt.size} {bolt.grade}: 90 % of R_p0.2 in tension and torsion while "
+                "tightening; ISO 898-1"
             ),
             remedy="a larger bolt, a higher grade or less thread friction",
         ),
@@ -75,10 +73,7 @@ def limits(
 
 def _engagement_limit(bolt: Bolt, data: catalogue.BoltData) -> PreloadLimit:
     thread = catalogue.clamped_material(bolt.thread_material)
-    catalogue.proof_stress(bolt.grade)
-    needed = thread.engagement[bolt.grade] * data.diameter
-    assumed = thread.engagement_assumed * data.diameter
-    present = assumed if bolt.engagement is None else bolt.engagement
+    needed, present = thread.engagement[bolt.grade], engagement(bolt) / data.diameter
     how = "assumed" if bolt.engagement is None else "given"
     return PreloadLimit(
         name="thread engagement",
@@ -86,23 +81,23 @@ def _engagement_limit(bolt: Bolt, data: catalogue.BoltData) -> PreloadLimit:
         fixed=needed / present,
         provenance=thread.provenance,
         source=(
-            f"{thread.engagement[bolt.grade]:g} d needed in {thread.name} for {bolt.grade}, "
-            f"{thread.source}; {present / data.diameter:.3g} d {how}"
+            f"{needed:g} d needed in {thread.name} for {bolt.grade}, {thread.source}; "
+            f"{present:.3g} d {how}"
         ),
         remedy="a deeper thread, a thread insert, a harder part or a lower grade",
     )
 
 
 def _spacing_limits(flange: BoltedFlange, data: catalogue.BoltData) -> tuple[PreloadLimit, ...]:
-    half = flange.circle_diameter / 2
-    room = 2 * min(half - flange.inner_radius, flange.outer_radius - half)
-    # A circle outside its ring leaves no room at all.
+    circle, edge = flange.circle_diameter / 2, data.hole / 2
+    outwards = (circle + edge) / flange.outer_radius
+    inwards = (flange.inner_radius + edge) / circle
     in_ring = PreloadLimit(
         name="hole in ring",
         capacity=math.inf,
-        fixed=data.hole / room if room > 0.0 else math.inf,
+        fixed=max(outwards, inwards),
         provenance=data.provenance,
-        source="clearance hole by ISO 273 within the pressed ring",
+        source="edge of the clearance hole, ISO 273, against the rim of the pressed ring",
         remedy="a smaller bolt or a wider ring",
     )
     count = flange.bolt_count * flange.sectors
@@ -127,6 +122,21 @@ def clamp_length(bolt: Bolt) -> float:
     if bolt.clamp_length is not None:
         return bolt.clamp_length
     return _CLAMP_LENGTH * catalogue.bolt(bolt.size).diameter
+
+
+def engagement(bolt: Bolt) -> float:
+    """m_eff in use [m]."""
+    if bolt.engagement is not None:
+        return bolt.engagement
+    assumed = catalogue.clamped_material(bolt.thread_material).engagement_assumed
+    return assumed * catalogue.bolt(bolt.size).diameter
+
+
+def assumed_lengths(flange: BoltedFlange) -> dict[str, float]:
+    """Lengths in use that the flange does not give [m]."""
+    bolt = flange_bolt(flange)
+    present = {"clamp_length": clamp_length(bolt), "engagement": engagement(bolt)}
+    return {name: value for name, value in present.items() if getattr(bolt, name) is None}
 
 
 def joint_compliance(flange: BoltedFlange) -> float:

@@ -31,18 +31,13 @@ def fastener_count(element: Connection) -> int:
     return fastened.bolt_count if isinstance(fastened, BoltedFlange) else fastened.pin_count
 
 
-def preload_limits(
-    element: Connection, tightening: Tightening, bolt_utilisation: float = 1.0
-) -> tuple[PreloadLimit, ...]:
+def preload_limits(element: Connection, tightening: Tightening) -> tuple[PreloadLimit, ...]:
     """Bounds on the preload of one bolt or pin.
 
     Parameters
     ----------
     element : BoltedFlange or ClampingPins
     tightening : Tightening
-    bolt_utilisation : float
-        Share of the largest assembly preload of VDI 2230 that may be used; 1 is 90 % of the yield
-        strength. The bound's capacity is that share, so that its utilisation ends at 1.
 
     Returns
     -------
@@ -51,10 +46,17 @@ def preload_limits(
         Pins: screw torque (where the screw is known), tip indentation.
     """
     fastened = _fastened(element)
-    require_positive(element.owner, bolt_utilisation=bolt_utilisation)
     if isinstance(fastened, BoltedFlange):
-        return bolts.limits(fastened, tightening, bolt_utilisation)
+        return bolts.limits(fastened, tightening)
     return set_screws.limits(fastened)
+
+
+def assumed_lengths(element: Connection) -> dict[str, float]:
+    """Lengths that nobody gave and that are estimated here, by their key in the robot file [m]."""
+    fastened = _fastened(element)
+    if isinstance(fastened, BoltedFlange):
+        return bolts.assumed_lengths(fastened)
+    return set_screws.assumed_lengths(fastened)
 
 
 def check_preload(

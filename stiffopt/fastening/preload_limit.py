@@ -42,9 +42,13 @@ class PreloadLimit:
 
     @property
     def largest_preload(self) -> float:
-        """Preload at a utilisation of 1 [N]; infinite where the preload does not matter."""
+        """Preload at a utilisation of 1 [N]; infinite, or 0, where the preload does not matter."""
+        if not self.depends_on_preload:
+            return math.inf if self.fixed <= 1.0 else 0.0
         return (1.0 - self.fixed) * self.capacity
 
     def utilisation(self, preload: Quantity) -> Quantity:
         """Share of the bound in use [-], for scalar or (n,) `preload` [N]."""
+        if not self.depends_on_preload:
+            return self.fixed + 0.0 * preload
         return self.fixed + preload / self.capacity

@@ -53,16 +53,28 @@ def limits(pins: ClampingPins) -> tuple[PreloadLimit, ...]:
     return (torque, indentation)
 
 
+def screw_length(pins: ClampingPins) -> float:
+    """Length in use, from the tip to where the thread holds [m]."""
+    if pins.screw is None:
+        return _LENGTH * _DIAMETER * pins.tip_diameter
+    if pins.screw.length is None:
+        return _LENGTH * catalogue.set_screw(pins.screw.size).diameter
+    return pins.screw.length
+
+
+def assumed_lengths(pins: ClampingPins) -> dict[str, float]:
+    """Lengths in use that the element does not give [m]."""
+    given = pins.screw is not None and pins.screw.length is not None
+    return {} if given else {"length": screw_length(pins)}
+
+
 def pin_compliance(pins: ClampingPins) -> float:
     """Screw over its length and half space under the tip, one after the other [m/N]."""
     if pins.screw is None:
-        diameter = _DIAMETER * pins.tip_diameter
-        length, area = _LENGTH * diameter, math.pi / 4 * diameter**2
+        area = math.pi / 4 * (_DIAMETER * pins.tip_diameter) ** 2
     else:
-        data = catalogue.set_screw(pins.screw.size)
-        area = data.minor_area
-        length = _LENGTH * data.diameter if pins.screw.length is None else pins.screw.length
-    screw = length / (catalogue.bolt_modulus() * area)
+        area = catalogue.set_screw(pins.screw.size).minor_area
+    screw = screw_length(pins) / (catalogue.bolt_modulus() * area)
     return screw + tip_compliance(pins.surface.contact_modulus, pins.tip_diameter)
 
 
