@@ -1,10 +1,11 @@
-"""Reading and writing files: TOML with messages that help, and outputs that appear whole or not."""
+"""Reading and writing files: TOML and CSV with messages that help, outputs whole or not at all."""
 
 from __future__ import annotations
 
 import csv
 import difflib
 import io
+import math
 import os
 import re
 import tempfile
@@ -244,6 +245,55 @@ def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def read_table(
+    path: str | os.PathLike[str], columns: Sequence[str], optional: Sequence[str] = ()
+) -> dict[str, list[float]]:
+    """Numbers of a CSV file with a header, by column.
+
+    Parameters
+    ----------
+    path : path
+    columns : sequence of str
+        That the file must have.
+    optional : sequence of str
+        Read where the file has them.
+
+    Raises
+    ------
+    InputFileError
+        No such file, no CSV text, a column missing, fewer than two rows, or what is not a finite
+        number, with the row (the first below the header is 1) and the column.
+    """
+    path = Path(path)
+    check_file(path)
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            rows = list(csv.DictReader(stream))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputFileError(path, "", "is not a CSV text file. Save it as one.") from error
+    if len(rows) < 2 or any(column not in rows[0] for column in columns):
+        raise InputFileError(
+            path, "", f"needs at least two rows and the columns {', '.join(columns)}."
+        )
+    wanted = [*columns, *(name for name in optional if name in rows[0])]
+    return {
+        name: [_number(path, k, name, row[name]) for k, row in enumerate(rows, start=1)]
+        for name in wanted
+    }
+
+
+def _number(path: Path, row: int, column: str, text: str | None) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputFileError(
+            path, f"row {row}, {column}", f"needs a finite number, got {text or ''!r}."
+        )
+    return value
 
 
 def write_csv(

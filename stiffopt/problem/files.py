@@ -12,7 +12,14 @@ import numpy as np
 from stiffopt.errors import InputFileError
 from stiffopt.files import check_header, load_toml, validate
 from stiffopt.problem.objectives import Objective
-from stiffopt.problem.schema import ExpectedSection, LimitsSection, ProblemFile, TargetSection
+from stiffopt.problem.schema import (
+    ExpectedSection,
+    LimitsSection,
+    PayloadSection,
+    ProblemFile,
+    TargetSection,
+    ToolSection,
+)
 from stiffopt.problem.speed_map import read_speed_map
 from stiffopt.problem.trajectory import (
     Limits,
@@ -67,9 +74,9 @@ def load_problem(path: str | os.PathLike[str]) -> LoadedProblem:
 
 
 def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
-    robot = _robot(document, path)
+    robot = read_robot(document.robot, document.payload, document.tool, path)
     motion = document.motion
-    joints = _JointLists(robot, path)
+    joints = JointLists(robot, path)
     if isinstance(motion.duration, float):
         duration = (motion.duration, motion.duration)
     else:
@@ -127,23 +134,31 @@ def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
     )
 
 
-def _robot(document: ProblemFile, path: Path) -> Robot:
-    name = document.robot
+def read_robot(name: str, payload: PayloadSection | None, tool: ToolSection, path: Path) -> Robot:
+    """Robot that a problem or study file names, with the file's payload and tool.
+
+    Parameters
+    ----------
+    name : str
+        A shipped robot, or the path of a robot file beside `path`.
+    payload, tool : sections of the file
+    path : Path
+        Of the file that names the robot.
+    """
     beside = path.parent / name
     source = name if name in shipped_robots() else beside if beside.exists() else name
     with located(path, "robot"):
         robot = load_robot(source)
-    if document.payload is not None:
-        load = document.payload
+    if payload is not None:
         with located(path, "payload"):
-            robot = robot.with_payload(load.mass, load.com, load.inertia)
-    if document.tool.link is not None or document.tool.offset is not None:
+            robot = robot.with_payload(payload.mass, payload.com, payload.inertia)
+    if tool.link is not None or tool.offset is not None:
         with located(path, "tool"):
-            robot = robot.with_tool(document.tool.link, document.tool.offset)
+            robot = robot.with_tool(tool.link, tool.offset)
     return robot
 
 
-class _JointLists:
+class JointLists:
     """Turns lists of the file into arrays with one entry a joint, or says which list is wrong."""
 
     def __init__(self, robot: Robot, path: Path) -> None:
@@ -152,6 +167,7 @@ class _JointLists:
         self.prismatic = robot.prismatic
 
     def __call__(self, values: Sequence[float], dimension: str, where: str) -> np.ndarray:
+        """Array (n,) of a list whose entries have this dimension; `where` is its key."""
         if len(values) != len(self.names):
             raise InputFileError(
                 self.path,
@@ -173,7 +189,7 @@ class _JointLists:
             )
 
 
-def _target(section: TargetSection, joints: _JointLists, where: str) -> Target:
+def _target(section: TargetSection, joints: JointLists, where: str) -> Target:
     def angles(values: Sequence[float] | None, key: str) -> np.ndarray | None:
         return None if values is None else joints(values, "angle", f"{where}.{key}")
 
@@ -189,7 +205,7 @@ def _target(section: TargetSection, joints: _JointLists, where: str) -> Target:
         )
 
 
-def _limits(section: LimitsSection, robot: Robot, joints: _JointLists, path: Path) -> Limits:
+def _limits(section: LimitsSection, robot: Robot, joints: JointLists, path: Path) -> Limits:
     own = Limits.of(robot)
     values: dict[str, np.ndarray] = {}
     for name, dimension in (

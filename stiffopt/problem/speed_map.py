@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from pathlib import Path
 
 import numpy as np
 
 from stiffopt.errors import InputFileError
-from stiffopt.files import check_file
+from stiffopt.files import read_table
 
 
 def read_speed_map(path: Path, joints: int) -> tuple[np.ndarray, np.ndarray]:
@@ -30,20 +28,9 @@ def read_speed_map(path: Path, joints: int) -> tuple[np.ndarray, np.ndarray]:
     InputFileError
         With the row (the first below the header is 1) and the column.
     """
-    check_file(path)
     columns = [f"{letter}{j + 1}" for letter in "qv" for j in range(joints)]
-    try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            rows = list(csv.DictReader(stream))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputFileError(path, "", "is not a CSV text file. Save it as one.") from error
-    if len(rows) < 2 or any(column not in rows[0] for column in columns):
-        raise InputFileError(
-            path, "", f"needs at least two rows and the columns {', '.join(columns)}."
-        )
-    table = np.array(
-        [[_number(path, k, c, row[c]) for c in columns] for k, row in enumerate(rows, start=1)]
-    )
+    read = read_table(path, columns)
+    table = np.column_stack([read[column] for column in columns])
     positions, speeds = table[:, :joints], table[:, joints:]
     for row, j in np.argwhere(np.diff(positions, axis=0) <= 0):
         raise InputFileError(
@@ -59,15 +46,3 @@ def read_speed_map(path: Path, joints: int) -> tuple[np.ndarray, np.ndarray]:
             f"a speed limit must be greater than zero, got {speeds[row, j]:g}.",
         )
     return positions, speeds
-
-
-def _number(path: Path, row: int, column: str, text: str | None) -> float:
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputFileError(
-            path, f"row {row}, {column}", f"needs a finite number, got {text or ''!r}."
-        )
-    return value

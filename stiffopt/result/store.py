@@ -51,7 +51,7 @@ def result_document(solution: Solution) -> dict[str, Any]:
         "inputs_hash": solution.inputs_hash,
         "versions": solution.versions,
     }
-    return {key: _plain(value) for key, value in document.items()}
+    return {key: plain(value) for key, value in document.items()}
 
 
 def write_result(solution: Solution, directory: str | Path) -> Path:
@@ -160,12 +160,12 @@ def _baseline(baseline: Baseline) -> dict[str, Any]:
     }
 
 
-def _plain(value: Any) -> Any:
-    """Return the value as JSON knows it: plain Python types, null for what is not finite."""
+def plain(value: Any) -> Any:
+    """Value as JSON knows it: plain Python types, null for what is not finite."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(each) for key, each in value.items()}
+        return {str(key): plain(each) for key, each in value.items()}
     if isinstance(value, np.ndarray | list | tuple):
-        return [_plain(each) for each in value]
+        return [plain(each) for each in value]
     if isinstance(value, bool | np.bool_):
         return bool(value)
     if isinstance(value, int | np.integer):

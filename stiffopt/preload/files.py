@@ -1,0 +1,255 @@
+"""Preload study files: from TOML to a `PreloadProblem`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stiffopt.drivetrain import catalogue
+from stiffopt.dynamics.inverse_kinematics import rotation_from_rpy, solve_pose
+from stiffopt.errors import InputFileError, nearest
+from stiffopt.fastening.limits import check_preload
+from stiffopt.fastening.tightening import Tightening
+from stiffopt.files import check_header, load_toml, validate
+from stiffopt.preload.load_case import LoadCase, LoadHistory
+from stiffopt.preload.load_cases import pose_case, trajectory_history
+from stiffopt.preload.problem import Choice, PreloadProblem, Requirements
+from stiffopt.preload.schema import (
+    ChooseSection,
+    ExpectedValueSection,
+    LoadCaseSection,
+    MotionSection,
+    PreloadFile,
+)
+from stiffopt.preload.values import value_units
+from stiffopt.problem.files import JointLists, load_problem, read_robot
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.robot.elements import located
+from stiffopt.robot.robot import Robot
+from stiffopt.units import convert, fit_joint
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadedStudy:
+    """A preload study with what its file says beside the problem.
+
+    Parameters
+    ----------
+    problem : PreloadProblem
+    expected : mapping of name to ExpectedValueSection
+        Results that a verification compares; for the names see `value_units`.
+    path : Path
+    front_points : int
+        Of the Pareto front; 0 leaves it out.
+    motion : TrajectoryProblem or None
+        To be optimised together with the preloads.
+    rounds : int
+        Of that.
+    """
+
+    problem: PreloadProblem
+    expected: Mapping[str, ExpectedValueSection]
+    path: Path
+    front_points: int
+    motion: TrajectoryProblem | None
+    rounds: int
+
+
+def load_study(path: str | os.PathLike[str]) -> LoadedStudy:
+    """Read a preload study file.
+
+    Raises
+    ------
+    InputFileError
+        With the file, the key, what is allowed and what to do next.
+    """
+    path = Path(path)
+    data = load_toml(path)
+    check_header(data, path, "preload")
+    document = validate(PreloadFile, data, path)
+    robot = read_robot(document.robot, document.payload, document.tool, path)
+    with located(path, ""):
+        problem = _build(document, robot, path)
+    _check_present_preloads(problem, path)
+    motion, rounds = None, 1
+    if document.motion is not None:
+        motion, rounds = _motion(document.motion, robot, path), document.motion.rounds
+    _check_expected(document, problem, motion is not None, path)
+    return LoadedStudy(
+        problem=problem,
+        expected=dict(document.expected.values),
+        path=path,
+        front_points=document.pareto.points,
+        motion=motion,
+        rounds=rounds,
+    )
+
+
+def _build(document: PreloadFile, robot: Robot, path: Path) -> PreloadProblem:
+    lists = JointLists(robot, path)
+    joints = document.joints
+    if joints is None:
+        joints = [j for j, chain in enumerate(robot.chains, start=1) if chain is not None]
+    for joint in joints:
+        lists.check_number(joint, "joints")
+    with located(path, "tightening"):
+        tightening = Tightening(**document.tightening.model_dump())
+    objective, needs = document.minimise[0], document.require
+    stiffness = _by_joint(needs.joint_stiffness, lists, "require.joint_stiffness")
+    requirements = Requirements(**(needs.model_dump() | {"joint_stiffness": stiffness}))
+    wanted = objective.objective == "tool_deflection" or needs.tool_deflection is not None
+    builder = _LoadCases(document, lists, wanted)
+    loads = [builder(case, k) for k, case in enumerate(document.load_case, start=1)]
+    if wanted:
+        builder.check_deflection(loads)
+    return PreloadProblem(
+        robot=robot,
+        joints=tuple(joints),
+        load_cases=tuple(load for load in loads if isinstance(load, LoadCase)),
+        histories=tuple(load for load in loads if isinstance(load, LoadHistory)),
+        tightening=tightening,
+        objective=objective.objective,
+        joint_weights=_by_joint(objective.joint_weights, lists, "minimise[1].joint_weights"),
+        requirements=requirements,
+        free=tuple(document.free),
+        individual=document.individual,
+        choose=None if document.choose is None else _choice(document.choose, path),
+        title=document.title or path.stem,
+    )
+
+
+class _LoadCases:
+    """Turns the load case sections of a file into load cases."""
+
+    def __init__(self, document: PreloadFile, lists: JointLists, wanted: bool) -> None:
+        self.lists, self.robot, self.path = lists, lists.robot, lists.path
+        self.deflection, self.wanted = document.deflection, wanted
+        self.force = document.tool.process_force
+
+    def __call__(self, section: LoadCaseSection, number: int) -> LoadCase | LoadHistory:
+        where = f"load_case[{section.name or number}]"
+        if section.torque is not None:
+            return self._torques(section, where)
+        with located(self.path, where):
+            force = np.array(self.force if section.force is None else section.force)
+            if section.trajectory is not None:
+                return trajectory_history(
+                    self.robot,
+                    section.name,
+                    self.path.parent / section.trajectory,
+                    force,
+                    self.deflection if self.wanted else None,
+                )
+            angles = self._pose(section, where)
+            return pose_case(self.robot, section.name, angles, force, self.deflection)
+
+    def check_deflection(self, loads: list[LoadCase | LoadHistory]) -> None:
+        """At rest and without force there is nothing but the sag."""
+        for load in loads:
+            reference, jacobian = load.reference_torque, load.jacobian
+            if jacobian is not None and (
+                reference is None or not np.array_equal(reference, load.torque)
+            ):
+                return
+        allowed = {
+            "total": "a trajectory or a pose",
+            "dynamic": "a trajectory: at rest there is no dynamic deflection",
+            "process": "a trajectory or a pose with a `force`",
+        }
+        raise InputFileError(
+            self.path,
+            "load_case",
+            f"no load case gives the tool a {self.deflection} deflection. Give "
+            f"{allowed[self.deflection]}; joint torques alone say nothing of the tool.",
+        )
+
+    def _torques(self, section: LoadCaseSection, where: str) -> LoadCase:
+        assert section.torque is not None
+        torque = self.lists(section.torque, "torque", f"{where}.torque")
+        for j in np.flatnonzero(torque < 0):
+            raise InputFileError(
+                self.path,
+                f"{where}.torque[{j + 1}]",
+                f"got {torque[j]:g}, allowed is 0 or above. Slip and stiffness do not depend on "
+                "the direction: give the magnitude.",
+            )
+        return LoadCase(name=section.name, torque=torque)
+
+    def _pose(self, section: LoadCaseSection, where: str) -> np.ndarray:
+        if section.joints is not None:
+            angles = self.lists(section.joints, "angle", f"{where}.joints")
+        else:
+            near = section.near and self.lists(section.near, "angle", f"{where}.near")
+            turn = None if section.rpy is None else rotation_from_rpy(section.rpy)
+            angles = solve_pose(self.robot, section.position, turn, near)
+        low, high = self.robot.position_lower, self.robot.position_upper
+        for j in np.flatnonzero((angles < low - 1e-9) | (angles > high + 1e-9)):
+            raise InputFileError(
+                self.path,
+                f"{where}.joints[{j + 1}]",
+                f"{angles[j]:.4g} is outside the range of joint {j + 1}, {low[j]:.4g} to "
+                f"{high[j]:.4g}. Choose a pose within the range.",
+            )
+        return angles
+
+
+def _by_joint(values: Mapping[int, float], lists: JointLists, where: str) -> dict[int, float]:
+    found = {}
+    for joint, value in values.items():
+        lists.check_number(joint, where)
+        with located(lists.path, where):
+            name = lists.names[joint - 1]
+            found[joint] = fit_joint(value, bool(lists.prismatic[joint - 1]), "stiffness", name)
+    return found
+
+
+def _choice(section: ChooseSection, path: Path) -> Choice:
+    for key, look_up in (("sizes", catalogue.bolt), ("grades", catalogue.proof_stress)):
+        with located(path, f"choose.{key}"):
+            for name in getattr(section, key):
+                look_up(name)
+    with located(path, "choose"):
+        return Choice(
+            sizes=tuple(section.sizes),
+            grades=tuple(section.grades),
+            counts=tuple(section.counts),
+            torques=tuple(section.torques),
+        )
+
+
+def _check_present_preloads(problem: PreloadProblem, path: Path) -> None:
+    """What the robot has now must be possible, or the comparison with it means nothing."""
+    for element in problem.elements:
+        with located(path, f"robot, joint {element.joint}"):
+            check_preload(element.stage.element, problem.tightening)
+
+
+def _motion(section: MotionSection, robot: Robot, path: Path) -> TrajectoryProblem:
+    with located(path, "motion.problem"):
+        motion = load_problem(path.parent / section.problem).problem
+    if motion.robot.name != robot.name:
+        raise InputFileError(
+            path,
+            "motion.problem",
+            f"is about {motion.robot.name}, the study about {robot.name}. Give a trajectory "
+            "problem of the same robot.",
+        )
+    return motion
+
+
+def _check_expected(
+    document: PreloadFile, problem: PreloadProblem, motion: bool, path: Path
+) -> None:
+    units = value_units(problem, front=document.pareto.points > 0, motion=motion)
+    for name, expected in document.expected.values.items():
+        where = f"expected.values.{name}"
+        if name not in units:
+            raise InputFileError(
+                path, where, f"the study has no value {name!r}. {nearest(name, units)}"
+            )
+        with located(path, f"{where}.unit"):
+            convert(1.0, units[name], expected.unit)

@@ -1,0 +1,218 @@
+"""Load cases from what is known: a pose at rest with a force on the tool, or a solved trajectory.
+
+Which wind-up counts as deflection of the tool is the caller's choice: "total", "dynamic" (what a
+motion adds to the sag at rest) or "process" (what the force adds).
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.certificate.rigid_body import RigidBodyHistory, rigid_body_history
+from stiffopt.errors import InputFileError, ProblemError
+from stiffopt.files import read_table
+from stiffopt.preload.load_case import LoadCase, LoadHistory
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+DEFLECTIONS = ("total", "dynamic", "process")
+
+# Written positions of a tool agree better than this where the tool is the same [m].
+_SAME_TOOL = 1e-6
+# Written torques agree better than this share of the largest where arm and load are the same.
+_SAME_TORQUE = 1e-3
+
+
+def pose_case(
+    robot: Robot, name: str, angles: np.ndarray, force: np.ndarray, deflection: str = "total"
+) -> LoadCase:
+    """Torques of an arm at rest: gravity minus J^T F.
+
+    Parameters
+    ----------
+    robot : Robot
+        Payload and tool attached.
+    name : str
+    angles : array (n,) [rad]
+    force : array (3,)
+        Acts ON the tool, base axes [N].
+    deflection : {"total", "dynamic", "process"}
+        "dynamic" leaves the case without deflection: at rest there is none.
+
+    Returns
+    -------
+    LoadCase
+    """
+    rest = np.zeros_like(angles)[None]
+    body = rigid_body_history(robot, np.asarray(angles, dtype=float)[None], rest, rest)
+    gravity, jacobian = body.gravity_torque[0], body.jacobian[0]
+    return LoadCase(
+        name=name,
+        torque=gravity - jacobian.T @ force,
+        reference_torque=gravity if deflection == "process" else None,
+        jacobian=None if deflection == "dynamic" else jacobian,
+        source="pose",
+    )
+
+
+def trajectory_history(
+    robot: Robot,
+    name: str,
+    path: str | os.PathLike[str],
+    force: np.ndarray,
+    deflection: str | None = None,
+) -> LoadHistory:
+    """Spring torques along a solved trajectory.
+
+    Parameters
+    ----------
+    robot : Robot
+    name : str
+    path : path
+        CSV with the columns t, q1.., tau_spring1.. in SI, as a solve writes it.
+    force : array (3,)
+        Process force of that motion [N].
+    deflection : {"total", "dynamic", "process"} or None
+        None: the motion gives torques only. Otherwise tool, payload and force must be those of
+        the motion, which is checked where the file has tool_x.., qd1.. and qdd1...
+
+    Returns
+    -------
+    LoadHistory
+
+    Raises
+    ------
+    InputFileError
+        The file does not belong to this robot, or is no such file.
+    """
+    path = Path(path)
+    table = _Table(path, robot.n)
+    source = f"trajectory {path.name}"
+    if deflection is None:
+        return LoadHistory(name=name, time=table.time, torque=table.spring, source=source)
+    velocity, acceleration = table.get("qd"), table.get("qdd")
+    rest = np.zeros_like(table.position)
+    known = velocity is not None and acceleration is not None
+    body = rigid_body_history(
+        robot,
+        table.position,
+        rest if velocity is None else velocity,
+        rest if acceleration is None else acceleration,
+    )
+    tool = table.get("tool")
+    if tool is not None:
+        _check_tool(path, robot, body.tool, tool)
+    pushed = np.einsum("kin,i->kn", body.jacobian, force)
+    reference = _reference(deflection, table.spring, pushed, body)
+    if reference is not None and known:
+        _check_torque(path, robot, table.spring, body.link_torque - pushed)
+    return LoadHistory(
+        name=name,
+        time=table.time,
+        torque=table.spring,
+        reference_torque=reference,
+        jacobian=body.jacobian,
+        source=source,
+    )
+
+
+def _reference(
+    deflection: str, spring: np.ndarray, pushed: np.ndarray, body: RigidBodyHistory
+) -> np.ndarray | None:
+    """Torques whose wind-up does not count (K, n) [N m]."""
+    if deflection == "total":
+        return None
+    if deflection == "process":
+        if not np.any(pushed):
+            raise ProblemError(
+                "the process deflection of a trajectory needs the force that acted in it. Give "
+                "tool.process_force, or `force` in the load case."
+            )
+        return np.asarray(spring + pushed)
+    if np.any(pushed):
+        raise ProblemError(
+            "the dynamic deflection leaves out what a force on the tool does, which this load case "
+            "has. Set deflection to 'total' or 'process', or drop the force."
+        )
+    return body.gravity_torque
+
+
+class _Table:
+    """Columns of a trajectory file as arrays."""
+
+    def __init__(self, path: Path, joints: int) -> None:
+        names = {
+            quantity: [f"{quantity}{j}" for j in range(1, joints + 1)]
+            for quantity in ("q", "qd", "qdd", "tau_spring")
+        }
+        names["tool"] = [f"tool_{axis}" for axis in "xyz"]
+        beyond = f"tau_spring{joints + 1}"
+        columns = read_table(
+            path,
+            ["t", *names["q"], *names["tau_spring"]],
+            [*names["qd"], *names["qdd"], *names["tool"], beyond],
+        )
+        if beyond in columns:
+            raise InputFileError(
+                path,
+                beyond,
+                f"the trajectory has more joints than the robot, {joints}. Give the trajectory of "
+                "this robot.",
+            )
+        self.time = np.array(columns["t"])
+        for row in np.flatnonzero(np.diff(self.time) <= 0):
+            raise InputFileError(
+                path,
+                f"row {row + 2}, t",
+                f"{self.time[row + 1]:g} follows {self.time[row]:g}; the time must increase from "
+                "row to row.",
+            )
+        self._quantities = {
+            quantity: np.column_stack([columns[name] for name in own])
+            for quantity, own in names.items()
+            if all(name in columns for name in own)
+        }
+
+    @property
+    def position(self) -> np.ndarray:
+        """Joint positions (K, n) [rad] or [m]."""
+        return self._quantities["q"]
+
+    @property
+    def spring(self) -> np.ndarray:
+        """Spring torques (K, n) [N m] or [N]."""
+        return self._quantities["tau_spring"]
+
+    def get(self, quantity: str) -> np.ndarray | None:
+        """A quantity (K, n or 3), None where the file lacks one of its columns."""
+        return self._quantities.get(quantity)
+
+
+def _check_tool(path: Path, robot: Robot, own: np.ndarray, written: np.ndarray) -> None:
+    miss = float(np.linalg.norm(own - written, axis=1).max())
+    if miss > _SAME_TOOL:
+        raise InputFileError(
+            path,
+            "tool_x, tool_y, tool_z",
+            f"the tool of the trajectory is up to {1e3 * miss:.4g} mm away from that of "
+            f"{robot.name} in the study. Give the study the [tool] of the trajectory problem.",
+        )
+
+
+def _check_torque(path: Path, robot: Robot, written: np.ndarray, own: np.ndarray) -> None:
+    miss = np.abs(own - written)
+    joint = int(np.argmax(miss.max(axis=0)))
+    worst, largest = float(miss[:, joint].max()), float(np.abs(written[:, joint]).max())
+    if worst > _SAME_TORQUE * max(largest, float(np.abs(written).max()) * _SAME_TORQUE):
+        raise InputFileError(
+            path,
+            f"tau_spring{joint + 1}",
+            f"differs by up to {worst:.3g} N m from what {robot.name} of the study carries in this "
+            "motion. Give the study the [payload] and the tool.process_force of the trajectory "
+            "problem.",
+        )
