@@ -99,7 +99,7 @@ class PreloadNlp:
             x=ca.vertcat(self._x, self._z),
             p=ca.vertcat(ca.vec(self._rest_compliance), ca.vec(self._rest_windup)),
             f=self._objective(),
-            g=ca.vertcat(*values) if values else ca.SX(0, 1),
+            g=ca.SX(ca.vertcat(*values)) if values else ca.SX.zeros(0, 1),
             variables=variables,
             rows=rows,
             lower_x=lower_x,
@@ -123,15 +123,7 @@ class PreloadNlp:
             carried = element.largest(torque / unit, alpha)
             tightened = needs.least_preload * element.capacity
             lower.append(max(tightened, carried if not problem.individual else 0.0))
-            ends = [
-                (
-                    (needs.bolt_utilisation if limit.name == "bolt utilisation" else 1.0)
-                    - limit.fixed
-                )
-                * limit.capacity
-                for limit in element.limits
-            ]
-            upper.append(min(ends))
+            upper.append(min(element.ends(needs.bolt_utilisation).values()))
         return self.model.spread(lower), self.model.spread(upper)
 
     def _at_least(self, index: int, least: float) -> np.ndarray:

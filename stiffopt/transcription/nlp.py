@@ -11,6 +11,10 @@ import numpy as np
 from stiffopt.transcription.ocp import Rows
 
 
+# SX or MX, as CasADi takes them.
+Symbols = Any
+
+
 @dataclass(frozen=True)
 class Places:
     """Points in time: phase index and fraction of that phase, one entry a point."""
@@ -189,10 +193,10 @@ class Nlp:
     All vectors are scaled: value = scale * entry. `objective_scale` times f is the objective.
     """
 
-    x: ca.MX
-    p: ca.MX
-    f: ca.MX
-    g: ca.MX
+    x: Symbols
+    p: Symbols
+    f: Symbols
+    g: Symbols
     variables: Blocks
     rows: Blocks
     lower_x: np.ndarray
@@ -202,7 +206,7 @@ class Nlp:
     objective_scale: float = 1.0
 
     @property
-    def casadi(self) -> dict[str, ca.MX]:
+    def casadi(self) -> dict[str, Symbols]:
         """What `casadi.nlpsol` takes."""
         return {"x": self.x, "p": self.p, "f": self.f, "g": self.g}
 
