@@ -153,16 +153,12 @@ def binding_preloads(model: PreloadModel, index: int, torque: float) -> dict[str
     # The slip torque is proportional to the least preload.
     at_one = _with(model, model.design, index, float(element.largest(1.0, alpha)))
     unit = float(model.slip_torque(at_one, index))
-    found = {
+    return {
         "slip": float(element.largest(torque / unit, alpha)),
         "slip safety": float(element.largest(needs.slip_safety * torque / unit, alpha)),
         "least preload": needs.least_preload * element.capacity,
+        **element.ends(needs.bolt_utilisation),
     }
-    for limit in element.limits:
-        if limit.depends_on_preload:
-            allowed = needs.bolt_utilisation if limit.name == "bolt utilisation" else 1.0
-            found[limit.name] = (allowed - limit.fixed) * limit.capacity
-    return found
 
 
 def _with(model: PreloadModel, preloads: np.ndarray, index: int, force: float) -> np.ndarray:

@@ -140,7 +140,19 @@ class FreeElement:
     @property
     def capacity(self) -> float:
         """Largest preload that every limit allows [N]."""
-        return min((1.0 - limit.fixed) * limit.capacity for limit in self.limits)
+        return min(self.ends(1.0).values())
+
+    def ends(self, bolt_utilisation: float) -> dict[str, float]:
+        """Preload at which each limit ends it, where it depends on it at all [N].
+
+        `bolt_utilisation` is the share of the permissible tightening stress that may be used.
+        """
+        allowed = {"bolt utilisation": bolt_utilisation}
+        return {
+            limit.name: (allowed.get(limit.name, 1.0) - limit.fixed) * limit.capacity
+            for limit in self.limits
+            if np.isfinite(limit.capacity)
+        }
 
     def least(self, preload: Quantity, scatter: float) -> Quantity:
         """Preload after unlucky tightening and embedding [N]; `preload` is the largest."""

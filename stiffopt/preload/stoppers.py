@@ -10,8 +10,6 @@ from stiffopt.preload.problem import FreeElement
 from stiffopt.preload.rows import UtilisationRow, utilisation_rows
 from stiffopt.preload.solution import Stopper
 
-_FIXED = ("key pressure", "thread engagement", "bolt spacing")
-
 
 def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
     """Requirements that no preload within the limits can meet.
@@ -28,7 +26,10 @@ def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
     """
     model = nlp.model
     _, upper = nlp.bounds()
-    found = [_fixed(row) for row in _worst_by_owner(model, upper, _FIXED)]
+    fixed = {
+        limit.name for e in model.elements for limit in e.limits if not limit.depends_on_preload
+    }
+    found = [_fixed(row) for row in _worst_by_owner(model, upper, ("key pressure", *fixed))]
     for index, element in enumerate(model.elements):
         stop = _slip(model, upper, index, element)
         if stop is not None:
@@ -67,11 +68,7 @@ def _fixed(row: UtilisationRow) -> Stopper:
 
 def limiting(element: FreeElement, bolt_utilisation: float) -> str:
     """Name of the limit that ends an element's preload, with that preload."""
-    ends = {
-        limit.name: ((bolt_utilisation if limit.name == "bolt utilisation" else 1.0) - limit.fixed)
-        * limit.capacity
-        for limit in element.limits
-    }
+    ends = element.ends(bolt_utilisation)
     name = min(ends, key=lambda each: ends[each])
     return f"{name[0].upper()}{name[1:]} of {element.key} (at most {ends[name]:.0f} N)"
 
