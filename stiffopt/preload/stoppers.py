@@ -34,6 +34,7 @@ def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
         stop = _slip(model, upper, index, element)
         if stop is not None:
             found.append(stop)
+    found += [_floor(model, row) for row in _worst_by_owner(model, upper, ("least preload",))]
     if not found:
         found = [
             _reach(model, row, upper) for row in _worst_by_owner(model, upper, ("joint stiffness",))
@@ -61,8 +62,21 @@ def _fixed(row: UtilisationRow) -> Stopper:
         best=row.value,
         required=row.limit,
         unit=row.unit,
-        against="No preload changes this, so it",
-        remedy=row.remedy,
+        against="",
+        remedy=f"{row.remedy}; no preload changes this",
+    )
+
+
+def _floor(model: PreloadModel, row: UtilisationRow) -> Stopper:
+    """A preload that may not reach what has to be tightened at least."""
+    element = next(e for e in model.elements if e.key == row.element)
+    return Stopper(
+        limit=row.name,
+        best=row.value,
+        required=row.limit,
+        unit=row.unit,
+        against=limiting(element, model.problem.requirements.bolt_utilisation),
+        remedy="a smaller require.least_preload or a larger require.bolt_utilisation",
     )
 
 
