@@ -70,8 +70,8 @@ def test_left_out(load):
 
 def test_given(load):
     more = (
-        ', grade = "10.9", clamp_length = "8 mm", engagement = "10 mm", head_material = "aluminium",'
-        ' thread_material = "iron"'
+        ', grade = "10.9", clamp_length = "8 mm", engagement = "10 mm",'
+        ' head_material = "aluminium", thread_material = "iron"'
     )
     elements = load(
         screw='screw = { size = "M5", length = "8 mm", shaft_material = "steel_45" }',
