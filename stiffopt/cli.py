@@ -1,6 +1,6 @@
-"""The command line: `stiffopt stiffness`, `solve`, `verify`, `schema`.
+"""The command line: `stiffopt stiffness`, `solve`, `preload`, `verify`, `schema`.
 
-Exit codes: 0 done, 1 a verified value is off, 2 wrong input or command line, 3 no usable motion,
+Exit codes: 0 done, 1 a verified value is off, 2 wrong input or command line, 3 no usable result,
 130 interrupted. Commands import what they need, so that help and errors come at once.
 """
 
@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
-from stiffopt.errors import InputError, InputFileError
+from stiffopt.errors import InputError, InputFileError, NoSolutionFound
 
 app = App(
     name="stiffopt",
@@ -64,28 +64,65 @@ def solve(problem: Path, *, out: Out | None = None, quiet: bool = False) -> int:
 
 
 @app.command
+def preload(study: Path, *, out: Out | None = None, quiet: bool = False) -> int:
+    """Find how tight bolts and pins must be: preloads, tightening torques, what binds.
+
+    Writes study.json, study.csv and report.html with its figures.
+
+    Parameters
+    ----------
+    study
+        A preload study file (TOML).
+    out
+        Default: out/NAME of the study file.
+    quiet
+        No progress display.
+    """
+    from stiffopt.preload.files import load_study
+    from stiffopt.preload.store import write_curves, write_study
+    from stiffopt.preload.study import preload_study
+    from stiffopt.report.preload_page import write_preload_report
+    from stiffopt.report.terminal import print_study
+
+    loaded = load_study(study)
+    with _folder(out or Path("out") / study.stem) as folder:
+        with _named_progress(loaded.problem.title, quiet) as display, _about(study):
+            result = preload_study(
+                loaded.problem,
+                motion=loaded.motion,
+                rounds=loaded.rounds,
+                front_points=loaded.front_points,
+                progress=_study_progress(display),
+            )
+        write_preload_report(result, folder)
+        write_curves(result, folder)
+        write_study(result, folder)
+    print_study(result, folder)
+    return result.solution.status.exit_code
+
+
+@app.command
 def verify(problems: Path, *, quiet: bool = False) -> int:
-    """Solve problem files anew and compare with the objective values they expect.
+    """Solve problem and study files anew and compare with the values they expect.
 
     Parameters
     ----------
     problems
-        A problem file, or a folder of them.
+        A trajectory problem or preload study file, or a folder of them.
     quiet
         No progress display.
     """
-    from stiffopt.problem.files import load_problem
+    from stiffopt import verify as verification
     from stiffopt.report.terminal import print_checks
-    from stiffopt.verify import problem_files, verify_file
 
-    checks = []
-    paths = problem_files(problems)
+    checks: list[verification.Check] = []
+    paths = verification.problem_files(problems)
     # A fault in the last file must not cost the time of the others.
     for path in paths:
-        load_problem(path)
+        verification.check_problem(path)
     for path in paths:
-        with _named_progress(path.stem, quiet) as progress, _about(path):
-            checks.append(verify_file(path, progress))
+        with _named_progress(path.stem, quiet) as display, _about(path):
+            checks += verification.verify(path, _study_progress(display))
         if checks[-1].interrupted:
             break
     print_checks(checks)
@@ -121,7 +158,7 @@ def stiffness(robot: str, *, out: Out | None = None, drivetrain: Path | None = N
 
 
 @app.command
-def schema(kind: Literal["trajectory", "robot"] = "trajectory") -> int:
+def schema(kind: Literal["trajectory", "robot", "preload"] = "trajectory") -> int:
     """Print the JSON Schema of a file kind, for editors.
 
     Parameters
@@ -132,10 +169,15 @@ def schema(kind: Literal["trajectory", "robot"] = "trajectory") -> int:
     import json
 
     from stiffopt.files import Section
+    from stiffopt.preload.schema import PreloadFile
     from stiffopt.problem.schema import ProblemFile
     from stiffopt.robot.schema import RobotFile
 
-    models: dict[str, type[Section]] = {"trajectory": ProblemFile, "robot": RobotFile}
+    models: dict[str, type[Section]] = {
+        "trajectory": ProblemFile,
+        "robot": RobotFile,
+        "preload": PreloadFile,
+    }
     print(json.dumps(models[kind].model_json_schema(by_alias=True), indent=2))
     return 0
 
@@ -177,6 +219,13 @@ def _progress(problem: Any, quiet: bool) -> Any:
     return _named_progress(problem.title, quiet, first.unit if len(problem.objectives) == 1 else "")
 
 
+def _study_progress(display: Any) -> Any:
+    """Callback of a preload study; `display` is None where nothing is to be shown."""
+    from stiffopt.report.progress import StudyProgress
+
+    return None if display is None else StudyProgress(display)
+
+
 def _named_progress(title: str, quiet: bool, unit: str = "") -> Any:
     from stiffopt.report.progress import ProgressDisplay
 
@@ -191,6 +240,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except (InputError, CycloptsError) as error:
         print(f"stiffopt: {error}", file=sys.stderr)
         return 2
+    except NoSolutionFound as error:
+        print(f"stiffopt: {error}", file=sys.stderr)
+        return 3
     except KeyboardInterrupt:
         print("stiffopt: interrupted; nothing was written.", file=sys.stderr)
         return 130

@@ -1,30 +1,41 @@
-"""Re-solve problem files and compare with the objective values they expect."""
+"""Re-solve problem and study files and compare with the values they expect."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import check_file, load_toml
+from stiffopt.preload.files import load_study
+from stiffopt.preload.study import preload_study
+from stiffopt.preload.values import named_values
 from stiffopt.problem.files import load_problem
 from stiffopt.result.status import SolveStatus
 from stiffopt.study.optimise import solve
 from stiffopt.study.staging import ProgressCallback
 from stiffopt.units import convert
 
+KINDS = ("trajectory", "preload")
+
 
 @dataclass(frozen=True)
 class Check:
-    """One problem file, solved anew.
+    """One value of a problem or study file, solved anew.
 
     Parameters
     ----------
     path : Path
+    name : str
+        Of the value of a study; "" is the objective of a trajectory problem.
     status : SolveStatus
     value, expected : float or None
-        Of the objective, in `unit`.
+        In `unit`.
     unit : str
     rtol : float
     source : str
@@ -34,6 +45,7 @@ class Check:
     """
 
     path: Path
+    name: str
     status: SolveStatus
     value: float | None
     expected: float | None
@@ -52,7 +64,7 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """Whether the motion is usable and its objective as expected."""
+        """Whether the result is usable and its value as expected."""
         deviation = self.deviation
         return self.status.usable and deviation is not None and deviation <= self.rtol
 
@@ -63,7 +75,7 @@ class Check:
 
 
 def problem_files(path: Path) -> list[Path]:
-    """The trajectory problem files at a path, in order of name.
+    """The trajectory problem and preload study files at a path, in order of name.
 
     Raises
     ------
@@ -73,16 +85,86 @@ def problem_files(path: Path) -> list[Path]:
     if not path.is_dir():
         check_file(path)
         return [path]
-    found = [p for p in sorted(path.glob("*.toml")) if load_toml(p).get("kind") == "trajectory"]
+    found = [p for p in sorted(path.glob("*.toml")) if load_toml(p).get("kind") in KINDS]
     if not found:
         raise InputFileError(
-            path, "", "the folder holds no trajectory problem (*.toml with kind = 'trajectory')."
+            path,
+            "",
+            "the folder holds no trajectory problem and no preload study (*.toml with kind = "
+            "'trajectory' or 'preload').",
         )
     return found
 
 
+def check_problem(path: Path) -> None:
+    """Read a problem or study file; raise `InputFileError` where it cannot be used."""
+    if _is_study(path):
+        load_study(path)
+    else:
+        load_problem(path)
+
+
+def verify(path: Path, progress: Callable[[Any], object] | None = None) -> tuple[Check, ...]:
+    """Solve one problem or study file; a check for each value that it expects."""
+    return verify_study(path, progress) if _is_study(path) else (verify_file(path, progress),)
+
+
+def _is_study(path: Path) -> bool:
+    return load_toml(path).get("kind") == "preload"
+
+
+def verify_study(path: Path, progress: Callable[[Any], object] | None = None) -> tuple[Check, ...]:
+    """Run one preload study and compare; a file without expected values never passes."""
+    begin = time.perf_counter()
+    loaded = load_study(path)
+    study = preload_study(
+        loaded.problem,
+        motion=loaded.motion,
+        rounds=loaded.rounds,
+        front_points=loaded.front_points,
+        progress=progress,
+    )
+    values, solution = named_values(study), study.solution
+    seconds = time.perf_counter() - begin
+    if not loaded.expected:
+        value, unit = values["objective"]
+        return (
+            Check(
+                path=path,
+                name="objective",
+                status=solution.status,
+                value=value,
+                expected=None,
+                unit=unit,
+                rtol=0.0,
+                source="",
+                seconds=seconds,
+                message="the file has no [expected.values]; add NAME with value, unit, rtol and "
+                "source.",
+            ),
+        )
+    checks = []
+    for name, expected in loaded.expected.items():
+        value, unit = values[name]
+        checks.append(
+            Check(
+                path=path,
+                name=name,
+                status=solution.status,
+                value=convert(value, unit, expected.unit) if np.isfinite(value) else None,
+                expected=expected.value,
+                unit=expected.unit,
+                rtol=expected.rtol,
+                source=expected.source,
+                seconds=seconds,
+                message=solution.message,
+            )
+        )
+    return tuple(checks)
+
+
 def verify_file(path: Path, progress: ProgressCallback | None = None) -> Check:
-    """Solve one problem file and compare; a file without [expected] never passes."""
+    """Solve one trajectory problem file and compare; a file without [expected] never passes."""
     begin = time.perf_counter()
     loaded = load_problem(path)
     solution = solve(loaded.problem, progress=progress, throw=False)
@@ -90,6 +172,7 @@ def verify_file(path: Path, progress: ProgressCallback | None = None) -> Check:
     if expected is None:
         return Check(
             path=path,
+            name="",
             status=solution.status,
             value=None if value is None else value.value,
             expected=None,
@@ -102,6 +185,7 @@ def verify_file(path: Path, progress: ProgressCallback | None = None) -> Check:
     got = None if value is None else convert(value.value, value.unit, expected.unit)
     return Check(
         path=path,
+        name="",
         status=solution.status,
         value=got,
         expected=expected.objective,

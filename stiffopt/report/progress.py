@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from types import TracebackType
-from typing import Protocol
+from types import SimpleNamespace, TracebackType
+from typing import Any, Protocol
 
 from rich.console import Console
 from rich.live import Live
@@ -135,6 +135,45 @@ class ProgressDisplay:
                 grid.add_row(Text(label or "", style="dim"), Text(value))
             table.add_row(grid)
         return table
+
+
+class StudyProgress:
+    """Events of a preload study for a display: quiet while it is quick, with the time of it all.
+
+    Events of the many short solves have no stage and begin at zero seconds each; those of motions
+    have both and go through as they are.
+
+    Parameters
+    ----------
+    display : callable
+        Called with events that have a stage.
+    stage : str
+        Of events that have none.
+    after : float
+        Nothing is shown before [s].
+    clock : callable
+        Seconds; replaced in tests.
+    """
+
+    def __init__(
+        self,
+        display: Callable[[ProgressEvent], object],
+        stage: str = "preloads",
+        after: float = 2.0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._display, self._stage, self._after, self._clock = display, stage, after, clock
+        self._begin = clock()
+
+    def __call__(self, event: Any) -> None:
+        """Pass an event on."""
+        if hasattr(event, "stage"):
+            self._display(event)
+            return
+        elapsed = self._clock() - self._begin
+        if elapsed >= self._after:
+            fields = {**vars(event), "stage": self._stage, "elapsed": elapsed}
+            self._display(SimpleNamespace(**fields))
 
 
 def _fields(event: ProgressEvent, unit: str) -> list[tuple[str, str]]:

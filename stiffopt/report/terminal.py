@@ -9,17 +9,27 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
-from stiffopt.report.quantities import engineering
+from stiffopt.report.preload_wording import (
+    fasteners,
+    headline,
+    quantity,
+    sets,
+    spoken,
+    stiffness_sentence,
+    what_binds,
+)
+from stiffopt.report.quantities import engineering, significant
 from stiffopt.report.wording import comparison, objective_text
 from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
+    from stiffopt.preload.study import PreloadStudy
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.solution import Solution
     from stiffopt.verify import Check
 
 # Of a table in a file or a log, where names must not be cut.
-_LOG_WIDTH = 140
+_LOG_WIDTH = 160
 
 
 def print_solution(problem: TrajectoryProblem, solution: Solution, folder: Path) -> None:
@@ -34,15 +44,75 @@ def print_solution(problem: TrajectoryProblem, solution: Solution, folder: Path)
     console.print(f"Report: {folder / 'report.html'}", markup=False)
 
 
+def print_study(study: PreloadStudy, folder: Path) -> None:
+    """What to tighten to, what binds, how much of each limit is used, and where the files are."""
+    console = Console(highlight=False, soft_wrap=True)
+    problem, solution = study.problem, study.solution
+    console.print(f"{solution.status}: {headline(problem, solution)}.", markup=False)
+    console.print(solution.message, markup=False)
+    if solution.status.usable:
+        for text in (what_binds(problem, solution), stiffness_sentence(problem, solution)):
+            if text:
+                console.print(text, markup=False)
+        _wide(Console(highlight=False)).print(_study_table(study))
+    if study.choice is not None:
+        console.print(f"Catalogue: {study.choice.message}", markup=False)
+    if study.motion is not None:
+        console.print(study.motion.note, markup=False)
+    for note in solution.notes:
+        console.print(f"Note: {note}", markup=False)
+    console.print(f"Report: {folder / 'report.html'}", markup=False)
+
+
+def _study_table(study: PreloadStudy) -> Table:
+    """One line a connection."""
+    problem, solution = study.problem, study.solution
+    table = Table()
+    for column in ("connection", "fasteners", "preload", "at least", "tightening torque", "used"):
+        table.add_column(column)
+    table.add_column("set by")
+    for element in problem.elements:
+        key, preload = element.key, solution.preloads[element.key]
+        torque = solution.tightening[key]
+        used = max((r for r in solution.rows if r.element == key), key=lambda r: r.utilisation)
+        table.add_row(
+            spoken(key),
+            fasteners(element),
+            quantity(preload, "N"),
+            quantity(float(element.least(preload, problem.tightening.alpha)), "N"),
+            "–"
+            if torque is None
+            else f"{significant(torque.nominal, 3)} N m ({significant(torque.lower, 3)} at least)",
+            f"{100 * used.utilisation:.0f} % of {used.kind}",
+            sets(solution, key, element.joint),
+        )
+    return table
+
+
+def _wide(console: Console) -> Console:
+    """Console for a table: wide enough in a file or a log."""
+    return console if console.is_terminal else Console(highlight=False, width=_LOG_WIDTH)
+
+
 def print_checks(checks: Sequence[Check]) -> None:
-    """A table of expected and found objective values."""
+    """A table of expected and found values."""
     table = Table(title="stiffopt verify")
-    for column in ("problem", "expected", "found", "deviation", "allowed", "time", "verdict"):
+    for column in (
+        "problem",
+        "value",
+        "expected",
+        "found",
+        "deviation",
+        "allowed",
+        "time",
+        "verdict",
+    ):
         table.add_column(column)
     for check in checks:
         deviation = check.deviation
         table.add_row(
             check.path.stem,
+            check.name or "objective",
             "-" if check.expected is None else f"{check.expected:.6g} {check.unit}",
             "-" if check.value is None else f"{check.value:.6g} {check.unit}",
             "-" if deviation is None else f"{deviation:.1e}",
@@ -50,9 +120,7 @@ def print_checks(checks: Sequence[Check]) -> None:
             engineering(check.seconds, "s", 3),
             "ok" if check.passed else f"OFF ({check.status})",
         )
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, width=_LOG_WIDTH)
+    console = _wide(Console(highlight=False))
     console.print(table)
     for check in checks:
         if not check.passed:

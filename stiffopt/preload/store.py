@@ -1,0 +1,172 @@
+"""study.json and study.csv: the files a preload study leaves behind.
+
+Values are SI with full precision; what is not a finite number is null in JSON. Joint numbers are
+1-based.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stiffopt.files import atomic_write, write_csv
+from stiffopt.preload.candidates import CatalogueDesign
+from stiffopt.preload.catalogue_choice import CatalogueChoice
+from stiffopt.preload.curves import curve_rows
+from stiffopt.preload.motion_result import MotionStudy
+from stiffopt.preload.pareto import ParetoFront
+from stiffopt.preload.problem import OBJECTIVES
+from stiffopt.preload.solution import PreloadSolution
+from stiffopt.preload.study import PreloadStudy
+from stiffopt.preload.values import named_values
+from stiffopt.result.store import plain
+from stiffopt.study.provenance import inputs_hash
+
+SCHEMA = 1
+STUDY_FILE = "study.json"
+CURVES_FILE = "study.csv"
+
+
+def study_document(study: PreloadStudy) -> dict[str, Any]:
+    """Content of study.json.
+
+    Parameters
+    ----------
+    study : PreloadStudy
+        Of any status; what does not exist (no front, no choice, no motion) is None.
+
+    Returns
+    -------
+    dict
+        Plain numbers, strings, lists and dicts; no NaN and no infinity.
+    """
+    problem, solution = study.problem, study.solution
+    document = {
+        "schema": SCHEMA,
+        "status": str(solution.status),
+        "message": solution.message,
+        "objective": {
+            "name": problem.objective,
+            "value": solution.objective,
+            "unit": OBJECTIVES[problem.objective],
+        },
+        "preloads": solution.preloads,
+        "individual": solution.individual,
+        "least_preloads": {
+            e.key: e.least(solution.preloads[e.key], problem.tightening.alpha)
+            for e in problem.elements
+        },
+        "tightening_torques": {
+            key: None if each is None else _fields(each)
+            for key, each in solution.tightening.items()
+        },
+        "utilisations": {row.name: row.utilisation for row in solution.rows},
+        "active_limits": solution.active,
+        **_stiffness(study),
+        "tool_deflection": _by_case(solution, solution.deflection),
+        "tool_deflection_before": _by_case(solution, solution.deflection_before),
+        "kkt_residual": solution.kkt_residual,
+        "iterations": solution.iterations,
+        "values": {name: value for name, (value, _) in named_values(study).items()},
+        "rows": [{"name": row.name, **_fields(row), "active": row.active} for row in solution.rows],
+        "stoppers": [_fields(stop) for stop in solution.stoppers],
+        "load_cases": [
+            {"name": c.name, "torque": c.torque, "time": c.time, "source": c.source}
+            for c in solution.cases
+        ],
+        "tightening": {**_fields(problem.tightening), "scatter": problem.tightening.alpha},
+        "front": None if study.front is None else _front(study.front),
+        "choice": None if study.choice is None else _choice(study.choice),
+        "sensitivity": {
+            "worth": [_fields(each) for each in study.sensitivity.worth],
+            "windup_shares": [_fields(each) for each in study.sensitivity.shares],
+            "weakest": study.sensitivity.weakest,
+        },
+        "loosening": {
+            "rows": [_fields(each) for each in study.loosening.rows],
+            "first_slip_fraction": study.loosening.first_slip_fraction,
+            "slip_fraction": study.loosening.slip_fraction,
+        },
+        "motion": None if study.motion is None else _motion(study.motion),
+        "notes": solution.notes,
+        "seconds": study.seconds,
+        "inputs_hash": inputs_hash(problem),
+        "versions": study.versions,
+    }
+    return {key: plain(value) for key, value in document.items()}
+
+
+def write_study(study: PreloadStudy, directory: str | Path) -> Path:
+    """Write study.json into `directory`; return its path."""
+    text = json.dumps(study_document(study), indent=1, ensure_ascii=False, allow_nan=False)
+    path = Path(directory) / STUDY_FILE
+    atomic_write(path, text + "\n")
+    return path
+
+
+def write_curves(study: PreloadStudy, directory: str | Path) -> Path:
+    """Write study.csv, the curves of the report, into `directory`; return its path."""
+    path = Path(directory) / CURVES_FILE
+    columns, rows = curve_rows(study.curves)
+    write_csv(path, columns, rows)
+    return path
+
+
+def _fields(record: Any) -> dict[str, Any]:
+    """Fields of a flat dataclass."""
+    return dict(vars(record))
+
+
+def _by_case(solution: PreloadSolution, values: Sequence[float] | np.ndarray) -> dict[str, Any]:
+    """Values of the load cases by their name."""
+    return {case.name: value for case, value in zip(solution.cases, values, strict=True)}
+
+
+def _stiffness(study: PreloadStudy) -> dict[str, Any]:
+    """Of every joint: the least over the load cases, and that of each; now and before."""
+    document: dict[str, Any] = {}
+    now, before = study.solution.stiffness, study.solution.stiffness_before
+    for when, table in (("", now), ("_before", before)):
+        of_joint = dict(zip(study.problem.joints, table, strict=True))
+        document[f"stiffness{when}"] = {j: row.min() for j, row in of_joint.items()}
+        document[f"stiffness_by_case{when}"] = {
+            j: _by_case(study.solution, row) for j, row in of_joint.items()
+        }
+    return document
+
+
+def _front(front: ParetoFront) -> dict[str, Any]:
+    return {**vars(front), "points": [_fields(point) for point in front.points]}
+
+
+def _choice(choice: CatalogueChoice) -> dict[str, Any]:
+    return {
+        "status": choice.status,
+        "message": choice.message,
+        "objective": choice.objective,
+        "gap": choice.gap,
+        "designs": {key: _design(design) for key, design in choice.designs.items()},
+        "table": [{**vars(row), "design": _design(row.design)} for row in choice.table],
+        "proof": _fields(choice.proof),
+        "tie_proofs": [_fields(proof) for proof in choice.tie_proofs],
+        "stoppers": [_fields(stop) for stop in choice.stoppers],
+    }
+
+
+def _design(design: CatalogueDesign) -> dict[str, Any]:
+    left_out = ("stage", "limits")
+    return {key: value for key, value in vars(design).items() if key not in left_out}
+
+
+def _motion(motion: MotionStudy) -> dict[str, Any]:
+    left_out = ("trajectory", "separate_trajectory", "preload_solution", "rounds")
+    document: Mapping[str, Any] = {k: v for k, v in vars(motion).items() if k not in left_out}
+    return {
+        **document,
+        "rounds": [_fields(each) for each in motion.rounds],
+        "trajectory_inputs_hash": motion.trajectory.inputs_hash,
+    }
