@@ -1,0 +1,1 @@
+"""Where simulation and recordings differ, what physics was left out, and what it adds."""

@@ -1,0 +1,1 @@
+"""Recordings of real or simulated robots: reading, cleaning, checking."""
