@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -151,6 +151,25 @@ class Robot:
         body = pin.Inertia(float(mass), centre, tensor)
         model.appendBodyToJoint(self.flange.joint, body, at)
         return replace(self, model=model)
+
+    def with_preloads(self, preloads: Mapping[int, Mapping[str, float]]) -> Robot:
+        """Copy with other preloads of bolts and pins.
+
+        Parameters
+        ----------
+        preloads : mapping of joint number to mapping of element name to float
+            Joints are numbered from 1; of one bolt or pin [N]. All others stay as they are.
+        """
+        chains = list(self.chains)
+        for joint, own in preloads.items():
+            chain = chains[joint - 1] if 1 <= joint <= self.n else None
+            if chain is None:
+                raise RobotError(
+                    f"joint {joint} has no drivetrain to preload; {self.name} has joints 1 to "
+                    f"{self.n}. Describe its elements in the robot file."
+                )
+            chains[joint - 1] = chain.with_preloads(own)
+        return replace(self, chains=tuple(chains))
 
     def with_tool(
         self,

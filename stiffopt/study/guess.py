@@ -19,9 +19,17 @@ from stiffopt.transcription.ocp import Guess
 def initial_guess(
     problem: TrajectoryProblem, motion: ResolvedMotion, beside: dict[str, Baseline]
 ) -> Guess:
-    """A guess from the baselines, sampled; vias at the instants where the baseline passes them."""
+    """The motion of the first baseline that exists, as a guess."""
     source = next(b.assessment for b in (beside["toppra"], beside["quintic"]) if b.assessment)
-    statics = _statics(problem, motion, beside)
+    return guess_along(problem, motion, source)
+
+
+def guess_along(problem: TrajectoryProblem, motion: ResolvedMotion, source: Assessment) -> Guess:
+    """A guess from an assessed motion, sampled; vias at the instants where it passes them.
+
+    Of a fixed path only the duration and the bounds are taken over, with uniform progress.
+    """
+    statics = _statics(problem, motion, source)
     if problem.path is not None:
         return _path_guess(source, statics)
     states = np.hstack([source.position, source.velocity])
@@ -58,11 +66,8 @@ def _path_guess(source: Assessment, statics: np.ndarray) -> Guess:
     )
 
 
-def _statics(
-    problem: TrajectoryProblem, motion: ResolvedMotion, beside: dict[str, Baseline]
-) -> np.ndarray:
-    """Bounds of peaks, root mean squares and stiffness: those of the first baseline."""
-    source = next(b.assessment for b in (beside["toppra"], beside["quintic"]) if b.assessment)
+def _statics(problem: TrajectoryProblem, motion: ResolvedMotion, source: Assessment) -> np.ndarray:
+    """Bounds of peaks, root mean squares and stiffness: those of the motion."""
     sides = torque_sides(problem, motion)
     values: list[float] = []
     for objective in problem.objectives:

@@ -1,0 +1,361 @@
+"""Preloads and motion together, for the least deflection of the tool.
+
+Alternating: the motion for the preloads, the preloads for the motion's worst instants, and again,
+each from where the last one ended. Compared with the two done once, one after the other.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from stiffopt.certificate.assess import assess
+from stiffopt.certificate.objective_value import objective_value
+from stiffopt.errors import NoSolutionFound, ProblemError
+from stiffopt.preload.load_case import LoadHistory
+from stiffopt.preload.model import PreloadModel
+from stiffopt.preload.motion_loads import deflection_objective, load_histories
+from stiffopt.preload.motion_result import MotionRound, MotionStudy, meaning
+from stiffopt.preload.optimise import optimise_preloads
+from stiffopt.preload.problem import PreloadProblem
+from stiffopt.preload.solution import PreloadSolution
+from stiffopt.problem.resolve import resolve
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.solution import Solution
+from stiffopt.result.status import SolveStatus
+from stiffopt.solver.monitor import Progress
+from stiffopt.study.guess import guess_along
+from stiffopt.study.optimise import solve
+from stiffopt.study.provenance import inputs_hash
+from stiffopt.study.staging import SolveProgress
+
+# Relative change of the deflection that ends a repetition.
+SETTLED = 1e-4
+# Solves of one motion from its own end until that changes nothing, so that the gain is one of the
+# preloads and not of more solving.
+_POLISHES = 3
+# Times that preloads are raised because the motion made a connection slip.
+_RAISES = 3
+
+
+def motion_study(
+    problem: PreloadProblem,
+    trajectory_problem: TrajectoryProblem,
+    rounds: int = 4,
+    *,
+    progress: Callable[[Any], object] | None = None,
+) -> MotionStudy:
+    """Optimise preloads and motion together.
+
+    Parameters
+    ----------
+    problem : PreloadProblem
+        Which preloads are free, and slip safety, bolt utilisation and least preload, which every
+        design keeps under the motion and under the study's own load cases. Equal preloads within
+        each connection.
+    trajectory_problem : TrajectoryProblem
+        Minimises the peak of one deflection, which is what preloads are chosen for as well.
+    rounds : int
+        At most.
+    progress : callable, optional
+        Called with a `SolveProgress` in every iteration of every solve.
+
+    Returns
+    -------
+    MotionStudy
+        Stopped by Ctrl-C: the best so far, with the status interrupted.
+
+    Raises
+    ------
+    ProblemError
+        Preloads do not touch what the motion minimises, or the two are of different robots.
+    NoSolutionFound
+        No motion, or no preloads for it.
+    """
+    return _Study(problem, trajectory_problem, progress).run(rounds)
+
+
+@dataclass(frozen=True)
+class _Design:
+    """A motion with preloads, certified together."""
+
+    vector: np.ndarray
+    motion: Solution
+    deflection: float
+    preloads: PreloadSolution | None = None
+
+
+class _Study:
+    """One joint study in progress."""
+
+    def __init__(
+        self,
+        problem: PreloadProblem,
+        trajectory: TrajectoryProblem,
+        progress: Callable[[Any], object] | None,
+    ) -> None:
+        self.objective = deflection_objective(trajectory)
+        if trajectory.robot.name != problem.robot.name:
+            raise ProblemError(
+                f"The study is of robot {problem.robot.name!r}, its motion of "
+                f"{trajectory.robot.name!r}. Give both the same robot."
+            )
+        self.trajectory, self.progress = trajectory, progress
+        self.problem = _for_motion(problem)
+        self.model = PreloadModel(self.problem)
+        self.begin, self.stage = time.perf_counter(), ""
+        self.interrupted = self.settled = False
+        self.remarks: list[str] = []
+
+    def run(self, rounds: int) -> MotionStudy:
+        self.stage = "motion with the present preloads"
+        first = self._start()
+        separate = None if self.interrupted else self._with_best_preloads(first)
+        if separate is None:
+            return self._conclude(first, None, first, ())
+        last, pairs = separate, []
+        for number in range(1, rounds + 1):
+            self.stage = f"round {number} of {rounds}"
+            moved = self._moved(last.vector, last.motion)
+            tightened = self._with_best_preloads(moved) if self._usable(moved) else None
+            if tightened is None:
+                self._say_end(moved)
+                break
+            pairs.append((moved, tightened))
+            self.settled = abs(tightened.deflection / last.deflection - 1.0) < SETTLED
+            last = tightened
+            if self.settled:
+                break
+        best = min([separate, *(t for _, t in pairs)], key=lambda design: design.deflection)
+        first, separate = self._best_apart(first, separate, pairs)
+        return self._conclude(first, separate, best, pairs)
+
+    def _best_apart(
+        self, first: _Design, separate: _Design, pairs: Sequence[tuple[_Design, _Design]]
+    ) -> tuple[_Design, _Design]:
+        """The best motion for the start preloads, wherever it was found, then its best preloads.
+
+        More solving finds better motions whatever the preloads: that must not count as a gain of
+        the joint study.
+        """
+        found = [(first, separate)]
+        found += [(self._rated(first.vector, moved.motion), best) for moved, best in pairs]
+        best = min(found, key=lambda pair: pair[0].deflection)
+        if best[0].deflection < first.deflection * (1.0 - SETTLED):
+            self.remarks.append(
+                "A motion of the rounds suits the start preloads better than the one found for "
+                f"them ({1.0 - best[0].deflection / first.deflection:.2%}); it stands for the "
+                "motion optimised alone."
+            )
+            return best
+        return first, separate
+
+    # ---- motion
+
+    def _start(self) -> _Design:
+        """Motion with the present preloads, raised where they let a connection slip."""
+        present = self.model.design
+        floor = self.problem.requirements.least_preload
+        vector = np.maximum(
+            present, self.model.spread([floor * e.capacity for e in self.model.elements])
+        )
+        for _ in range(_RAISES):
+            design = self._moved(vector, None)
+            slips = self._slipping(design)
+            if self.interrupted or not slips:
+                break
+            least = self._least_preload(design)
+            vector = np.maximum(vector, least)
+        if slips and not self.interrupted:
+            raise NoSolutionFound(
+                f"Under the motion {' and '.join(slips)} slip at every preload tried. Give the "
+                "motion more time, or the connections more or larger bolts.",
+                design.motion,
+            )
+        if not (self._usable(design) or self.interrupted):
+            raise NoSolutionFound(design.motion.message, design.motion)
+        self._say_raised(vector)
+        return design if self.interrupted else self._polished(design)
+
+    def _moved(self, vector: np.ndarray, warm: Solution | None) -> _Design:
+        """Motion optimised for these preloads, from a former one where there is one."""
+        problem = self._with_preloads(vector)
+        guess = None
+        if warm is not None and warm.assessment is not None:
+            guess = guess_along(problem, resolve(problem), warm.assessment)
+        found = solve(problem, guess=guess, throw=False, progress=self._reporter())
+        self.interrupted |= found.status is SolveStatus.INTERRUPTED
+        if found.objective is None:
+            raise NoSolutionFound(found.message, found)
+        return _Design(vector, found, found.objective.value)
+
+    def _polished(self, design: _Design) -> _Design:
+        """Solve a motion again from its own end until that changes nothing."""
+        for _ in range(_POLISHES):
+            again = self._moved(design.vector, design.motion)
+            if not self._usable(again) or again.deflection > design.deflection * (1.0 - SETTLED):
+                break
+            design = again
+        return design
+
+    def _usable(self, design: _Design) -> bool:
+        return design.motion.status.usable and bool(np.isfinite(design.deflection))
+
+    def _with_preloads(self, vector: np.ndarray) -> TrajectoryProblem:
+        """The motion's problem with what tightening leaves of these preloads."""
+        alpha = self.problem.tightening.alpha
+        least: dict[int, dict[str, float]] = {}
+        for index, element in enumerate(self.model.elements):
+            own = float(self.model.of_element(vector, index)[0])
+            least.setdefault(element.joint, {})[element.name] = element.least(own, alpha)
+        robot = replace(self.trajectory.robot, chains=self.problem.robot.chains)
+        return replace(self.trajectory, robot=robot.with_preloads(least))
+
+    # ---- preloads
+
+    def _loads(self, design: _Design) -> tuple[LoadHistory, ...]:
+        assert design.motion.assessment is not None
+        return load_histories(self._with_preloads(design.vector), design.motion.assessment)
+
+    def _preload_problem(self, design: _Design, objective: str) -> PreloadProblem:
+        histories = (*self.problem.histories, *self._loads(design))
+        return replace(self.problem, objective=objective, histories=histories)
+
+    def _with_best_preloads(self, design: _Design) -> _Design | None:
+        """The same motion with the preloads that are best for it; None where stopped."""
+        problem = self._preload_problem(design, "tool_deflection")
+        found = optimise_preloads(problem, progress=self._reporter(), throw=False)
+        if found.status is SolveStatus.INTERRUPTED:
+            self.interrupted = True
+            return None
+        if not found.status.usable:
+            raise NoSolutionFound(found.message, found)
+        return self._rated(found.vector, design.motion, found)
+
+    def _rated(
+        self, vector: np.ndarray, motion: Solution, preloads: PreloadSolution | None = None
+    ) -> _Design:
+        """A motion, certified anew with other preloads."""
+        problem = self._with_preloads(vector)
+        assessment = assess(problem, motion.trajectory)
+        value = objective_value(problem, assessment)
+        own = replace(
+            motion, assessment=assessment, objective=value, inputs_hash=inputs_hash(problem)
+        )
+        return _Design(vector, own, value.value, preloads)
+
+    def _slipping(self, design: _Design) -> list[str]:
+        """Free connections that the motion makes slip with the least preload."""
+        largest = np.max([np.abs(h.torque).max(axis=0) for h in self._loads(design)], axis=0)
+        return [
+            element.key
+            for index, element in enumerate(self.model.elements)
+            if self.model.slip_torque(design.vector, index) <= largest[element.joint - 1]
+        ]
+
+    def _least_preload(self, design: _Design) -> np.ndarray:
+        problem = self._preload_problem(design, "total_preload")
+        return optimise_preloads(problem, progress=self._reporter()).vector
+
+    # ---- telling
+
+    def _named(self, vector: np.ndarray) -> dict[str, float]:
+        return {
+            e.key: float(self.model.of_element(vector, index)[0])
+            for index, e in enumerate(self.model.elements)
+        }
+
+    def _say_raised(self, vector: np.ndarray) -> None:
+        """Which of the present preloads could not be the start."""
+        present = self._named(self.model.design)
+        raised = [
+            f"{key} from {present[key]:.0f} to {preload:.0f} N"
+            for key, preload in self._named(vector).items()
+            if preload > present[key]
+        ]
+        if raised:
+            self.remarks.append(
+                "With its present preload a connection slips or hardly holds, so the start is the "
+                f"least that does not: {', '.join(raised)}."
+            )
+
+    def _say_end(self, moved: _Design) -> None:
+        if not (self.interrupted or self._usable(moved)):
+            self.remarks.append(f"The rounds ended: {moved.motion.message}")
+
+    def _reporter(self) -> Callable[[Any], object] | None:
+        """Both kinds of progress as that of a solve, with the part of the study before it."""
+        if self.progress is None:
+            return None
+        report, stage = self.progress, self.stage
+
+        def forward(event: SolveProgress | Progress) -> None:
+            part = event.stage if isinstance(event, SolveProgress) else "preloads"
+            report(
+                SolveProgress(
+                    stage=f"{stage}, {part}",
+                    iteration=event.iteration,
+                    objective=event.objective,
+                    violation=event.violation,
+                    row=event.row,
+                    elapsed=time.perf_counter() - self.begin,
+                )
+            )
+
+        return forward
+
+    def _conclude(
+        self,
+        first: _Design,
+        separate: _Design | None,
+        best: _Design,
+        pairs: Sequence[tuple[_Design, _Design]],
+    ) -> MotionStudy:
+        status = SolveStatus.OPTIMAL if self.settled else SolveStatus.ACCEPTABLE
+        if self.interrupted:
+            status = SolveStatus.INTERRUPTED
+        apart = separate or first
+        known = float("nan") if separate is None else separate.deflection
+        gain = 1.0 - best.deflection / known
+        return MotionStudy(
+            status=status,
+            objective_name=self.objective,
+            start=first.deflection,
+            separate=known,
+            joint=best.deflection,
+            gain=gain,
+            rounds=tuple(
+                MotionRound(
+                    deflection_before_preload=moved.deflection,
+                    deflection_after=tightened.deflection,
+                    preloads=self._named(tightened.vector),
+                )
+                for moved, tightened in pairs
+            ),
+            start_preloads=self._named(first.vector),
+            separate_preloads=self._named(apart.vector),
+            preloads=self._named(best.vector),
+            trajectory=best.motion,
+            separate_trajectory=apart.motion,
+            preload_solution=best.preloads,
+            note=" ".join([*self.remarks, meaning(status, gain)]),
+            seconds=time.perf_counter() - self.begin,
+        )
+
+
+def _for_motion(problem: PreloadProblem) -> PreloadProblem:
+    """Keep what bounds the preloads; the study's own loads must be borne, but do not deflect."""
+    needs = replace(problem.requirements, joint_stiffness={}, tool_deflection=None)
+    return replace(
+        problem,
+        objective="total_preload",
+        requirements=needs,
+        individual=False,
+        choose=None,
+        load_cases=tuple(replace(case, jacobian=None) for case in problem.load_cases),
+        histories=tuple(replace(history, jacobian=None) for history in problem.histories),
+    )
