@@ -26,7 +26,8 @@ class SearchProof:
     nodes : int
         Partial and whole combinations looked at.
     bound : float
-        No combination is better than this [unit of the objective].
+        No combination has less than this of what the search minimises: the total preload [N], the
+        largest utilisation [-], the largest deflection [m], the largest weight over stiffness [-].
     """
 
     combinations: int

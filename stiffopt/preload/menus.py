@@ -62,8 +62,8 @@ class Rows:
     @property
     def ends(self) -> np.ndarray:
         """Largest amounts, with room for rounding."""
-        size = np.where(np.isfinite(self.cap), np.abs(self.cap), 0.0)
-        return np.asarray(self.cap + ROUNDING * np.maximum(np.abs(self.base), size))
+        sizes = [np.where(np.isfinite(a), np.abs(a), 0.0) for a in (self.base, self.cap)]
+        return np.asarray(self.cap + ROUNDING * np.maximum(*sizes))
 
 
 def dominated(menu: Menu, peak: bool) -> list[int]:

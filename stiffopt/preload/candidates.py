@@ -1,0 +1,230 @@
+"""Catalogue designs of one connection: bolts that fit its ring, and torques to tighten them with.
+
+The ring stays as it is; bolts of another size, grade or number take the places of the present
+ones, and lengths that the robot file leaves open follow their diameter. Set screws stay, only their
+torque is chosen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+
+from stiffopt.connection import Bolt, BoltedFlange, ClampingPins
+from stiffopt.drivetrain import catalogue
+from stiffopt.drivetrain.stage import Stage
+from stiffopt.fastening.limits import (
+    PreloadLimit,
+    embedding_loss,
+    fastener_count,
+    preload_limits,
+    workshop_torque,
+)
+from stiffopt.fastening.tightening import standard_torques
+from stiffopt.preload.load_case import LoadCase
+from stiffopt.preload.problem import Choice, FreeElement, PreloadProblem
+
+# Room for rounding in limits that a design may touch.
+_TOUCH = 1.0 + 1e-9
+SLIP, LEAST, SETTLED = "slip safety", "least preload", "embedding loss"
+_REMEDIES = {
+    SLIP: "more friction, more or larger bolts, a larger circle, or less scatter",
+    LEAST: "a smaller require.least_preload, or a smaller bolt",
+    SETTLED: "a larger clamp length, a larger torque, or smoother faces",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CatalogueDesign:
+    """Bolts or pins of one connection and the torque that tightens them.
+
+    Parameters
+    ----------
+    key : str
+        Of the element.
+    joint : int
+        1-based.
+    size, grade : str
+        Of one bolt or set screw; no grade for screws.
+    count : int
+        Bolts or pins.
+    torque : float
+        Setting of the wrench [N m].
+    preload, least_preload : float
+        Largest and least preload of one bolt or pin that it leaves [N].
+    stage : Stage
+        The connection with these bolts and `preload`.
+    limits : tuple of PreloadLimit
+    utilisations : mapping of str to float
+        Of every limit that concerns this connection alone, by name; above 1 where exceeded.
+    """
+
+    key: str
+    joint: int
+    size: str
+    grade: str
+    count: int
+    torque: float
+    preload: float
+    least_preload: float
+    stage: Stage
+    limits: tuple[PreloadLimit, ...]
+    utilisations: Mapping[str, float]
+
+    @property
+    def label(self) -> str:
+        """Such as "9 x M5 12.9, 8 N m"."""
+        return f"{self.bolts}, {self.torque:g} N m"
+
+    @property
+    def bolts(self) -> str:
+        """Such as "9 x M5 12.9"."""
+        return " ".join(part for part in (f"{self.count} x {self.size}", self.grade) if part)
+
+    @property
+    def exceeded(self) -> tuple[str, ...]:
+        """Limits that do not hold."""
+        return tuple(name for name, used in self.utilisations.items() if used > _TOUCH)
+
+    @property
+    def stopper(self) -> str:
+        """Limit that is exceeded most; "" where none is."""
+        return max(self.exceeded, key=lambda name: self.utilisations[name], default="")
+
+    @property
+    def feasible(self) -> bool:
+        """Whether every limit of this connection alone holds."""
+        return not self.stopper
+
+    @property
+    def total_preload(self) -> float:
+        """Of all bolts or pins of the connection [N]."""
+        return self.count * self.preload
+
+    @property
+    def load(self) -> float:
+        """Largest utilisation of a limit that depends on the preload [-]."""
+        return max(
+            (float(lim.utilisation(self.preload)) for lim in self.limits if lim.depends_on_preload),
+            default=0.0,
+        )
+
+    def remedy(self, name: str) -> str:
+        """What to change where a limit of this connection stops the study."""
+        own = {limit.name: limit.remedy for limit in self.limits}
+        return own.get(name) or _REMEDIES[name]
+
+
+def catalogue_designs(
+    problem: PreloadProblem, element: FreeElement, cases: tuple[LoadCase, ...]
+) -> tuple[CatalogueDesign, ...]:
+    """All designs of one element that the study lets choose from, feasible or not.
+
+    Parameters
+    ----------
+    problem : PreloadProblem
+        With `choose`.
+    element : FreeElement
+    cases : tuple of LoadCase
+
+    Returns
+    -------
+    tuple of CatalogueDesign
+        By size, grade, count and torque, each from small to large.
+
+    Notes
+    -----
+    Without torques in `choose` they are the R20 preferred numbers from the least preload that the
+    study asks for to the largest that any limit allows: no preferred number outside is feasible.
+    Pins always have these.
+    """
+    found: list[CatalogueDesign] = []
+    for stage in _variants(element.stage, problem.choose or Choice()):
+        found += _tightened(problem, element, stage, cases)
+    return tuple(found)
+
+
+def _variants(stage: Stage, choose: Choice) -> Iterator[Stage]:
+    flange = stage.element
+    if not isinstance(flange, BoltedFlange):
+        yield stage
+        return
+    bolt = flange.bolt
+    assert isinstance(bolt, Bolt)  # limits of the element exist, so its bolt is known
+    sizes = sorted(set(choose.sizes or (bolt.size,)), key=lambda s: catalogue.bolt(s).diameter)
+    grades = sorted(set(choose.grades or (bolt.grade,)), key=catalogue.proof_stress)
+    counts = sorted(set(choose.counts or (flange.bolt_count,)))
+    for size, grade, count in product(sizes, grades, counts):
+        changed = replace(flange, bolt=replace(bolt, size=size, grade=grade), bolt_count=count)
+        yield replace(stage, element=changed)
+
+
+def _tightened(
+    problem: PreloadProblem, element: FreeElement, stage: Stage, cases: tuple[LoadCase, ...]
+) -> Iterator[CatalogueDesign]:
+    """Designs of one kind of bolts, by torque."""
+    fastened, tightening = stage.element, problem.tightening
+    limits = preload_limits(fastened, tightening)
+    loss, count = embedding_loss(fastened, tightening), fastener_count(fastened)
+    lever = workshop_torque(fastened, 1.0, tightening).nominal
+    ends = [limit.capacity for limit in limits if limit.depends_on_preload]
+    floor = problem.requirements.least_preload * min(ends)
+    given = problem.choose.torques if problem.choose and fastened.kind == "bolted_flange" else ()
+    torques = sorted(set(given)) or standard_torques(floor * lever, max(ends) * lever)
+    size, grade = _screw(fastened)
+    for torque in torques:
+        preload = float(torque) / lever
+        least = preload / tightening.alpha - loss
+        utilisations = {
+            limit.name: float(limit.utilisation(preload)) / _allowed(problem, limit)
+            for limit in limits
+        }
+        utilisations[SETTLED] = loss * tightening.alpha / preload
+        utilisations[SLIP] = _slip(problem, element, stage, least, cases)
+        utilisations[LEAST] = floor / preload
+        yield CatalogueDesign(
+            key=element.key,
+            joint=element.joint,
+            size=size,
+            grade=grade,
+            count=count,
+            torque=float(torque),
+            preload=preload,
+            least_preload=least,
+            stage=replace(stage, element=fastened.with_preload(preload)),
+            limits=limits,
+            utilisations=utilisations,
+        )
+
+
+def _screw(fastened: object) -> tuple[str, str]:
+    """Size and grade of one bolt or set screw."""
+    if isinstance(fastened, BoltedFlange) and fastened.bolt is not None:
+        return fastened.bolt.size, fastened.bolt.grade
+    assert isinstance(fastened, ClampingPins)
+    assert fastened.screw is not None  # a torque was worked out, so the screw is known
+    return fastened.screw.size, ""
+
+
+def _allowed(problem: PreloadProblem, limit: PreloadLimit) -> float:
+    bolt = limit.name == "bolt utilisation"
+    return problem.requirements.bolt_utilisation if bolt else 1.0
+
+
+def _slip(
+    problem: PreloadProblem,
+    element: FreeElement,
+    stage: Stage,
+    least: float,
+    cases: tuple[LoadCase, ...],
+) -> float:
+    """Torque with the asked safety over the torque at which the connection slips."""
+    torque = max(abs(float(case.torque[element.joint - 1])) for case in cases)
+    if torque == 0.0:
+        return 0.0
+    if least <= 0.0:
+        return math.inf
+    slip = float(stage.element.slip_torque(least)) * stage.reduction
+    return problem.requirements.slip_safety * torque / slip

@@ -1,0 +1,205 @@
+"""What a catalogue search tells people: a table of all bolts, and why nothing will do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stiffopt.preload.candidates import SLIP, CatalogueDesign
+from stiffopt.preload.catalogue_choice import TableRow
+from stiffopt.preload.choice_table import ChoiceTable
+from stiffopt.preload.model import PreloadModel
+from stiffopt.preload.solution import Stopper
+
+Designs = Sequence[Sequence[CatalogueDesign]]
+
+
+def best_torques(
+    model: PreloadModel, designs: Designs, table: ChoiceTable | None, picks: tuple[int, ...] | None
+) -> tuple[TableRow, ...]:
+    """Table of the best torque for every kind of bolts.
+
+    Parameters
+    ----------
+    model : PreloadModel
+    designs : one sequence of CatalogueDesign an element
+        Feasible or not.
+    table : ChoiceTable or None
+        Of the feasible ones; None where an element has none.
+    picks : tuple of int or None
+        The chosen design of each element among its feasible ones; None where nothing was chosen.
+    """
+    rows = []
+    for index, own in enumerate(designs):
+        kept = [d for d in own if d.feasible]
+        for bolts in dict.fromkeys(d.bolts for d in own):
+            kind = [d for d in own if d.bolts == bolts]
+            if table is None or picks is None:
+                rows.append(_by_own_limits(kind))
+                continue
+            swaps = [
+                (_Swap(model, table, picks, index, kept.index(d)), d) for d in kind if d.feasible
+            ]
+            rows.append(_by_study(kind, swaps, kept[picks[index]]))
+    return tuple(rows)
+
+
+class _Swap:
+    """The chosen combination with another design in one place."""
+
+    def __init__(
+        self,
+        model: PreloadModel,
+        table: ChoiceTable,
+        picks: tuple[int, ...],
+        index: int,
+        position: int,
+    ) -> None:
+        swapped = (*picks[:index], position, *picks[index + 1 :])
+        amounts = table.amounts(swapped)
+        rows = table.rows
+        over = amounts / np.where(np.isfinite(rows.cap), rows.cap, np.inf)
+        broken = amounts > rows.ends
+        self.stopper = rows.names[int(np.argmax(np.where(broken, over, -np.inf)))]
+        self.stopper = self.stopper if broken.any() else ""
+        peaked = amounts * rows.weight
+        if model.problem.objective == "total_preload":
+            total = sum(m.cost[i] for m, i in zip(table.menus, swapped, strict=True))
+            self.value = self.level = float(total)
+        elif model.problem.objective == "joint_stiffness":
+            own = [joint == model.elements[index].joint for joint in table.joints]
+            self.level = float(peaked[own].max())
+            self.value = float((1.0 / amounts[rows.weight > 0.0]).min())
+        else:
+            self.value = self.level = float(peaked.max())
+
+
+def _by_study(
+    kind: Sequence[CatalogueDesign],
+    swaps: Sequence[tuple[_Swap, CatalogueDesign]],
+    chosen: CatalogueDesign,
+) -> TableRow:
+    able = [(swap, d) for swap, d in swaps if not swap.stopper]
+    if not able and not swaps:
+        return _by_own_limits(kind)
+    # Without any that will do, the stiffest is nearest to what the study asks for.
+    swap, design = (
+        min(able, key=lambda each: each[0].level)
+        if able
+        else max(swaps, key=lambda each: each[1].preload)
+    )
+    if any(d is chosen for _, d in able):
+        swap, design = next(each for each in able if each[1] is chosen)
+    return TableRow(
+        design=design,
+        objective=swap.value,
+        stopper=swap.stopper,
+        utilisation=max(design.utilisations.values()),
+        torques=len(kind),
+        chosen=design is chosen,
+    )
+
+
+def _by_own_limits(kind: Sequence[CatalogueDesign]) -> TableRow:
+    nearest = _nearest(kind)
+    return TableRow(
+        design=nearest,
+        objective=float("nan"),
+        stopper=nearest.stopper,
+        utilisation=max(nearest.utilisations.values()),
+        torques=len(kind),
+        chosen=False,
+    )
+
+
+def _nearest(designs: Sequence[CatalogueDesign]) -> CatalogueDesign:
+    """Design that exceeds the fewest limits, and those least; of feasible ones the least preload."""
+    feasible = [d for d in designs if d.feasible]
+    if feasible:
+        return min(feasible, key=lambda d: d.total_preload)
+    return min(designs, key=lambda d: (len(d.exceeded), max(d.utilisations.values())))
+
+
+def element_stoppers(model: PreloadModel, designs: Designs) -> tuple[Stopper, ...]:
+    """Elements for which the catalogue has nothing, with the limit of the nearest design."""
+    safety = model.problem.requirements.slip_safety
+    found = []
+    for own in designs:
+        if any(d.feasible for d in own):
+            continue
+        nearest = _nearest(own)
+        name = nearest.stopper
+        used = nearest.utilisations[name]
+        slips = name == SLIP
+        found.append(
+            Stopper(
+                limit=f"{name}, {nearest.key}",
+                best=safety / used if slips else used,
+                required=safety if slips else 1.0,
+                unit="",
+                against=f"The nearest of {len(own)} catalogue designs is {nearest.label}; this",
+                remedy=f"{nearest.remedy(name)}, or more sizes, grades or counts in [choose]",
+            )
+        )
+    return tuple(found)
+
+
+def requirement_stoppers(
+    model: PreloadModel, table: ChoiceTable, found: tuple[str, ...]
+) -> tuple[Stopper, ...]:
+    """Requirements that no combination meets, with the best that any design reaches.
+
+    Parameters
+    ----------
+    model : PreloadModel
+    table : ChoiceTable
+    found : tuple of str
+        Rows that ended the search, the most frequent first.
+    """
+    rows = table.rows
+    least = rows.base + np.sum([m.use.min(axis=0) for m in table.menus], axis=0)
+    alone = [i for i in range(len(rows.names)) if least[i] > rows.ends[i]]
+    together = [rows.names.index(name) for name in found[:3]]
+    worst: dict[str, int] = {}
+    for i in alone or together:
+        owner = rows.names[i].rsplit(",", 1)[0]
+        if (
+            owner not in worst
+            or least[i] / rows.cap[i] > least[worst[owner]] / rows.cap[worst[owner]]
+        ):
+            worst[owner] = i
+    against = (
+        "Even the stiffest catalogue designs together do not give more; their compliance"
+        if alone
+        else "It can be met alone, but not with the other requirements, which"
+    )
+    return tuple(_requirement(model, table, i, float(least[i]), against) for i in worst.values())
+
+
+def _requirement(
+    model: PreloadModel, table: ChoiceTable, row: int, least: float, against: str
+) -> Stopper:
+    rows = table.rows
+    share = 1.0 - float(rows.base[row]) / least if least > 0.0 else 0.0
+    remedy = (
+        f"larger, more or better bolts in [choose] gain at most {share:.1%}, since the rest of the "
+        "drivetrain yields that much; beyond it stiffer reducers, less load, or a lower requirement"
+    )
+    if table.joints[row] is None:
+        return Stopper(
+            limit=rows.names[row],
+            best=least,
+            required=float(rows.cap[row]),
+            unit="m",
+            against=against,
+            remedy=remedy,
+        )
+    return Stopper(
+        limit=rows.names[row],
+        best=1.0 / least,
+        required=1.0 / float(rows.cap[row]),
+        unit="N m/rad",
+        against=against,
+        remedy=remedy,
+    )
