@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 # Kinds of rows whose value must be at least the limit; all others at most.
 _AT_LEAST = ("slip safety", "least preload", "joint stiffness")
-# With more rows than this only the worst of each owner is shown at once.
+_KEY = "key pressure"
+# With more rows than this a matrix gives the overview.
 _SHOWN_ROWS = 14
 
 
@@ -46,17 +47,54 @@ class BarRow:
     estimated: bool
 
 
-def utilisation_bars(rows: Sequence[UtilisationRow]) -> tuple[list[BarRow], list[BarRow]]:
-    """Requirements with bars: those to look at first, and all.
+@dataclass(frozen=True)
+class Matrix:
+    """Utilisation of every requirement by owner and kind, each in its worst load case.
 
-    The first part holds the worst row of each kind and owner, most used first; where these are too
-    many, the worst row of each owner.
+    Parameters
+    ----------
+    kinds : tuple of str
+    rows : tuple of (str, tuple of BarRow or None)
+        Owner, and one cell a kind.
+    """
+
+    kinds: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[BarRow | None, ...]], ...]
+
+
+def utilisation_bars(rows: Sequence[UtilisationRow]) -> list[BarRow]:
+    """Requirements to look at first, most used first.
+
+    The worst load case of each kind and owner; where these are too many, the worst owner of each
+    kind.
     """
     shown = _worst(rows, lambda row: (row.kind, row.element, row.joint))
     if len(shown) > _SHOWN_ROWS:
-        shown = _worst(rows, lambda row: (row.element, row.joint))
-    ordered = sorted(shown, key=lambda row: -row.utilisation)
-    return [_bar(row) for row in ordered], [_bar(row) for row in rows]
+        shown = _worst(rows, lambda row: row.kind)
+    return [bar(row) for row in sorted(shown, key=lambda row: -row.utilisation)]
+
+
+def utilisation_matrix(rows: Sequence[UtilisationRow]) -> Matrix | None:
+    """Overview where there are too many requirements for a list; else None.
+
+    Keys have but one requirement, so the worst of them stands for all.
+    """
+    worst = _worst(rows, lambda row: (row.kind, row.element, row.joint))
+    if len(worst) <= _SHOWN_ROWS:
+        return None
+    kinds = tuple(dict.fromkeys(row.kind for row in worst))
+    keys = [row for row in worst if row.kind == _KEY]
+    if keys:
+        most = max(keys, key=lambda row: row.utilisation)
+        worst = [row for row in worst if row.kind != _KEY or row is most]
+    cells: dict[str, dict[str, BarRow]] = {}
+    for row in worst:
+        name = owner_name(row)
+        if row.kind == _KEY and len(keys) > 1:
+            name = f"{name}, worst of {len(keys)} keys"
+        cells.setdefault(name, {})[row.kind] = bar(row)
+    lines = tuple((name, tuple(own.get(kind) for kind in kinds)) for name, own in cells.items())
+    return Matrix(kinds, lines)
 
 
 def _worst(
@@ -70,7 +108,8 @@ def _worst(
     return list(worst.values())
 
 
-def _bar(row: UtilisationRow) -> BarRow:
+def bar(row: UtilisationRow) -> BarRow:
+    """Text and bar of one requirement."""
     used = row.utilisation
     finite = bool(np.isfinite(used))
     sign = "≥" if row.kind in _AT_LEAST else "≤"

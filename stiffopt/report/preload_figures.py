@@ -1,4 +1,4 @@
-"""Figures of a preload study: stiffness against preload, Pareto front, wind-up, loosening.
+"""Figures of a preload study: Pareto front, shares of the wind-up, loosening.
 
 Each function returns a figure in the house style. Preloads in kN, stiffness in N m/rad (prismatic
 joints: N/m), shares in percent.
@@ -6,9 +6,8 @@ joints: N/m), shares in percent.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,160 +18,14 @@ from stiffopt.report.elements import ELEMENT_COLOURS
 from stiffopt.report.motions import JointUnits
 from stiffopt.report.preload_wording import spoken
 from stiffopt.report.quantities import significant
-from stiffopt.report.svg import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    ORANGE,
-    PALE,
-    SKY,
-    VERMILLION,
-    WIDTH,
-    house_style,
-)
+from stiffopt.report.svg import BLUE, GREEN, GREY, ORANGE, VERMILLION, WIDTH, house_style
 
-# Limits that end the preload from below; all others end it from above.
-_FLOORS = ("slip", "slip safety", "least preload")
-# Of the width of a panel: limits closer than this share one label.
-_MERGE = 0.045
-_TEXT = 7.0
+if TYPE_CHECKING:
+    from stiffopt.preload.pareto import ParetoFront
+    from stiffopt.preload.sensitivity import WindupShare
 
 
-@dataclass(frozen=True)
-class Recommended:
-    """Preload of an element that the study recommends, and what tightening makes of it.
-
-    Parameters
-    ----------
-    largest, least : float
-        [N]
-    present : float
-        The robot's own [N].
-    """
-
-    largest: float
-    least: float
-    present: float
-
-
-def curves_figure(
-    curves: Sequence[Any], recommended: Mapping[str, Recommended], units: Sequence[JointUnits]
-) -> Figure:
-    """Joint stiffness over the preload of each element, all other preloads as recommended.
-
-    Parameters
-    ----------
-    curves : sequence of PreloadCurve
-        The first of each element is drawn in full, further load cases thinly.
-    recommended : mapping of element key to Recommended
-    units : sequence of JointUnits
-    """
-    by_key: dict[str, list[Any]] = {}
-    for curve in curves:
-        by_key.setdefault(curve.key, []).append(curve)
-    with house_style():
-        columns = min(3 if len(by_key) > 4 else 2, len(by_key))
-        rows = -(-len(by_key) // columns)
-        height = 2.45 if columns == 3 else 2.9
-        figure = Figure(figsize=(WIDTH, 0.5 + height * rows))
-        grid = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axes in grid[len(by_key) :]:
-            axes.set_visible(False)
-        for place, (key, own) in enumerate(by_key.items()):
-            axes = grid[place]
-            _curve_panel(axes, own, recommended[key])
-            axes.set_title(f"{spoken(key).capitalize()} [{units[own[0].joint - 1].stiffness}]")
-            if place + columns >= len(by_key):
-                axes.set_xlabel("largest preload of one bolt or pin [kN]")
-        handles, labels = grid[0].get_legend_handles_labels()
-        below = -0.3 / figure.get_figheight()
-        figure.legend(handles, labels, loc="upper left", ncols=5, bbox_to_anchor=(0.05, below))
-        figure.subplots_adjust(left=0.07, right=0.995, wspace=0.24, hspace=0.36)
-        return figure
-
-
-def _curve_panel(axes: Axes, curves: Sequence[Any], chosen: Recommended) -> None:
-    main = curves[0]
-    force = main.preload / 1e3
-    low, high = np.nan_to_num(main.stiffness_low), np.nan_to_num(main.stiffness_high)
-    axes.axvspan(
-        chosen.least / 1e3,
-        chosen.largest / 1e3,
-        color=SKY,
-        alpha=0.22,
-        linewidth=0,
-        zorder=0,
-        label="least to largest preload as tightened",
-    )
-    for other in curves[1:]:
-        axes.plot(other.preload / 1e3, other.stiffness, color=GREY, linewidth=0.9, zorder=2)
-    axes.fill_between(
-        force, low, high, color=BLUE, alpha=0.25, linewidth=0, label="scatter of the stiffness"
-    )
-    axes.plot(force, main.stiffness, color=BLUE, linewidth=1.9, label="joint stiffness", zorder=3)
-    at = float(np.interp(chosen.largest, main.preload, main.stiffness))
-    axes.axvline(chosen.present / 1e3, color=INK, linewidth=1.0, linestyle=(0, (1.5, 1.5)))
-    axes.plot([], [], color=INK, linewidth=1.0, linestyle=(0, (1.5, 1.5)), label="present preload")
-    axes.plot(chosen.largest / 1e3, at, "o", color=BLACK, markersize=5, label="recommended")
-    _stiffness_scale(axes, main, at)
-    axes.set_xlim(force[0], force[-1])
-    _draw_limits(axes, main.limits)
-    axes.locator_params(axis="x", nbins=7)
-    axes.locator_params(axis="y", nbins=5)
-
-
-def _stiffness_scale(axes: Axes, curve: Any, at: float) -> None:
-    """Leave the collapse near slip out of the axis; what matters lies above it."""
-    held = curve.stiffness[np.isfinite(curve.stiffness) & (curve.stiffness > 0.5 * at)]
-    top = max(float(np.nanmax(curve.stiffness_high)), at)
-    bottom = min(float(held.min()), at) if held.size else 0.0
-    room = max(top - bottom, 0.01 * top)
-    # The labels of the limits stand in the upper part.
-    axes.set_ylim(bottom - 0.08 * room, top + 0.75 * room)
-
-
-def _draw_limits(axes: Axes, limits: Mapping[str, float]) -> None:
-    """Vertical lines at the preloads where limits bind, the forbidden side shaded."""
-    left, right = axes.get_xlim()
-    seen = {
-        name: force / 1e3
-        for name, force in limits.items()
-        if np.isfinite(force) and left <= force / 1e3 <= right
-    }
-    floors = [force for name, force in seen.items() if name in _FLOORS]
-    ceilings = [force for name, force in seen.items() if name not in _FLOORS]
-    if floors:
-        axes.axvspan(left, max(floors), color=PALE, alpha=0.5, linewidth=0, zorder=0)
-    if ceilings:
-        axes.axvspan(min(ceilings), right, color=PALE, alpha=0.5, linewidth=0, zorder=0)
-    groups: list[tuple[float, list[str]]] = []
-    for name, force in sorted(seen.items(), key=lambda each: each[1]):
-        colour = VERMILLION if name in _FLOORS else GREY
-        axes.axvline(force, color=colour, linewidth=1.0, linestyle=(0, (4, 2)), zorder=1)
-        if groups and force - groups[-1][0] < _MERGE * (right - left):
-            groups[-1][1].append(name)
-        else:
-            groups.append((force, [name]))
-    for force, names in groups:
-        near_end = force > right - _MERGE * (right - left)
-        axes.annotate(
-            "\n".join(names),
-            (force, 1.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(-2 if near_end else 2, -1),
-            textcoords="offset points",
-            rotation=90,
-            ha="right" if near_end else "left",
-            va="top",
-            fontsize=_TEXT,
-            linespacing=1.15,
-            color=VERMILLION if names[0] in _FLOORS else GREY,
-        )
-
-
-def front_figure(front: Any, units: Sequence[JointUnits], joints: Sequence[int]) -> Figure:
+def front_figure(front: ParetoFront, units: Sequence[JointUnits], joints: Sequence[int]) -> Figure:
     """Pareto front between total preload and stiffness, its knee marked.
 
     Parameters
@@ -206,8 +59,23 @@ def front_figure(front: Any, units: Sequence[JointUnits], joints: Sequence[int])
         _level_if_flat(axes)
         axes.set_xlabel("total preload of all bolts and pins [kN]")
         axes.set_ylabel(label)
-        figure.subplots_adjust(left=0.12, right=0.99)
+        beside = axes.secondary_yaxis("right", functions=_relative(float(value[0])))
+        beside.set_ylabel("more than with the least preload [%]")
+        beside.spines["right"].set_visible(True)
+        figure.subplots_adjust(left=0.12, right=0.9)
         return figure
+
+
+def _relative(first: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+    """To per cent above a value, and back."""
+
+    def above(value: Any) -> Any:
+        return 100 * (value / first - 1)
+
+    def back(percent: Any) -> Any:
+        return first * (1 + percent / 100)
+
+    return above, back
 
 
 def _level_if_flat(axes: Axes) -> None:
@@ -218,7 +86,7 @@ def _level_if_flat(axes: Axes) -> None:
         axes.set_ylim(middle * (1 - 1e-3), middle * (1 + 1e-3))
 
 
-def shares_figure(shares: Mapping[int, Sequence[Any]], free: Sequence[str]) -> Figure:
+def shares_figure(shares: Mapping[int, Sequence[WindupShare]], free: Sequence[str]) -> Figure:
     """Share of every element in the wind-up of its joint, the weakest spring first.
 
     Parameters
@@ -232,7 +100,8 @@ def shares_figure(shares: Mapping[int, Sequence[Any]], free: Sequence[str]) -> F
     rows = -(-len(shares) // columns)
     most = max(len(each) for each in shares.values())
     with house_style():
-        figure = Figure(figsize=(WIDTH if columns > 1 else WIDTH * 0.62, 0.5 + rows * _tall(most)))
+        height = 0.5 + rows * _tall(most)
+        figure = Figure(figsize=(WIDTH if columns > 1 else WIDTH * 0.62, height))
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in grid[len(shares) :]:
             axes.set_visible(False)
@@ -242,8 +111,14 @@ def shares_figure(shares: Mapping[int, Sequence[Any]], free: Sequence[str]) -> F
             for row, each in enumerate(ordered):
                 colour = ELEMENT_COLOURS.get(each.kind, GREY)
                 axes.barh(row, 100 * each.share, height=0.7, color=colour)
-                text = f" {significant(100 * each.share, 2)} %"
-                axes.text(100 * each.share, row, text, va="center", fontsize=8)
+                axes.annotate(
+                    f"{significant(100 * each.share, 2)} %",
+                    (100 * each.share, row),
+                    xytext=(4, 0),
+                    textcoords="offset points",
+                    va="center",
+                    fontsize=8,
+                )
             axes.set_yticks(range(len(ordered)), [spoken(each.element) for each in ordered])
             for label, each in zip(axes.get_yticklabels(), ordered, strict=True):
                 label.set_fontweight("bold" if each.element in free else "normal")
@@ -251,11 +126,17 @@ def shares_figure(shares: Mapping[int, Sequence[Any]], free: Sequence[str]) -> F
             axes.set_xlim(0.0, 118.0)
             axes.set_xticks([0, 25, 50, 75, 100])
             axes.grid(visible=False, axis="y")
+            axes.tick_params(axis="y", length=0)
             axes.set_title(f"Joint {joint}, {own[0].case}")
             if place + columns >= len(shares):
                 axes.set_xlabel("share of the wind-up [%]")
         figure.subplots_adjust(
-            left=0.13 if columns > 1 else 0.25, right=0.99, wspace=0.62, hspace=0.34
+            left=0.13 if columns > 1 else 0.25,
+            right=0.99,
+            bottom=0.45 / height,
+            top=1 - 0.3 / height,
+            wspace=0.62,
+            hspace=0.5 / (_tall(most) - 0.5),
         )
         return figure
 
@@ -274,7 +155,8 @@ def loosening_figure(first_slip: Mapping[str, float], slip: Mapping[str, float])
     """
     keys = list(slip)
     with house_style():
-        figure = Figure(figsize=(WIDTH * 0.8, 0.75 + 0.3 * len(keys)))
+        height = 0.75 + 0.3 * len(keys)
+        figure = Figure(figsize=(WIDTH * 0.8, height))
         axes = figure.subplots()
         for row, key in enumerate(keys):
             whole, rim = (100 * min(max(each[key], 0.0), 1.0) for each in (slip, first_slip))
@@ -290,7 +172,7 @@ def loosening_figure(first_slip: Mapping[str, float], slip: Mapping[str, float])
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g} %"))
         axes.set_xlabel("preload left, of the least that tightening leaves")
         axes.grid(visible=False, axis="y")
-        below = -0.55 / (0.75 + 0.3 * len(keys))
-        axes.legend(loc="upper left", bbox_to_anchor=(0.0, below), ncols=3, borderaxespad=0.0)
-        figure.subplots_adjust(left=0.24, right=0.97)
+        axes.tick_params(axis="y", length=0)
+        figure.legend(loc="lower left", bbox_to_anchor=(0.24, 0.0), ncols=3, borderaxespad=0.0)
+        figure.subplots_adjust(left=0.24, right=0.97, bottom=0.68 / height, top=1 - 0.05 / height)
         return figure

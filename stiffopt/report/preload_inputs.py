@@ -29,7 +29,10 @@ def study_table(problem: PreloadProblem) -> Table:
         ("joints", ", ".join(map(str, problem.joints))),
         ("aim", objective_name(problem)),
         ("slip safety at least", f"{needs.slip_safety:g}, with the least preload"),
-        ("bolt utilisation at most", f"{needs.bolt_utilisation:g}, with the largest preload"),
+        (
+            "bolt utilisation at most",
+            f"{percent(needs.bolt_utilisation)} of 90 % of yield, with the largest preload",
+        ),
         (
             "least preload" + MARK,
             f"{percent(needs.least_preload)} of what the connection bears, so that no bolt works "
@@ -151,13 +154,6 @@ def pins_table(problem: PreloadProblem) -> Table | None:
         "lost by embedding",
     )
     return Table(head, tuple(rows)) if rows else None
-
-
-def present_preload(element: FreeElement) -> float:
-    """Preload that the robot file gives one bolt or pin of a connection [N]."""
-    preload = element.stage.element.preload
-    assert preload is not None  # bolted flanges and pins are not built without
-    return preload
 
 
 def _friction(connection: BoltedFlange | ClampingPins) -> str:

@@ -11,10 +11,15 @@ from matplotlib.figure import Figure
 from stiffopt.files import atomic_write
 from stiffopt.report.citations import preload_references
 from stiffopt.report.motions import robot_joint_units
-from stiffopt.report.preload_bars import limit_sources, utilisation_bars
+from stiffopt.report.preload_bars import (
+    bar,
+    limit_sources,
+    utilisation_bars,
+    utilisation_matrix,
+)
+from stiffopt.report.preload_curves_figure import curves_figure
+from stiffopt.report.preload_extras import choice_section, motion_section
 from stiffopt.report.preload_figures import (
-    Recommended,
-    curves_figure,
     front_figure,
     loosening_figure,
     shares_figure,
@@ -23,7 +28,6 @@ from stiffopt.report.preload_inputs import (
     bolts_table,
     cases_table,
     pins_table,
-    present_preload,
     study_table,
     tightening_table,
 )
@@ -36,7 +40,14 @@ from stiffopt.report.preload_tables import (
     stiffness_table,
     worth_table,
 )
-from stiffopt.report.preload_wording import headline, spoken, stiffness_sentence, what_binds
+from stiffopt.report.preload_wording import (
+    fastener_words,
+    headline,
+    spoken,
+    stiffness_sentence,
+    weakest_sentence,
+    what_binds,
+)
 from stiffopt.report.quantities import significant
 from stiffopt.report.rendering import PageFigure, page_figure, write_page
 from stiffopt.report.svg import to_png, to_svg
@@ -63,17 +74,15 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
     """
     folder = Path(directory)
     problem, solution = study.problem, study.solution
-    shown, every = utilisation_bars(solution.rows)
     names = problem.robot.joint_names
     context = {
         "title": problem.title or f"Preloads of {problem.robot.title or problem.robot.name}",
         "headline": headline(problem, solution),
-        "lead": " ".join(
-            filter(None, (what_binds(problem, solution), stiffness_sentence(problem, solution)))
-        ),
+        "lead": what_binds(problem, solution),
+        "gain": stiffness_sentence(problem, solution, study.front),
         "status": str(solution.status).replace("_", " "),
         "usable": solution.status.usable,
-        "message": solution.message,
+        "message": spoken(solution.message),
         "stoppers": [_stopper(stop) for stop in solution.stoppers],
         "notes": solution.notes,
         "tiles": _tiles(study),
@@ -81,8 +90,11 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
         "individual": individual_table(problem, solution),
         "stiffness": stiffness_table(problem, solution),
         "deflection": deflection_table(solution),
-        "bars": shown,
-        "all_bars": every if len(every) > len(shown) else [],
+        "bars": utilisation_bars(solution.rows),
+        "matrix": utilisation_matrix(solution.rows),
+        "all_bars": [bar(row) for row in solution.rows],
+        "choice": None if study.choice is None else choice_section(problem, study.choice),
+        "motion": None if study.motion is None else motion_section(problem, study.motion),
         "front": study.front,
         "loosening": loosening_table(study.loosening),
         "worth": worth_table(study.sensitivity, problem),
@@ -137,7 +149,7 @@ def _tiles(study: PreloadStudy) -> list[dict[str, str]]:
         {
             "name": "total preload",
             "value": f"{significant(solution.total_preload / 1e3, 3)} kN",
-            "note": f"of {sum(e.count for e in problem.elements)} bolts and pins",
+            "note": f"of {fastener_words(problem.elements)}",
         }
     )
     posed = solution.deflection[np.isfinite(solution.deflection)]
@@ -163,15 +175,8 @@ def _tiles(study: PreloadStudy) -> list[dict[str, str]]:
 def _figures(study: PreloadStudy, folder: Path) -> dict[str, PageFigure | None]:
     problem, solution = study.problem, study.solution
     units = robot_joint_units(problem.robot)
-    alpha = problem.tightening.alpha
-    chosen = {
-        e.key: Recommended(
-            largest=solution.preloads[e.key],
-            least=max(float(e.least(solution.preloads[e.key], alpha)), 0.0),
-            present=present_preload(e),
-        )
-        for e in problem.elements
-    }
+    shares = shares_by_joint(study.sensitivity, problem, solution)
+    free = [element.name for element in problem.elements]
     front = None
     if study.front is not None and len(study.front.points) > 1:
         front = _saved(
@@ -183,25 +188,22 @@ def _figures(study: PreloadStudy, folder: Path) -> dict[str, PageFigure | None]:
         )
     return {
         "curves_figure": _saved(
-            curves_figure(study.curves, chosen, units),
+            curves_figure(problem, solution, study.curves, units),
             "preload_curves",
             "Stiffness against preload",
-            "Each panel varies one connection; all others stay as recommended. Red lines bound "
-            "the preload from below, grey ones from above; beyond them is shaded. The line counts "
-            "on the least preload that tightening to this value can leave, the band reaches up "
-            "to what the largest would give. Thin grey: a further load case.",
+            "One connection in each panel, all others as recommended. Tightening leaves a preload "
+            "somewhere in the blue band: its lower end must stay right of the orange line, its "
+            "upper end left of the grey ones; the shaded sides are forbidden. Scales differ from "
+            "panel to panel. Thin grey: a further load case.",
             folder,
         ),
         "front_figure": front,
         "shares_figure": _saved(
-            shares_figure(
-                shares_by_joint(study.sensitivity, problem, solution),
-                [e.name for e in problem.elements],
-            ),
+            shares_figure(shares, free),
             "preload_shares",
             "Share of the wind-up",
-            "What yields, each joint under its largest torque; the longest bar is the weakest "
-            "spring. Bold: what this study tightens.",
+            f"{weakest_sentence(shares, free)} Each joint under its largest torque; what this "
+            "study tightens is in bold.",
             folder,
         ),
         "loosening_figure": _saved(

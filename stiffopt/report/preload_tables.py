@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.report.motions import robot_joint_units
-from stiffopt.report.preload_inputs import EstimateMarks, present_preload
-from stiffopt.report.preload_wording import change, fasteners, sets, spoken
+from stiffopt.report.preload_inputs import EstimateMarks
+from stiffopt.report.preload_wording import change, fasteners, present_preload, sets, spoken
 from stiffopt.report.quantities import engineering, percent, significant
 from stiffopt.report.tables import DASH, Table
 
@@ -54,7 +54,7 @@ def recommended_table(problem: PreloadProblem, solution: PreloadSolution) -> Tab
         "largest preload",
         "least preload",
         "present preload",
-        "set by",
+        "bound by",
     )
     return Table(head, tuple(rows), frozenset(slack))
 
@@ -97,7 +97,8 @@ def stiffness_table(problem: PreloadProblem, solution: PreloadSolution) -> Table
             )
         )
     head = ("joint", "softest at", "present preload", "recommended", "change", "required")
-    return Table(head, tuple(rows), frozenset(bad))
+    shown = len(head) if problem.requirements.joint_stiffness else len(head) - 1
+    return Table(head[:shown], tuple(row[:shown] for row in rows), frozenset(bad))
 
 
 def deflection_table(solution: PreloadSolution) -> Table | None:
@@ -125,7 +126,7 @@ def loosening_table(result: Loosening) -> Table:
         if at not in worst or row.slip_safety < worst[at].slip_safety:
             worst[at] = row
     head = ["connection", "rim slips below", "all of it slips below"]
-    head += [f"left {100 * fraction:g} %: slip safety, stiffness lost" for fraction in fractions]
+    head += [f"{100 * fraction:g} % left" for fraction in fractions]
     rows = []
     for key, slip in result.slip_fraction.items():
         cells = [spoken(key), _share_left(result.first_slip_fraction[key]), _share_left(slip)]
@@ -135,7 +136,7 @@ def loosening_table(result: Loosening) -> Table:
 
 
 def _share_left(fraction: float) -> str:
-    return "slips when tight" if fraction > 1.0 else percent(fraction, 2)
+    return "when tight" if fraction > 1.0 else percent(fraction, 2)
 
 
 def _loosened(row: Loosened) -> str:

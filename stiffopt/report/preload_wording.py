@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import itertools
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,8 +13,10 @@ from stiffopt.connection import BoltedFlange, ClampingPins
 from stiffopt.report.quantities import engineering, significant
 
 if TYPE_CHECKING:
+    from stiffopt.preload.pareto import ParetoFront
     from stiffopt.preload.problem import FreeElement, PreloadProblem
     from stiffopt.preload.rows import UtilisationRow
+    from stiffopt.preload.sensitivity import WindupShare
     from stiffopt.preload.solution import PreloadSolution
 
 # Marks an estimated number.
@@ -33,13 +37,13 @@ _METHODS = {
 }
 
 
-def spoken(key: str) -> str:
-    """Name of an element as people say it.
+def spoken(text: str) -> str:
+    """Keys of elements as people say them, also within a sentence.
 
-    >>> spoken("joint_2.flexspline_flange"), spoken("motor_key")
-    ('joint 2 flexspline flange', 'motor key')
+    >>> spoken("joint_2.flexspline_flange"), spoken("4.5 kN in motor_key.")
+    ('joint 2 flexspline flange', '4.5 kN in motor key.')
     """
-    return key.replace(".", " ").replace("_", " ")
+    return re.sub(r"(?<=[a-z0-9])\.(?=[a-z])", " ", text).replace("_", " ")
 
 
 def objective_name(problem: PreloadProblem) -> str:
@@ -104,7 +108,7 @@ def headline(problem: PreloadProblem, solution: PreloadSolution) -> str:
     if len(problem.elements) == 1:
         element = problem.elements[0]
         torque = solution.tightening[element.key]
-        what = f"the {element.count} {fastener_word(element)}s of the {spoken(element.key)}"
+        what = f"the {fastener_words([element])} of the {spoken(element.key)}"
         force = f"{significant(solution.preloads[element.key] / 1e3, 3)} kN"
         if torque is None:
             return f"Press {what} with {force} each at most"
@@ -123,9 +127,23 @@ def fasteners(element: FreeElement) -> str:
     return f"{element.count} pins"
 
 
-def fastener_word(element: FreeElement) -> str:
-    """Bolt or pin."""
-    return "bolt" if element.stage.element.kind == "bolted_flange" else "pin"
+def present_preload(element: FreeElement) -> float:
+    """Preload that the robot file gives one bolt or pin of a connection [N]."""
+    preload = element.stage.element.preload
+    assert preload is not None  # bolted flanges and pins are not built without
+    return preload
+
+
+def fastener_words(elements: Iterable[FreeElement]) -> str:
+    """Count bolts and pins: "12 bolts", "1 pin", "109 bolts and pins"."""
+    counts = {"bolt": 0, "pin": 0}
+    for element in elements:
+        name = "bolt" if element.stage.element.kind == "bolted_flange" else "pin"
+        counts[name] += element.count
+    if all(counts.values()):
+        return f"{sum(counts.values())} bolts and pins"
+    name = "bolt" if counts["bolt"] else "pin"
+    return f"{counts[name]} {name}{'s' if counts[name] > 1 else ''}"
 
 
 def what_binds(problem: PreloadProblem, solution: PreloadSolution) -> str:
@@ -141,9 +159,11 @@ def what_binds(problem: PreloadProblem, solution: PreloadSolution) -> str:
         return "No limit binds; the objective alone sets the preloads."
     if len(problem.elements) == 1:
         return f"It is set by {next(iter(counts))}{_where(problem, solution)}."
+    if len(counts) == 1 and not free:
+        return f"All are set by {next(iter(counts))}{_where(problem, solution)}."
     parts = [f"{why} in {count}" for why, count in sorted(counts.items(), key=lambda e: -e[1])]
-    rest = f"; {free} lie at no limit" if free else ""
-    return f"What sets them: {listed(parts)}{rest}."
+    rest = f"; {free} at no limit" if free else ""
+    return f"They are set by {listed(parts)}{rest}."
 
 
 def _where(problem: PreloadProblem, solution: PreloadSolution) -> str:
@@ -164,8 +184,23 @@ def stiffness_gains(problem: PreloadProblem, solution: PreloadSolution) -> dict[
     }
 
 
-def stiffness_sentence(problem: PreloadProblem, solution: PreloadSolution) -> str:
-    """How stiffness changes from the present to the recommended preload; small is said as small."""
+def stiffness_sentence(
+    problem: PreloadProblem, solution: PreloadSolution, front: ParetoFront | None = None
+) -> str:
+    """How stiffness changes from the present to the recommended preload; small is said as small.
+
+    Parameters
+    ----------
+    problem : PreloadProblem
+    solution : PreloadSolution
+    front : ParetoFront, optional
+        Tells what more preload would gain.
+
+    Returns
+    -------
+    str
+        Empty where there is no design to use.
+    """
     if not solution.status.usable:
         return ""
     gains = stiffness_gains(problem, solution)
@@ -174,12 +209,67 @@ def stiffness_sentence(problem: PreloadProblem, solution: PreloadSolution) -> st
     parts = []
     if slipping:
         verb = "slips" if len(slipping) == 1 else "slip"
-        parts.append(f"With the present preload, least tightened, {listed(slipping)} {verb}.")
+        parts.append(
+            "The present preload is not enough: where tightening scatters to its least, "
+            f"{listed(slipping)} {verb}."
+        )
     if known:
         parts.append(_changes(known))
-    if _slip_decides(solution) and all(abs(gain - 1.0) < _SMALL for gain in known.values()):
-        parts.append("Slip, not stiffness, sets the preload.")
+    room = front_gain(front)
+    small = [abs(gain - 1.0) < _SMALL for gain in known.values()]
+    if room is not None:
+        small.append(room < _SMALL)
+    if small and all(small) and _slip_decides(solution):
+        more = (
+            ""
+            if room is None
+            else f"All the preload that the limits allow would add {_plus(room)}: "
+        )
+        parts.append(f"{more}{'slip' if more else 'Slip'}, not stiffness, sets the preload.")
     return " ".join(parts)
+
+
+def front_gain(front: ParetoFront | None) -> float | None:
+    """Relative gain in stiffness from the least to the most preload; None without a front."""
+    if front is None or not front.points[0].level > 0.0:
+        return None
+    return front.points[-1].level / front.points[0].level - 1.0
+
+
+def weakest_sentence(shares: Mapping[int, Sequence[WindupShare]], free: Collection[str]) -> str:
+    """Name the weakest spring of the joints, and of the connections that the study tightens.
+
+    Parameters
+    ----------
+    shares : mapping of joint number to shares
+        Of one load case each.
+    free : collection of str
+        Names of the elements that the study tightens.
+    """
+    worst = {joint: max(own, key=lambda each: each.share) for joint, own in shares.items()}
+    names = {each.element for each in worst.values()}
+    sizes = [each.share for each in worst.values()]
+    if len(names) == 1:
+        where = "" if len(worst) == 1 else " in every joint"
+        low, high = (significant(100 * size, 2) for size in (min(sizes), max(sizes)))
+        size = low if low == high else f"{low} to {high}"
+        text = f"The weakest spring is the {spoken(names.pop())}{where}, with {size} % of wind-up"
+    else:
+        each = (f"the {spoken(w.element)} in joint {joint}" for joint, w in worst.items())
+        text = f"The weakest spring is {listed(each)}"
+    own = [each for each in itertools.chain(*shares.values()) if each.element in free]
+    if not own or all(each.element in free for each in worst.values()):
+        return f"{text}."
+    most = max(own, key=lambda each: each.share)
+    joint = f" of joint {most.joint}" if len(worst) > 1 else ""
+    return (
+        f"{text}; of what this study tightens it is the {spoken(most.element)}{joint}, with "
+        f"{significant(100 * most.share, 2)} %."
+    )
+
+
+def _plus(gain: float) -> str:
+    return "no stiffness" if gain < _UNCHANGED else f"{significant(100 * gain, 2)} % of stiffness"
 
 
 def _changes(gains: dict[int, float]) -> str:
@@ -190,10 +280,13 @@ def _changes(gains: dict[int, float]) -> str:
             f"joint {joint} changes by {change(gain)}."
         )
     low, high = min(gains, key=lambda j: gains[j]), max(gains, key=lambda j: gains[j])
-    return (
-        "From the present to the recommended preload the stiffness changes by "
-        f"{change(gains[low])} (joint {low}) to {change(gains[high])} (joint {high})."
-    )
+    if all(abs(gain - 1.0) < _UNCHANGED for gain in gains.values()):
+        return "From the present to the recommended preload no joint's stiffness changes."
+    if change(gains[low]) == change(gains[high]):
+        each = f"{change(gains[low])} in each of {len(gains)} joints"
+    else:
+        each = f"{change(gains[low])} (joint {low}) to {change(gains[high])} (joint {high})"
+    return f"From the present to the recommended preload the stiffness changes by {each}."
 
 
 def _slip_decides(solution: PreloadSolution) -> bool:
