@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.report.preload_wording import MARK, owner_name, quantity
+from stiffopt.report.preload_names import MARK, owner_name, quantity
 from stiffopt.report.quantities import percent
 from stiffopt.report.tables import Table
 

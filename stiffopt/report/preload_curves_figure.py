@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stiffopt.report.motions import JointUnits
-from stiffopt.report.preload_wording import present_preload, spoken
+from stiffopt.report.preload_names import present_preload, spoken
 from stiffopt.report.svg import (
     BLACK,
     BLUE,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.preload.problem import OBJECTIVES
-from stiffopt.report.preload_wording import quantity, spoken
+from stiffopt.report.preload_names import prose, quantity, spoken
 from stiffopt.report.quantities import engineering, percent, significant
 from stiffopt.report.tables import DASH, Table
 
@@ -26,8 +26,8 @@ class ChoiceSection:
 
     Parameters
     ----------
-    good : bool
     message : str
+        Where there is no best design; else empty.
     designs : Table or None
         What to take; None where the catalogue has nothing.
     gap : str
@@ -40,7 +40,6 @@ class ChoiceSection:
         Best torque for all bolts of each connection.
     """
 
-    good: bool
     message: str
     designs: Table | None
     gap: str
@@ -52,8 +51,7 @@ class ChoiceSection:
 def choice_section(problem: PreloadProblem, choice: CatalogueChoice) -> ChoiceSection:
     """Catalogue choice of a study in words and tables."""
     return ChoiceSection(
-        good=choice.status.usable,
-        message=spoken(choice.message),
+        message="" if choice.status.usable else prose(choice.message),
         designs=_designs(choice) if choice.designs else None,
         gap=_gap(problem, choice),
         proof=_proof(choice.proof),
@@ -113,14 +111,14 @@ def _value(value: float, unit: str) -> str:
 def _proof(proof: SearchProof) -> str:
     excluded = sum(proof.excluded.values())
     text = (
-        f"The catalogue has {_count(proof.combinations)} combinations for this study. "
+        f"The catalogue has {_count(proof.combinations)} combinations for this study. Of these "
         f"{_count(excluded)} are excluded by a limit or a bound that holds for all of them, "
-        f"{_count(proof.evaluated)} were worked out one by one"
+        f"the other {_count(proof.evaluated)} worked out one by one"
     )
     if proof.complete:
-        return f"{text}, none was left open: no better design is in the catalogue."
+        return f"{text}: no better design is in the catalogue."
     return (
-        f"{text}, {_count(proof.unvisited)} were left open as the search ended: a better design is "
+        f"{text}. {_count(proof.unvisited)} were left open as the search ended: a better design is "
         "not ruled out."
     )
 
@@ -199,7 +197,7 @@ def motion_section(problem: PreloadProblem, motion: MotionStudy) -> MotionSectio
     )
     head = ("round", "motion anew", "preloads anew")
     return MotionSection(
-        note=motion.note,
+        note=prose(motion.note),
         comparison=Table(("", f"peak {name} of the tool"), rows),
         rounds=Table(head, rounds) if rounds else None,
         preloads=_motion_preloads(problem, motion),

@@ -16,7 +16,7 @@ from matplotlib.ticker import FuncFormatter
 
 from stiffopt.report.elements import ELEMENT_COLOURS
 from stiffopt.report.motions import JointUnits
-from stiffopt.report.preload_wording import spoken
+from stiffopt.report.preload_names import spoken
 from stiffopt.report.quantities import significant
 from stiffopt.report.svg import BLUE, GREEN, GREY, ORANGE, VERMILLION, WIDTH, house_style
 

@@ -6,13 +6,7 @@ from typing import TYPE_CHECKING
 
 from stiffopt.connection import BoltedFlange, ClampingPins
 from stiffopt.report.motions import robot_joint_units
-from stiffopt.report.preload_wording import (
-    MARK,
-    fasteners,
-    method_name,
-    objective_name,
-    spoken,
-)
+from stiffopt.report.preload_names import MARK, fasteners, method_name, objective_name, spoken
 from stiffopt.report.quantities import engineering, percent, significant
 from stiffopt.report.tables import Table
 

@@ -31,6 +31,7 @@ from stiffopt.report.preload_inputs import (
     study_table,
     tightening_table,
 )
+from stiffopt.report.preload_names import fastener_words, prose, spoken
 from stiffopt.report.preload_tables import (
     deflection_table,
     individual_table,
@@ -41,9 +42,7 @@ from stiffopt.report.preload_tables import (
     worth_table,
 )
 from stiffopt.report.preload_wording import (
-    fastener_words,
     headline,
-    spoken,
     stiffness_sentence,
     weakest_sentence,
     what_binds,
@@ -75,6 +74,7 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
     folder = Path(directory)
     problem, solution = study.problem, study.solution
     names = problem.robot.joint_names
+    bars, every = utilisation_bars(solution.rows), [bar(row) for row in solution.rows]
     context = {
         "title": problem.title or f"Preloads of {problem.robot.title or problem.robot.name}",
         "headline": headline(problem, solution),
@@ -82,20 +82,20 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
         "gain": stiffness_sentence(problem, solution, study.front),
         "status": str(solution.status).replace("_", " "),
         "usable": solution.status.usable,
-        "message": spoken(solution.message),
+        "message": prose(solution.message),
         "stoppers": [_stopper(stop) for stop in solution.stoppers],
-        "notes": solution.notes,
+        "notes": [prose(note) for note in solution.notes],
         "tiles": _tiles(study),
         "recommended": recommended_table(problem, solution),
         "individual": individual_table(problem, solution),
         "stiffness": stiffness_table(problem, solution),
         "deflection": deflection_table(solution),
-        "bars": utilisation_bars(solution.rows),
+        "bars": bars,
         "matrix": utilisation_matrix(solution.rows),
-        "all_bars": [bar(row) for row in solution.rows],
+        "all_bars": every if len(every) > len(bars) else [],
         "choice": None if study.choice is None else choice_section(problem, study.choice),
         "motion": None if study.motion is None else motion_section(problem, study.motion),
-        "front": study.front,
+        "front_note": "" if study.front is None else prose(study.front.note),
         "loosening": loosening_table(study.loosening),
         "worth": worth_table(study.sensitivity, problem),
         "inputs": study_table(problem),
@@ -117,8 +117,8 @@ def _stopper(stop: Any) -> dict[str, str]:
         "limit": spoken(stop.limit),
         "required": f"{significant(stop.required)}{unit}",
         "best": f"{significant(stop.best)}{unit}",
-        "against": spoken(stop.against),
-        "remedy": stop.remedy,
+        "against": prose(stop.against),
+        "remedy": prose(stop.remedy),
     }
 
 
@@ -183,7 +183,7 @@ def _figures(study: PreloadStudy, folder: Path) -> dict[str, PageFigure | None]:
             front_figure(study.front, units, problem.joints),
             "preload_front",
             "Total preload against stiffness",
-            f"{study.front.note} {study.front.knee_reason}",
+            prose(f"{study.front.note} {study.front.knee_reason}"),
             folder,
         )
     return {

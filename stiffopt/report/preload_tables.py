@@ -9,7 +9,8 @@ import numpy as np
 
 from stiffopt.report.motions import robot_joint_units
 from stiffopt.report.preload_inputs import EstimateMarks
-from stiffopt.report.preload_wording import change, fasteners, present_preload, sets, spoken
+from stiffopt.report.preload_names import change, fasteners, present_preload, spoken
+from stiffopt.report.preload_wording import sets
 from stiffopt.report.quantities import engineering, percent, significant
 from stiffopt.report.tables import DASH, Table
 
@@ -96,9 +97,14 @@ def stiffness_table(problem: PreloadProblem, solution: PreloadSolution) -> Table
                 DASH if needed is None else f"{significant(needed)} {unit}",
             )
         )
-    head = ("joint", "softest at", "present preload", "recommended", "change", "required")
+    head = ("joint", "softest at", "present preload", _here(solution), "change", "required")
     shown = len(head) if problem.requirements.joint_stiffness else len(head) - 1
     return Table(head[:shown], tuple(row[:shown] for row in rows), frozenset(bad))
+
+
+def _here(solution: PreloadSolution) -> str:
+    """Name of the design on the page."""
+    return "recommended" if solution.status.usable else "nearest design"
 
 
 def deflection_table(solution: PreloadSolution) -> Table | None:
@@ -113,7 +119,7 @@ def deflection_table(solution: PreloadSolution) -> Table | None:
         after = engineering(float(new), "m") if np.isfinite(new) else "slips"
         both = np.isfinite(old) and np.isfinite(new) and old > 0.0
         rows.append((case.name, before, after, change(float(new / old)) if both else DASH))
-    head = ("load case", "present preload", "recommended", "change")
+    head = ("load case", "present preload", _here(solution), "change")
     return Table(head, tuple(rows)) if rows else None
 
 

@@ -1,93 +1,24 @@
-"""Words of a preload report: names, headline, what sets each preload, what stiffness gains."""
+"""Sentences of a preload report: headline, what sets each preload, what stiffness gains."""
 
 from __future__ import annotations
 
 import itertools
-import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.connection import BoltedFlange, ClampingPins
-from stiffopt.report.quantities import engineering, significant
+from stiffopt.report.preload_names import UNCHANGED, change, fastener_words, listed, spoken
+from stiffopt.report.quantities import significant
 
 if TYPE_CHECKING:
     from stiffopt.preload.pareto import ParetoFront
-    from stiffopt.preload.problem import FreeElement, PreloadProblem
-    from stiffopt.preload.rows import UtilisationRow
+    from stiffopt.preload.problem import PreloadProblem
     from stiffopt.preload.sensitivity import WindupShare
     from stiffopt.preload.solution import PreloadSolution
 
-# Marks an estimated number.
-MARK = " *"
 # Below this relative change of stiffness the preload is set by something else.
 _SMALL = 0.02
-_UNCHANGED = 5e-5
-_OBJECTIVES = {
-    "total_preload": "least total preload",
-    "bolt_utilisation": "least utilisation of bolts and pins",
-    "joint_stiffness": "most joint stiffness",
-    "tool_deflection": "least tool deflection",
-}
-_METHODS = {
-    "torque_wrench": "torque wrench",
-    "angle": "angle of rotation",
-    "yield": "yield-controlled",
-}
-
-
-def spoken(text: str) -> str:
-    """Keys of elements as people say them, also within a sentence.
-
-    >>> spoken("joint_2.flexspline_flange"), spoken("4.5 kN in motor_key.")
-    ('joint 2 flexspline flange', '4.5 kN in motor key.')
-    """
-    return re.sub(r"(?<=[a-z0-9])\.(?=[a-z])", " ", text).replace("_", " ")
-
-
-def objective_name(problem: PreloadProblem) -> str:
-    """Objective in words."""
-    return _OBJECTIVES[problem.objective]
-
-
-def method_name(problem: PreloadProblem) -> str:
-    """Tightening method in words."""
-    return _METHODS[problem.tightening.method]
-
-
-def row_name(row: UtilisationRow) -> str:
-    """Kind, owner and load case of a row in words."""
-    return ", ".join(part for part in (row.kind, owner_name(row), row.case) if part)
-
-
-def owner_name(row: UtilisationRow) -> str:
-    """Element, else joint, else the tool."""
-    if row.element:
-        return spoken(row.element)
-    return f"joint {row.joint}" if row.joint else "tool"
-
-
-def listed(names: Iterable[str]) -> str:
-    """Join with commas and an "and".
-
-    >>> listed(["slip", "head pressure", "stiffness"]), listed(["slip"])
-    ('slip, head pressure and stiffness', 'slip')
-    """
-    each = list(names)
-    return each[0] if len(each) == 1 else f"{', '.join(each[:-1])} and {each[-1]}" if each else ""
-
-
-def change(ratio: float) -> str:
-    """Relative change with its sign.
-
-    >>> change(1.0031), change(0.98), change(1.0)
-    ('+0.31 %', '−2 %', '0 %')
-    """
-    size = ratio - 1.0
-    if abs(size) < _UNCHANGED:
-        return "0 %"
-    return f"{'+' if size > 0 else '−'}{significant(100 * abs(size), 2)} %"
 
 
 def sets(solution: PreloadSolution, key: str, joint: int) -> str:
@@ -115,35 +46,6 @@ def headline(problem: PreloadProblem, solution: PreloadSolution) -> str:
         return f"Tighten {what} to {significant(torque.nominal, 3)} N m ({force} each at most)"
     total = significant(solution.total_preload / 1e3, 3)
     return f"Tighten {len(problem.elements)} connections as listed, {total} kN in all"
-
-
-def fasteners(element: FreeElement) -> str:
-    """Count, size and grade: "9 × M5 12.9"."""
-    connection = element.stage.element
-    if isinstance(connection, BoltedFlange) and connection.bolt is not None:
-        return f"{element.count} × {connection.bolt.size} {connection.bolt.grade}"
-    if isinstance(connection, ClampingPins) and connection.screw is not None:
-        return f"{element.count} × {connection.screw.size} set screw"
-    return f"{element.count} pins"
-
-
-def present_preload(element: FreeElement) -> float:
-    """Preload that the robot file gives one bolt or pin of a connection [N]."""
-    preload = element.stage.element.preload
-    assert preload is not None  # bolted flanges and pins are not built without
-    return preload
-
-
-def fastener_words(elements: Iterable[FreeElement]) -> str:
-    """Count bolts and pins: "12 bolts", "1 pin", "109 bolts and pins"."""
-    counts = {"bolt": 0, "pin": 0}
-    for element in elements:
-        name = "bolt" if element.stage.element.kind == "bolted_flange" else "pin"
-        counts[name] += element.count
-    if all(counts.values()):
-        return f"{sum(counts.values())} bolts and pins"
-    name = "bolt" if counts["bolt"] else "pin"
-    return f"{counts[name]} {name}{'s' if counts[name] > 1 else ''}"
 
 
 def what_binds(problem: PreloadProblem, solution: PreloadSolution) -> str:
@@ -269,7 +171,7 @@ def weakest_sentence(shares: Mapping[int, Sequence[WindupShare]], free: Collecti
 
 
 def _plus(gain: float) -> str:
-    return "no stiffness" if gain < _UNCHANGED else f"{significant(100 * gain, 2)} % of stiffness"
+    return "no stiffness" if gain < UNCHANGED else f"{significant(100 * gain, 2)} % of stiffness"
 
 
 def _changes(gains: dict[int, float]) -> str:
@@ -280,7 +182,7 @@ def _changes(gains: dict[int, float]) -> str:
             f"joint {joint} changes by {change(gain)}."
         )
     low, high = min(gains, key=lambda j: gains[j]), max(gains, key=lambda j: gains[j])
-    if all(abs(gain - 1.0) < _UNCHANGED for gain in gains.values()):
+    if all(abs(gain - 1.0) < UNCHANGED for gain in gains.values()):
         return "From the present to the recommended preload no joint's stiffness changes."
     if change(gains[low]) == change(gains[high]):
         each = f"{change(gains[low])} in each of {len(gains)} joints"
@@ -292,12 +194,3 @@ def _changes(gains: dict[int, float]) -> str:
 def _slip_decides(solution: PreloadSolution) -> bool:
     active = {row.kind for row in solution.rows if row.active}
     return "slip safety" in active and not active & {"joint stiffness", "tool deflection"}
-
-
-def quantity(value: float, unit: str, digits: int = 4) -> str:
-    """Value as text; forces in kN, pressures in MPa."""
-    if unit == "N":
-        return f"{significant(value / 1e3, digits)} kN"
-    if unit == "Pa":
-        return f"{significant(value / 1e6, digits)} MPa"
-    return engineering(value, unit, digits)

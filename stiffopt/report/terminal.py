@@ -9,15 +9,8 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
-from stiffopt.report.preload_wording import (
-    fasteners,
-    headline,
-    quantity,
-    sets,
-    spoken,
-    stiffness_sentence,
-    what_binds,
-)
+from stiffopt.report.preload_names import fasteners, quantity, spoken
+from stiffopt.report.preload_wording import headline, sets, stiffness_sentence, what_binds
 from stiffopt.report.quantities import engineering, significant
 from stiffopt.report.wording import comparison, objective_text
 from stiffopt.result.status import SolveStatus
@@ -48,13 +41,14 @@ def print_study(study: PreloadStudy, folder: Path) -> None:
     """What to tighten to, what binds, how much of each limit is used, and where the files are."""
     console = Console(highlight=False, soft_wrap=True)
     problem, solution = study.problem, study.solution
-    console.print(f"{solution.status}: {headline(problem, solution)}.", markup=False)
-    console.print(solution.message, markup=False)
     if solution.status.usable:
+        console.print(f"{solution.status}: {headline(problem, solution)}.", markup=False)
         for text in (what_binds(problem, solution), stiffness_sentence(problem, solution)):
             if text:
                 console.print(text, markup=False)
         _wide(Console(highlight=False)).print(_study_table(study))
+    else:
+        console.print(f"{solution.status}: {solution.message}", markup=False)
     if study.choice is not None:
         console.print(f"Catalogue: {study.choice.message}", markup=False)
     if study.motion is not None:
