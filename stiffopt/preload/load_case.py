@@ -119,8 +119,13 @@ class LoadHistory:
         for j in range(self.torque.shape[1]):
             angles[:, j] = windup(j + 1, self.torque[:, j])
             if self.reference_torque is not None:
-                angles[:, j] -= windup(j + 1, self.reference_torque[:, j])
-        return np.asarray(np.linalg.norm(np.einsum("kin,kn->ki", self.jacobian, angles), axis=1))
+                reference = windup(j + 1, self.reference_torque[:, j])
+                # What slips under the reference torque does not hold at all.
+                lost = np.isinf(angles[:, j]) | np.isinf(reference)
+                angles[:, j] = np.where(lost, np.inf, angles[:, j] - np.where(lost, 0.0, reference))
+        held = np.isfinite(angles).all(axis=1)
+        vectors = np.einsum("kin,kn->ki", self.jacobian, np.where(held[:, None], angles, 0.0))
+        return np.where(held, np.linalg.norm(vectors, axis=1), np.inf)
 
 
 def _require_finite(loads: Any, owner: str) -> None:

@@ -139,25 +139,33 @@ class PreloadModel:
         return np.array(rows)
 
     def exact_deflection(self, preloads: np.ndarray) -> np.ndarray:
-        """Deflection of the tool, (cases, 3) [m]; nan for cases without a pose."""
-        rows = []
-        for case in self.cases:
-            if case.jacobian is None:
-                rows.append(np.full(3, np.nan))
-                continue
-            angles = [
-                self.net_windup(preloads, j, case) for j in range(1, self.problem.robot.n + 1)
-            ]
-            rows.append(-case.jacobian @ np.array(angles))
-        return np.array(rows)
+        """Deflection of the tool, (cases, 3) [m].
 
-    def net_windup(self, preloads: np.ndarray, joint: int, case: LoadCase) -> float:
-        """Exact wind-up of a joint beyond that of the reference torque [rad]."""
-        torques = [case.torque[joint - 1]]
-        if case.reference_torque is not None:
-            torques.append(case.reference_torque[joint - 1])
-        angles = self.exact_windup(preloads, joint, np.array(torques))
-        return float(angles[0] - angles[1]) if len(torques) == 2 else float(angles[0])
+        nan for cases without a pose, infinite where a connection slips.
+        """
+        found = np.full((len(self.cases), 3), np.nan)
+        if any(case.jacobian is not None for case in self.cases):
+            joints = range(1, self.problem.robot.n + 1)
+            angles = np.array([self.net_windups(preloads, joint) for joint in joints])
+            for k, case in enumerate(self.cases):
+                if case.jacobian is not None:
+                    held = bool(np.isfinite(angles[:, k]).all())
+                    found[k] = -case.jacobian @ angles[:, k] if held else np.inf
+        return found
+
+    def net_windups(self, preloads: np.ndarray, joint: int) -> np.ndarray:
+        """Exact wind-up of a joint beyond that of the reference torque (cases,) [rad]."""
+        torques = np.array([case.torque[joint - 1] for case in self.cases])
+        references = np.array(
+            [
+                0.0 if case.reference_torque is None else case.reference_torque[joint - 1]
+                for case in self.cases
+            ]
+        )
+        angles = self.exact_windup(preloads, joint, np.concatenate([torques, references]))
+        loaded, unloaded = np.split(angles, 2)
+        slips = np.isinf(loaded) | np.isinf(unloaded)
+        return np.asarray(np.where(slips, np.inf, loaded - np.where(slips, 0.0, unloaded)))
 
     # ---- parts
 

@@ -65,6 +65,8 @@ class PreloadNlp:
         self._rest_compliance = ca.SX.sym("compliance", len(self.joints), len(model.cases))
         self._rest_windup = ca.SX.sym("windup", self.n, len(model.cases))
         self._preloads = self._x * ca.DM(self.scale)
+        # A requirement and an objective share the compliances of their joint.
+        self._built: dict[int, list[Quantity]] = {}
 
     @property
     def _bounded(self) -> int:
@@ -144,12 +146,14 @@ class PreloadNlp:
         return labels
 
     def _slip_rows(self) -> tuple[str, list[str], list[Quantity]]:
+        """Of what could slip at the least preloads; others cannot bind and only spoil the scale."""
         safety = self.model.problem.requirements.slip_safety
+        lower, _ = self.bounds()
         labels, rows = [], []
         for index, element in enumerate(self.model.elements):
             case = max(self.model.cases, key=lambda c: abs(c.torque[element.joint - 1]))
             torque = abs(float(case.torque[element.joint - 1]))
-            if torque > 0.0:
+            if float(self.model.slip_torque(lower, index)) < safety * torque:
                 labels.append(_CASE.format(element.key, case.name))
                 rows.append(2.0 - self.model.slip_torque(self._preloads, index) / (safety * torque))
         return "slip safety", labels, rows
@@ -172,11 +176,13 @@ class PreloadNlp:
 
     def _compliances(self, joint: int) -> list[Quantity]:
         """Tangent compliance of a joint in every load case."""
-        row = self.joints.index(joint)
-        return [
-            self.model.compliance(self._preloads, joint, case) + self._rest_compliance[row, k]
-            for k, case in enumerate(self.model.cases)
-        ]
+        if joint not in self._built:
+            row = self.joints.index(joint)
+            self._built[joint] = [
+                self.model.compliance(self._preloads, joint, case) + self._rest_compliance[row, k]
+                for k, case in enumerate(self.model.cases)
+            ]
+        return self._built[joint]
 
     def _stiffness_rows(self) -> tuple[str, list[str], list[Quantity]]:
         labels, rows = [], []
@@ -186,6 +192,7 @@ class PreloadNlp:
                 rows.append(needed * value)
         return "joint stiffness", labels, rows
 
+    @cached_property
     def _squared_deflections(self) -> list[tuple[str, Quantity]]:
         """Square of the tool's deflection in every load case with a pose [m^2]."""
         found = []
@@ -215,7 +222,7 @@ class PreloadNlp:
         allowed = self.model.problem.requirements.tool_deflection
         if allowed is None:
             return "tool deflection", [], []
-        found = self._squared_deflections()
+        found = self._squared_deflections
         return "tool deflection", [name for name, _ in found], [s / allowed**2 for _, s in found]
 
     def _level_rows(self) -> tuple[str, list[str], list[Quantity]]:
@@ -224,7 +231,7 @@ class PreloadNlp:
             used = self._utilisations()
             return "level", [label for label, _ in used], [1.0 + u - self._z[0] for _, u in used]
         if self.objective == "tool_deflection":
-            found = self._squared_deflections()
+            found = self._squared_deflections
             level = self.levels.deflection**2
             return "level", [n for n, _ in found], [1.0 + s / level - self._z[0] for _, s in found]
         if self.objective == "joint_stiffness":
@@ -263,11 +270,10 @@ class PreloadNlp:
             torques = np.array([case.torque[joint - 1] for case in model.cases])
             smooth = [float(model.compliance(preloads, joint, case)) for case in model.cases]
             compliance[row] = model.exact_compliance(preloads, joint, torques) - smooth
-        for k, case in enumerate(model.cases):
-            if case.jacobian is None:
-                continue
-            for j in range(1, self.n + 1):
-                windup[j - 1, k] = model.net_windup(preloads, j, case)
-                if j in self.joints:
-                    windup[j - 1, k] -= float(self.varying_windup(preloads, j, k))
+        posed = [k for k, case in enumerate(model.cases) if case.jacobian is not None]
+        for j in range(1, self.n + 1) if posed else ():
+            windup[j - 1] = model.net_windups(preloads, j)
+            if j in self.joints:
+                smooth = [float(self.varying_windup(preloads, j, k)) for k in posed]
+                windup[j - 1, posed] -= smooth
         return np.concatenate([compliance.ravel(order="F"), windup.ravel(order="F")])
