@@ -192,7 +192,8 @@ def test_rows_of_the_programme_are_exact_where_the_law_was_shifted():
         else:
             continue
         compared += 1
-    assert compared == 13
+    # Joint 2 in three cases, joint 3 in three, two poses, four connections near enough to slip.
+    assert compared == 12
 
 
 def test_stiffness_slopes_of_the_smooth_law_agree_with_differences_of_the_exact_one():
@@ -316,3 +317,17 @@ def test_reference_torque_does_not_count_in_the_deflection():
     angles = model.exact_windup(model.design, 2, np.array([60.0, 30.0]))
     expected = -JACOBIAN[:, 1] * (angles[0] - angles[1])
     assert model.exact_deflection(model.design)[0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_what_slips_deflects_without_end_and_is_no_missing_pose():
+    slipping = case("over", JACOBIAN, j2=300.0)
+    flat = case("flat", np.zeros((3, 6)), reference=np.full(6, 300.0), j2=300.0)
+    model = PreloadModel(
+        study(slipping, case("unposed", j2=1.0), flat, needs={"tool_deflection": 1})
+    )
+    deflection = model.exact_deflection(model.design)
+    assert np.isinf(deflection[[0, 2]]).all()
+    assert np.isnan(deflection[1]).all()
+    rows = {row.name: row for row in utilisation_rows(model, model.design)}
+    assert rows["tool deflection, over"].utilisation == np.inf
+    assert "tool deflection, unposed" not in rows
