@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -238,6 +238,8 @@ def _motion(section: MotionSection, robot: Robot, path: Path) -> TrajectoryProbl
             f"is about {motion.robot.name}, the study about {robot.name}. Give a trajectory "
             "problem of the same robot.",
         )
+    if section.intervals is not None:
+        motion = replace(motion, method=replace(motion.method, intervals=section.intervals))
     return motion
 
 

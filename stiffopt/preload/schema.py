@@ -105,10 +105,14 @@ class ParetoSection(Section):
 
 
 class MotionSection(Section):
-    """[motion]: a trajectory problem beside the study, optimised together with the preloads."""
+    """[motion]: a trajectory problem beside the study, optimised together with the preloads.
+
+    `intervals`: in place of the problem's own, since each round solves it anew.
+    """
 
     problem: str
     rounds: Annotated[int, Field(ge=1, le=50)] = 4
+    intervals: Annotated[int, Field(ge=4)] | None = None
 
 
 class ExpectedValueSection(Section):

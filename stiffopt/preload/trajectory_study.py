@@ -131,6 +131,12 @@ class _Study:
             if self.settled:
                 break
         best = min([separate, *(t for _, t in pairs)], key=lambda design: design.deflection)
+        if best is separate and pairs:
+            nearest = min(t.deflection for _, t in pairs) / separate.deflection - 1.0
+            self.remarks.append(
+                "No round came below the motion and preloads optimised one after another; the best "
+                f"of them deflects {nearest:.2%} more."
+            )
         first, separate = self._best_apart(first, separate, pairs)
         return self._conclude(first, separate, best, pairs)
 
@@ -207,13 +213,18 @@ class _Study:
 
     def _with_preloads(self, vector: np.ndarray) -> TrajectoryProblem:
         """The motion's problem with what tightening leaves of these preloads."""
+        robot = replace(self.trajectory.robot, chains=self.problem.robot.chains)
+        return replace(self.trajectory, robot=robot.with_preloads(self._by_joint(vector, True)))
+
+    def _by_joint(self, vector: np.ndarray, least: bool) -> dict[int, dict[str, float]]:
+        """Largest or least preloads by joint and element [N]."""
         alpha = self.problem.tightening.alpha
-        least: dict[int, dict[str, float]] = {}
+        found: dict[int, dict[str, float]] = {}
         for index, element in enumerate(self.model.elements):
             own = float(self.model.of_element(vector, index)[0])
-            least.setdefault(element.joint, {})[element.name] = element.least(own, alpha)
-        robot = replace(self.trajectory.robot, chains=self.problem.robot.chains)
-        return replace(self.trajectory, robot=robot.with_preloads(least))
+            own = float(element.least(own, alpha)) if least else own
+            found.setdefault(element.joint, {})[element.name] = own
+        return found
 
     # ---- preloads
 
@@ -221,13 +232,20 @@ class _Study:
         assert design.motion.assessment is not None
         return load_histories(self._with_preloads(design.vector), design.motion.assessment)
 
-    def _preload_problem(self, design: _Design, objective: str) -> PreloadProblem:
-        histories = (*self.problem.histories, *self._loads(design))
-        return replace(self.problem, objective=objective, histories=histories)
+    def _preload_problem(
+        self, design: _Design, objective: str, loads: tuple[LoadHistory, ...]
+    ) -> PreloadProblem:
+        """The preloads' problem under the loads of a motion, from that motion's preloads."""
+        return replace(
+            self.problem,
+            robot=self.problem.robot.with_preloads(self._by_joint(design.vector, False)),
+            objective=objective,
+            histories=(*self.problem.histories, *loads),
+        )
 
     def _with_best_preloads(self, design: _Design) -> _Design | None:
         """The same motion with the preloads that are best for it; None where stopped."""
-        problem = self._preload_problem(design, "tool_deflection")
+        problem = self._preload_problem(design, "tool_deflection", self._loads(design))
         found = optimise_preloads(problem, progress=self._reporter(), throw=False)
         if found.status is SolveStatus.INTERRUPTED:
             self.interrupted = True
@@ -258,7 +276,8 @@ class _Study:
         ]
 
     def _least_preload(self, design: _Design) -> np.ndarray:
-        problem = self._preload_problem(design, "total_preload")
+        loads = tuple(replace(load, jacobian=None) for load in self._loads(design))
+        problem = self._preload_problem(design, "total_preload", loads)
         return optimise_preloads(problem, progress=self._reporter()).vector
 
     # ---- telling

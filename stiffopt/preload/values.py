@@ -58,7 +58,12 @@ def value_units(
     if problem.choose is not None:
         units["catalogue_objective"] = OBJECTIVES[problem.objective]
     if motion:
-        units["gain_joint_study"] = ""
+        units |= {
+            "deflection_start": "m",
+            "deflection_separate": "m",
+            "deflection_joint": "m",
+            "gain_joint_study": "",
+        }
     return units
 
 
@@ -97,7 +102,12 @@ def named_values(study: PreloadStudy) -> dict[str, tuple[float, str]]:
     if study.choice is not None:
         values["catalogue_objective"] = study.choice.objective
     if study.motion is not None:
-        values["gain_joint_study"] = study.motion.gain
+        values |= {
+            "deflection_start": study.motion.start,
+            "deflection_separate": study.motion.separate,
+            "deflection_joint": study.motion.joint,
+            "gain_joint_study": study.motion.gain,
+        }
     units = value_units(problem, motion=study.motion is not None)
     return {name: (values.get(name, np.nan), unit) for name, unit in units.items()}
 
