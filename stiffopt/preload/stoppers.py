@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from stiffopt.connection import BoltedFlange
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import PreloadNlp
 from stiffopt.preload.problem import FreeElement
@@ -21,8 +22,8 @@ def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
     Returns
     -------
     tuple of Stopper
-        First what no preload changes, then slip, then stiffness and deflection with every preload
-        at its largest. Empty where each requirement alone can be met.
+        First what no preload changes, then slip and the floor of the preload, then stiffness
+        with every preload at its largest. Empty where each requirement alone can be met.
     """
     model = nlp.model
     _, upper = nlp.bounds()
@@ -102,7 +103,11 @@ def _slip(
         required=needs.slip_safety,
         unit="",
         against=limiting(element, needs.bolt_utilisation),
-        remedy="a larger bolt or a higher grade, more bolts, more friction, or less scatter",
+        remedy=(
+            "a larger bolt or a higher grade, more bolts, more friction, or less scatter"
+            if isinstance(element.stage.element, BoltedFlange)
+            else "a larger set screw, more pins, a thicker shaft, more friction, or less scatter"
+        ),
     )
 
 
