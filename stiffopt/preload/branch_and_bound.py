@@ -29,6 +29,8 @@ from stiffopt.preload.search_bounds import (
 )
 
 DOMINATED = "dominated: another design costs no more and is as stiff in every load case"
+# Partial and whole combinations that a search looks at before it gives up the proof: half a minute.
+NODES = 200_000
 NO_BETTER = "bound: no better than the best found"
 
 
@@ -83,7 +85,7 @@ class Search:
         peak: bool,
         amounts: Amounts | None = None,
         ledger: Ledger | None = None,
-        node_limit: int = 1_000_000,
+        node_limit: int = NODES,
     ) -> None:
         self._given = tuple(menus)
         self._menus = list(menus)
@@ -96,6 +98,7 @@ class Search:
         self._floor = -math.inf
         self._open = math.inf
         self._price = np.zeros(len(rows.names))
+        self._offered: set[tuple[int, ...]] = set()
 
     def run(self) -> Found:
         """Search; deterministic."""
@@ -110,6 +113,7 @@ class Search:
             self._suffixes()
             start = self._rows.base.copy()
             self._visit(0, start, 0.0, 0.0, ())
+            self._count_offered()
         value = self._best[0]
         bound = value if self.ledger.unvisited == 0 else max(self._floor, min(self._open, value))
         return Found(self._picks, value, self.ledger.proof(bound), self._stoppers())
@@ -208,12 +212,25 @@ class Search:
         return founds
 
     def _offer(self, picks: tuple[int, ...]) -> None:
-        """Take a combination found on the way as the best so far; it is met again in the tree."""
+        """Take a combination found on the way as the best so far."""
         amounts = self._amounts(self._labelled(picks))
         if (amounts <= self._rows.ends).all():
             key = self._key(amounts, picks)
             if key < self._best:
                 self._best, self._picks = key, self._labelled(picks)
+                self._offered.add(self._picks)
+
+    def _count_offered(self) -> None:
+        """Move the combinations that were offered to the evaluated ones, where the tree cut them.
+
+        They break no row, so it is for the bound that they were cut, or they were left open.
+        """
+        for _ in self._offered:
+            if self.ledger.excluded[NO_BETTER]:
+                self.ledger.excluded[NO_BETTER] -= 1
+            else:
+                self.ledger.unvisited -= 1
+            self.ledger.evaluated += 1
 
     def _labelled(self, picks: Sequence[int]) -> tuple[int, ...]:
         return tuple(int(label[i]) for label, i in zip(self._labels, picks, strict=True))
@@ -280,8 +297,8 @@ class Search:
         lowest = after + self._rest[depth + 1]
         over = lowest > self._rows.ends
         bad = over.any(axis=1)
-        for row in np.argmax(over[bad], axis=1):
-            self.ledger.excluded[self._rows.names[int(row)]] += below
+        for i in np.flatnonzero(bad):
+            self.ledger.excluded[self._rows.names[int(np.argmax(over[i]))]] += below
         costs, ties = cost + menu.cost, tie + menu.tie
         bounds = self._bounds(depth + 1, after, lowest, costs)
         low_ties = ties + self._ties[depth + 1]
@@ -325,6 +342,7 @@ class Search:
 
     def _evaluate(self, picks: tuple[int, ...]) -> None:
         self.ledger.evaluated += 1
+        self._offered.discard(self._labelled(picks))
         amounts = self._amounts(self._labelled(picks))
         over = amounts > self._rows.ends
         if over.any():

@@ -47,9 +47,9 @@ class CatalogueChoice:
     Parameters
     ----------
     status : SolveStatus
-        optimal: nothing in the catalogue is better. iteration_limit: the best that was found, its
-        distance from the best possible bounded by `proof.bound`. infeasible: the catalogue has
-        nothing for this study, see `stoppers`.
+        optimal: nothing in the catalogue is better. acceptable: the best that was found; what is
+        possible is bounded by `proof.bound`. infeasible: the catalogue has nothing for this study,
+        see `stoppers`. iteration_limit: nothing was found before the search ended.
     message : str
     designs : mapping of element key to CatalogueDesign
         Empty where the catalogue has nothing.

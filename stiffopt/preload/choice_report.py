@@ -59,10 +59,8 @@ class _Swap:
         swapped = (*picks[:index], position, *picks[index + 1 :])
         amounts = table.amounts(swapped)
         rows = table.rows
-        over = amounts / np.where(np.isfinite(rows.cap), rows.cap, np.inf)
-        broken = amounts > rows.ends
-        self.stopper = rows.names[int(np.argmax(np.where(broken, over, -np.inf)))]
-        self.stopper = self.stopper if broken.any() else ""
+        over = np.where(amounts > rows.ends, amounts / rows.cap, 0.0)
+        self.stopper = rows.names[int(np.argmax(over))] if over.any() else ""
         peaked = amounts * rows.weight
         if model.problem.objective == "total_preload":
             total = sum(m.cost[i] for m, i in zip(table.menus, swapped, strict=True))
@@ -114,7 +112,7 @@ def _by_own_limits(kind: Sequence[CatalogueDesign]) -> TableRow:
 
 
 def _nearest(designs: Sequence[CatalogueDesign]) -> CatalogueDesign:
-    """Design that exceeds the fewest limits, and those least; of feasible ones the least preload."""
+    """Design with the fewest limits exceeded, and these least; of feasible ones the loosest."""
     feasible = [d for d in designs if d.feasible]
     if feasible:
         return min(feasible, key=lambda d: d.total_preload)

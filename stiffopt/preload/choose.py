@@ -11,7 +11,7 @@ import numpy as np
 from stiffopt.errors import ProblemError
 from stiffopt.preload.branch_and_bound import Search
 from stiffopt.preload.candidates import CatalogueDesign, catalogue_designs
-from stiffopt.preload.catalogue_choice import CatalogueChoice
+from stiffopt.preload.catalogue_choice import CatalogueChoice as CatalogueChoice
 from stiffopt.preload.choice_report import best_torques, element_stoppers, requirement_stoppers
 from stiffopt.preload.choice_table import ChoiceTable, choice_table
 from stiffopt.preload.conclude import conclude
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 # Rounds in which worst instants of a motion are looked for anew.
 _ROUNDS = 6
+# What settles ties may take less trouble than the objective.
+_TIE_NODES = 20_000
 
 
 def choose_design(problem: PreloadProblem, progress: Report | None = None) -> CatalogueChoice:
@@ -110,7 +112,7 @@ class _Choosing:
     def _chosen(self, table: ChoiceTable, best: _Best, picks: tuple[int, ...]) -> CatalogueChoice:
         chosen = [own[i] for own, i in zip(self.feasible, picks, strict=True)]
         study = replace(self.problem, robot=_with_designs(self.problem.robot, chosen), choose=None)
-        status = SolveStatus.OPTIMAL if best.proof.complete else SolveStatus.ITERATION_LIMIT
+        status = SolveStatus.OPTIMAL if best.proof.complete else SolveStatus.ACCEPTABLE
         solution = conclude(
             PreloadModel(study, self.cases), np.array([d.preload for d in chosen]), status
         )
@@ -168,12 +170,14 @@ def _search(problem: PreloadProblem, table: ChoiceTable, ledger: Ledger) -> _Bes
     value = first.value
     for weight in _further_goals(problem, table):
         rows = replace(rows, cap=_kept(rows, value), weight=weight)
-        found = Search(table.menus, rows, peak=True, amounts=table.amounts).run()
+        found = Search(
+            table.menus, rows, peak=True, amounts=table.amounts, node_limit=_TIE_NODES
+        ).run()
         picks, value = found.picks or picks, found.value
         ties.append(found.proof)
     rows = replace(rows, cap=_kept(rows, value))
     menus = [replace(m, cost=m.tie, tie=m.cost) for m in table.menus]
-    found = Search(menus, rows, peak=False, amounts=table.amounts).run()
+    found = Search(menus, rows, peak=False, amounts=table.amounts, node_limit=_TIE_NODES).run()
     return _Best(found.picks or picks, first.proof, (*ties, found.proof))
 
 
@@ -209,8 +213,9 @@ def _account(proof: SearchProof, chosen: list[CatalogueDesign], solution: Preloa
     bolts = "; ".join(f"{d.key}: {d.label}" for d in chosen)
     if not proof.complete:
         return (
-            f"Best design found: {bolts}. The search ended before all of {proof.combinations:,} "
-            f"combinations were decided; none is below {proof.bound:.6g} in what it minimises."
+            f"Best design found: {bolts}. It keeps every limit, but the search ended with "
+            f"{proof.unvisited:,} of {proof.combinations:,} combinations undecided; none of them "
+            f"is below {proof.bound:.6g} in what the search minimises."
         )
     out = sum(proof.excluded.values())
     text = (
