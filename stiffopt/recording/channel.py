@@ -1,0 +1,115 @@
+"""Statistics of one channel: smallest step, noise, and how two channels move together."""
+
+from __future__ import annotations
+
+import numpy as np
+
+# Third differences of white noise have this many times its variance (1 + 9 + 9 + 1).
+_THIRD = 20.0
+_MAD = 1.4826
+_LEVELS = 20000
+
+
+def resolution(values: np.ndarray) -> float | None:
+    """Smallest step of a quantised channel, None if its values lie on no grid.
+
+    Parameters
+    ----------
+    values : array (K,)
+        nan is passed over.
+
+    Notes
+    -----
+    Valid where neighbouring levels occur: of the spacings between the values that occur, 95 %
+    must be whole multiples of the step within 5 %.
+    """
+    levels = np.unique(values[np.isfinite(values)])
+    if not 3 <= len(levels) <= _LEVELS:
+        return None
+    spacing = np.diff(levels)
+    # Copies of one level that differ by rounding only.
+    spacing = spacing[spacing > 1e-9 * np.abs(levels).max()]
+    if len(spacing) < 2:
+        return None
+    smallest = float(np.quantile(spacing, 0.02))
+    near = spacing[spacing < 1.5 * smallest]
+    if not len(near):
+        return None
+    step = float(np.median(near))
+    multiples = spacing / step
+    error = np.abs(multiples - np.round(multiples))
+    # Large multiples are whole numbers within 5 % by chance or not at all.
+    small = multiples < 20.0
+    if small.sum() < 2 or (error[small] < 0.05).mean() < 0.95:
+        return None
+    return step
+
+
+def noise_level(values: np.ndarray) -> float:
+    """Standard deviation of the white noise on an evenly sampled, slowly varying channel.
+
+    Parameters
+    ----------
+    values : array (K,)
+        In any unit; nan is passed over.
+
+    Returns
+    -------
+    float
+        In that unit; nan if there are too few samples.
+
+    Notes
+    -----
+    From the median of third differences, which a smooth motion and single jumps hardly touch.
+    Valid where the motion varies slowly against three sample times.
+    """
+    third = np.diff(values, 3)
+    third = third[np.isfinite(third)]
+    if len(third) < 10:
+        return float("nan")
+    spread = _MAD * np.median(np.abs(third - np.median(third)))
+    return float(spread / np.sqrt(_THIRD))
+
+
+def slope_to(
+    reference: np.ndarray, channel: np.ndarray, time: np.ndarray, window: float = 0.2
+) -> tuple[float, float]:
+    """Slope and correlation of the changes of two channels over a short window.
+
+    Parameters
+    ----------
+    reference, channel : array (K,)
+    time : array (K,) [s]
+    window : float [s]
+
+    Returns
+    -------
+    slope, correlation : float
+        Of the line through the origin, channel over reference; nan where nothing changes.
+    """
+    lag = max(1, round(window / float(np.median(np.diff(time)))))
+    if len(time) <= 2 * lag:
+        return float("nan"), float("nan")
+    within = time[lag:] - time[:-lag] < 1.5 * window
+    one = (reference[lag:] - reference[:-lag])[within]
+    two = (channel[lag:] - channel[:-lag])[within]
+    good = np.isfinite(one) & np.isfinite(two)
+    one, two = one[good], two[good]
+    power, other = float(one @ one), float(two @ two)
+    if power == 0.0 or other == 0.0:
+        return float("nan"), float("nan")
+    return float(one @ two) / power, float(one @ two) / float(np.sqrt(power * other))
+
+
+def travelled(velocity: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Angle travelled, the trapezoidal integral of a velocity (K,) [rad/s] -> (K,) [rad]."""
+    filled = np.where(np.isfinite(velocity), velocity, 0.0)
+    steps = 0.5 * (filled[1:] + filled[:-1]) * np.diff(time)
+    return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+def stretches(marked: np.ndarray) -> list[tuple[int, int]]:
+    """Begin and end (past the last) of every stretch of True in a (K,) of bool."""
+    edges = np.diff(np.concatenate(([0], marked.astype(int), [0])))
+    begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return [(int(begin), int(end)) for begin, end in zip(begins, ends, strict=True)]

@@ -1,0 +1,147 @@
+"""The clock of a run: which samples can be kept, and how regular it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stiffopt.errors import InputFileError
+from stiffopt.recording.run import Fault, FaultKind
+
+# In sample times: longer is a gap, across which nothing is interpolated.
+GAP = 5.0
+# In sample times: longer, up to a gap, means that samples are missing.
+_DROPPED = 1.7
+# Spacings this far from the usual one, in sample times, make a clock uneven.
+_UNEVEN = 0.05
+_FEWEST = 20
+_LONGEST_STEP = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """Stamps of a run.
+
+    Parameters
+    ----------
+    stamps : array (R,)
+        Of all rows of the file [s].
+    rows : array (K,) of int
+        Rows that are kept; their stamps increase strictly.
+    step : float
+        Usual spacing [s].
+    faults : tuple of Fault
+    """
+
+    stamps: np.ndarray
+    rows: np.ndarray
+    step: float
+    faults: tuple[Fault, ...]
+
+
+def read_clock(stamps: np.ndarray, path: Path, column: str) -> Clock:
+    """Sort out the stamps of a run.
+
+    Raises
+    ------
+    InputFileError
+        Time runs backwards or stands still, samples are too few, or the unit cannot be seconds.
+    """
+    where = column or "stamps"
+    finite = np.flatnonzero(np.isfinite(stamps))
+    if len(finite) < _FEWEST:
+        raise InputFileError(
+            path, where, f"has {len(finite)} time stamps; a run needs {_FEWEST} or more."
+        )
+    spacing = np.diff(stamps[finite])
+    back = np.flatnonzero(spacing < 0.0)
+    if len(back):
+        row = int(finite[back[0] + 1])
+        raise InputFileError(
+            path,
+            f"{where}, row {row + 1}",
+            f"time runs backwards {len(back)} times, first from {stamps[finite[back[0]]]:.6f} s "
+            f"to {stamps[row]:.6f} s. Cut the file there, or write it in the order of time.",
+        )
+    rows = finite[np.concatenate(([True], spacing > 0.0))]
+    if len(rows) < _FEWEST:
+        raise InputFileError(
+            path,
+            where,
+            f"holds only {len(rows)} different times in {len(stamps)} rows; a run needs {_FEWEST}.",
+        )
+    spacing = np.diff(stamps[rows])
+    step = float(np.median(spacing))
+    if step > _LONGEST_STEP:
+        raise InputFileError(
+            path,
+            where,
+            f"its usual spacing is {step:g}; in seconds that is too slow to hold a motion "
+            f"(allowed: up to {_LONGEST_STEP:g} s). Convert the column to seconds.",
+        )
+    faults = [*_lost(stamps, finite, rows), *_spacing(spacing, step)]
+    return Clock(_complete(stamps, finite), rows, step, tuple(faults))
+
+
+def _fault(kind: FaultKind, detail: str, share: float) -> Fault:
+    return Fault(
+        signal="time",
+        joint=None,
+        kind=kind,
+        detail=detail,
+        left_out=False,
+        share=share,
+    )
+
+
+def _lost(stamps: np.ndarray, finite: np.ndarray, rows: np.ndarray) -> list[Fault]:
+    faults = []
+    absent, repeated = len(stamps) - len(finite), len(finite) - len(rows)
+    if absent:
+        share = absent / len(stamps)
+        faults.append(_fault("not finite", f"{absent} rows have no time and are left out.", share))
+    if repeated:
+        share = repeated / len(stamps)
+        text = f"{repeated} rows repeat the stamp before them and are left out."
+        faults.append(_fault("duplicate", text, share))
+    return faults
+
+
+def _spacing(spacing: np.ndarray, step: float) -> list[Fault]:
+    faults = []
+    ratio = spacing / step
+    gaps = ratio > GAP
+    if gaps.any():
+        text = (
+            f"{int(gaps.sum())} gaps longer than {GAP:g} sample times, the longest "
+            f"{spacing.max():.3g} s; nothing is interpolated across them."
+        )
+        faults.append(_fault("gap", text, float(spacing[gaps].sum() / spacing.sum())))
+    dropped = ~gaps & (ratio > _DROPPED)
+    if dropped.any():
+        count = int(np.round(ratio[dropped] - 1.0).sum())
+        text = (
+            f"about {count} samples are missing one by one, the longest wait is "
+            f"{1e3 * spacing[dropped].max():.3g} ms."
+        )
+        faults.append(_fault("dropped", text, count / (count + len(spacing) + 1)))
+    rest = spacing[~gaps & ~dropped]
+    uneven = np.abs(rest / step - 1.0) > _UNEVEN
+    if uneven.any():
+        text = (
+            f"the spacing varies from {1e3 * rest.min():.3g} to {1e3 * rest.max():.3g} ms around "
+            f"{1e3 * step:.3g} ms (standard deviation {1e3 * rest.std():.2g} ms); "
+            "resampled before it is differentiated."
+        )
+        faults.append(_fault("jitter", text, float(uneven.mean())))
+    return faults
+
+
+def _complete(stamps: np.ndarray, finite: np.ndarray) -> np.ndarray:
+    """Stamps with the absent ones filled in by row, so that predictions have a time everywhere."""
+    if len(finite) == len(stamps):
+        return stamps
+    filled: np.ndarray = np.interp(np.arange(len(stamps)), finite, stamps[finite])
+    return filled

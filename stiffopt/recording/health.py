@@ -1,0 +1,234 @@
+"""Faults of the channels of one joint: what is broken is named and left out.
+
+Order of the checks: samples that are no numbers, a channel that never changes, one that
+contradicts the motor encoder, stretches that are stuck, spikes, a limit of the sensor, coarse
+counts. Only what cannot be physics is taken out; a limit and coarse counts are named and kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stiffopt.recording import stuck
+from stiffopt.recording.channel import resolution, slope_to, stretches, travelled
+from stiffopt.recording.run import Fault, FaultKind
+from stiffopt.recording.signals import Kind
+from stiffopt.recording.spikes import spikes
+
+# A joint that travels less stands still: [rad], [m].
+STILL = (1e-3, 1e-4)
+# Slope between two sensors of one motion within which neither contradicts the other.
+_AGREES = (0.8, 1.25)
+_SECOND: tuple[Kind, ...] = ("velocity", "link_position")
+# Jumps below this share of the range a channel covers do no harm, and clocks make them too.
+_HARMLESS = {"position": 2e-4, "link_position": 2e-4, "velocity": 5e-3, "torque": 5e-3}
+_COARSE = 500
+_MOSTLY = 0.5
+
+
+@dataclass
+class JointChannels:
+    """Channels of one joint while they are being checked; broken samples become nan."""
+
+    joint: int
+    time: np.ndarray
+    channels: dict[Kind, np.ndarray]
+    prismatic: bool = False
+    faults: list[Fault] = field(default_factory=list)
+
+    @property
+    def unit(self) -> str:
+        """Of the position."""
+        return "m" if self.prismatic else "rad"
+
+    @property
+    def still(self) -> float:
+        """Travel below which the joint stands still [rad]."""
+        return STILL[self.prismatic]
+
+    def report(
+        self,
+        signal: Kind,
+        kind: FaultKind,
+        detail: str,
+        bad: np.ndarray | None = None,
+        keep: bool = False,
+    ) -> None:
+        """Name a fault; `bad` (K,) marks the samples, None the whole channel."""
+        values = self.channels[signal]
+        share = 1.0 if bad is None else float(bad.mean())
+        left_out = not keep and (bad is None or share > _MOSTLY)
+        if not keep:
+            values[slice(None) if left_out or bad is None else bad] = np.nan
+        ending = " Left out." if left_out else "" if keep else " These samples are left out."
+        self.faults.append(
+            Fault(
+                signal=signal,
+                joint=self.joint + 1,
+                kind=kind,
+                detail=detail + ending,
+                left_out=left_out,
+                share=share,
+            )
+        )
+
+    def there(self, signal: Kind) -> np.ndarray | None:
+        """The channel, None if it is not there or was left out."""
+        values = self.channels.get(signal)
+        return values if values is not None and np.isfinite(values).any() else None
+
+
+def check_joint(joint: JointChannels) -> list[Fault]:
+    """Run all checks; the channels are changed in place."""
+    for signal in joint.channels:
+        _finite(joint, signal)
+    _constant(joint)
+    for signal in _SECOND:
+        _contradicts(joint, signal)
+    for signal in joint.channels:
+        _stuck(joint, signal)
+        _spikes(joint, signal)
+    _saturated(joint)
+    for signal in joint.channels:
+        _quantised(joint, signal)
+    return joint.faults
+
+
+def travel(values: np.ndarray | None) -> float:
+    """Range that a channel covers, 0 if it is not there."""
+    if values is None or not np.isfinite(values).any():
+        return 0.0
+    return float(np.nanmax(values) - np.nanmin(values))
+
+
+def _finite(joint: JointChannels, signal: Kind) -> None:
+    bad = ~np.isfinite(joint.channels[signal])
+    joint.channels[signal][bad] = np.nan
+    if bad.all():
+        joint.report(signal, "not finite", "no sample is a number.")
+    elif bad.any():
+        joint.report(signal, "not finite", f"{int(bad.sum())} samples are no numbers.", bad)
+
+
+def _constant(joint: JointChannels) -> None:
+    position, link = joint.there("position"), joint.there("link_position")
+    velocity, torque = joint.there("velocity"), joint.there("torque")
+    by_velocity = 0.0 if velocity is None else travel(travelled(velocity, joint.time))
+    by_other = max(travel(link), by_velocity)
+    if position is not None and travel(position) == 0.0 and by_other > 10.0 * joint.still:
+        joint.report(
+            "position",
+            "constant",
+            f"stays at {position[0]:g} {joint.unit} while other sensors of the joint travel "
+            f"{by_other:.3g} {joint.unit}.",
+        )
+    moved = max(travel(position), by_other)
+    if torque is not None and travel(torque) == 0.0:
+        joint.report(
+            "torque",
+            "constant",
+            f"stays at {np.nanmax(torque):g} in the whole run: not connected, or not recorded.",
+        )
+    second: tuple[tuple[Kind, np.ndarray | None], ...] = (
+        ("velocity", velocity),
+        ("link_position", link),
+    )
+    for signal, values in second:
+        if values is None or travel(values) != 0.0:
+            continue
+        level = float(np.nanmax(values))
+        # A zero that never changes is an empty column, also in a joint that stands still.
+        empty = signal == "link_position" and level == 0.0
+        if moved > joint.still or empty:
+            joint.report(
+                signal,
+                "constant",
+                f"stays at {level:g} in the whole run while the joint travels {moved:.3g} "
+                f"{joint.unit}.",
+            )
+
+
+def _contradicts(joint: JointChannels, signal: Kind) -> None:
+    position, values = joint.there("position"), joint.there(signal)
+    if position is None or values is None or travel(position) < 10.0 * joint.still:
+        return
+    path = travelled(values, joint.time) if signal == "velocity" else values
+    slope, correlation = slope_to(position, path, joint.time)
+    if _AGREES[0] <= slope <= _AGREES[1] and correlation > 0.8:
+        return
+    if not correlation > 0.8:
+        hint = "the other way round" if correlation < -0.8 else "or belongs to another joint"
+        text = f"does not follow the motor encoder (correlation {correlation:.2f}), {hint}."
+    else:
+        degrees = abs(slope * np.pi / 180.0 - 1.0) < 0.1
+        hint = ", as degrees would" if degrees else ""
+        text = f"changes {slope:.3g} times as much as the motor encoder{hint}."
+    joint.report(signal, "contradicts position", text)
+
+
+def _stuck(joint: JointChannels, signal: Kind) -> None:
+    values = joint.there(signal)
+    if values is None or signal == "velocity":
+        return
+    other = joint.there("link_position" if signal == "position" else "position")
+    if other is None:
+        return
+    bad = stuck.samples(values, other, joint.still)
+    if bad.any():
+        found = stretches(bad)
+        longest = max(joint.time[end - 1] - joint.time[begin] for begin, end in found)
+        joint.report(
+            signal,
+            "constant",
+            f"is stuck {len(found)} times while the joint moves, longest {longest:.3g} s.",
+            bad,
+        )
+
+
+def _spikes(joint: JointChannels, signal: Kind) -> None:
+    values = joint.there(signal)
+    if values is None:
+        return
+    if signal == "velocity" and travel(joint.there("position")) < 10.0 * joint.still:
+        return
+    bad, size = spikes(values, resolution(values) or 0.0, _HARMLESS[signal] * travel(values))
+    if bad.any():
+        joint.report(
+            signal,
+            "outlier",
+            f"{int(bad.sum())} samples jump away and back, by up to {size:.3g}.",
+            bad,
+        )
+
+
+def _saturated(joint: JointChannels) -> None:
+    torque = joint.there("torque")
+    if torque is None:
+        return
+    bad = stuck.at_limit(torque)
+    if bad.any():
+        joint.report(
+            "torque",
+            "saturated",
+            f"rests on its largest values {np.nanmin(torque):.4g} or {np.nanmax(torque):.4g} for "
+            f"{int(bad.sum())} samples: the drive or the sensor is at its limit. Kept.",
+            bad,
+            keep=True,
+        )
+
+
+def _quantised(joint: JointChannels, signal: Kind) -> None:
+    values = joint.there(signal)
+    if values is None or travel(joint.there("position")) < 10.0 * joint.still:
+        return
+    step = resolution(values)
+    if step is not None and travel(values) < _COARSE * step:
+        joint.report(
+            signal,
+            "quantised",
+            f"has only {round(travel(values) / step) + 1} levels, steps of {step:.3g}. Kept.",
+            np.isfinite(values),
+            keep=True,
+        )

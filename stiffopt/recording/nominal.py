@@ -1,0 +1,146 @@
+"""What today's simulation knows of the robot, how exactly, and how noisy the sensors are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reducer:
+    """Wind-up curve of the reducers: slopes K1, K2, K3 between the torques T1 and T2.
+
+    Parameters
+    ----------
+    K1, K2, K3 : array (n,)
+        [N m/rad]; infinite is rigid.
+    T1, T2 : array (n,)
+        [N m]
+    """
+
+    K1: np.ndarray
+    K2: np.ndarray
+    K3: np.ndarray
+    T1: np.ndarray
+    T2: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Counterbalance:
+    """A known element that carries part of a joint's weight.
+
+    Parameters
+    ----------
+    joint : int
+        Index of the joint in the set, from 0.
+    stiffness, offset : float or None
+        Of a spring: [N m/rad], [rad].
+    angle, torque : array (m,) or None
+        Of a table: [rad], [N m].
+
+    Notes
+    -----
+    The torque is what the drive no longer has to give: it adds to the drive torque in the
+    balance of the joint. A spring pulls back to its offset.
+    """
+
+    joint: int
+    stiffness: float | None = None
+    offset: float | None = None
+    angle: np.ndarray | None = None
+    torque: np.ndarray | None = None
+
+    def at(self, position: Any) -> Any:
+        """Torque on the joint at a joint position: (...) [rad] -> (...) [N m].
+
+        A table is interpolated linearly and held constant beyond its ends.
+        """
+        if self.angle is not None and self.torque is not None:
+            return np.interp(position, self.angle, self.torque)
+        return -(self.stiffness or 0.0) * (position - (self.offset or 0.0))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Nominal:
+    """Parameters of the nominal model, None where the set is silent.
+
+    Parameters
+    ----------
+    gear_ratio : array (n,)
+    rotor_inertia : array (n,)
+        At the output side [kg m^2].
+    coulomb, viscous : array (n,)
+        [N m], [N m s/rad]
+    friction_temperature : float
+        At which these two were identified [degC].
+    torque_max, torque_rated : array (n,)
+        [N m]
+    pole_pairs : float
+    joint_damping : array (n,)
+        Of the elastic joint [N m s/rad].
+    contact_stiffness : array (n,)
+        Healthy connections of each joint in series [N m/rad]; infinite is rigid.
+    connections : tuple of str (n,)
+        What each drivetrain is built of, such as "belt+key+bolts".
+    reducer : Reducer
+    counterbalance : tuple of Counterbalance
+    """
+
+    gear_ratio: np.ndarray | None = None
+    rotor_inertia: np.ndarray | None = None
+    coulomb: np.ndarray | None = None
+    viscous: np.ndarray | None = None
+    friction_temperature: float | None = None
+    torque_max: np.ndarray | None = None
+    torque_rated: np.ndarray | None = None
+    pole_pairs: float | None = None
+    joint_damping: np.ndarray | None = None
+    contact_stiffness: np.ndarray | None = None
+    connections: tuple[str, ...] | None = None
+    reducer: Reducer | None = None
+    counterbalance: tuple[Counterbalance, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tolerance:
+    """One standard deviation of the nominal values, None where the set is silent.
+
+    Parameters
+    ----------
+    mass, rotor_inertia, coulomb, viscous, stiffness, torque_constant : float
+        Relative.
+    com : float
+        Of each coordinate of a centre of mass [m].
+    encoder_zero : float
+        [rad]
+    """
+
+    mass: float | None = None
+    com: float | None = None
+    rotor_inertia: float | None = None
+    coulomb: float | None = None
+    viscous: float | None = None
+    stiffness: float | None = None
+    torque_constant: float | None = None
+    encoder_zero: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Noise:
+    """One standard deviation of the sensors' noise, None where the set is silent.
+
+    Parameters
+    ----------
+    torque, velocity, link_position : array (n,)
+        [N m], [rad/s], [rad]
+    position_resolution, link_position_resolution : array (n,)
+        One count of the encoder [rad].
+    """
+
+    torque: np.ndarray | None = None
+    velocity: np.ndarray | None = None
+    link_position: np.ndarray | None = None
+    position_resolution: np.ndarray | None = None
+    link_position_resolution: np.ndarray | None = None

@@ -1,0 +1,1 @@
+"""Readers of run files, one format a module."""

@@ -1,0 +1,76 @@
+"""Run files of text: a header of column names, then one sample a line."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+
+from stiffopt.errors import InputFileError
+from stiffopt.recording.readers.columns import missing, require_time
+from stiffopt.recording.signals import Signals
+
+_DELIMITERS = (",", ";", "\t")
+# What loggers write for a sample that is not there.
+_EMPTY = ("", "nan", "na", "n/a", "null", "none", "-")
+
+
+def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
+    """Columns of a CSV file, separated by comma, semicolon or tab; "#" may begin the header."""
+    require_time(signals, path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (UnicodeDecodeError, OSError) as error:
+        raise InputFileError(path, "", "is not a CSV text file. Save it as one.") from error
+    first, _, body = text.lstrip("\r\n").partition("\n")
+    wanted = (signals.time, *signals.wanted)
+    headers = {mark: _header(first, mark) for mark in _DELIMITERS}
+    mark = max(headers, key=lambda m: (sum(name in headers[m] for name in wanted), len(headers[m])))
+    header = headers[mark]
+    missing(path, wanted, header)
+    places = [header.index(name) for name in wanted]
+    try:
+        table = np.loadtxt(
+            io.StringIO(body), delimiter=mark, usecols=places, comments=None, ndmin=2
+        )
+    except ValueError:
+        # Slower, but takes empty cells and knows the place of a wrong one.
+        table = _parse(path, body, mark, wanted, places)
+    return {name: table[:, number].copy() for number, name in enumerate(wanted)}
+
+
+def _header(line: str, mark: str) -> list[str]:
+    row = next(csv.reader([line.lstrip("# ").rstrip("\r")], delimiter=mark), [])
+    return [name.strip() for name in row]
+
+
+def _parse(
+    path: Path, body: str, mark: str, wanted: tuple[str, ...], places: list[int]
+) -> np.ndarray:
+    rows = []
+    for number, cells in enumerate(csv.reader(io.StringIO(body), delimiter=mark), start=1):
+        if not cells:
+            continue
+        if len(cells) <= max(places):
+            raise InputFileError(
+                path,
+                f"row {number}",
+                f"has {len(cells)} of at least {max(places) + 1} cells. "
+                "Complete or delete the line.",
+            )
+        rows.append(
+            [_number(path, number, name, cells[k]) for name, k in zip(wanted, places, strict=True)]
+        )
+    return np.array(rows, dtype=float).reshape(-1, len(wanted))
+
+
+def _number(path: Path, row: int, column: str, text: str) -> float:
+    text = text.strip()
+    if text.lower() in _EMPTY:
+        return np.nan
+    try:
+        return float(text)
+    except ValueError:
+        raise InputFileError(path, f"row {row}, {column}", f"{text!r} is no number.") from None

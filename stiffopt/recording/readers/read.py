@@ -1,0 +1,78 @@
+"""Columns of a run file, whatever its format."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+
+from stiffopt.errors import InputError, InputFileError
+from stiffopt.files import check_file
+from stiffopt.recording.signals import Signals
+
+Columns = dict[str, np.ndarray]
+
+# Module of each ending; those with libraries of their own are imported only when needed.
+_READERS = {
+    ".csv": "csv",
+    ".txt": "csv",
+    ".tsv": "csv",
+    ".npz": "npz",
+    ".parquet": "parquet",
+    ".mcap": "mcap",
+    ".db3": "rosbag2",
+}
+_BAG = "rosbag2"
+
+
+def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
+    """Time and channels of a run file.
+
+    Parameters
+    ----------
+    path : path
+        CSV, NPZ, Parquet, MCAP, or a rosbag2 (its folder or the .db3 inside).
+    signals : Signals
+
+    Returns
+    -------
+    mapping of column name to array (R,)
+        The time under `signals.time` ("" for the stamps of messages) and every column that
+        `signals` names, as recorded.
+
+    Raises
+    ------
+    InputFileError
+        No such file, a format that is not read, a column missing (with the names there are), or
+        content that is no series of numbers.
+    InputError
+        The format needs libraries that are not installed.
+    """
+    path = Path(path)
+    if path.is_dir() and (path / "metadata.yaml").is_file():
+        module = _BAG
+    else:
+        check_file(path)
+        module = _READERS.get(path.suffix.lower(), "")
+    if not module:
+        raise InputFileError(
+            path, "", f"cannot be read: the ending {path.suffix!r} is none of "
+            f"{', '.join(_READERS)}, nor is it the folder of a rosbag2."
+        )  # fmt: skip
+    try:
+        reader = import_module(f"stiffopt.recording.readers.{module}")
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"{path}: reading it needs the package {error.name!r}. "
+            "Install it with: pip install 'stiffopt[recordings]'"
+        ) from error
+    read: Callable[[Path, Signals], Columns] = reader.read
+    columns = read(path, signals)
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        listed = ", ".join(f"{name}: {count}" for name, count in lengths.items())
+        raise InputFileError(path, "", f"the columns have unequal lengths: {listed}.")
+    return columns

@@ -1,0 +1,258 @@
+"""A recording set: the recordings of a robot beside the nominal model of it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from stiffopt.errors import InputFileError
+from stiffopt.files import load_toml, validate
+from stiffopt.recording.arm import Arm, inside, load_arm
+from stiffopt.recording.assume import assumptions
+from stiffopt.recording.clean import clean
+from stiffopt.recording.nominal import Noise, Nominal, Tolerance
+from stiffopt.recording.nominal_files import as_noise, as_nominal, as_tolerance, per_joint
+from stiffopt.recording.readers.read import read_columns
+from stiffopt.recording.run import Role, Run
+from stiffopt.recording.schema import RecordingsFile, RunSection, SignalsSection
+from stiffopt.recording.signals import KINDS, Signals
+
+FILE = "recordings.toml"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunEntry:
+    """A run of a set that has not been opened.
+
+    Parameters
+    ----------
+    file : str
+    role : str
+        "train", "test" or "extrapolate".
+    session_time : float or None
+        Since the robot was switched on [s].
+    temperature : array (n,) or None
+        Of the housings when the run begins [degC].
+    """
+
+    file: str
+    role: Role
+    session_time: float | None
+    temperature: np.ndarray | None
+
+    @property
+    def name(self) -> str:
+        """File name without its ending."""
+        return PurePosixPath(self.file).stem
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RecordingSet:
+    """Recordings of one robot and what today's simulation knows of it.
+
+    Parameters
+    ----------
+    path : Path
+        Of recordings.toml.
+    name, title, citation, licence : str
+    arm : Arm
+    joints : tuple of str (n,)
+    tool_frame : str or None
+    gravity : array (3,)
+        [m/s^2]
+    signals : Signals
+    nominal : Nominal
+    tolerance : Tolerance
+    noise : Noise
+    runs : tuple of RunEntry
+    assumptions : tuple of str
+        What was assumed where the set is silent, a sentence each.
+    """
+
+    path: Path
+    name: str
+    title: str
+    citation: str
+    licence: str
+    arm: Arm
+    joints: tuple[str, ...]
+    tool_frame: str | None
+    gravity: np.ndarray
+    signals: Signals
+    nominal: Nominal
+    tolerance: Tolerance
+    noise: Noise
+    runs: tuple[RunEntry, ...]
+    assumptions: tuple[str, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def model(self) -> Any:
+        """pinocchio.Model of the nominal robot: the recorded joints in the robot's own order."""
+        return self.arm.model
+
+    @property
+    def order(self) -> np.ndarray:
+        """Index of each joint of the set in the model's velocity vector, (n,)."""
+        return self.arm.order
+
+    @property
+    def torque_side(self) -> str:
+        """Where torque is measured: "motor" or "link"."""
+        return self.signals.torque_side
+
+    def with_role(self, *roles: Role) -> tuple[RunEntry, ...]:
+        """Runs of these roles, in the order of the set."""
+        return tuple(entry for entry in self.runs if entry.role in roles)
+
+    def open(self, entry: RunEntry) -> Run:
+        """Read one run file and clean it.
+
+        Raises
+        ------
+        InputFileError
+            A file that is missing or has other columns, a clock that runs backwards, too few
+            samples.
+        """
+        path = inside(self.path, "runs", entry.file)
+        columns = read_columns(path, self.signals)
+        return clean(
+            columns,
+            self.signals,
+            path=path,
+            name=entry.name,
+            file=entry.file,
+            role=entry.role,
+            session_time=entry.session_time,
+            temperature=entry.temperature,
+            prismatic=self.arm.prismatic,
+        )
+
+
+def load_recordings(path: str | os.PathLike[str]) -> RecordingSet:
+    """Recording set of a folder or of its recordings.toml; no run file is opened.
+
+    Raises
+    ------
+    InputFileError, RobotError
+        What is wrong, where, and what is allowed.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / FILE
+    data = load_toml(path)
+    if data.get("schema") != 1 or isinstance(data.get("schema"), bool):
+        got = f"got {data['schema']!r}" if "schema" in data else "the key is missing"
+        raise InputFileError(path, "schema", f"this version reads schema = 1, {got}.")
+    document = validate(RecordingsFile, data, path)
+    n = len(document.joints)
+    arm = load_arm(document.robot, document.joints, path, document.tool_frame, document.gravity)
+    nominal = as_nominal(document.nominal, document.joints, path)
+    tolerance = as_tolerance(document.tolerance)
+    noise = as_noise(document.noise, n, path)
+    signals = as_signals(document.signals, n, path)
+    runs = tuple(_entry(section, n, number, path) for number, section in enumerate(document.runs))
+    _check_names(runs, path)
+    return RecordingSet(
+        path=path,
+        name=document.name,
+        title=document.title or document.name,
+        citation=document.citation,
+        licence=document.licence,
+        arm=arm,
+        joints=document.joints,
+        tool_frame=document.tool_frame,
+        gravity=np.array(arm.model.gravity.linear),
+        signals=signals,
+        nominal=nominal,
+        tolerance=tolerance,
+        noise=noise,
+        runs=runs,
+        assumptions=assumptions(document, arm),
+    )
+
+
+def require_test_runs(recordings: RecordingSet) -> None:
+    """Raise `InputFileError` if there is nothing to fit to, or nothing to judge a fit on."""
+    purposes = {
+        "train": "The model is fitted to runs of this role",
+        "test": "A fit is judged only on runs that it was not fitted to",
+    }
+    for role, purpose in purposes.items():
+        if not any(entry.role == role for entry in recordings.runs):
+            roles = ", ".join(f"{entry.file}: {entry.role}" for entry in recordings.runs)
+            raise InputFileError(
+                recordings.path,
+                "runs",
+                f'none of the {len(recordings.runs)} runs has role = "{role}" ({roles}). '
+                f"{purpose}: mark or record at least one.",
+            )
+
+
+def as_signals(section: SignalsSection, n: int, path: Path) -> Signals:
+    """Column names, checked: one a joint, each used once, positions complete, some torque."""
+
+    def fail(key: str, reason: str) -> InputFileError:
+        return InputFileError(path, f"signals.{key}", reason)
+
+    used: dict[str, str] = {section.time: "time"} if section.time else {}
+    for kind in KINDS:
+        names = getattr(section, kind)
+        for joint, name in enumerate(names or ()):
+            if name and name in used:
+                raise fail(kind, f"the column {name!r} already stands for {used[name]}.")
+            used[name] = f"{kind} of joint {joint + 1}"
+        if names is not None and len(names) != n:
+            raise fail(
+                kind,
+                f'needs one column a joint ({n}), got {len(names)}; "" where a joint lacks it.',
+            )
+    if not all(section.position):
+        raise fail("position", "every joint needs a position; leave other joints out of `joints`.")
+    if not any(section.torque):
+        raise fail("torque", "no joint has a torque, and torque is what a recording must explain.")
+    return Signals(
+        time=section.time,
+        position=section.position,
+        velocity=_some(section.velocity),
+        link_position=_some(section.link_position),
+        torque=section.torque,
+        torque_side=section.torque_side or "motor",
+    )
+
+
+def _some(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
+    return names if names is not None and any(names) else None
+
+
+def _entry(section: RunSection, n: int, number: int, path: Path) -> RunEntry:
+    inside(path, f"runs[{number + 1}].file", section.file)
+    return RunEntry(
+        file=section.file,
+        role=section.role,
+        session_time=section.session_time,
+        temperature=per_joint(
+            section.housing_temperature, n, path, f"runs[{number + 1}].housing_temperature"
+        ),
+    )
+
+
+def _check_names(runs: tuple[RunEntry, ...], path: Path) -> None:
+    seen: dict[str, int] = {}
+    for number, entry in enumerate(runs, start=1):
+        if entry.name in seen:
+            raise InputFileError(
+                path,
+                f"runs[{number}].file",
+                f"{entry.file!r} has the name of run {seen[entry.name]}. Results are filed under "
+                "the name without its ending: rename one.",
+            )
+        seen[entry.name] = number

@@ -1,0 +1,133 @@
+"""One recorded run and the faults that were found in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from stiffopt.recording.signals import Kind
+
+Role = Literal["train", "test", "extrapolate"]
+FaultKind = Literal[
+    "constant",
+    "saturated",
+    "gap",
+    "jitter",
+    "duplicate",
+    "dropped",
+    "outlier",
+    "quantised",
+    "not finite",
+    "contradicts position",
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """Something wrong with one signal of a run.
+
+    Parameters
+    ----------
+    signal : str
+        "time" or the kind of channel.
+    joint : int or None
+        From 1; None where all joints are meant.
+    kind : str
+    detail : str
+        One sentence with the numbers.
+    left_out : bool
+        The whole channel was replaced by nan.
+    share : float
+        Of the samples that have the fault, 0 to 1.
+    """
+
+    signal: Kind | Literal["time"]
+    joint: int | None
+    kind: FaultKind
+    detail: str
+    left_out: bool
+    share: float
+
+    @property
+    def channel(self) -> str:
+        """Short name such as "torque of joint 3"."""
+        return self.signal if self.joint is None else f"{self.signal} of joint {self.joint}"
+
+    def __str__(self) -> str:
+        return f"{self.channel}: {self.detail}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """A recording of one motion, cleaned of what cannot be true.
+
+    Parameters
+    ----------
+    name : str
+        Of the file, without its ending.
+    file : str
+        As the set names it.
+    role : str
+        "train", "test" (never used to fit) or "extrapolate" (a test outside the training range).
+    session_time : float or None
+        Since the robot was switched on [s].
+    temperature : array (n,) or None
+        Of the housings when the run begins [degC].
+    stamps : array (R,)
+        Every time stamp of the file [s]; predictions are given on these.
+    time : array (K,)
+        Stamps of the samples that were kept, strictly increasing [s].
+    position : array (K, n)
+        Motor encoder through the ratio [rad].
+    velocity, link_position : array (K, n) or None
+        [rad/s], [rad]; None if no joint has that signal.
+    torque : array (K, n)
+        Drive torque at the output side [N m].
+    health : tuple of Fault
+
+    Notes
+    -----
+    A column of nan is a signal that this joint lacks, or one that was left out as broken; a
+    single nan is a sample that was taken out. `health` tells which. A prismatic joint has metres
+    for radians and newtons for newton metres.
+    """
+
+    name: str
+    file: str
+    role: Role
+    session_time: float | None
+    temperature: np.ndarray | None
+    stamps: np.ndarray
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray | None
+    link_position: np.ndarray | None
+    torque: np.ndarray
+    health: tuple[Fault, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.position.shape[1])
+
+    @property
+    def step(self) -> float:
+        """Usual spacing of the samples [s]."""
+        return float(np.median(np.diff(self.time)))
+
+    @property
+    def duration(self) -> float:
+        """From the first sample to the last [s]."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def usable(self) -> bool:
+        """Whether every joint has a position, without which no torque can be predicted."""
+        return bool(np.isfinite(self.position).any(axis=0).all())
+
+    def signal(self, name: Kind) -> np.ndarray | None:
+        """Channels of one kind, (K, n), by the name of the field."""
+        value: np.ndarray | None = getattr(self, name)
+        return value
