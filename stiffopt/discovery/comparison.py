@@ -1,0 +1,166 @@
+"""The comparison of training runs with the nominal model: rows, nuisance, residual."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from stiffopt.discovery.evidence import BlockSums, Posterior, posterior
+from stiffopt.discovery.nuisance import NuisanceColumn, nuisance_columns
+from stiffopt.discovery.placed import PlacedEffect
+from stiffopt.discovery.prepare import PreparedRun, with_link_torque
+from stiffopt.discovery.robot import RobotModel
+from stiffopt.discovery.rows import ChannelNoise, Rows
+from stiffopt.recording.nominal import Tolerance
+
+# Blocks a run is cut into where there are too few runs to leave one out.
+FEW_RUNS = 3
+_BLOCK_SECONDS = 2.0
+_MOST_BLOCKS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Rows fitted by nominal values within tolerance and by effects.
+
+    Parameters
+    ----------
+    effects : tuple of PlacedEffect
+    posterior : Posterior
+        Of the nuisance values, then the amplitudes over their sizes.
+    residual : array (m,)
+        Whitened by the stated noise.
+    """
+
+    effects: tuple[PlacedEffect, ...]
+    posterior: Posterior
+    residual: np.ndarray
+    nuisance: int
+
+    def amplitudes(self) -> np.ndarray:
+        """Amplitudes of all effects over their sizes, one after another."""
+        return self.posterior.mean[self.nuisance :]
+
+
+class Comparison:
+    """Training runs against the nominal model.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    runs : sequence of PreparedRun
+    noise : ChannelNoise
+    tolerance : Tolerance
+    link_torque : sequence of array (K, n), optional
+        Already found, one a run; laws that bend are taken about it.
+    inflation : array (2 n,), optional
+        Factor on the noise of every channel, for what the model leaves unexplained there.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        runs: Sequence[PreparedRun],
+        noise: ChannelNoise,
+        tolerance: Tolerance,
+        *,
+        link_torque: Sequence[np.ndarray] | None = None,
+        inflation: np.ndarray | None = None,
+    ) -> None:
+        self.robot, self.noise, self.tolerance = robot, noise, tolerance
+        self.nominal_runs = tuple(runs)
+        self.link_torque = link_torque
+        if link_torque is not None:
+            runs = [
+                with_link_torque(run, robot, added)
+                for run, added in zip(runs, link_torque, strict=True)
+            ]
+        self.runs = tuple(runs)
+        self.constants = self.runs[0].signals.constants
+        self.whole_runs = len(self.runs) >= FEW_RUNS
+        self.rows = Rows(self.runs, noise, self._blocks())
+        self.blocks = int(self.rows.block.max()) + 1
+        self.inflation = np.ones(2 * robot.n) if inflation is None else inflation
+
+    def _blocks(self) -> int:
+        if self.whole_runs:
+            return 1
+        seconds = min(float(run.time[-1] - run.time[0]) for run in self.runs)
+        return int(np.clip(seconds / _BLOCK_SECONDS, 2, _MOST_BLOCKS))
+
+    @cached_property
+    def _weight(self) -> np.ndarray:
+        """Weight of every row beside the stated noise."""
+        return np.asarray(1.0 / self.inflation[self.rows.channel])
+
+    # ---- columns, weighted
+
+    @cached_property
+    def nuisance(self) -> tuple[list[str], np.ndarray, np.ndarray]:
+        """Names, priors and columns (m, p) of the nominal values."""
+        per_run: list[list[NuisanceColumn]] = [
+            list(nuisance_columns(run, self.robot, self.tolerance)) for run in self.runs
+        ]
+        columns = []
+        for each in zip(*per_run, strict=True):
+            columns.append(self._column([c.torque for c in each], [c.deflection for c in each]))
+        first = per_run[0]
+        matrix = np.column_stack(columns) if columns else np.zeros((self.rows.size, 0))
+        return [c.name for c in first], np.array([c.sd for c in first]), matrix
+
+    @cached_property
+    def target(self) -> np.ndarray:
+        """What the nominal model leaves of the measured channels (m,), weighted."""
+        torque, deflection = [], []
+        for run in self.runs:
+            torque.append(_bridged(run.torque) - run.signals.drive_torque)
+            deflection.append(_bridged(run.deflection) - run.signals.windup)
+        return self._column(torque, deflection)
+
+    def effect_columns(self, placed: PlacedEffect) -> np.ndarray:
+        """Columns (m, k) of an effect's amplitudes over their sizes."""
+        per_run = [list(placed.columns(run, self.robot)) for run in self.runs]
+        sizes = placed.sizes(self.constants)
+        columns = [
+            size * self._column([c[0] for c in each], [c[1] for c in each])
+            for size, each in zip(sizes, zip(*per_run, strict=True), strict=True)
+        ]
+        return np.column_stack(columns)
+
+    def _column(
+        self, torque: Sequence[np.ndarray | None], deflection: Sequence[np.ndarray | None]
+    ) -> np.ndarray:
+        return self.rows.flatten(torque, deflection) * self._weight
+
+    # ---- fits
+
+    def fit(self, effects: Sequence[PlacedEffect] = ()) -> Fit:
+        """Fit nuisance values and effects together."""
+        _, sd, nuisance = self.nuisance
+        parts = [nuisance, *(self.effect_columns(e) for e in effects)]
+        columns = np.column_stack(parts)
+        count = columns.shape[1] - nuisance.shape[1]
+        sums = BlockSums.of(columns, self.target, self.rows.block, self.blocks)
+        found = posterior(sums, np.concatenate([sd, np.ones(count)]))
+        residual = (self.target - columns @ found.mean) / self._weight
+        return Fit(tuple(effects), found, residual, nuisance.shape[1])
+
+    def channel_ratio(self, residual: np.ndarray) -> np.ndarray:
+        """Root mean square of whitened residuals in every channel (2 n,); nan without rows."""
+        square = np.bincount(self.rows.channel, residual**2, minlength=2 * self.robot.n)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(np.sqrt(square / self.rows.counts))
+
+
+def _bridged(samples: np.ndarray) -> np.ndarray:
+    """Single missing samples bridged for the filter; whole missing channels are zero."""
+    out = np.where(np.isfinite(samples), samples, 0.0)
+    for j in range(samples.shape[1]):
+        missing = ~np.isfinite(samples[:, j])
+        if missing.any() and not missing.all():
+            places = np.arange(len(samples))
+            out[missing, j] = np.interp(places[missing], places[~missing], samples[~missing, j])
+    return out

@@ -1,0 +1,56 @@
+"""Effects with a memory: recurrences over samples that CasADi can differentiate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.symbolic import Quantity, is_symbolic
+
+# (state, inputs of one sample, parameters) -> (next state, output), in NumPy style.
+Step = Callable[[Quantity, Sequence[Quantity], Sequence[Quantity]], tuple[Quantity, Quantity]]
+
+
+def scan(
+    step: Step,
+    inputs: Sequence[Quantity],
+    state: Sequence[float],
+    parameters: Sequence[Quantity] = (),
+) -> Quantity:
+    """Output of a recurrence for every sample.
+
+    Parameters
+    ----------
+    step : callable
+        (state (m,), inputs, parameters) -> (next state (m,), output); works on CasADi symbols. A
+        module-level function, so that its compiled form is kept.
+    inputs : sequence of array (K,)
+    state : sequence of float
+        At the first sample (m,).
+    parameters : sequence of float or SX or MX
+
+    Returns
+    -------
+    array (K,), or MX (1, K) where a parameter is symbolic
+    """
+    count = len(np.asarray(inputs[0]).ravel())
+    mapped = _mapped(step, len(state), len(inputs), len(parameters), count)
+    samples = np.vstack([np.asarray(u, dtype=float).ravel() for u in inputs])
+    symbolic = any(is_symbolic(p) for p in parameters)
+    own = ca.vertcat(*parameters) if parameters else ca.DM.zeros(0, 1)
+    _, output = mapped(ca.DM(list(state)), samples, ca.repmat(own, 1, count))
+    return output if symbolic else output.full().ravel()
+
+
+@lru_cache(maxsize=64)
+def _mapped(step: Step, states: int, inputs: int, parameters: int, count: int) -> Any:
+    x = ca.SX.sym("x", states)
+    u = ca.SX.sym("u", inputs)
+    p = ca.SX.sym("p", parameters)
+    following, output = step(x, [u[i] for i in range(inputs)], [p[i] for i in range(parameters)])
+    function = ca.Function("step", [x, u, p], [following, output])
+    return function.mapaccum("scan", count)

@@ -1,0 +1,57 @@
+"""Settings of a diagnosis, all with defaults that the report states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stiffopt.recording.nominal import Tolerance
+
+# Speed within which dry friction has no definite value, and the smooth sign's own [rad/s].
+SIGN_SPEED = 0.01
+
+
+# Of nominal values whose tolerance nobody states.
+WIDE = Tolerance(
+    mass=0.05,
+    rotor_inertia=0.2,
+    coulomb=0.3,
+    viscous=0.3,
+    stiffness=0.1,
+    torque_constant=0.02,
+    com=5e-3,
+    encoder_zero=2e-3,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """How recordings are compared with the nominal model.
+
+    Parameters
+    ----------
+    cutoff : float
+        Of the zero-phase filter [Hz]; lowered for slowly sampled recordings.
+    slow : float
+        A joint slower than this counts as standing [rad/s]; its friction has no definite value.
+    tolerance : Tolerance
+        Stands in where the set states none: wide, since unknown.
+    box : float
+        Nominal values stay within so many standard deviations.
+    effects : int
+        Most effects that are named.
+    """
+
+    cutoff: float = 12.0
+    slow: float = 3.0 * SIGN_SPEED
+    tolerance: Tolerance = field(default_factory=lambda: WIDE)
+    box: float = 4.0
+    effects: int = 3
+
+
+def filled(own: np.ndarray | None, default: np.ndarray) -> np.ndarray:
+    """Values of the set, the default where it is silent (n,)."""
+    if own is None:
+        return default
+    return np.where(np.isfinite(own), own, default)

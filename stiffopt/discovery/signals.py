@@ -1,0 +1,230 @@
+"""What the terms of effects see: motion and nominal torques of a joint or of the whole robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.symbolic import Quantity
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointConstants:
+    """Numbers of one joint that terms and bounds need.
+
+    Parameters
+    ----------
+    joint : int
+        1-based, in the order of the recording set.
+    ratio : float
+        Turns of the motor for one of the joint.
+    coulomb, viscous : float
+        Nominal friction [N m], [N m s/rad].
+    torque_rated, torque_max : float
+        [N m]
+    rotor_inertia : float
+        At the output side [kg m^2].
+    contact_stiffness : float
+        Of the healthy connections in series [N m/rad]; inf where rigid or unknown.
+    pole_pairs : float or None
+    slopes : (K1, K2, K3) or None
+        Of the reducer [N m/rad]; None where rigid or unknown.
+    torques : (T1, T2) or None
+        Where its slope changes [N m].
+    stroke : (lowest, highest)
+        Motor angle met in the recordings [rad].
+    fastest : float
+        Largest motor speed met [rad/s].
+    largest_torque : float
+        Largest nominal spring torque met [N m].
+    prismatic : bool
+    """
+
+    joint: int
+    ratio: float
+    coulomb: float
+    viscous: float
+    torque_rated: float
+    torque_max: float
+    rotor_inertia: float
+    contact_stiffness: float = np.inf
+    pole_pairs: float | None = None
+    slopes: tuple[float, float, float] | None = None
+    torques: tuple[float, float] | None = None
+    stroke: tuple[float, float] = (-np.pi, np.pi)
+    fastest: float = 1.0
+    largest_torque: float = 1.0
+    prismatic: bool = False
+
+    @property
+    def elastic(self) -> bool:
+        """Whether the nominal joint winds up at all."""
+        return self.slopes is not None or np.isfinite(self.contact_stiffness)
+
+    def windup(self, torque: np.ndarray) -> np.ndarray:
+        """Nominal wind-up [rad] under a spring torque [N m]."""
+        torque = np.asarray(torque, dtype=float)
+        angle = torque / self.contact_stiffness
+        if self.slopes is None or self.torques is None:
+            return angle
+        (k1, k2, k3), (t1, t2) = self.slopes, self.torques
+        size = np.abs(torque)
+        reducer = (
+            np.minimum(size, t1) / k1
+            + np.clip(size - t1, 0.0, t2 - t1) / k2
+            + np.maximum(size - t2, 0.0) / k3
+        )
+        return np.asarray(angle + np.sign(torque) * reducer)
+
+    def compliance(self, torque: np.ndarray) -> np.ndarray:
+        """Slope of the nominal wind-up [rad/(N m)]."""
+        size = np.abs(np.asarray(torque, dtype=float))
+        slope = np.full_like(size, 1.0 / self.contact_stiffness)
+        if self.slopes is None or self.torques is None:
+            return slope
+        zone = np.searchsorted(np.asarray(self.torques), size, "right")
+        return np.asarray(slope + 1.0 / np.asarray(self.slopes)[zone])
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointSignals:
+    """Signals of one joint: arrays (K,) on a uniform clock, or CasADi symbols.
+
+    Parameters
+    ----------
+    time, session_time
+        Since the run's begin, since switching on [s].
+    dt : float
+        Of the clock [s].
+    temperature_rise
+        Of the housing above that at which friction was identified [K]; 0 where unknown.
+    motor_position, motor_velocity, motor_acceleration
+        Through the ratio [rad], [rad/s], [rad/s^2].
+    link_position, link_velocity, link_acceleration
+        By the nominal wind-up.
+    spring_torque
+        Nominal, of the rigid bodies [N m].
+    windup
+        Nominal, under the spring torque [rad].
+    drive_torque, drive_torque_rate
+        Nominal prediction [N m], [N m/s].
+    previous_position
+        Motor angle of the joint before; 0 for the first [rad].
+    constants : JointConstants
+    """
+
+    time: Quantity
+    dt: float
+    session_time: Quantity
+    temperature_rise: Quantity
+    motor_position: Quantity
+    motor_velocity: Quantity
+    motor_acceleration: Quantity
+    link_position: Quantity
+    link_velocity: Quantity
+    link_acceleration: Quantity
+    spring_torque: Quantity
+    windup: Quantity
+    drive_torque: Quantity
+    drive_torque_rate: Quantity
+    previous_position: Quantity
+    constants: JointConstants
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotConstants:
+    """Numbers of the robot as a whole.
+
+    Parameters
+    ----------
+    joints : tuple of JointConstants
+    links : tuple of str
+        Moving link behind each joint of the model.
+    masses : array (n,)
+        Nominal [kg].
+    centres : array (n, 3)
+        Nominal centres of mass in the joints' frames [m].
+    tool_range : array (2, 3)
+        Lowest and highest tool position met, base frame [m].
+    """
+
+    joints: tuple[JointConstants, ...]
+    links: tuple[str, ...]
+    masses: np.ndarray
+    centres: np.ndarray
+    tool_range: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotSignals:
+    """Signals of the whole robot; names as in `JointSignals`, arrays (K, n).
+
+    Parameters
+    ----------
+    tool_position, tool_velocity : (K, 3)
+        Base frame [m], [m/s].
+    tool_jacobian : (K, 3, n)
+    body_regressor : (K, n, 10 n)
+        Joint torques for the inertial parameters (m, m c, I) of every moving body, after one
+        another [N m per unit].
+    tilt : (K, n, 2)
+        Change of the spring torques for a turn of the base about x and y [N m/rad].
+    last_link, link : int
+        Index of the last link, and of the one that an effect is about.
+    constants : RobotConstants
+    """
+
+    time: Quantity
+    dt: float
+    session_time: Quantity
+    temperature_rise: Quantity
+    motor_position: Quantity
+    motor_velocity: Quantity
+    motor_acceleration: Quantity
+    link_position: Quantity
+    link_velocity: Quantity
+    link_acceleration: Quantity
+    spring_torque: Quantity
+    windup: Quantity
+    drive_torque: Quantity
+    drive_torque_rate: Quantity
+    tool_position: Quantity
+    tool_velocity: Quantity
+    tool_jacobian: Quantity
+    body_regressor: Quantity
+    tilt: Quantity
+    last_link: int
+    link: int
+    constants: RobotConstants
+
+    def of_joint(self, index: int) -> JointSignals:
+        """Signals of one joint (0-based)."""
+        before = self.motor_position[:, index - 1] if index else 0.0 * self.time
+
+        def own(name: str) -> Quantity:
+            return getattr(self, name)[:, index]
+
+        return JointSignals(
+            time=self.time,
+            dt=self.dt,
+            session_time=self.session_time,
+            previous_position=before,
+            constants=self.constants.joints[index],
+            **{name: own(name) for name in _BY_JOINT},
+        )
+
+
+_BY_JOINT = (
+    "temperature_rise",
+    "motor_position",
+    "motor_velocity",
+    "motor_acceleration",
+    "link_position",
+    "link_velocity",
+    "link_acceleration",
+    "spring_torque",
+    "windup",
+    "drive_torque",
+    "drive_torque_rate",
+)
