@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stiffopt.recording.channel import resolution
+from stiffopt.recording.channel import noise_level, resolution
 from stiffopt.recording.clock import Clock, read_clock
 from stiffopt.recording.health import JointChannels, check_joint, travel
 from stiffopt.recording.run import Fault, Role, Run
@@ -107,7 +107,7 @@ def _without_copies(
             continue
         same[1:] &= np.diff(values) == 0.0
         if kind == "position":
-            count = resolution(values) or 1e-9 * travel(values)
+            count = max(resolution(values) or 1e-9 * travel(values), 4.0 * noise_level(values))
             around = np.abs(values[4:] - values[:-4]) / 4.0
             moving[2:-2] |= around > 1.5 * count
     copies = same & moving
