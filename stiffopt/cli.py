@@ -21,6 +21,8 @@ app = App(
     name="stiffopt",
     help="Stiff and true trajectories for industrial robot arms.",
     help_on_error=False,
+    # `run` says what an interruption means.
+    suppress_keyboard_interrupt=False,
 )
 
 Out = Annotated[Path, Parameter(name="--out", help="Folder for the results; made if missing.")]

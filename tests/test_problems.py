@@ -8,17 +8,21 @@ from stiffopt.problem.bounds import check_bounds
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.resolve import resolve
 
-FILES = [
-    path
-    for path in sorted((ROOT / "problems").glob("*.toml"))
-    if load_toml(path).get("kind") == "trajectory"
-]
+
+def shipped(kind):
+    paths = sorted((ROOT / "problems").glob("*.toml"))
+    return [path for path in paths if load_toml(path).get("kind") == kind]
+
+
+FILES = shipped("trajectory")
 IDS = [path.stem for path in FILES]
+STUDIES = shipped("preload")
 
 
 def test_there_are_problems():
     assert len(FILES) >= 8
     assert "er3a_pick_and_place" in IDS
+    assert len(STUDIES) >= 3
 
 
 @pytest.mark.parametrize("path", FILES, ids=IDS)
@@ -35,6 +39,15 @@ def test_expected_value_has_a_source(path):
     assert expected is not None
     assert expected.rtol <= 1e-4
     assert len(expected.source) > 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", STUDIES, ids=[path.stem for path in STUDIES])
+def test_study_verifies(path):
+    from stiffopt.verify import verify_study
+
+    for check in verify_study(path):
+        assert check.passed, f"{check.name}: {check.value} for {check.expected} {check.unit}"
 
 
 @pytest.mark.slow
