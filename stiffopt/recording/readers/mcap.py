@@ -1,0 +1,70 @@
+"""Run files of MCAP: ROS 2 messages (CDR) and JSON messages."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.decoder import DecoderFactory
+from mcap.exceptions import McapError
+from mcap.reader import McapReader, make_reader
+from mcap.records import Channel, Schema
+from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
+
+from stiffopt.errors import InputFileError
+from stiffopt.recording.readers.messages import Message, gather, wanted_topics
+from stiffopt.recording.signals import Signals
+
+
+class _JsonDecoderFactory(DecoderFactory):
+    """Decoder of messages that are JSON objects."""
+
+    def decoder_for(
+        self, message_encoding: str, schema: Schema | None
+    ) -> Callable[[bytes], Any] | None:
+        return json.loads if message_encoding == "json" else None
+
+
+def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
+    """Columns of an MCAP file."""
+    with path.open("rb") as stream:
+        try:
+            reader = make_reader(
+                stream, decoder_factories=[Ros2DecoderFactory(), _JsonDecoderFactory()]
+            )
+            channels = _channels(reader)
+            topics = [channel.topic for channel in channels]
+            wanted = wanted_topics(signals, topics, path)
+            _readable(path, [channel for channel in channels if channel.topic in wanted])
+            return gather(path, signals, topics, _messages(reader, wanted))
+        except (McapError, ValueError, EOFError, UnicodeDecodeError) as error:
+            reason = str(error) or type(error).__name__
+            raise InputFileError(path, "", f"cannot be read as MCAP: {reason}.") from error
+
+
+def _channels(reader: McapReader) -> list[Channel]:
+    summary = reader.get_summary()
+    if summary is not None and summary.channels:
+        return list(summary.channels.values())
+    # A file that was cut off has no summary.
+    found = {channel.id: channel for _, channel, _ in reader.iter_messages()}
+    return list(found.values())
+
+
+def _readable(path: Path, channels: list[Channel]) -> None:
+    for channel in channels:
+        if channel.message_encoding not in ("cdr", "json"):
+            raise InputFileError(
+                path,
+                channel.topic,
+                f"its messages are encoded as {channel.message_encoding!r}; allowed are cdr "
+                "(ROS 2) and json. Convert the file, to CSV or Parquet for example.",
+            )
+
+
+def _messages(reader: McapReader, topics: set[str]) -> Iterator[Message]:
+    for _, channel, message, decoded in reader.iter_decoded_messages(topics=topics):
+        yield channel.topic, message.log_time, decoded

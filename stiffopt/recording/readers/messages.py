@@ -1,0 +1,199 @@
+"""Channels from recorded messages: fields by topic, stamps, topics brought to one clock."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stiffopt.errors import InputFileError, nearest
+from stiffopt.recording.signals import Signals
+
+# Topic, log time [ns], decoded message.
+Message = tuple[str, int, Any]
+
+_STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\]]+)\]")
+# Fields in which messages name the entries of their lists.
+_NAMES = ("name", "names", "joint_names")
+_NANO = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Field:
+    """A number inside the messages of a topic, such as "/joint_states.position[elbow]".
+
+    Parameters
+    ----------
+    topic : str
+    steps : tuple of str or int
+        Attributes; an entry of a list by number, or by its name as "[elbow]".
+    """
+
+    topic: str
+    steps: tuple[str | int, ...]
+
+    def of(self, message: Any) -> float | None:
+        """The number, None where this message lacks it."""
+        value, holder = message, message
+        for step in self.steps:
+            if isinstance(step, str) and step.startswith("["):
+                names = next((n for key in _NAMES if (n := _get(holder, key)) is not None), ())
+                if step[1:-1] not in names:
+                    return None
+                step = list(names).index(step[1:-1])
+            if isinstance(step, int):
+                if not hasattr(value, "__len__") or step >= len(value):
+                    return None
+                value = value[step]
+                continue
+            holder, value = value, _get(value, step)
+            if value is None:
+                return None
+        return float(value)
+
+
+@dataclass
+class _Topic:
+    fields: dict[str, Field] = field(default_factory=dict)
+    stamps: list[int] = field(default_factory=list)
+    logged: list[int] = field(default_factory=list)
+    rows: list[list[float]] = field(default_factory=list)
+    seen: set[str] = field(default_factory=set)
+
+    def add(self, log_time: int, message: Any) -> None:
+        values = {name: one.of(message) for name, one in self.fields.items()}
+        row = [value for value in values.values() if value is not None]
+        # Several nodes may write to one topic; messages that lack a field are another's.
+        if len(row) == len(values):
+            self.logged.append(log_time)
+            self.stamps.append(_stamp(message))
+            self.rows.append(row)
+        elif not self.rows:
+            self.seen |= {name for name, value in values.items() if value is not None}
+
+    @property
+    def clock(self) -> np.ndarray:
+        """Stamps [ns]: of the headers if all messages have one, else when they were logged."""
+        return np.array(self.stamps if all(self.stamps) else self.logged, dtype=np.int64)
+
+
+def parse_field(name: str, topics: Iterable[str], path: Path) -> Field:
+    """Topic and field of a channel name.
+
+    Raises
+    ------
+    InputFileError
+        No such topic, or no field after it.
+    """
+    known = list(topics)
+    fitting = [topic for topic in known if name == topic or name.startswith(f"{topic}.")]
+    if not fitting:
+        topic = re.split(r"[.\[]", name)[0]
+        raise InputFileError(
+            path, "", f"has no topic {topic!r}, which [signals] names. {nearest(topic, known)}"
+        )
+    topic = max(fitting, key=len)
+    steps: list[str | int] = []
+    for attribute, entry in _STEP.findall(name[len(topic) :]):
+        if attribute:
+            steps.append(attribute)
+        else:
+            steps.append(int(entry) if entry.isdigit() else f"[{entry}]")
+    if not steps:
+        raise InputFileError(
+            path, "", f"{name!r} names no field. Write it as {topic}.position[0] or "
+            f"{topic}.position[elbow]."
+        )  # fmt: skip
+    return Field(topic, tuple(steps))
+
+
+def gather(
+    path: Path, signals: Signals, topics: Iterable[str], messages: Iterable[Message]
+) -> dict[str, np.ndarray]:
+    """Columns of the channels that `signals` names.
+
+    Parameters
+    ----------
+    path : Path
+    signals : Signals
+    topics : iterable of str
+        Of the file.
+    messages : iterable of Message
+        In the order of the log.
+
+    Returns
+    -------
+    mapping of column name to array (R,)
+        On the clock of the topic that holds the first position, in seconds after its first
+        stamp. Channels of other topics are interpolated linearly, nan outside of their stamps.
+    """
+    wanted = {name: parse_field(name, topics, path) for name in signals.wanted}
+    own: dict[str, _Topic] = {}
+    for name, one in wanted.items():
+        own.setdefault(one.topic, _Topic()).fields[name] = one
+    base = wanted[signals.position[0]].topic
+    timed = any(
+        signals.time.startswith(f"{topic}.") and ".stamp" not in signals.time for topic in topics
+    )
+    if timed:
+        one = parse_field(signals.time, topics, path)
+        if one.topic != base:
+            raise InputFileError(path, "", f"signals.time must be a field of {base}.")
+        own[base].fields[signals.time] = one
+    for topic, log_time, message in messages:
+        if topic in own:
+            own[topic].add(log_time, message)
+    columns = _columns(path, own, base)
+    if not timed:
+        clock = own[base].clock
+        columns[signals.time] = (clock - clock[0]) / _NANO
+    return columns
+
+
+def wanted_topics(signals: Signals, topics: Sequence[str], path: Path) -> set[str]:
+    """Topics that hold channels of `signals`."""
+    return {parse_field(name, topics, path).topic for name in signals.wanted}
+
+
+def _columns(path: Path, own: Mapping[str, _Topic], base: str) -> dict[str, np.ndarray]:
+    columns: dict[str, np.ndarray] = {}
+    for topic, held in own.items():
+        if not held.rows:
+            lacking = [name for name in held.fields if name not in held.seen] or list(held.fields)
+            raise InputFileError(
+                path,
+                "",
+                f"no message on {topic} has {', '.join(lacking)}. Correct the names, or leave "
+                'them out of [signals] ("").',
+            )
+        for name, column in zip(held.fields, np.array(held.rows).T, strict=True):
+            columns[name] = (
+                column if topic == base else _aligned(own[base].clock, held.clock, column)
+            )
+    return columns
+
+
+def _aligned(clock: np.ndarray, other: np.ndarray, values: np.ndarray) -> np.ndarray:
+    order = np.argsort(other, kind="stable")
+    begin = min(int(clock[0]), int(other[order[0]]))
+    at, known = clock - begin, (other - begin)[order]
+    aligned: np.ndarray = np.interp(at, known, values[order], left=np.nan, right=np.nan)
+    return aligned
+
+
+def _get(value: Any, key: str) -> Any:
+    return value.get(key) if isinstance(value, Mapping) else getattr(value, key, None)
+
+
+def _stamp(message: Any) -> int:
+    """Header stamp [ns], 0 if there is none."""
+    stamp = _get(_get(message, "header"), "stamp")
+    seconds = _get(stamp, "sec")
+    if seconds is None:
+        return 0
+    rest = next((r for key in ("nanosec", "nsec") if (r := _get(stamp, key)) is not None), 0)
+    return int(seconds) * _NANO + int(rest)

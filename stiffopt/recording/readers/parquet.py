@@ -1,0 +1,37 @@
+"""Run files of Parquet: one column a signal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as arrow
+import pyarrow.parquet as parquet
+
+from stiffopt.errors import InputFileError
+from stiffopt.recording.readers.columns import missing, require_time
+from stiffopt.recording.signals import Signals
+
+
+def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
+    """Columns of a .parquet file; a time stamp column becomes seconds after its first entry."""
+    require_time(signals, path)
+    wanted = (signals.time, *signals.wanted)
+    try:
+        missing(path, wanted, parquet.read_schema(path).names)
+        table = parquet.read_table(path, columns=list(wanted))
+    except (arrow.ArrowException, OSError) as error:
+        raise InputFileError(path, "", f"is not a Parquet file: {error}.") from error
+    return {name: _numbers(path, name, table.column(name)) for name in wanted}
+
+
+def _numbers(path: Path, name: str, column: arrow.ChunkedArray) -> np.ndarray:
+    kind = column.type
+    if arrow.types.is_timestamp(kind) or arrow.types.is_duration(kind):
+        stamps = column.to_numpy().astype("timedelta64[ns]" if arrow.types.is_duration(kind)
+                                          else "datetime64[ns]")  # fmt: skip
+        seconds: np.ndarray = (stamps - stamps[0]) / np.timedelta64(1, "s")
+        return seconds
+    if not (arrow.types.is_integer(kind) or arrow.types.is_floating(kind)):
+        raise InputFileError(path, name, f"needs a column of numbers, got {kind}.")
+    return np.asarray(column.to_numpy(), dtype=float)
