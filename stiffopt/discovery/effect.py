@@ -124,6 +124,8 @@ class Effect:
         (constants) -> bool; False where the joint cannot have it (no pole pairs known).
     separate : str
         The motion that separates it from what looks alike.
+    log_prior : callable, optional
+        (constants) -> logarithm of how usual it is at that joint, 0 at most; default 0.
     """
 
     name: str
@@ -138,6 +140,7 @@ class Effect:
     units: Mapping[str, str] = field(default_factory=dict)
     applies: Callable[[Any], bool] | None = None
     separate: str = ""
+    log_prior: Callable[[Any], float] | None = None
 
     def values(
         self, amplitudes: Sequence[float], shapes: Sequence[float], constants: Any
@@ -150,7 +153,8 @@ class Effect:
 
     def unit_of(self, parameter: str) -> str:
         """Unit of a reported parameter."""
-        for each in (*self.amplitudes, *self.shapes):
+        own: tuple[Amplitude | Shape, ...] = (*self.amplitudes, *self.shapes)
+        for each in own:
             if each.name == parameter:
                 return each.unit
         return self.units.get(parameter, "")

@@ -1,0 +1,136 @@
+"""Smooth functions, typical sizes and starts that the effects share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.discovery.effect import Amplitude
+from stiffopt.discovery.history import Step, scan
+from stiffopt.discovery.settings import SIGN_SPEED
+from stiffopt.discovery.signals import JointConstants
+from stiffopt.symbolic import Quantity, is_symbolic
+
+# A term that no parameter enters linearly is scaled as a whole by this one. It is 1 where the
+# shapes hold exactly, so a refined fit sets it to 1 and reports only the shapes.
+WEIGHT = Amplitude(name="weight", unit="", scale=1.0, lower=0.0, upper=1.5)
+
+
+def smooth_sign(velocity: Quantity) -> Quantity:
+    """Direction of motion: -1 to 1, even where the joint reverses [rad/s] -> [-]."""
+    return np.tanh(velocity / SIGN_SPEED)
+
+
+def part(signal: Quantity, index: int) -> Quantity:
+    """One entry along the last axis of arrays (K, n, m), or column of a symbol (n, m)."""
+    return signal[:, index] if is_symbolic(signal) else signal[..., index]
+
+
+def compliance(constants: JointConstants, torque: Quantity) -> Quantity:
+    """Slope of the nominal wind-up at a spring torque [N m] -> [rad/(N m)]; takes symbols."""
+    size = np.abs(torque)
+    slope = 1.0 / constants.contact_stiffness + 0.0 * size
+    if constants.slopes is None or constants.torques is None:
+        return slope
+    (k1, k2, k3), (t1, t2) = constants.slopes, constants.torques
+    return slope + np.where(size < t1, 1.0 / k1, np.where(size < t2, 1.0 / k2, 1.0 / k3))
+
+
+def remember(
+    step: Step,
+    inputs: Sequence[Quantity],
+    state: Sequence[Quantity],
+    parameters: Sequence[Quantity] = (),
+) -> Quantity:
+    """Output of a recurrence at every sample, in the shape of a term.
+
+    Parameters
+    ----------
+    step : callable
+        See `discovery.history`.
+    inputs : sequence of array (K,) or SX (K, 1)
+        Symbols are written out sample after sample, which suits short stretches.
+    state : sequence of float or SX
+        Before the first sample.
+    parameters : sequence of float or SX or MX
+
+    Returns
+    -------
+    array (K,) or symbol (K, 1)
+    """
+    if any(is_symbolic(u) for u in (*inputs, *state)):
+        return _written_out(step, inputs, state, parameters)
+    output = scan(step, inputs, [float(x) for x in state], parameters)
+    return output.T if is_symbolic(output) else output
+
+
+def _written_out(
+    step: Step, inputs: Sequence[Quantity], state: Quantity, parameters: Sequence[Quantity]
+) -> Quantity:
+    now, outputs = ca.vertcat(*state), []
+    for k in range(inputs[0].shape[0]):
+        now, output = step(now, [u[k] for u in inputs], parameters)
+        outputs.append(output)
+    return ca.vertcat(*outputs)
+
+
+# ---- typical sizes, from what is known of a joint
+
+
+def dry_friction(constants: JointConstants) -> float:
+    """Coulomb level, or what a geared joint usually has [N m]."""
+    return constants.coulomb if constants.coulomb > 0.0 else 0.08 * constants.torque_rated
+
+
+def viscous_friction(constants: JointConstants) -> float:
+    """Viscous coefficient, or what a geared joint usually has [N m s/rad]."""
+    usual = 0.08 * constants.torque_rated / max(constants.fastest, 1e-3)
+    return constants.viscous if constants.viscous > 0.0 else usual
+
+
+def motor_inertia(constants: JointConstants) -> float:
+    """Rotor inertia at the output side, or what a geared joint usually has [kg m^2]."""
+    usual = 0.01 * constants.torque_rated
+    return constants.rotor_inertia if constants.rotor_inertia > 0.0 else usual
+
+
+def working_compliance(constants: JointConstants) -> float:
+    """Slope of the nominal wind-up between the corners of the reducer [rad/(N m)]."""
+    contacts = 1.0 / constants.contact_stiffness
+    return contacts if constants.slopes is None else contacts + 1.0 / constants.slopes[1]
+
+
+def contact_compliance(constants: JointConstants) -> float:
+    """Of the healthy connections; a fifth of the reducer's where unknown [rad/(N m)]."""
+    if np.isfinite(constants.contact_stiffness):
+        return 1.0 / constants.contact_stiffness
+    return 0.2 * working_compliance(constants)
+
+
+def winds_up(constants: JointConstants) -> bool:
+    """Whether the nominal joint is elastic at all."""
+    return constants.elastic
+
+
+def along_stroke(constants: JointConstants, count: int) -> tuple[float, ...]:
+    """Places evenly over the stroke met, each in the middle of its share [rad]."""
+    low, high = constants.stroke
+    shares = (np.arange(count) + 0.5) / count
+    return tuple(float(x) for x in low + shares * (high - low))
+
+
+def ratio_or_zero(top: float, bottom: float) -> float:
+    """Quotient that is 0 where there is nothing to divide by."""
+    return top / bottom if bottom != 0.0 else 0.0
+
+
+def on_wrist(constants: JointConstants) -> bool:
+    """Whether a joint is one of the last three of a six-axis arm."""
+    return constants.joint > 3
+
+
+Reported = Mapping[str, float]
+Constants = Any

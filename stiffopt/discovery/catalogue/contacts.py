@@ -1,0 +1,82 @@
+"""Loads that come in from elsewhere: the joint before, or something that the tool touches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stiffopt.discovery.catalogue.common import part
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals, RobotConstants, RobotSignals
+from stiffopt.symbolic import Quantity, is_symbolic, smooth_abs
+
+_TOUCH = 1e-4  # [m], over which a touch begins
+
+
+def wrist_coupling_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Link angle th - c th_before; by virtual work the joint before carries -c s."""
+    return Term(
+        deflection=amplitudes[0] * signals.previous_position,
+        previous_torque=-amplitudes[0] * signals.spring_torque,
+    )
+
+
+def external_contact_term(
+    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """-J^T n k max(z - tool height, 0): a level surface holds the tool up."""
+    depth = shapes[0] - part(signals.tool_position, 2)
+    pressed = 0.5 * (depth + smooth_abs(depth, _TOUCH))
+    jacobian = signals.tool_jacobian
+    lever = jacobian[2, :].T if is_symbolic(jacobian) else jacobian[:, 2, :]
+    return Term(link_torque=-amplitudes[0] * _for_each_joint(pressed, lever))
+
+
+def _for_each_joint(force: Quantity, lever: Quantity) -> Quantity:
+    """Product of a force (K,) and levers (K, n), whichever is a symbol."""
+    if is_symbolic(lever) or not is_symbolic(force):
+        return lever * (force if is_symbolic(lever) else force[:, None])
+    return lever * (force @ np.ones((1, lever.shape[1])))
+
+
+def _follows_another(constants: JointConstants) -> bool:
+    return constants.joint > 1
+
+
+def _heights(constants: RobotConstants) -> tuple[float, ...]:
+    low, high = constants.tool_range[:, 2]
+    shares = (0.03, 0.08, 0.15, 0.25, 0.4, 0.6)
+    return tuple(float(low + share * (high - low)) for share in shares)
+
+
+WRIST_COUPLING = Effect(
+    name="wrist_coupling",
+    family="contact",
+    scope="joint",
+    equation="d_j += c*th_(j-1), tau_(j-1) += -c*s_j",
+    signature="link angle that moves with the joint before, which carries a share of the torque",
+    term=wrist_coupling_term,
+    amplitudes=(Amplitude(name="c", unit="", scale=0.01, lower=-5.0, upper=5.0),),
+    applies=_follows_another,
+    log_prior=lambda constants: 0.0 if constants.joint > 4 else -1.0,
+    separate="Move the joint before while this one stands: an error of its own gear or encoder"
+    " does not follow.",
+)
+
+EXTERNAL_CONTACT = Effect(
+    name="external_contact",
+    family="contact",
+    scope="robot",
+    equation="s += -J^T*n*k*max(z - z_tool, 0)",
+    signature="link torques of several joints off together, and only where the tool is low",
+    term=external_contact_term,
+    amplitudes=(Amplitude(name="k", unit="N/m", scale=2e4, lower=0.0, upper=50.0),),
+    shapes=(Shape(name="z", unit="m", starts=_heights, lower=-10.0, upper=10.0),),
+    separate="Visit one place several times from above, and places beside it: a payload acts"
+    " everywhere, a contact only below its height.",
+)
+
+CONTACTS = (WRIST_COUPLING, EXTERNAL_CONTACT)

@@ -1,0 +1,212 @@
+"""Friction that the nominal Coulomb and viscous terms lack: torques that oppose motion.
+
+Sources of the forms: Armstrong-Helouvry, Dupont, Canudas de Wit (1994) for the dependence on
+speed; Bittencourt and Axelsson (2014) for load and temperature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stiffopt.discovery.catalogue.common import (
+    WEIGHT,
+    along_stroke,
+    dry_friction,
+    smooth_sign,
+    viscous_friction,
+)
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
+from stiffopt.symbolic import Quantity, smooth_abs
+
+# Share of the rated torque below which a carried load has no definite side.
+_LOAD_ROUNDING = 0.02
+
+
+def coulomb_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Dry friction dFc sg(w)."""
+    return Term(drive_torque=amplitudes[0] * smooth_sign(signals.motor_velocity))
+
+
+def viscous_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Viscous friction dFv w."""
+    return Term(drive_torque=amplitudes[0] * signals.motor_velocity)
+
+
+def stribeck_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Friction A exp(-(w/vs)^2) sg(w) at low speed."""
+    w = signals.motor_velocity
+    return Term(drive_torque=amplitudes[0] * np.exp(-((w / shapes[0]) ** 2)) * smooth_sign(w))
+
+
+def load_friction_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Friction mu |s| sg(w) of the load, the size of the load rounded at zero."""
+    rounding = _LOAD_ROUNDING * signals.constants.torque_rated
+    load = smooth_abs(signals.spring_torque, rounding) - rounding
+    return Term(drive_torque=amplitudes[0] * load * smooth_sign(signals.motor_velocity))
+
+
+def asym_friction_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Torque dFc + dFv |w| while moving, in either direction, and nothing at rest."""
+    w = signals.motor_velocity
+    side = smooth_sign(w)
+    return Term(drive_torque=amplitudes[0] * side * side + amplitudes[1] * w * side)
+
+
+def position_friction_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Friction A exp(-((q - q0)/width)^2 / 2) sg(w) at a place."""
+    place, width = shapes
+    bump = np.exp(-0.5 * ((signals.link_position - place) / width) ** 2)
+    return Term(drive_torque=amplitudes[0] * bump * smooth_sign(signals.motor_velocity))
+
+
+def thermal_friction_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Change by exp(-b (T - T0)) - 1 of the viscous friction, and of a share of the dry friction."""
+    constants, w = signals.constants, signals.motor_velocity
+    fall = np.exp(-shapes[0] * signals.temperature_rise) - 1.0
+    viscous = viscous_friction(constants) * w
+    dry = dry_friction(constants) * smooth_sign(w)
+    return Term(drive_torque=(amplitudes[0] * viscous + amplitudes[1] * dry) * fall)
+
+
+def _half_dry(constants: JointConstants) -> float:
+    return 0.5 * dry_friction(constants)
+
+
+def _slow_speeds(constants: JointConstants) -> tuple[float, ...]:
+    highest = min(0.5, max(0.5 * constants.fastest, 0.03))
+    return tuple(float(v) for v in np.geomspace(0.02, highest, 5))
+
+
+def _places(constants: JointConstants) -> tuple[float, ...]:
+    return along_stroke(constants, 10)
+
+
+COULOMB = Effect(
+    name="coulomb",
+    family="friction",
+    scope="joint",
+    equation="tau += dFc*sg(w)",
+    signature="motor torque off by a constant whose sign follows the direction, at every speed,"
+    " angle and load",
+    term=coulomb_term,
+    amplitudes=(Amplitude(name="dFc", unit="N m", scale=_half_dry, lower=-2.0, upper=10.0),),
+    separate="Move at three speeds or more, in both directions: Coulomb friction does not change"
+    " with speed.",
+)
+
+VISCOUS = Effect(
+    name="viscous",
+    family="friction",
+    scope="joint",
+    equation="tau += dFv*w",
+    signature="motor torque off in proportion to speed, alike in both directions",
+    term=viscous_term,
+    amplitudes=(
+        Amplitude(name="dFv", unit="N m s/rad", scale=viscous_friction, lower=-1.0, upper=5.0),
+    ),
+    separate="Hold constant speeds up to the fastest, once cold and once warm: a delay shows only"
+    " while the torque changes, heat only from run to run.",
+)
+
+STRIBECK = Effect(
+    name="stribeck",
+    family="friction",
+    scope="joint",
+    equation="tau += A*exp(-(w/vs)^2)*sg(w)",
+    signature="motor torque too high only at low speed, against the motion",
+    term=stribeck_term,
+    amplitudes=(Amplitude(name="A", unit="N m", scale=_half_dry, lower=0.0, upper=4.0),),
+    shapes=(Shape(name="vs", unit="rad/s", starts=_slow_speeds, lower=0.005, upper=0.5),),
+    separate="Ramp slowly through 0.01 to 0.3 rad/s without reversing: hysteresis depends on the"
+    " travel since the last reversal, not on speed.",
+)
+
+LOAD_FRICTION = Effect(
+    name="load_friction",
+    family="friction",
+    scope="joint",
+    equation="tau += mu*abs(s)*sg(w)",
+    signature="motor torque off against the motion, in proportion to the size of the load"
+    " carried, whatever its sign",
+    term=load_friction_term,
+    amplitudes=(Amplitude(name="mu", unit="", scale=0.1, lower=0.0, upper=3.0),),
+    separate="Repeat one path with two payloads, in both directions: a gain error keeps its sign"
+    " when the motion turns round.",
+)
+
+ASYM_FRICTION = Effect(
+    name="asym_friction",
+    family="friction",
+    scope="joint",
+    equation="tau += sg(w)^2*dFc + abs(w)*dFv",
+    signature="motor torque off alike in both directions while moving and not at rest, growing"
+    " with the size of the speed",
+    term=asym_friction_term,
+    amplitudes=(
+        Amplitude(name="dFc", unit="N m", scale=_half_dry, lower=-2.0, upper=2.0),
+        Amplitude(name="dFv", unit="N m s/rad", scale=viscous_friction, lower=-1.0, upper=1.0),
+    ),
+    separate="Stop for a second in several postures: a torque offset and a gravity error act at"
+    " rest too, friction between the directions does not.",
+)
+
+POSITION_FRICTION = Effect(
+    name="position_friction",
+    family="friction",
+    scope="joint",
+    equation="tau += A*exp(-((q - q0)/width)^2/2)*sg(w)",
+    signature="motor torque too high against the motion at one place of the stroke, in both"
+    " directions",
+    term=position_friction_term,
+    amplitudes=(Amplitude(name="A", unit="N m", scale=dry_friction, lower=0.0, upper=3.0),),
+    shapes=(
+        Shape(name="q0", unit="rad", starts=_places, lower=-20.0, upper=20.0),
+        Shape(name="width", unit="rad", starts=(0.12, 0.3, 0.7), lower=0.05, upper=1.5),
+    ),
+    separate="Sweep the whole stroke slowly both ways: a gravity error keeps its sign, friction"
+    " turns with the direction.",
+)
+
+THERMAL_FRICTION = Effect(
+    name="thermal_friction",
+    family="friction",
+    scope="joint",
+    equation="tau += (exp(-b*(T - T0)) - 1)*(Fv*w + share*Fc*sg(w))",
+    signature="motor torque against the motion that falls from run to run as the housing warms",
+    term=thermal_friction_term,
+    amplitudes=(
+        WEIGHT,
+        Amplitude(name="share", unit="", scale=0.3, lower=0.0, upper=3.3),
+    ),
+    shapes=(Shape(name="b", unit="1/K", starts=(0.01, 0.03, 0.06), lower=1e-4, upper=0.1),),
+    report=lambda amplitudes, shapes, constants: {"b": shapes[0]},
+    separate="Repeat one motion cold and after half an hour of work: viscous friction alone stays"
+    " the same.",
+)
+
+FRICTION = (
+    COULOMB,
+    VISCOUS,
+    STRIBECK,
+    LOAD_FRICTION,
+    ASYM_FRICTION,
+    POSITION_FRICTION,
+    THERMAL_FRICTION,
+)

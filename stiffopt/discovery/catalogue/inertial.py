@@ -1,0 +1,155 @@
+"""Masses that the nominal bodies lack, and a base that stands askew."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from stiffopt.discovery.catalogue.common import Constants, motor_inertia, part, ratio_or_zero
+from stiffopt.discovery.effect import Amplitude, Effect, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals, RobotConstants, RobotSignals
+from stiffopt.symbolic import Quantity
+
+# Inertial parameters of a body in a regressor: mass, three first moments, six of the inertia.
+_A_BODY = 10
+_REACH = 0.1  # [m], how far off a centre of mass typically is
+
+
+def rotor_inertia_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Torque dJ dw/dt."""
+    return Term(drive_torque=amplitudes[0] * signals.motor_acceleration)
+
+
+def body_term(signals: RobotSignals, amplitudes: Sequence[Quantity], body: int) -> Term:
+    """Torques of a changed mass and first moment of one body."""
+    torque: Quantity = 0.0
+    for k, amplitude in enumerate(amplitudes):
+        torque = torque + amplitude * part(signals.body_regressor, _A_BODY * body + k)
+    return Term(link_torque=torque)
+
+
+def payload_term(
+    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Mass dm at the place c of the last link; its size beyond a point is left out."""
+    return body_term(signals, amplitudes, signals.last_link)
+
+
+def inertial_error_term(
+    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Mass and first moment of the link in question."""
+    return body_term(signals, amplitudes, signals.link)
+
+
+def base_tilt_term(
+    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Gravity turned against the base by small angles about x and y."""
+    return Term(
+        link_torque=amplitudes[0] * part(signals.tilt, 0) + amplitudes[1] * part(signals.tilt, 1)
+    )
+
+
+def _place_of_payload(
+    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
+) -> Mapping[str, float]:
+    mass, *moments = amplitudes
+    places = (ratio_or_zero(moment, mass) for moment in moments)
+    return {"dm": mass, **dict(zip(("cx", "cy", "cz"), places, strict=True))}
+
+
+def _change_of_link(
+    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
+) -> Mapping[str, float]:
+    mass, *moments = amplitudes
+    return {
+        "dm": mass,
+        "dmc": float(np.linalg.norm(moments)),
+        **dict(zip(("dmcx", "dmcy", "dmcz"), moments, strict=True)),
+    }
+
+
+def _quarter_rotor(constants: JointConstants) -> float:
+    return 0.25 * motor_inertia(constants)
+
+
+def _some_mass(constants: RobotConstants) -> float:
+    return max(0.03 * float(np.sum(constants.masses)), 0.05)
+
+
+def _some_moment(constants: RobotConstants) -> float:
+    return _REACH * _some_mass(constants)
+
+
+def _moments(*names: str) -> tuple[Amplitude, ...]:
+    return tuple(
+        Amplitude(name=name, unit="kg m", scale=_some_moment, lower=-20.0, upper=20.0)
+        for name in names
+    )
+
+
+_MASS = Amplitude(name="dm", unit="kg", scale=_some_mass, lower=-20.0, upper=20.0)
+
+ROTOR_INERTIA = Effect(
+    name="rotor_inertia",
+    family="inertial",
+    scope="joint",
+    equation="tau += dJ*dw/dt",
+    signature="motor torque off in proportion to the motor's own acceleration, alike in every"
+    " posture",
+    term=rotor_inertia_term,
+    amplitudes=(Amplitude(name="dJ", unit="kg m^2", scale=_quarter_rotor, lower=-2.0, upper=4.0),),
+    separate="Accelerate hard in several postures: the inertia of links changes with posture and"
+    " winds the joint up, the rotor's does neither.",
+)
+
+PAYLOAD = Effect(
+    name="payload",
+    family="inertial",
+    scope="robot",
+    equation="s += Y_last(q, v, a)*(dm, dm*c)",
+    signature="link torques of several joints off together, as a mass at the last link makes them",
+    term=payload_term,
+    amplitudes=(_MASS, *_moments("mcx", "mcy", "mcz")),
+    report=_place_of_payload,
+    units={"cx": "m", "cy": "m", "cz": "m"},
+    separate="Turn the wrist by half a turn: a payload's torque turns with it, a cable's and a"
+    " tilted base's does not.",
+)
+
+INERTIAL_ERROR = Effect(
+    name="inertial_error",
+    family="inertial",
+    scope="link",
+    equation="s += Y_link(q, v, a)*(dm, dmc)",
+    signature="torques of a link's own joint and of those before it off together, with gravity and"
+    " acceleration",
+    term=inertial_error_term,
+    amplitudes=(_MASS, *_moments("dmcx", "dmcy", "dmcz")),
+    report=_change_of_link,
+    units={"dmc": "kg m"},
+    separate="Move the joint of the link through its whole stroke, fast and slowly, in several"
+    " postures of the others: friction turns with the direction, masses do not.",
+)
+
+BASE_TILT = Effect(
+    name="base_tilt",
+    family="inertial",
+    scope="robot",
+    equation="s += g(q; base turned by rx, ry) - g(q)",
+    signature="weight on an upright first axis, which should carry none, and a fitting change on"
+    " the next joints",
+    term=base_tilt_term,
+    amplitudes=(
+        Amplitude(name="rx", unit="rad", scale=0.01, lower=-9.0, upper=9.0),
+        Amplitude(name="ry", unit="rad", scale=0.01, lower=-9.0, upper=9.0),
+    ),
+    separate="Turn the first axis once with the arm stretched: only a tilt makes its torque follow"
+    " the sine of its angle.",
+)
+
+INERTIAL = (ROTOR_INERTIA, PAYLOAD, BASE_TILT, INERTIAL_ERROR)

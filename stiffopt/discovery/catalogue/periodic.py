@@ -1,0 +1,111 @@
+"""What repeats with the turns of the rotor: kinematic error of the gear, ripple of the torque."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from stiffopt.discovery.catalogue.common import Constants
+from stiffopt.discovery.effect import Amplitude, Effect, Report, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
+from stiffopt.symbolic import Quantity
+
+_GEAR_ORDERS = (1, 2, 4)
+_RIPPLE_ORDERS = (1, 6)
+
+
+def transmission_error_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Error of the ratio at 1, 2 and 4 times the rotor angle.
+
+    The drive carries the load through the ratio of the moment, 1 - TE'(th), by virtual work.
+    """
+    ratio = signals.constants.ratio
+    error: Quantity = 0.0
+    slope: Quantity = 0.0
+    for k, order in enumerate(_GEAR_ORDERS):
+        turn = order * ratio * signals.motor_position
+        a, b = amplitudes[2 * k], amplitudes[2 * k + 1]
+        error = error + a * np.sin(turn) + b * np.cos(turn)
+        slope = slope + order * ratio * (a * np.cos(turn) - b * np.sin(turn))
+    return Term(deflection=error, drive_torque=-signals.spring_torque * slope)
+
+
+def torque_ripple_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Ripple of the motor at 1 and 6 times the electrical angle."""
+    constants = signals.constants
+    electrical = (constants.pole_pairs or 1.0) * constants.ratio * signals.motor_position
+    ripple: Quantity = 0.0
+    for k, order in enumerate(_RIPPLE_ORDERS):
+        turn = order * electrical
+        ripple = ripple + amplitudes[2 * k] * np.sin(turn) + amplitudes[2 * k + 1] * np.cos(turn)
+    return Term(drive_torque=ripple)
+
+
+def _harmonics(letter: str, orders: Sequence[int]) -> Report:
+    def report(
+        amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
+    ) -> Mapping[str, float]:
+        return {
+            f"{letter}{order}": float(np.hypot(amplitudes[2 * k], amplitudes[2 * k + 1]))
+            for k, order in enumerate(orders)
+        }
+
+    return report
+
+
+def _ripple(constants: JointConstants) -> float:
+    return 0.02 * constants.torque_rated
+
+
+def _geared(constants: JointConstants) -> bool:
+    return constants.ratio > 1.0
+
+
+def _geared_motor(constants: JointConstants) -> bool:
+    return constants.ratio > 1.0 and constants.pole_pairs is not None
+
+
+TRANSMISSION_ERROR = Effect(
+    name="transmission_error",
+    family="periodic",
+    scope="joint",
+    equation="d += sum_k A_k*sin(k*N*th + phase_k), k = 1, 2, 4",
+    signature="motor and link angle apart in waves of 1, 2 or 4 a turn of the rotor",
+    term=transmission_error_term,
+    amplitudes=tuple(
+        Amplitude(name=f"{wave}{order}", unit="rad", scale=1e-4, lower=-10.0, upper=10.0)
+        for order in _GEAR_ORDERS
+        for wave in ("sin", "cos")
+    ),
+    report=_harmonics("A", _GEAR_ORDERS),
+    units={f"A{order}": "rad" for order in _GEAR_ORDERS},
+    applies=_geared,
+    separate="Turn slowly at two constant speeds: the waves keep their order of the rotor angle,"
+    " a resonance keeps its frequency, ripple comes with the pole pairs.",
+)
+
+TORQUE_RIPPLE = Effect(
+    name="torque_ripple",
+    family="periodic",
+    scope="joint",
+    equation="tau += sum_k B_k*sin(k*p*N*th + phase_k), k = 1, 6",
+    signature="motor torque in waves of 1 or 6 an electrical turn of the motor",
+    term=torque_ripple_term,
+    amplitudes=tuple(
+        Amplitude(name=f"{wave}{order}", unit="N m", scale=_ripple, lower=-5.0, upper=5.0)
+        for order in _RIPPLE_ORDERS
+        for wave in ("sin", "cos")
+    ),
+    report=_harmonics("B", _RIPPLE_ORDERS),
+    units={f"B{order}": "N m" for order in _RIPPLE_ORDERS},
+    applies=_geared_motor,
+    separate="Turn slowly at two constant speeds in both directions: ripple leaves the link angle"
+    " where it is, an error of the gear moves it.",
+)
+
+PERIODIC = (TRANSMISSION_ERROR, TORQUE_RIPPLE)

@@ -1,0 +1,182 @@
+"""What sensors and drives report otherwise than the model believes.
+
+Readings: torque reading = (1 + eps) drive torque + off; link reading = link angle + off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from stiffopt.discovery.catalogue.common import (
+    WEIGHT,
+    Constants,
+    dry_friction,
+    viscous_friction,
+)
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals, RobotSignals
+from stiffopt.symbolic import Quantity, softplus
+
+# Share of the highest torque over which a drive rounds its limit off.
+_LIMIT_ROUNDING = 0.01
+
+
+def torque_gain_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Share eps of the torque, of the predicted one: the measured one would explain itself."""
+    return Term(drive_torque=amplitudes[0] * signals.drive_torque)
+
+
+def torque_offset_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """A constant."""
+    return Term(drive_torque=amplitudes[0] + 0.0 * signals.drive_torque)
+
+
+def encoder_offset_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """A constant added to the reading of the link angle."""
+    return Term(deflection=-amplitudes[0] + 0.0 * signals.windup)
+
+
+def time_delay_term(
+    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Torque tau(t - d) - tau(t) to first order, on all joints."""
+    return Term(drive_torque=-amplitudes[0] * signals.drive_torque_rate)
+
+
+def encoder_skew_term(
+    signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Link angles read d later than motor angles, on all joints."""
+    return Term(deflection=amplitudes[0] * signals.motor_velocity)
+
+
+def saturation_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """What a drive that ends at its limit leaves out of the torque asked for."""
+    highest = signals.constants.torque_max
+    rounding = _LIMIT_ROUNDING * highest
+    limit, asked = shapes[0] * highest, signals.drive_torque
+    beyond = softplus((asked - limit) / rounding) - softplus((-asked - limit) / rounding)
+    return Term(drive_torque=-amplitudes[0] * rounding * beyond)
+
+
+def _limit(
+    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
+) -> Mapping[str, float]:
+    return {"limit": shapes[0] * constants.torque_max}
+
+
+def _offset(constants: JointConstants) -> float:
+    return 0.03 * constants.torque_rated
+
+
+def _limits(constants: JointConstants) -> tuple[float, ...]:
+    friction = dry_friction(constants) + viscous_friction(constants) * constants.fastest
+    asked = min(1.0, (constants.largest_torque + friction) / constants.torque_max)
+    return tuple(max(0.1, share * asked) for share in (0.4, 0.55, 0.7, 0.85))
+
+
+_READING_ZERO = Amplitude(name="off", unit="rad", scale=1e-3, lower=-10.0, upper=10.0)
+
+TORQUE_GAIN = Effect(
+    name="torque_gain",
+    family="sensor",
+    scope="joint",
+    equation="tau += eps*tau",
+    signature="motor torque off in proportion to itself, whatever it comes from",
+    term=torque_gain_term,
+    amplitudes=(Amplitude(name="eps", unit="", scale=0.1, lower=-3.0, upper=3.0),),
+    separate="Fasten a known mass and move fast and slowly: a wrong mass leaves friction and rotor"
+    " inertia as they are, a gain scales everything.",
+)
+
+TORQUE_OFFSET = Effect(
+    name="torque_offset",
+    family="sensor",
+    scope="joint",
+    equation="tau += off",
+    signature="motor torque off by a constant, also at rest and in every posture",
+    term=torque_offset_term,
+    amplitudes=(Amplitude(name="off", unit="N m", scale=_offset, lower=-7.0, upper=7.0),),
+    separate="Stop for a second in several postures and move in both directions: friction that"
+    " differs between directions vanishes at rest, weight changes with posture.",
+)
+
+ENCODER_OFFSET = Effect(
+    name="encoder_offset",
+    family="sensor",
+    scope="joint",
+    equation="d += -off",
+    signature="motor and link angle apart by a constant in every run",
+    term=encoder_offset_term,
+    amplitudes=(_READING_ZERO,),
+    separate="Load the joint on both sides: an offset stays, backlash and wind-up change side.",
+)
+
+ENCODER_ZERO_CHANGE = Effect(
+    name="encoder_zero_change",
+    family="sensor",
+    scope="run",
+    equation="d += -off in one run",
+    signature="motor and link angle apart by a constant that one run alone has",
+    term=encoder_offset_term,
+    amplitudes=(_READING_ZERO,),
+    separate="Repeat one motion after referencing the encoders again: the offset of the run goes"
+    " away.",
+)
+
+TIME_DELAY = Effect(
+    name="time_delay",
+    family="sensor",
+    scope="robot",
+    equation="tau += tau(t - d) - tau(t)",
+    signature="motor torques of all joints late by the same time",
+    term=time_delay_term,
+    amplitudes=(Amplitude(name="d", unit="s", scale=5e-3, lower=-4.0, upper=10.0),),
+    separate="Change speed quickly, then hold it: a delay shows while the torque changes, friction"
+    " and inertia do not depend on how fast it does.",
+)
+
+ENCODER_SKEW = Effect(
+    name="encoder_skew",
+    family="sensor",
+    scope="robot",
+    equation="d += d_skew*w",
+    signature="motor and link angles of all joints apart in proportion to speed, with one factor",
+    term=encoder_skew_term,
+    amplitudes=(Amplitude(name="d", unit="s", scale=1e-3, lower=-20.0, upper=20.0),),
+    separate="Hold constant speeds in both directions under unlike loads: compliance follows the"
+    " load, a skew follows the speed.",
+)
+
+SATURATION = Effect(
+    name="saturation",
+    family="sensor",
+    scope="joint",
+    equation="tau = clip(tau, -limit, limit)",
+    signature="motor torque that stops at a level where the model asks for more",
+    term=saturation_term,
+    amplitudes=(WEIGHT,),
+    shapes=(Shape(name="share", unit="", starts=_limits, lower=0.05, upper=1.2),),
+    report=_limit,
+    units={"limit": "N m"},
+    separate="Ask for the highest torque several times: below the limit nothing is missing, a gain"
+    " error shows at every torque.",
+)
+
+SENSORS = (
+    TORQUE_GAIN,
+    TORQUE_OFFSET,
+    ENCODER_OFFSET,
+    TIME_DELAY,
+    SATURATION,
+    ENCODER_SKEW,
+    ENCODER_ZERO_CHANGE,
+)
