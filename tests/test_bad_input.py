@@ -476,7 +476,7 @@ COMMANDS = {
     "no problem": (["solve"], ["problem", "requires"]),
     "unknown robot": (["stiffness", "er3a_c6"], ["er3a_c6", "Did you mean 'er3a_c60'?"]),
     "absent robot file": (["stiffness", "absent.toml"], ["absent.toml", "no such file"]),
-    "unknown kind": (["schema", "preload"], ["preload", "trajectory"]),
+    "unknown kind": (["schema", "sweeps"], ["sweeps", "trajectory", "preload"]),
     "nothing to verify": (["verify", "."], ["no trajectory problem"]),
     "absent folder": (["verify", "absent"], ["absent", "no such file"]),
 }

@@ -80,7 +80,7 @@ def named_values(study: PreloadStudy) -> dict[str, tuple[float, str]]:
         (e.key, limit.name)
         for e in problem.elements
         for limit in e.limits
-        if limit.capacity < np.inf
+        if limit.depends_on_preload
     }
     values = {
         "objective": solution.objective,

@@ -68,7 +68,10 @@ def _study_table(study: PreloadStudy) -> Table:
     for element in problem.elements:
         key, preload = element.key, solution.preloads[element.key]
         torque = solution.tightening[key]
-        used = max((r for r in solution.rows if r.element == key), key=lambda r: r.utilisation)
+        # What no preload changes is not used up by it.
+        fixed = {limit.name for limit in element.limits if not limit.depends_on_preload}
+        own = [r for r in solution.rows if r.element == key and r.kind not in fixed]
+        used = max(own, key=lambda r: r.utilisation)
         table.add_row(
             spoken(key),
             fasteners(element),
