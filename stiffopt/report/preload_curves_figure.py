@@ -195,6 +195,8 @@ def _panel(axes: Axes, views: Sequence[PreloadView]) -> None:
 def _stiffness_range(stiffness: np.ndarray, ends: np.ndarray) -> tuple[float, float]:
     """Range to show: without the collapse at slip, and no change below 1 % enlarged."""
     top = max(float(stiffness.max()), float(ends.max()))
+    if top <= 0.0:  # another connection of the joint slips, whatever this one's preload
+        return 0.0, 1.0
     held = stiffness[stiffness > 0.97 * top]
     bottom = min(float(held.min()), float(ends[-1])) if held.size else 0.0
     return min(bottom, 0.99 * top), top

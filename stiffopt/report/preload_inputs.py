@@ -8,7 +8,7 @@ from stiffopt.connection import BoltedFlange, ClampingPins
 from stiffopt.report.motions import robot_joint_units
 from stiffopt.report.preload_names import MARK, fasteners, method_name, objective_name, spoken
 from stiffopt.report.quantities import engineering, percent, significant
-from stiffopt.report.tables import Table
+from stiffopt.report.tables import Table, estimated_table
 
 if TYPE_CHECKING:
     from stiffopt.preload.problem import FreeElement, PreloadProblem
@@ -161,6 +161,16 @@ def _friction_key(connection: BoltedFlange | ClampingPins) -> str:
 
 def _mm(length: float) -> str:
     return significant(1e3 * length)
+
+
+def robot_estimates(problem: PreloadProblem) -> Table | None:
+    """Estimated inputs of the study's joints and of the robot as a whole; None without any."""
+    names = problem.robot.joint_names
+    table = estimated_table(problem.robot, {names[joint - 1] for joint in problem.joints})
+    if table is None:
+        return None
+    rows = tuple((*(spoken(cell) for cell in row[:-1]), row[-1]) for row in table.rows)
+    return Table(table.head, rows)
 
 
 class EstimateMarks:

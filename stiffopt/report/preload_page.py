@@ -28,6 +28,7 @@ from stiffopt.report.preload_inputs import (
     bolts_table,
     cases_table,
     pins_table,
+    robot_estimates,
     study_table,
     tightening_table,
 )
@@ -50,7 +51,7 @@ from stiffopt.report.preload_wording import (
 from stiffopt.report.quantities import significant
 from stiffopt.report.rendering import PageFigure, page_figure, write_page
 from stiffopt.report.svg import to_png, to_svg
-from stiffopt.report.tables import Table, estimated_table
+from stiffopt.report.tables import Table
 
 if TYPE_CHECKING:
     from stiffopt.preload.study import PreloadStudy
@@ -73,7 +74,6 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
     """
     folder = Path(directory)
     problem, solution = study.problem, study.solution
-    names = problem.robot.joint_names
     bars, every = utilisation_bars(solution.rows), [bar(row) for row in solution.rows]
     context = {
         "title": problem.title or f"Preloads of {problem.robot.title or problem.robot.name}",
@@ -103,7 +103,7 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
         "cases": cases_table(problem, solution),
         "fasteners": [t for t in (bolts_table(problem), pins_table(problem)) if t is not None],
         "limit_sources": limit_sources(solution.rows),
-        "estimated": estimated_table(problem.robot, {names[j - 1] for j in problem.joints}),
+        "estimated": robot_estimates(problem),
         "versions": Table(("", ""), tuple(sorted(study.versions.items()))),
         "references": preload_references(study),
         "seconds": f"{study.seconds:.1f} s",

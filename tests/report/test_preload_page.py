@@ -1,0 +1,230 @@
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from preload_report_studies import cannot, flange, several, stiff, with_motion
+from test_pages import Page
+
+from stiffopt.report.preload_bars import utilisation_bars, utilisation_matrix
+from stiffopt.report.preload_extras import choice_section, motion_section
+from stiffopt.report.preload_names import change, fastener_words, listed, prose, spoken
+from stiffopt.report.preload_page import write_preload_report
+from stiffopt.report.preload_tables import loosening_table, recommended_table
+from stiffopt.report.preload_wording import stiffness_sentence, weakest_sentence, what_binds
+
+FIGURES = ("preload_curves", "preload_front", "preload_loosening", "preload_shares")
+
+
+def page_of(study, folder):
+    path = write_preload_report(study, folder)
+    assert path == folder / "report.html"
+    text = path.read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.outside == []
+    assert "script" not in page.tags
+    assert not re.search(r"\bnan\b|\binf\b|None", page.text)
+    assert not re.search(r"\b[a-z]+_(flange|pins|key)\b", page.text)
+    return page
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("flange")
+
+
+@pytest.fixture(scope="module")
+def flange_page(folder):
+    return page_of(flange(), folder)
+
+
+def test_page_of_one_flange_tells_torque_limit_sources_and_estimates(flange_page, folder):
+    study, page = flange(), flange_page
+    torque = study.solution.tightening["flexspline_flange"]
+    for text in (
+        "Flange of J2",
+        f"Tighten the 9 bolts of the flexspline flange to {torque.nominal:.3g} N m",
+        "It is set by slip safety at peak torque.",
+        "slip, not stiffness, sets the preload",
+        "9 × M5 12.9",
+        f"{torque.lower:.3g} N m",
+        "torque wrench",
+        "7.8 kN *",
+        "20 to 40 *",
+        "2 d *",
+        "head pressure *",
+        "VDI 2230, M5 12.9",
+        "knee",
+        "The weakest spring is the reducer",
+        "parallel keys, calculation and design",
+        "preferred numbers",
+    ):
+        assert text in page.text, text
+    for name in FIGURES:
+        assert (folder / f"{name}.svg").read_text(encoding="utf-8").startswith("<svg")
+        assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    assert page.tags.count("svg") == len(FIGURES)
+
+
+def test_page_accounts_for_the_catalogue_search(flange_page):
+    choice = flange().choice
+    total = choice.proof.combinations
+    assert f"The catalogue has {total} combinations" in flange_page.text
+    assert "no better design is in the catalogue" in flange_page.text
+    account = choice_section(flange().problem, choice).account
+    *parts, (_, whole) = account.rows
+    assert sum(int(count) for _, count in parts) == int(whole) == total
+    design = choice.designs["flexspline_flange"]
+    taken = f"{design.count} × {design.size} {design.grade} {design.torque:g} N m"
+    assert taken in flange_page.text
+
+
+def test_unfinished_catalogue_search_claims_no_proof():
+    choice = flange().choice
+    proof = replace(choice.proof, unvisited=7)
+    section = choice_section(flange().problem, replace(choice, proof=proof))
+    assert "7 were left open" in section.proof
+    assert "no better design is in the catalogue" not in section.proof
+
+
+def test_page_of_a_study_that_cannot_be_met_gives_reasons_and_recommends_nothing(tmp_path):
+    study = cannot()
+    page = page_of(study, tmp_path)
+    for text in (
+        "No preload meets this study",
+        "slip safety, flexspline flange, overload",
+        "Bolt utilisation of flexspline flange",
+        "To change: a larger bolt",
+        "Do not tighten to them.",
+        "exceeded",
+    ):
+        assert text in page.text, text
+    for stop in study.solution.stoppers:
+        assert f"Required {stop.required:.4g}, best reachable {stop.best:.4g}." in page.text
+    assert "For the workshop" not in page.text
+    assert "recommended" not in page.text.replace("all others as recommended", "")
+    assert "knee" not in page.text
+
+
+def test_page_of_several_joints_has_a_matrix_and_folds_the_rest(tmp_path):
+    study = several()
+    page = page_of(study, tmp_path)
+    assert f"Tighten {len(study.problem.elements)} connections as listed" in page.text
+    assert f"All {len(study.solution.rows)} requirements" in page.text
+    assert "keys" in page.text
+    assert "joint 2 flexspline flange" in page.text
+    matrix = utilisation_matrix(study.solution.rows)
+    assert len(matrix.rows) == len(study.problem.elements) + 1
+    worst = max(r.utilisation for r in study.solution.rows if r.kind == "key pressure")
+    assert matrix.rows[-1][1][matrix.kinds.index("key pressure")].width == round(100 * worst, 1)
+
+
+@pytest.mark.parametrize("gain", [0.0004, 0.03])
+def test_joint_study_says_what_it_gains(gain):
+    study = with_motion(flange(), gain)
+    section = motion_section(study.problem, study.motion)
+    assert section.comparison.rows[-1][1] == f"{100 * gain:.2g} %"
+    assert ("not worth it here" in section.note) == (gain < 0.01)
+
+
+def test_page_without_front_and_choice(tmp_path):
+    page = page_of(replace(flange(), front=None, choice=None), tmp_path)
+    assert "Preload against stiffness" not in page.text
+    assert "From the catalogue" not in page.text
+    assert page.tags.count("svg") == 3
+
+
+def test_page_of_a_joint_study_escapes_titles_and_notes(tmp_path):
+    hostile = "<script>alert('x')</script>"
+    study = with_motion(flange(), 0.01)
+    problem = replace(study.problem, title=hostile)
+    solution = replace(study.solution, notes=(hostile,))
+    page = page_of(replace(study, problem=problem, solution=solution), tmp_path)
+    assert page.text.count("alert('x')") >= 2
+    assert "peak dynamic deflection of the tool" in page.text
+
+
+def test_stiffness_sentence_blames_slip_only_where_slip_decides():
+    study = stiff()
+    assert {row.kind for row in study.solution.rows if row.active} == {"joint stiffness"}
+    text = stiffness_sentence(study.problem, study.solution)
+    assert "sets the preload" not in text
+    assert "joint stiffness" in what_binds(study.problem, study.solution)
+
+
+def test_stiffness_sentence_gives_the_change_of_the_least_stiffness():
+    study = stiff()
+    before, after = study.solution.stiffness_before.min(), study.solution.stiffness.min()
+    text = stiffness_sentence(study.problem, study.solution)
+    assert change(after / before) in text
+    slipping = replace(study.solution, stiffness_before=np.zeros((1, 1)))
+    text = stiffness_sentence(study.problem, slipping)
+    assert "joint 2 slips" in text
+    assert "changes by" not in text
+
+
+def test_a_large_gain_is_never_called_slip_alone():
+    study = flange()
+    before = study.solution.stiffness / 1.3
+    text = stiffness_sentence(study.problem, replace(study.solution, stiffness_before=before))
+    assert "+30 %" in text
+    assert "sets the preload" not in text
+
+
+def test_recommended_table_holds_least_and_largest_preload():
+    study = flange()
+    element = study.problem.elements[0]
+    largest = study.solution.preloads[element.key]
+    (row,) = recommended_table(study.problem, study.solution).rows
+    least = largest / study.problem.tightening.alpha - element.embedding_loss
+    assert float(row[5].split()[0]) == pytest.approx(largest / 1e3, rel=5e-3)
+    assert float(row[6].split()[0]) == pytest.approx(least / 1e3, rel=5e-3)
+
+
+def test_bars_are_the_worst_of_each_owner():
+    rows = flange().solution.rows
+    bars = utilisation_bars(rows)
+    slip = [bar for bar in bars if bar.kind == "slip safety"]
+    assert [bar.case for bar in slip] == ["peak torque"]
+    assert slip[0].state == "active"
+    assert slip[0].limit == "≥ 1.2"
+    widths = [bar.width for bar in bars]
+    assert widths == sorted(widths, reverse=True)
+    exceeded = utilisation_bars(cannot().solution.rows)[0]
+    assert (exceeded.state, exceeded.width) == ("over", 100.0)
+
+
+def test_loosening_table_counts_each_connection_once():
+    study = flange()
+    (row,) = loosening_table(study.loosening).rows
+    assert row[3].startswith("1.20")
+    assert row[-1].endswith("slips")
+
+
+def test_weakest_spring_is_named_with_its_share():
+    share = {each.element: each for each in flange().sensitivity.shares if each.case == "hold"}
+    text = weakest_sentence({2: list(share.values())}, ["flexspline_flange"])
+    assert f"{100 * share['flexspline_flange'].share:.2g} %" in text
+    assert text.startswith("The weakest spring is the reducer, with")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("joint_2.motor_key", "joint 2 motor key"),
+        ("at most 4.5 N. The end", "at most 4.5 N. The end"),
+        ("a smaller require.least_preload, or", "a smaller require.least_preload, or"),
+    ],
+)
+def test_keys_are_spoken_and_file_keys_stay(text, said):
+    assert spoken(text) == said
+
+
+def test_small_words():
+    assert prose("rises by 1.1%: flat") == "rises by 1.1 %: flat"
+    assert listed(["a", "b", "c"]) == "a, b and c"
+    assert listed([]) == ""
+    assert change(1.0) == "0 %"
+    assert change(0.98) == "−2 %"
+    assert fastener_words(several().problem.elements).endswith("bolts and pins")
+    assert fastener_words(flange().problem.elements) == "9 bolts"
