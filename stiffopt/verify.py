@@ -117,11 +117,13 @@ def verify_study(path: Path, progress: Callable[[Any], object] | None = None) ->
     """Run one preload study and compare; a file without expected values never passes."""
     begin = time.perf_counter()
     loaded = load_study(path)
+    wants_knee = any(name.startswith("knee_") for name in loaded.expected)
     study = preload_study(
         loaded.problem,
         motion=loaded.motion,
         rounds=loaded.rounds,
-        front_points=loaded.front_points,
+        # The front takes longest, and only its knee can be expected.
+        front_points=loaded.front_points if wants_knee else 0,
         progress=progress,
     )
     values, solution = named_values(study), study.solution
