@@ -1,0 +1,118 @@
+"""Drives and sensors: what is given is not what was asked, what is read not what is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .effects import Outcome, effect, sign, spread
+from .world import Signals, State, World
+
+
+@effect("periodic")
+def torque_ripple(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """Magnets and current sensors: torque at once and six times the electrical angle."""
+    rated = world.robot.torque_rated[joint]
+    size = severity * rated * np.array([0.02 * spread(rng), 0.011 * spread(rng), 0.0008])
+    orders = np.array([1, 6, 12]) * world.robot.pole_pairs * world.robot.gear_ratio[joint]
+    phase = rng.uniform(-np.pi, np.pi, 3)
+
+    def load(state: State, torque: np.ndarray) -> None:
+        angle = state.motor[:, joint, None] * orders + phase
+        turned = orders * state.motor_velocity[:, joint, None] * state.step
+        torque[:, joint] += (size * np.sinc(turned / (2 * np.pi)) * np.sin(angle)).sum(axis=1)
+
+    world.motor_loads.append(load)
+    return Outcome(parameters={"B1": size[0], "B6": size[1]}, law={"B12": size[2]})
+
+
+@effect("sensor")
+def torque_gain(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """The drive believes in more or less torque a current than the motor gives."""
+    share = sign(rng) * 0.05 * severity * spread(rng)
+    world.torque_constant[joint] /= 1.0 + share
+    return Outcome(parameters={"eps": share})
+
+
+@effect("sensor")
+def torque_offset(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    off = sign(rng) * 0.02 * severity * spread(rng) * world.robot.torque_rated[joint]
+
+    def read(signals: Signals) -> None:
+        signals.torque[:, :, joint] += off
+
+    world.sensors.append(read)
+    return Outcome(parameters={"off": off})
+
+
+@effect("sensor")
+def encoder_offset(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    off = sign(rng) * 1.2e-4 * severity * spread(rng)
+    world.link_zero[joint] += off
+    return Outcome(parameters={"off": off})
+
+
+@effect("sensor", "run")
+def encoder_zero_change(
+    world: World, joint: int, severity: float, rng: np.random.Generator
+) -> Outcome:
+    """A link encoder that slipped for one recording, and was set right again."""
+    off = sign(rng) * 1.5e-4 * severity * spread(rng)
+    training = [r for r, plan in enumerate(world.plans) if plan.role == "train"]
+    run = int(rng.choice(training))
+
+    def read(signals: Signals) -> None:
+        signals.link[run, :, joint] += off
+
+    world.sensors.append(read)
+    return Outcome(parameters={"off": off}, run=world.plans[run].name)
+
+
+def _late(values: np.ndarray, steps: float) -> np.ndarray:
+    """Values of a number of steps ago, between the steps on a straight line."""
+    whole = int(np.floor(steps))
+    index = np.arange(values.shape[1])
+    before = values[:, np.maximum(index - whole, 0)]
+    earlier = values[:, np.maximum(index - whole - 1, 0)]
+    return np.asarray(before + (steps - whole) * (earlier - before))
+
+
+@effect("sensor", "robot")
+def time_delay(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """The torque of all joints arrives late in the recording."""
+    delay = 4e-3 * severity * spread(rng)
+
+    def read(signals: Signals) -> None:
+        signals.torque[...] = _late(signals.torque, delay / signals.step)
+
+    world.sensors.append(read)
+    return Outcome(parameters={"d": delay})
+
+
+@effect("sensor", "robot")
+def encoder_skew(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """What the link encoders say is older than its time stamp."""
+    delay = 3e-4 * severity * spread(rng)
+
+    def read(signals: Signals) -> None:
+        signals.link[...] = _late(signals.link, delay / signals.step)
+
+    world.sensors.append(read)
+    return Outcome(parameters={"d": delay})
+
+
+@effect("drive")
+def saturation(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """The amplifier gives no more than a limit, with a knee; the recording holds what was asked."""
+    train = [r for r, plan in enumerate(world.plans) if plan.role == "train"]
+    peak = float(np.quantile(np.abs(world.nominal_torque[train, :, joint]), 0.999))
+    share = max(1.0 - 0.25 * severity * spread(rng), 0.35)
+    limit, knee = share * peak, 14.0
+
+    def drive(asked: np.ndarray, step: float) -> np.ndarray:
+        given = asked.copy()
+        size = (np.abs(asked[:, joint]) / limit) ** knee
+        given[:, joint] = asked[:, joint] / (1.0 + size) ** (1.0 / knee)
+        return given
+
+    world.drive.append(drive)
+    return Outcome(parameters={"limit": limit}, law={"knee": knee})
