@@ -107,7 +107,7 @@ def prepare(
     gap = _near_gaps(run, time, low_pass.settling)
     used = inside & ~gap
     deflection = position - link
-    standing = _widened(~moving, int(0.5 / (low_pass.cutoff * dt)))
+    standing = _widened(~moving, int(1.0 / (low_pass.cutoff * dt)))
     return PreparedRun(
         name=run.name,
         role=run.role,

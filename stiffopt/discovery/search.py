@@ -1,0 +1,213 @@
+"""Find the effects that are missing: forward, backward, and what they are confused with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.discovery.candidates import Candidate, Scorer, scan
+from stiffopt.discovery.comparison import Comparison, Fit
+from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.placed import PlacedEffect
+
+Report = Callable[[str], object]
+
+# An effect is named from this log evidence and this many standard deviations on.
+EVIDENCE = 12.0
+CHI = 5.0
+# And, unless the nominal values would have to leave their tolerances without it, only if it takes
+# away this share of a channel's squared residual.
+EXPLAINED = 0.02
+_PULL = 0.5
+# Log evidences are too sure where formulas differ from nature: a difference counts against this
+# share of the winner's own.
+_TEMPER = 0.02
+_GROUP = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Selected:
+    """An effect that was found, with its rivals.
+
+    Parameters
+    ----------
+    placed : PlacedEffect
+    loss : float
+        Log evidence that is lost without it.
+    chi : float
+    probability : float
+        Against its rivals.
+    rivals : tuple of (PlacedEffect, float)
+        What the data cannot tell apart from it, with probabilities.
+    channel : int
+        The channel that it changes most.
+    """
+
+    placed: PlacedEffect
+    loss: float
+    chi: float
+    probability: float
+    rivals: tuple[tuple[PlacedEffect, float], ...]
+    channel: int
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """End of a search.
+
+    Parameters
+    ----------
+    selected : tuple of Selected
+        By falling loss.
+    comparison : Comparison
+        About the effects found, with the noise that they leave.
+    fit : Fit
+    before, calibrated, after : array (2 n,)
+        Residual over noise in every channel: of the nominal model, with nominal values moved
+        within tolerance, and with the effects.
+    """
+
+    selected: tuple[Selected, ...]
+    comparison: Comparison
+    fit: Fit
+    before: np.ndarray
+    calibrated: np.ndarray
+    after: np.ndarray
+
+    @property
+    def effects(self) -> tuple[PlacedEffect, ...]:
+        """The effects found."""
+        return tuple(s.placed for s in self.selected)
+
+
+def search(
+    comparison: Comparison,
+    catalogue: Sequence[Effect],
+    *,
+    most: int = 3,
+    report: Report | None = None,
+) -> SearchResult:
+    """Name what is missing.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        With the nominal model.
+    catalogue : sequence of Effect
+    most : int
+        Effects at most.
+    report : callable, optional
+        Called with a sentence at every step.
+    """
+    say = report or (lambda _: None)
+    first = comparison.fit()
+    before = comparison.channel_ratio(comparison.target)
+    calibrated = comparison.channel_ratio(first.residual)
+    effects: list[PlacedEffect] = []
+    current = _about(comparison, first)
+    while len(effects) < most:
+        scorer = Scorer(current, effects)
+        found = scan(scorer, catalogue)
+        best = next((c for c in found if _passes(c, scorer)), None)
+        if best is None:
+            break
+        say(f"found {best.placed.label} (log evidence {best.evidence:.0f})")
+        effects.append(best.placed)
+        current, effects = _settled(comparison, effects)
+        kept = _pruned(current, effects)
+        if best.placed.label not in [e.label for e in kept]:
+            effects = kept
+            break
+        effects = kept
+    current, effects = _settled(comparison, effects)
+    fit = current.fit(effects)
+    selected = [_selected(current, effects, e, catalogue) for e in effects]
+    selected.sort(key=lambda s: -s.loss)
+    ordered = tuple(s.placed for s in selected)
+    fit = current.fit(ordered)
+    return SearchResult(
+        tuple(selected), current, fit, before, calibrated, current.channel_ratio(fit.residual)
+    )
+
+
+def _passes(candidate: Candidate, scorer: Scorer) -> bool:
+    if candidate.evidence < EVIDENCE or candidate.chi < CHI:
+        return False
+    if candidate.explained >= EXPLAINED:
+        return candidate.gain > 0.0 or _relief(candidate, scorer) > _PULL * candidate.evidence
+    return _relief(candidate, scorer) > _PULL * candidate.evidence
+
+
+def _relief(candidate: Candidate, scorer: Scorer) -> float:
+    """Log prior that the nominal values regain when they need not stand in for the effect."""
+    _, sd, _ = scorer.comparison.nuisance
+    count = len(sd)
+    without = scorer.start.mean[:count] / sd
+    within = scorer.nuisance_beside(candidate.placed) / sd
+    return 0.5 * float(without @ without - within @ within)
+
+
+def _about(comparison: Comparison, fit: Fit) -> Comparison:
+    """The comparison with the noise that a fit leaves in each channel."""
+    left = np.nan_to_num(comparison.channel_ratio(fit.residual), nan=1.0)
+    return Comparison(
+        comparison.robot,
+        comparison.nominal_runs,
+        comparison.noise,
+        comparison.tolerance,
+        inflation=np.maximum(1.0, left),
+    )
+
+
+def _settled(
+    start: Comparison, effects: list[PlacedEffect]
+) -> tuple[Comparison, list[PlacedEffect]]:
+    """Fit all effects together: their shapes in turn, then the noise that is left."""
+    current = _about(start, start.fit(effects))
+    refined = list(effects)
+    for i, placed in enumerate(effects):
+        if placed.effect.shapes:
+            others = [e for k, e in enumerate(refined) if k != i]
+            scorer = Scorer(current, others)
+            scored = scorer.score(refined[i])
+            if scored is not None:
+                refined[i] = scorer.refine(scored).placed
+    return _about(start, current.fit(refined)), refined
+
+
+def _pruned(comparison: Comparison, effects: list[PlacedEffect]) -> list[PlacedEffect]:
+    """Effects without which something is lost, given all others."""
+    kept = list(effects)
+    while len(kept) > 1:
+        losses = []
+        for placed in kept:
+            others = [e for e in kept if e is not placed]
+            scored = Scorer(comparison, others).score(placed)
+            losses.append(-np.inf if scored is None else scored.evidence)
+        worst = int(np.argmin(losses))
+        if losses[worst] >= EVIDENCE:
+            break
+        kept.pop(worst)
+    return kept
+
+
+def _selected(
+    comparison: Comparison,
+    effects: Sequence[PlacedEffect],
+    placed: PlacedEffect,
+    catalogue: Sequence[Effect],
+) -> Selected:
+    """Judge a found effect against everything that could stand in its place."""
+    others = [e for e in effects if e is not placed]
+    scorer = Scorer(comparison, others)
+    own = scorer.score(placed)
+    assert own is not None
+    found = [c for c in scan(scorer, catalogue) if not c.placed.same_place(placed)]
+    width = max(1.0, _TEMPER * own.evidence)
+    near = [c for c in found if own.evidence - c.evidence < _GROUP * width][:3]
+    weights = np.exp([(c.evidence - own.evidence) / width for c in near])
+    total = 1.0 + float(np.sum(weights))
+    rivals = tuple((c.placed, float(w) / total) for c, w in zip(near, weights, strict=True))
+    return Selected(placed, own.evidence, own.chi, 1.0 / total, rivals, own.channel)
