@@ -203,7 +203,7 @@ K1_SOFTENING = Effect(
     term=k1_softening_term,
     amplitudes=(WEIGHT,),
     shapes=(
-        Shape(name="k1_factor", unit="", starts=(0.3, 0.5, 0.7, 0.85), lower=0.15, upper=1.2),
+        Shape(name="k1_factor", unit="", starts=(0.2, 0.35, 0.55, 0.8), lower=0.15, upper=1.2),
         Shape(name="t1_factor", unit="", starts=(0.7, 1.0, 1.6), lower=0.5, upper=3.0),
     ),
     report=_corners,

@@ -77,7 +77,7 @@ def position_friction_term(
 def thermal_friction_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Change by exp(-b (T - T0)) - 1 of the viscous friction, and of a share of the dry friction."""
+    """Change by exp(-b (T - T0)) - 1 of viscous friction and of a share of dry friction."""
     constants, w = signals.constants, signals.motor_velocity
     fall = np.exp(-shapes[0] * signals.temperature_rise) - 1.0
     viscous = viscous_friction(constants) * w

@@ -1,0 +1,200 @@
+"""Whether an effect keeps what its term promises: linear in amplitudes, alike for symbols."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import product
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.discovery.effect import Effect, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals, RobotConstants, RobotSignals
+from stiffopt.symbolic import is_symbolic
+
+PARTS = ("drive_torque", "link_torque", "deflection", "previous_torque")
+SCOPES = ("joint", "robot", "link", "run")
+# A scan of a catalogue tries every combination of starts at every place.
+MOST_STARTS = 30
+_JOINTS = 6
+_TOLERANCE = 1e-9
+
+
+def sample_signals(count: int = 60, dt: float = 0.01) -> RobotSignals:
+    """Signals of a made-up arm in motion: smooth, with reversals, loads on both sides.
+
+    Parameters
+    ----------
+    count : int
+        Samples.
+    dt : float
+        [s]
+    """
+    time = dt * np.arange(count)
+    wave = np.arange(1, _JOINTS + 1) * 0.7 + 2.0
+    phase = 0.4 * np.arange(_JOINTS)
+    angle = np.outer(time, wave) + phase
+    position = 0.6 * np.sin(angle)
+    velocity = 0.6 * wave * np.cos(angle)
+    acceleration = -0.6 * wave**2 * np.sin(angle)
+    torque = 30.0 * np.cos(0.8 * angle + 1.0)
+    constants = sample_constants(position, velocity, torque)
+    windup = np.column_stack([c.windup(torque[:, j]) for j, c in enumerate(constants.joints)])
+    friction = 4.0 * np.tanh(velocity / 0.01) + 3.0 * velocity
+    lever = np.sin(np.arange(3 * _JOINTS).reshape(3, _JOINTS) + angle[:, None, :])
+    body = np.cos(np.arange(10 * _JOINTS) + angle[:, :, None])
+    tool = np.column_stack([0.4 * np.cos(time), 0.4 * np.sin(time), 0.5 + 0.3 * np.cos(8 * time)])
+    return RobotSignals(
+        time=time,
+        dt=dt,
+        session_time=time + 60.0,
+        temperature_rise=np.tile(8.0 + time[:, None], (1, _JOINTS)),
+        motor_position=position + windup,
+        motor_velocity=velocity,
+        motor_acceleration=acceleration,
+        link_position=position,
+        link_velocity=velocity,
+        link_acceleration=acceleration,
+        spring_torque=torque,
+        windup=windup,
+        drive_torque=torque + friction,
+        drive_torque_rate=np.gradient(torque + friction, dt, axis=0),
+        tool_position=tool,
+        tool_velocity=np.gradient(tool, dt, axis=0),
+        tool_jacobian=lever,
+        body_regressor=body,
+        tilt=20.0 * np.stack([np.sin(angle), np.cos(angle)], axis=2),
+        last_link=_JOINTS - 1,
+        link=2,
+        constants=constants,
+    )
+
+
+def sample_constants(
+    position: np.ndarray, velocity: np.ndarray, torque: np.ndarray
+) -> RobotConstants:
+    """Constants of the made-up arm, with the ranges of a motion (K, n)."""
+    joints = tuple(
+        JointConstants(
+            joint=j + 1,
+            ratio=101.0,
+            coulomb=4.0,
+            viscous=3.0,
+            torque_rated=40.0,
+            torque_max=120.0,
+            rotor_inertia=0.36,
+            contact_stiffness=6.5e4,
+            pole_pairs=4.0,
+            slopes=(1.6e4, 2.5e4, 2.9e4),
+            torques=(7.0, 25.0),
+            stroke=(float(position[:, j].min()), float(position[:, j].max())),
+            fastest=float(np.abs(velocity[:, j]).max()),
+            largest_torque=float(np.abs(torque[:, j]).max()),
+        )
+        for j in range(position.shape[1])
+    )
+    return RobotConstants(
+        joints=joints,
+        links=tuple(f"link_{j + 1}" for j in range(len(joints))),
+        masses=np.full(len(joints), 4.0),
+        centres=np.full((len(joints), 3), 0.05),
+        tool_range=np.array([[-0.4, -0.4, 0.2], [0.4, 0.4, 0.8]]),
+    )
+
+
+def signals_for(effect: Effect, robot: RobotSignals) -> JointSignals | RobotSignals:
+    """What a term of that scope sees; of joints the fifth, which has joints on either side."""
+    return robot if effect.scope in ("robot", "link") else robot.of_joint(4)
+
+
+def faults(effect: Effect) -> Iterator[str]:
+    """What is wrong with an effect, each in a sentence; nothing where it is sound."""
+    signals = signals_for(effect, sample_signals())
+    yield from _faults_of_parameters(effect, signals.constants)
+    try:
+        with np.errstate(all="ignore"):
+            found = list(_faults_of_term(effect, signals))
+    except Exception as error:
+        # Whatever a user's formula raises, the reason goes back to its author.
+        found = [f"its term fails with {type(error).__name__}: {error}."]
+    yield from found
+
+
+def _faults_of_parameters(
+    effect: Effect, constants: JointConstants | RobotConstants
+) -> Iterator[str]:
+    if effect.scope not in SCOPES:
+        yield f"scope {effect.scope!r} is none of {', '.join(SCOPES)}."
+    if not effect.amplitudes:
+        yield "it has no amplitude; at least one number must scale its term."
+    names = [a.name for a in effect.amplitudes] + [s.name for s in effect.shapes]
+    if len(set(names)) != len(names):
+        yield f"two of its parameters share a name: {', '.join(names)}."
+    for amplitude in effect.amplitudes:
+        size = amplitude.size(constants)
+        if not (np.isfinite(size) and size > 0.0):
+            yield f"amplitude {amplitude.name!r} has the scale {size}; it must be above zero."
+        if not amplitude.lower < amplitude.upper:
+            yield f"amplitude {amplitude.name!r} has its lower bound above its upper one."
+    combinations = 1
+    for shape in effect.shapes:
+        starts = shape.grid(constants)
+        combinations *= len(starts)
+        if not starts or not all(shape.lower <= v <= shape.upper for v in starts):
+            yield (
+                f"shape {shape.name!r} starts at {starts}; it needs at least one start, all"
+                f" between {shape.lower:g} and {shape.upper:g}."
+            )
+    if combinations > MOST_STARTS:
+        yield f"its shapes start at {combinations} combinations; at most {MOST_STARTS} are tried."
+
+
+def _faults_of_term(effect: Effect, signals: JointSignals | RobotSignals) -> Iterator[str]:
+    sizes = np.array([a.size(signals.constants) for a in effect.amplitudes])
+    first, second = 0.7 * sizes, -1.3 * sizes * np.cos(np.arange(len(sizes)))
+    if effect.term(signals, list(0.0 * sizes), _first(effect, signals)).__class__ is not Term:
+        yield "its term returns no Term."
+        return
+    for shapes in product(*(s.grid(signals.constants) for s in effect.shapes)):
+        own = stacked(effect.term(signals, list(first), shapes))
+        if not np.isfinite(own).all():
+            yield f"its term is not finite at the shapes {shapes}."
+            return
+        reach = np.abs(own).max() + 1e-300
+        if np.abs(stacked(effect.term(signals, list(0.0 * sizes), shapes))).max() > 0.0:
+            yield "its term does not vanish with its amplitudes."
+            return
+        other = stacked(effect.term(signals, list(second), shapes))
+        both = stacked(effect.term(signals, list(first + second), shapes))
+        if np.abs(both - own - other).max() > _TOLERANCE * (reach + np.abs(other).max()):
+            yield "its term is not linear in its amplitudes; make what enters otherwise a shape."
+            return
+        apart = np.abs(symbolic_values(effect, signals, list(first), shapes) - own).max()
+        if apart > _TOLERANCE * reach:
+            yield f"symbols and numbers differ by {apart:g} in its term."
+            return
+
+
+def _first(effect: Effect, signals: JointSignals | RobotSignals) -> list[float]:
+    return [s.grid(signals.constants)[0] for s in effect.shapes]
+
+
+def stacked(term: Term) -> np.ndarray:
+    """All that a term adds to, one after another, with the constant zeros left out."""
+    values = [np.asarray(getattr(term, part), dtype=float).ravel(order="F") for part in PARTS]
+    return np.concatenate([v for v in values if v.size > 1] or [np.zeros(1)])
+
+
+def symbolic_values(
+    effect: Effect,
+    signals: JointSignals | RobotSignals,
+    amplitudes: Sequence[float],
+    shapes: Sequence[float],
+) -> np.ndarray:
+    """As `stacked`, evaluated from the term's expression in symbols of its parameters."""
+    symbols = ca.MX.sym("p", len(amplitudes) + len(shapes))
+    given = [symbols[i] for i in range(symbols.shape[0])]
+    term = effect.term(signals, given[: len(amplitudes)], given[len(amplitudes) :])
+    expressions = [ca.vec(v) for part in PARTS if is_symbolic(v := getattr(term, part))]
+    function = ca.Function("term", [symbols], [ca.densify(ca.vertcat(*expressions))])
+    return np.asarray(function([*amplitudes, *shapes])).ravel()
