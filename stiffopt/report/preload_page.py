@@ -175,6 +175,8 @@ def _tiles(study: PreloadStudy) -> list[dict[str, str]]:
 def _figures(study: PreloadStudy, folder: Path) -> dict[str, PageFigure | None]:
     problem, solution = study.problem, study.solution
     units = robot_joint_units(problem.robot)
+    several = len(study.curves) > len(problem.elements)
+    further = " Thin grey: the load case of least stiffness." if several else ""
     shares = shares_by_joint(study.sensitivity, problem, solution)
     free = [element.name for element in problem.elements]
     front = None
@@ -194,7 +196,7 @@ def _figures(study: PreloadStudy, folder: Path) -> dict[str, PageFigure | None]:
             "One connection in each panel, all others as recommended. Tightening leaves a preload "
             "somewhere in the blue band: its lower end must stay right of the orange line, its "
             "upper end left of the grey ones; the shaded sides are forbidden. Scales differ from "
-            "panel to panel. Thin grey: a further load case.",
+            f"panel to panel.{further}",
             folder,
         ),
         "front_figure": front,
