@@ -10,6 +10,7 @@ from small_arms import joint, problem_text, write_robot
 
 from stiffopt.certificate.assess import assess
 from stiffopt.errors import NoSolutionFound, ProblemError, RobotError
+from stiffopt.preload.files import load_study
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.motion_loads import deflection_objective, load_histories
@@ -300,3 +301,18 @@ def test_meaning_of_a_gain():
     assert "3.00%" in meaning(SolveStatus.OPTIMAL, 0.03)
     assert "not worth it" not in meaning(SolveStatus.OPTIMAL, 0.03)
     assert "before the deflection settled" in meaning(SolveStatus.ACCEPTABLE, 0.03)
+
+
+@pytest.mark.slow
+def test_the_er3a_gains_less_than_one_percent():
+    # Reducers yield far more than bolts, so preloads and motion hardly touch each other.
+    loaded = load_study(small_arms.ROOT / "problems" / "er3a_preload_with_motion.toml")
+    study = motion_study(loaded.problem, loaded.motion, rounds=loaded.rounds)
+    assert study.status.usable
+    for name in ("start", "separate", "joint"):
+        expected = loaded.expected[f"deflection_{name}"]
+        assert expected.unit == "mm"
+        assert 1e3 * getattr(study, name) == pytest.approx(expected.value, rel=expected.rtol)
+    assert study.joint <= study.separate < study.start
+    assert 0.0 <= study.gain < 0.01
+    assert "not worth it" in study.note
