@@ -100,7 +100,7 @@ def preload(study: Path, *, out: Out | None = None, quiet: bool = False) -> int:
         write_curves(result, folder)
         write_study(result, folder)
     print_study(result, folder)
-    return result.solution.status.exit_code
+    return result.status.exit_code
 
 
 @app.command

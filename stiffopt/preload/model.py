@@ -59,6 +59,7 @@ class PreloadModel:
         self.slices = tuple(slice(int(a), int(b)) for a, b in pairwise(edges))
         self.size = int(edges[-1])
         self._joints = {joint: self._parted(joint) for joint in problem.joints}
+        self._rest: dict[tuple[str, int, bytes], np.ndarray] = {}
 
     # ---- design vector
 
@@ -103,14 +104,27 @@ class PreloadModel:
 
     def rest_compliance(self, joint: int, torques: np.ndarray) -> np.ndarray:
         """Exact tangent compliance of all other elements (k,) [rad/(N m)]."""
-        return self._joints[joint].rest.exact_tangent_compliance(np.asarray(torques))
+        return self._kept("compliance", joint, np.asarray(torques, dtype=float))
 
     def rest_windup(self, joint: int, torques: np.ndarray) -> np.ndarray:
         """Exact wind-up of all other elements (k,) [rad]; also of joints outside the study."""
-        if joint in self._joints:
-            return self._joints[joint].rest.exact_windup(np.asarray(torques))
-        chain = self.problem.robot.chains[joint - 1]
-        return np.zeros(np.shape(torques)) if chain is None else chain.exact_windup(torques)
+        return self._kept("windup", joint, np.asarray(torques, dtype=float))
+
+    def _kept(self, what: str, joint: int, torques: np.ndarray) -> np.ndarray:
+        """Exact law of what no preload changes; the same torques are asked for at every design."""
+        key = (what, joint, torques.tobytes())
+        if key not in self._rest:
+            if joint in self._joints:
+                rest: Chain | None = self._joints[joint].rest
+            else:
+                rest = self.problem.robot.chains[joint - 1]
+            if rest is None:
+                self._rest[key] = np.zeros_like(torques)
+            elif what == "windup":
+                self._rest[key] = rest.exact_windup(torques)
+            else:
+                self._rest[key] = rest.exact_tangent_compliance(torques)
+        return self._rest[key]
 
     def exact_compliance(self, preloads: np.ndarray, joint: int, torques: np.ndarray) -> np.ndarray:
         """Exact tangent compliance of a whole joint (k,) [rad/(N m)]; infinite where it slips."""

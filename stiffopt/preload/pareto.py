@@ -75,6 +75,8 @@ class ParetoFront:
     weights : mapping of joint number to float
         Stiffness that stands for level 1 [N m/rad]: that with every preload at its largest, where
         the study gives no weights of its own.
+    interrupted : bool
+        Stopped by Ctrl-C: the points found so far.
     """
 
     points: tuple[ParetoPoint, ...]
@@ -82,6 +84,7 @@ class ParetoFront:
     knee_reason: str
     note: str
     weights: Mapping[int, float]
+    interrupted: bool = False
 
 
 def pareto_front(
@@ -132,6 +135,7 @@ def pareto_front(
         knee_reason=_knee_reason(found, knee),
         note=" ".join(filter(None, (_note(found), trace.left_out))),
         weights=trace.levels.stiffness,
+        interrupted=trace.interrupted,
     )
 
 

@@ -17,6 +17,7 @@ from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.sensitivity import Sensitivity, sensitivity
 from stiffopt.preload.solution import PreloadSolution
 from stiffopt.preload.trajectory_study import MotionStudy, motion_study
+from stiffopt.result.status import SolveStatus
 from stiffopt.study.provenance import versions
 
 if TYPE_CHECKING:
@@ -56,6 +57,16 @@ class PreloadStudy:
     seconds: float = 0.0
     versions: dict[str, str]
 
+    @property
+    def status(self) -> SolveStatus:
+        """Of the whole study: interrupted where any part of it was."""
+        parts = (
+            self.solution.status is SolveStatus.INTERRUPTED,
+            self.front is not None and self.front.interrupted,
+            self.motion is not None and self.motion.status is SolveStatus.INTERRUPTED,
+        )
+        return SolveStatus.INTERRUPTED if any(parts) else self.solution.status
+
 
 def preload_study(
     problem: PreloadProblem,
@@ -88,13 +99,15 @@ def preload_study(
     solution = optimise_preloads(problem, progress=progress, throw=False)
     model = PreloadModel(problem, solution.cases)
     fixed = replace(problem, load_cases=solution.cases, histories=())
+    go_on = solution.status is not SolveStatus.INTERRUPTED
     usable = solution.status.usable
     front = choice = together = None
     if usable and front_points:
         front = pareto_front(problem, solution.cases, points=front_points, progress=progress)
-    if problem.choose is not None:
+        go_on = not front.interrupted
+    if go_on and problem.choose is not None:
         choice = choose_design(fixed, progress=progress)
-    if usable and motion is not None:
+    if go_on and usable and motion is not None:
         together = motion_study(problem, motion, rounds=rounds, progress=progress)
     return PreloadStudy(
         problem=problem,
