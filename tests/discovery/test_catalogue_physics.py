@@ -1,0 +1,183 @@
+"""Effects of the catalogue against plain loops, spectra, energy and their limits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.catalogue.elastic import reducer_windup
+from stiffopt.discovery.catalogue.soundness import sample_signals
+
+ROBOT = sample_signals()
+
+
+def test_hysteresis_is_dahl_friction_beside_the_spring():
+    signals = sample_signals(count=1500, dt=0.002).of_joint(4)
+    h, reach = 1.3, 3e-4
+    side, states = 0.0, []
+    # Many small steps of dy/dd, by Euler: no formula shared with the term.
+    for before, after in zip(signals.windup[:-1], signals.windup[1:], strict=True):
+        states.append(side)
+        for travel in np.full(200, (after - before) / 200):
+            side += travel / reach * (1.0 - side * np.sign(travel))
+    states.append(side)
+    size = np.abs(signals.spring_torque)
+    slopes = 1.0 / 6.5e4 + np.select([size < 7.0, size < 25.0], [1 / 1.6e4, 1 / 2.5e4], 1 / 2.9e4)
+    expected = -h * slopes * np.array(states)
+    found = np.asarray(effect("hysteresis").term(signals, [h], [reach]).deflection)
+    np.testing.assert_allclose(found, expected, atol=3e-3 * np.abs(expected).max())
+
+
+def test_hysteresis_loses_energy_and_not_more_when_fast():
+    losses = []
+    for dt in (0.002, 0.0005):
+        signals = sample_signals(count=3000, dt=0.002).of_joint(4)
+        signals = replace(signals, dt=dt, time=dt * np.arange(3000))
+        d = effect("hysteresis").term(signals, [1.3], [3e-4]).deflection
+        angle = signals.windup + d
+        losses.append(
+            float(
+                np.sum(
+                    0.5 * (signals.spring_torque[1:] + signals.spring_torque[:-1]) * np.diff(angle)
+                )
+            )
+        )
+    assert losses[0] > 0.0
+    assert losses[0] == pytest.approx(losses[1], rel=1e-12)
+
+
+def test_belt_creep_is_a_standard_linear_solid():
+    signals = sample_signals(count=1000, dt=0.002).of_joint(4)
+    now, later, lag = 2e-5, 3e-5, 0.15
+    s, slow, expected = signals.spring_torque, signals.spring_torque[0], []
+    for before, after in zip([s[0], *s[:-1]], s, strict=True):
+        for k in range(1, 51):
+            load = before + (after - before) * k / 50
+            slow += (load - slow) * 0.002 / 50 / lag
+        expected.append(now * after + later * slow)
+    found = np.asarray(effect("belt_creep").term(signals, [now, later], [lag]).deflection)
+    # The law holds the load through a step of the clock: off by half a step.
+    np.testing.assert_allclose(found, expected, atol=1.0e-2 * np.abs(expected).max())
+
+
+def test_belt_that_carries_a_steady_load_has_crept_altogether():
+    signals = sample_signals(count=400).of_joint(4)
+    signals = replace(signals, spring_torque=np.full(400, 12.0))
+    found = effect("belt_creep").term(signals, [2e-5, 3e-5], [0.2]).deflection
+    np.testing.assert_allclose(found, 12.0 * 5e-5, rtol=1e-12)
+
+
+def test_reducer_windup_agrees_with_the_nominal_one_and_with_its_slopes():
+    c = ROBOT.constants.joints[0]
+    torque = np.linspace(-60.0, 60.0, 4001)
+    contacts = torque / c.contact_stiffness
+    np.testing.assert_allclose(
+        reducer_windup(c, torque, 1.0, 1.0) + contacts, c.windup(torque), atol=1e-15
+    )
+    changed = reducer_windup(c, torque, 0.5, 2.0)
+    slopes = np.gradient(changed, torque)
+    for load, slope in ((5.0, 1 / 8e3), (13.0, 1 / 8e3), (20.0, 1 / 2.5e4), (40.0, 1 / 2.9e4)):
+        assert np.interp(load, torque, slopes) == pytest.approx(slope, rel=1e-6)
+    # A first corner beyond the second leaves no middle slope.
+    wide = np.gradient(reducer_windup(c, torque, 1.0, 5.0), torque)
+    assert np.interp(30.0, torque, wide) == pytest.approx(1 / 1.6e4, rel=1e-6)
+    assert np.interp(45.0, torque, wide) == pytest.approx(1 / 2.9e4, rel=1e-6)
+
+
+def test_backlash_is_its_full_width_from_side_to_side():
+    signals = ROBOT.of_joint(4)
+    signals = replace(signals, spring_torque=np.linspace(-40.0, 40.0, 60))
+    jump = effect("backlash").term(signals, [4e-4], [0.005]).deflection
+    assert jump[-1] - jump[0] == pytest.approx(4e-4, rel=1e-4)
+    assert np.all(np.diff(jump) >= 0.0)
+
+
+def test_preload_loss_is_odd_softest_at_zero_and_never_flat():
+    torque = np.linspace(-40.0, 40.0, 801)
+    signals = replace(ROBOT.of_joint(4), spring_torque=torque)
+    angle = effect("preload_loss").term(signals, [1.0], [0.05, 0.5]).deflection
+    slope = np.gradient(angle, torque)
+    np.testing.assert_allclose(angle, -angle[::-1], atol=1e-18)
+    assert np.all(slope > 0.0)
+    assert np.all(np.diff(slope[402:-1]) < 0.0)
+
+
+def test_ripple_and_transmission_error_have_their_orders():
+    turn = np.linspace(0.0, 2.0 * np.pi / 101.0, 4096, endpoint=False)
+    signals = replace(ROBOT.of_joint(4), motor_position=turn, spring_torque=np.ones_like(turn))
+    error = effect("transmission_error")
+    amplitudes = [3e-5, 4e-5, 0.0, 1.2e-4, 0.0, 0.0]
+    term = error.term(signals, amplitudes, [])
+    lines = np.abs(np.fft.rfft(term.deflection)) / 2048
+    assert np.flatnonzero(lines > 1e-9).tolist() == [1, 2]
+    assert error.values(amplitudes, [], signals.constants) == pytest.approx(
+        {"A1": lines[1], "A2": lines[2], "A4": 0.0}
+    )
+    # Virtual work: what the drive gives less is the slope of the error.
+    np.testing.assert_allclose(
+        term.drive_torque[1:-1], -np.gradient(term.deflection, turn)[1:-1], atol=1e-4
+    )
+    ripple = effect("torque_ripple").term(signals, [0.5, 0.0, 0.0, 0.2], []).drive_torque
+    lines = np.abs(np.fft.rfft(ripple)) / 2048
+    assert np.flatnonzero(lines > 1e-9).tolist() == [4, 24]
+
+
+def test_wrist_coupling_does_no_work():
+    signals = ROBOT.of_joint(4)
+    term = effect("wrist_coupling").term(signals, [0.02], [])
+    before = ROBOT.motor_velocity[:, 3]
+    # The link turns by -c of the joint before, so the spring's work is what that joint gives.
+    given = term.previous_torque * before
+    taken = signals.spring_torque * (-0.02 * before)
+    np.testing.assert_allclose(given, taken, rtol=1e-12)
+
+
+def test_saturation_holds_the_torque_at_its_limit():
+    asked = np.linspace(-120.0, 120.0, 60)
+    signals = replace(ROBOT.of_joint(4), drive_torque=asked)
+    entry = effect("saturation")
+    real = asked + entry.term(signals, [1.0], [0.5]).drive_torque
+    np.testing.assert_allclose(real, np.clip(asked, -60.0, 60.0), atol=1.0)
+    assert np.abs(real).max() <= 60.0 + 1e-6
+    assert entry.values([1.0], [0.5], signals.constants) == {"limit": 60.0}
+
+
+def test_contact_pushes_the_tool_up_and_only_where_it_is_low():
+    entry = effect("external_contact")
+    torque = entry.term(ROBOT, [1e4], [0.35]).link_torque
+    depth = np.maximum(0.35 - ROBOT.tool_position[:, 2], 0.0)
+    high = ROBOT.tool_position[:, 2] > 0.37
+    assert high.any()
+    assert (~high).any()
+    assert np.abs(torque[high]).max() < 1e4 * 2e-7
+    # Power: the drives give what the force does not do by itself.
+    given = np.sum(torque * ROBOT.link_velocity, axis=1)
+    tool = np.einsum("kj,kj->k", ROBOT.tool_jacobian[:, 2], ROBOT.link_velocity)
+    np.testing.assert_allclose(given, -1e4 * depth * tool, atol=1e4 * 1e-4 * np.abs(tool).max())
+
+
+def test_payload_and_link_errors_sum_the_columns_of_their_bodies():
+    for name, body in (("payload", 5), ("inertial_error", 2)):
+        amplitudes = [0.7, 0.01, -0.02, 0.03]
+        columns = ROBOT.body_regressor[:, :, 10 * body : 10 * body + 4]
+        found = effect(name).term(ROBOT, amplitudes, []).link_torque
+        np.testing.assert_allclose(found, columns @ np.array(amplitudes), rtol=1e-12, atol=1e-14)
+    values = effect("payload").values([0.5, 0.01, 0.0, -0.02], [], ROBOT.constants)
+    assert values == pytest.approx({"dm": 0.5, "cx": 0.02, "cy": 0.0, "cz": -0.04})
+    link = effect("inertial_error").values([0.5, 0.03, 0.0, -0.04], [], ROBOT.constants)
+    assert link["dmc"] == pytest.approx(0.05)
+
+
+def test_readings_and_springs_have_their_signs():
+    signals = ROBOT.of_joint(4)
+    for name in ("encoder_offset", "encoder_zero_change"):
+        np.testing.assert_allclose(effect(name).term(signals, [2e-4], []).deflection, -2e-4)
+    shift = effect("encoder_skew").term(ROBOT, [2e-3], []).deflection
+    np.testing.assert_allclose(shift, 2e-3 * ROBOT.motor_velocity)
+    late = effect("time_delay").term(ROBOT, [1e-3], []).drive_torque
+    np.testing.assert_allclose(late, -1e-3 * ROBOT.drive_torque_rate)
+    spring = effect("gravity_spring")
+    assert spring.values([5.0, 2.0], [], signals.constants) == {"k": 5.0, "offset": 0.4}
+    torque = spring.term(signals, [5.0, 2.0], []).link_torque
+    np.testing.assert_allclose(torque, 5.0 * (signals.link_position - 0.4), atol=1e-12)
