@@ -95,7 +95,7 @@ def _without_copies(
 ) -> tuple[np.ndarray, list[Fault]]:
     """Rows without those that repeat the motion of the row before under a new stamp.
 
-    Only where the arm moves by more than a count a sample; at rest, equal rows are nothing
+    Only where the arm moves by more than four counts a sample; at rest, equal rows are nothing
     strange. Torque is not asked, so that the motion of a run does not depend on it.
     """
     rows = clock.rows
@@ -107,9 +107,9 @@ def _without_copies(
             continue
         same[1:] &= np.diff(values) == 0.0
         if kind == "position":
-            count = max(resolution(values) or 1e-9 * travel(values), 4.0 * noise_level(values))
+            count = max(resolution(values) or 1e-9 * travel(values), 3.0 * noise_level(values))
             around = np.abs(values[4:] - values[:-4]) / 4.0
-            moving[2:-2] |= around > 1.5 * count
+            moving[2:-2] |= around > 4.0 * count
     copies = same & moving
     copies[0] = False
     if not copies.any():

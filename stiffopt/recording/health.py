@@ -26,6 +26,8 @@ _SECOND: tuple[Kind, ...] = ("velocity", "link_position")
 _HARMLESS = {"position": 2e-4, "link_position": 2e-4, "velocity": 5e-3, "torque": 5e-3}
 _COARSE = 500
 _MOSTLY = 0.5
+# An encoder that misses so many counts of a motion is stuck.
+_STUCK_COUNTS = 20.0
 
 
 @dataclass
@@ -175,7 +177,12 @@ def _stuck(joint: JointChannels, signal: Kind) -> None:
     other = joint.there("link_position" if signal == "position" else "position")
     if other is None:
         return
-    bad = stuck.samples(values, other, joint.still)
+    least = joint.still
+    if signal != "torque":
+        least = max(least, _STUCK_COUNTS * (resolution(values) or 0.0))
+    bad = stuck.samples(values, other, least)
+    if signal == "torque":
+        bad &= ~stuck.at_limit(values)
     if bad.any():
         found = stretches(bad)
         longest = max(joint.time[end - 1] - joint.time[begin] for begin, end in found)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
-from stiffopt.recording.channel import stretches
-
-# Half window of the median: wider than the spikes that are sought, short against the motion.
-_HALF = 3
 _LONGEST = 2
-_TIMES = 12.0
+# A spike in units of what nine of ten samples nearby, or in the whole run, depart by.
+_NEARBY, _ANYWHERE = 6.0, 3.0
 _COUNTS = 8.0
+# A spike in units of the jump between the samples before it and after it.
+_JUMP = 2.0
+_FEWEST = 50
+# Cubic through two samples on each side, at the sample between them.
+_CUBIC = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6.0
 
 
 def spikes(
@@ -36,45 +37,68 @@ def spikes(
 
     Notes
     -----
-    A spike lasts one or two samples and leaves the median of the seven samples around it by more
-    than twelve times as much as samples nearby do. A step, as at a reversal or a contact, moves
-    the median along and is none.
+    A spike lasts one or two samples and departs from the cubic through the two samples on each
+    side by more than samples nearby do, and by twice as much as the two sides are apart once
+    their slopes are followed. A step, as at a reversal or a contact, is none.
     """
     finite = np.flatnonzero(np.isfinite(values))
     bad = np.zeros(len(values), dtype=bool)
-    if len(finite) < 50:
+    if len(finite) < _FEWEST:
         return bad, 0.0
     series = values[finite]
-    padded = np.pad(series, _HALF, mode="edge")
-    residual = np.abs(series - np.median(sliding_window_view(padded, 2 * _HALF + 1), axis=1))
-    # Nearby: mean over half a hundred samples, without the largest few that a spike adds.
-    nearby = _local_level(residual)
-    quiet = float(np.quantile(residual, 0.9))
-    limit = np.maximum(_TIMES * nearby, np.maximum(_TIMES * quiet / 3.0, _COUNTS * step))
-    limit = np.maximum(limit, max(harmless, 1e-12 * float(np.abs(series).max())))
-    far = residual > limit
-    inside = np.zeros_like(far)
-    for begin, end in stretches(far):
-        if end - begin <= _LONGEST and begin > 0 and end < len(series):
-            inside[begin:end] = _returns(series, begin, end, float(limit[begin]))
-    bad[finite[inside]] = True
-    return bad, float(residual[inside].max()) if inside.any() else 0.0
+    departs = np.zeros(len(series))
+    departs[2:-2] = np.abs(series - np.convolve(series, _CUBIC, "same"))[2:-2]
+    limit = np.maximum(
+        np.maximum(_NEARBY * _nearby(departs), _ANYWHERE * float(np.quantile(departs, 0.9))),
+        max(_COUNTS * step, harmless, 1e-12 * float(np.abs(series).max())),
+    )
+    # Two samples in a row depart by a third of their height.
+    candidates = np.flatnonzero(departs > limit / 3.0)
+    largest = 0.0
+    for k in candidates[np.argsort(-departs[candidates])]:
+        for first, last in _spans(int(k), len(series)):
+            height = _height(series, first, last)
+            if height > limit[k] and not bad[finite[first - 2 : last + 2]].any():
+                bad[finite[first:last]] = True
+                largest = max(largest, height)
+    return bad, largest
 
 
-def _local_level(residual: np.ndarray, width: int = 51) -> np.ndarray:
-    """Upper decile of the residual around each sample, by blocks."""
-    count = max(1, len(residual) // width)
-    blocks = np.array_split(residual, count)
-    level = np.array([np.quantile(block, 0.9) for block in blocks])
+def _spans(k: int, count: int) -> list[tuple[int, int]]:
+    """Spikes that a sample may belong to, with two samples to spare on each side."""
+    spans = [
+        (first, first + length)
+        for length in range(1, _LONGEST + 1)
+        for first in range(k - length + 1, k + 1)
+    ]
+    return [(first, last) for first, last in spans if first >= 2 and last + 2 <= count]
+
+
+def _height(series: np.ndarray, first: int, last: int) -> float:
+    """How far a spike stands out of what is around it, 0 if the two sides disagree."""
+    a, b, c, d = series[[first - 2, first - 1, last, last + 1]]
+    at = np.arange(first, last) - (first - 1)
+    width = last - first + 1
+    # Hermite cubic between b and c with the slopes of both sides.
+    s = at / width
+    smooth = (
+        (1 + 2 * s) * (1 - s) ** 2 * b
+        + s * (1 - s) ** 2 * width * (b - a)
+        + s**2 * (3 - 2 * s) * c
+        - s**2 * (1 - s) * width * (d - c)
+    )
+    height = float(np.min(np.abs(series[first:last] - smooth)))
+    apart = abs((c - b) - 0.5 * width * ((b - a) + (d - c)))
+    return height if height > _JUMP * apart else 0.0
+
+
+def _nearby(departs: np.ndarray, width: int = 51) -> np.ndarray:
+    """Upper decile around each sample, by blocks."""
+    count = -(-len(departs) // width)
+    blocks = np.pad(departs, (0, count * width - len(departs)), mode="reflect")
+    rank = int(0.9 * width)
+    level = np.partition(blocks.reshape(count, width), rank, axis=1)[:, rank]
     # The louder of the block and its neighbours: a quiet block may border on a fast motion.
     wide = np.pad(level, 1, mode="edge")
     louder = np.maximum(level, np.maximum(wide[:-2], wide[2:]))
-    return np.repeat(louder, [len(block) for block in blocks])
-
-
-def _returns(series: np.ndarray, begin: int, end: int, limit: float) -> bool:
-    """Whether the samples on both sides agree with each other, but not with those between."""
-    before, after = series[begin - 1], series[end]
-    inside = series[begin:end]
-    away = float(np.min(np.abs(inside - 0.5 * (before + after))))
-    return bool(away > 2.0 * abs(after - before) and away > limit)
+    return np.repeat(louder, width)[: len(departs)]

@@ -7,6 +7,8 @@ import numpy as np
 from stiffopt.recording.channel import resolution, stretches
 
 _SHORTEST = 10
+# A channel with fewer levels holds each of them for long.
+_FEWEST_LEVELS = 50
 # How rarely chance may hold a value that long in one run.
 _CHANCE = 1e-6
 
@@ -34,7 +36,9 @@ def samples(values: np.ndarray, position: np.ndarray, still: float) -> np.ndarra
     """
     equal = np.diff(values) == 0.0
     found = np.zeros(len(values), dtype=bool)
-    if not equal.any():
+    step = resolution(values) or 0.0
+    span = float(np.nanmax(values) - np.nanmin(values))
+    if not equal.any() or span < _FEWEST_LEVELS * step:
         return found
     held = stretches(equal)
     moving = np.diff(position) != 0.0
@@ -45,12 +49,11 @@ def samples(values: np.ndarray, position: np.ndarray, still: float) -> np.ndarra
     share = min(0.99, float(usual.sum()) / max(1, int(moving.sum())))
     chance = np.log(len(values) / _CHANCE) / -np.log(share) if share > 0.0 else 0.0
     shortest = max(_SHORTEST, chance)
-    step = resolution(values) or 0.0
     for begin, end in held:
         piece = position[begin : end + 1]
         if end - begin < shortest or not np.isfinite(piece).any():
             continue
-        if np.nanmax(piece) - np.nanmin(piece) > max(still, 20.0 * step if step < 1e-3 else 0.0):
+        if np.nanmax(piece) - np.nanmin(piece) > still:
             # The first sample of a stretch was measured.
             found[begin + 1 : end + 1] = True
     return found

@@ -1,0 +1,274 @@
+"""What a recording set holds, what it lacks, and what can be identified with it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from stiffopt.recording.channel import noise_level, resolution
+from stiffopt.recording.clock import GAP
+from stiffopt.recording.facts import joint_facts
+from stiffopt.recording.identifiable import EffectCheck, balances, effect_checks
+from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.run import Fault, Role, Run
+from stiffopt.recording.signals import Kind
+
+# Of a revolute and of a prismatic joint.
+_UNITS: dict[Kind, tuple[str, str]] = {
+    "position": ("rad", "m"),
+    "velocity": ("rad/s", "m/s"),
+    "link_position": ("rad", "m"),
+    "torque": ("N m", "N"),
+}
+_STATED = {
+    "velocity": "velocity",
+    "link_position": "link_position",
+    "torque": "torque",
+}
+_RESOLUTION = {
+    "position": "position_resolution",
+    "link_position": "link_position_resolution",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelCheck:
+    """One channel of one run.
+
+    Parameters
+    ----------
+    signal : str
+    joint : int
+        From 1.
+    column : str
+    there : bool
+        False if it was left out as broken.
+    unit : str
+    lowest, highest : float
+    used : float or None
+        Share of the joint's range (position), or of its largest velocity or torque; None
+        without such a limit.
+    noise, stated_noise : float or None
+        Standard deviation, estimated from third differences, and as the set gives it.
+    step, stated_step : float or None
+        One count, found in the values, and as the set gives it.
+    """
+
+    signal: Kind
+    joint: int
+    column: str
+    there: bool
+    unit: str
+    lowest: float
+    highest: float
+    used: float | None
+    noise: float
+    stated_noise: float | None
+    step: float | None
+    stated_step: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunCheck:
+    """One run: its clock, channels and faults.
+
+    Parameters
+    ----------
+    name, file : str
+    role : str
+    samples : int
+        Kept.
+    duration : float [s]
+    rate : float [Hz]
+    jitter : float
+        Standard deviation of the spacing without gaps [s].
+    longest_gap : float
+        Longest spacing [s].
+    usable : bool
+        Every joint has a position.
+    channels : tuple of ChannelCheck
+    faults : tuple of Fault
+    """
+
+    name: str
+    file: str
+    role: Role
+    samples: int
+    duration: float
+    rate: float
+    jitter: float
+    longest_gap: float
+    usable: bool
+    channels: tuple[ChannelCheck, ...]
+    faults: tuple[Fault, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingReport:
+    """What there is, what is missing, and what can be identified.
+
+    Parameters
+    ----------
+    name, title : str
+    joints : tuple of str (n,)
+    runs : tuple of RunCheck
+    balances : tuple of tuple of str (n,)
+        Of each joint: motor, link and deflection with a link encoder, torque without.
+    effects : tuple of EffectCheck
+    missing : tuple of str
+        Sentences.
+    assumptions : tuple of str
+        What is assumed where the set is silent.
+    """
+
+    name: str
+    title: str
+    joints: tuple[str, ...]
+    runs: tuple[RunCheck, ...]
+    balances: tuple[tuple[str, ...], ...]
+    effects: tuple[EffectCheck, ...]
+    missing: tuple[str, ...]
+    assumptions: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data for JSON; what is no finite number is None."""
+        plain: dict[str, Any] = _plain(asdict(self))
+        for entry, check in zip(plain["effects"], self.effects, strict=True):
+            entry["possible"] = check.possible
+        return plain
+
+
+def check_recordings(recordings: RecordingSet) -> RecordingReport:
+    """Open every run of a set and say what it holds.
+
+    Raises
+    ------
+    InputFileError
+        A run that cannot be read.
+    """
+    runs = [recordings.open(entry) for entry in recordings.runs]
+    training = [run for run in runs if run.role == "train"] or runs
+    facts = joint_facts(recordings, training)
+    return RecordingReport(
+        name=recordings.name,
+        title=recordings.title,
+        joints=recordings.joints,
+        runs=tuple(_run(recordings, run) for run in runs),
+        balances=tuple(balances(one) for one in facts),
+        effects=effect_checks(recordings, facts, len(training)),
+        missing=_missing(recordings, runs),
+        assumptions=recordings.assumptions,
+    )
+
+
+def _run(recordings: RecordingSet, run: Run) -> RunCheck:
+    spacing = np.diff(run.time)
+    ordinary = spacing[spacing <= GAP * run.step]
+    channels = []
+    for kind, j, column in recordings.signals.columns():
+        array = run.signal(kind)
+        values = np.full(len(run.time), np.nan) if array is None else array[:, j]
+        channels.append(_channel(recordings, kind, j, column, values))
+    return RunCheck(
+        name=run.name,
+        file=run.file,
+        role=run.role,
+        samples=len(run.time),
+        duration=run.duration,
+        rate=1.0 / run.step,
+        jitter=float(ordinary.std()),
+        longest_gap=float(spacing.max()),
+        usable=run.usable,
+        channels=tuple(channels),
+        faults=run.health,
+    )
+
+
+def _channel(
+    recordings: RecordingSet, kind: Kind, j: int, column: str, values: np.ndarray
+) -> ChannelCheck:
+    there = bool(np.isfinite(values).any())
+    low, high = (float(np.nanmin(values)), float(np.nanmax(values))) if there else (np.nan, np.nan)
+    noise = recordings.noise
+    return ChannelCheck(
+        signal=kind,
+        joint=j + 1,
+        column=column,
+        there=there,
+        unit=_UNITS[kind][bool(recordings.arm.prismatic[j])],
+        lowest=low,
+        highest=high,
+        used=_used(recordings, kind, j, low, high),
+        noise=noise_level(values),
+        stated_noise=_stated(noise, _STATED.get(kind), j),
+        step=resolution(values),
+        stated_step=_stated(noise, _RESOLUTION.get(kind), j),
+    )
+
+
+def _stated(noise: object, key: str | None, j: int) -> float | None:
+    values = None if key is None else getattr(noise, key)
+    return None if values is None else float(values[j])
+
+
+def _used(recordings: RecordingSet, kind: Kind, j: int, low: float, high: float) -> float | None:
+    arm, largest = recordings.arm, max(abs(low), abs(high))
+    if kind == "velocity":
+        limit = float(arm.velocity_max[j])
+    elif kind == "torque":
+        torque = recordings.nominal.torque_max
+        limit = float(arm.torque_max[j] if torque is None else torque[j])
+    else:
+        limit, largest = float(arm.position_upper[j] - arm.position_lower[j]), high - low
+    if not math.isfinite(limit) or limit <= 0.0 or not math.isfinite(largest):
+        return None
+    return largest / limit
+
+
+def _missing(recordings: RecordingSet, runs: list[Run]) -> tuple[str, ...]:
+    found = []
+    for role, loss in (
+        ("train", "nothing can be fitted"),
+        ("test", "no fit can be judged"),
+    ):
+        if not any(run.role == role for run in runs):
+            found.append(f"No run has the role {role}: {loss}.")
+    if 0 < sum(run.role == "train" for run in runs) < 3:
+        found.append(
+            "Fewer than three training runs: explanations are compared on blocks of a run "
+            "instead of on whole runs."
+        )
+    signals, nothing = recordings.signals, ("",) * recordings.n
+    for kind, names, loss in (
+        ("torque", signals.torque, "they have no balance of torques"),
+        (
+            "link_position",
+            signals.link_position or nothing,
+            "elastic effects show only through the torque, hardly at all",
+        ),
+    ):
+        lacking = [str(j + 1) for j, name in enumerate(names) if not name]
+        if lacking:
+            found.append(f"No {kind} of joints {', '.join(lacking)}: {loss}.")
+    if recordings.signals.velocity is None:
+        found.append("No velocity: it is the derivative of the position.")
+    found += [
+        f"{run.file} cannot be used: a joint has no position that can be trusted."
+        for run in runs
+        if not run.usable
+    ]
+    return tuple(found)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,148 @@
+"""What the motion of a set of runs offers, joint by joint: speeds, directions, loads, warmth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from stiffopt.recording.health import STILL
+from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.run import Run
+
+# Slower is rest, up to the second it is slow [rad/s].
+_REST, _SLOW = 0.005, 0.1
+# Shares of the samples from which something counts as recorded.
+_SOME, _LITTLE = 0.05, 0.01
+# Of the highest frequency that sampling keeps; periodic torque above it is lost.
+_KEPT = 0.8
+_GRAVITY_EVERY = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointFacts:
+    """What the runs hold of one joint.
+
+    Parameters
+    ----------
+    torque, link : bool
+        There is a torque, a link encoder.
+    moves, reverses, slow, speeds, rests : bool
+        It moves; in both directions; between 0.005 and 0.1 rad/s; over a range of speeds of two
+        to one; it stands.
+    load_changes_sign : bool
+        Gravity pulls it both ways, or hardly at all.
+    rotor_slow : bool
+        Part of the motion is slow enough to resolve two periods a turn of the rotor.
+    ripple_slow : bool
+        The same for the periods of the motor's poles.
+    warmer : bool
+        Runs differ in temperature by 3 K or in session time by 120 s.
+    """
+
+    torque: bool
+    link: bool
+    moves: bool
+    reverses: bool
+    slow: bool
+    speeds: bool
+    rests: bool
+    load_changes_sign: bool
+    rotor_slow: bool
+    ripple_slow: bool
+    warmer: bool
+
+
+def joint_facts(recordings: RecordingSet, runs: Sequence[Run]) -> tuple[JointFacts, ...]:
+    """Facts of every joint over some runs, in the order of the set."""
+    gravity = [_gravity(recordings, run) for run in runs if run.usable]
+    return tuple(_facts(recordings, runs, gravity, j) for j in range(recordings.n))
+
+
+def velocities(run: Run) -> np.ndarray:
+    """Recorded velocity, else that of the encoder over 20 ms, (K, n) [rad/s]."""
+    width = max(1, round(0.01 / run.step))
+    slope: np.ndarray = np.full_like(run.position, np.nan)
+    span = run.time[2 * width :] - run.time[: -2 * width]
+    slope[width:-width] = (run.position[2 * width :] - run.position[: -2 * width]) / span[:, None]
+    if run.velocity is not None:
+        recorded = np.isfinite(run.velocity).any(axis=0)
+        slope[:, recorded] = run.velocity[:, recorded]
+    return slope
+
+
+def _gravity(recordings: RecordingSet, run: Run) -> np.ndarray:
+    """Gravity torque of the nominal model at some samples, (m, n) [N m]."""
+    model: Any = recordings.model
+    data = model.createData()
+    rows = run.position[::_GRAVITY_EVERY]
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    torques: np.ndarray = np.empty(rows.shape)
+    position = np.zeros(model.nq)
+    for k, row in enumerate(rows):
+        position[recordings.order] = row
+        torque = pin.computeGeneralizedGravity(model, data, position)
+        torques[k] = torque[recordings.order]
+    return torques
+
+
+def _facts(
+    recordings: RecordingSet, runs: Sequence[Run], gravity: Sequence[np.ndarray], j: int
+) -> JointFacts:
+    torque = _there([run.torque[:, j] for run in runs])
+    links = [run.link_position[:, j] for run in runs if run.link_position is not None]
+    velocity = np.concatenate([np.zeros(0), *(velocities(run)[:, j] for run in runs)])
+    velocity = velocity[np.isfinite(velocity)]
+    speed = np.abs(velocity)
+    moving = speed > _REST
+    travel = [np.ptp(run.position[:, j]) for run in runs if np.isfinite(run.position[:, j]).all()]
+    still = 10.0 * STILL[bool(recordings.arm.prismatic[j])]
+    moves = bool(moving.any() and (not travel or max(travel) > still))
+    count = max(1, int(moving.sum()))
+    quick, usual = np.quantile(speed[moving], (0.95, 0.1)) if moving.any() else (0.0, 1.0)
+    weight = np.concatenate([np.zeros(0), *(g[:, j] for g in gravity)])
+    largest = float(np.abs(torque).max(initial=0.0))
+    light = np.abs(weight).max(initial=0.0) < 0.3 * largest
+    poles = recordings.nominal.pole_pairs
+    return JointFacts(
+        torque=len(torque) > 0,
+        link=len(_there(links)) > 0,
+        moves=moves,
+        reverses=moves and min((velocity > _REST).sum(), (velocity < -_REST).sum()) > _SOME * count,
+        slow=moves and ((speed > _REST) & (speed < _SLOW)).sum() > _LITTLE * count,
+        speeds=moves and bool(quick > 2.0 * usual),
+        rests=bool((~moving).sum() > _LITTLE * max(1, len(speed))),
+        load_changes_sign=moves
+        and bool(light or weight.min(initial=0.0) < 0.0 < weight.max(initial=0.0)),
+        rotor_slow=moves and _resolved(recordings, runs, speed[moving], j, 2.0),
+        ripple_slow=moves and _resolved(recordings, runs, speed[moving], j, poles or 1.0),
+        warmer=_warmer(runs, j),
+    )
+
+
+def _there(channels: Sequence[np.ndarray]) -> np.ndarray:
+    values = np.concatenate([np.zeros(0), *channels])
+    finite: np.ndarray = values[np.isfinite(values)]
+    return finite
+
+
+def _resolved(
+    recordings: RecordingSet, runs: Sequence[Run], speed: np.ndarray, j: int, order: float
+) -> bool:
+    ratio = recordings.nominal.gear_ratio
+    if ratio is None or not len(speed):
+        return False
+    rate = 1.0 / max(run.step for run in runs)
+    frequency = order * abs(ratio[j]) * speed / (2.0 * np.pi)
+    return bool((frequency < 0.5 * _KEPT * rate).mean() > _SOME)
+
+
+def _warmer(runs: Sequence[Run], j: int) -> bool:
+    degrees = [float(run.temperature[j]) for run in runs if run.temperature is not None]
+    times = [run.session_time for run in runs if run.session_time is not None]
+    return (bool(degrees) and max(degrees) - min(degrees) >= 3.0) or (
+        bool(times) and max(times) - min(times) >= 120.0
+    )

@@ -1,0 +1,122 @@
+"""A static set: poses with a known force and the displacement of the tool that was measured."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stiffopt.errors import InputFileError
+from stiffopt.files import check_header, load_toml, read_table, validate
+from stiffopt.recording.arm import Arm, inside, load_arm
+from stiffopt.recording.nominal_files import per_joint
+from stiffopt.recording.schema import StaticFile
+
+FILE = "static.toml"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StaticSet:
+    """Measured deflections of an arm at rest.
+
+    Parameters
+    ----------
+    path : Path
+        Of static.toml.
+    name, title, citation, licence : str
+    arm : Arm
+    joints : tuple of str (n,)
+    tool_frame : str
+    position : array (m, n)
+        [rad]
+    force : array (m, 3)
+        On the tool, base frame [N].
+    displacement : array (m, 3)
+        Of the tool, base frame [m].
+    difference : bool
+        Each line is the difference of two load states: gravity is out.
+    stiffness : array (n,) or None
+        Nominal joint stiffness [N m/rad].
+    """
+
+    path: Path
+    name: str
+    title: str
+    citation: str
+    licence: str
+    arm: Arm
+    joints: tuple[str, ...]
+    tool_frame: str
+    position: np.ndarray
+    force: np.ndarray
+    displacement: np.ndarray
+    difference: bool
+    stiffness: np.ndarray | None
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def model(self) -> Any:
+        """pinocchio.Model of the arm: the listed joints in the robot's own order."""
+        return self.arm.model
+
+    @property
+    def order(self) -> np.ndarray:
+        """Index of each joint of the set in the model's velocity vector, (n,)."""
+        return self.arm.order
+
+
+def load_static_set(path: str | os.PathLike[str]) -> StaticSet:
+    """Static set of a folder or of its static.toml.
+
+    Raises
+    ------
+    InputFileError, RobotError
+        What is wrong, where, and what is allowed.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / FILE
+    data = load_toml(path)
+    check_header(data, path, "static")
+    document = validate(StaticFile, data, path)
+    n = len(document.joints)
+    if len(document.position) != n:
+        raise InputFileError(
+            path,
+            "position",
+            f"needs one column a joint ({n}), got {len(document.position)}.",
+        )
+    arm = load_arm(document.robot, document.joints, path, document.tool_frame, document.gravity)
+    columns = (*document.position, *document.force, *document.displacement)
+    if len(set(columns)) < len(columns):
+        raise InputFileError(path, "", "one column stands for two things. Correct the names.")
+    poses = inside(path, "poses", document.poses)
+    table = read_table(poses, columns)
+    force = np.column_stack([table[name] for name in document.force])
+    if not force.any(axis=1).all():
+        row = int(np.flatnonzero(~force.any(axis=1))[0]) + 1
+        raise InputFileError(
+            poses, f"row {row}", "a pose without a force says nothing of stiffness. Delete it."
+        )
+    return StaticSet(
+        path=path,
+        name=document.name,
+        title=document.title or document.name,
+        citation=document.citation,
+        licence=document.licence,
+        arm=arm,
+        joints=document.joints,
+        tool_frame=document.tool_frame,
+        position=np.column_stack([table[name] for name in document.position]),
+        force=force,
+        displacement=np.column_stack([table[name] for name in document.displacement]),
+        difference=document.difference,
+        stiffness=per_joint(document.nominal.stiffness, n, path, "nominal.stiffness"),
+    )

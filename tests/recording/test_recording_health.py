@@ -1,0 +1,276 @@
+"""Every fault that sensors and loggers make is found, named and taken out; nothing else is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recording_sets import Columns, channels, motion
+
+from stiffopt.errors import InputFileError
+from stiffopt.recording.clean import clean
+from stiffopt.recording.run import Fault, Run
+from stiffopt.recording.signals import Signals
+
+SIGNALS = Signals(
+    time="t",
+    position=("q1", "q2"),
+    velocity=("qd1", "qd2"),
+    link_position=("ql1", ""),
+    torque=("tau1", "tau2"),
+)
+
+
+def cleaned(columns: Columns, signals: Signals = SIGNALS) -> Run:
+    return clean(
+        columns,
+        signals,
+        path=Path("run.npz"),
+        name="run",
+        file="run.npz",
+        role="train",
+        prismatic=np.array([False, True]),
+    )
+
+
+def only_fault(run: Run) -> Fault:
+    assert len(run.health) == 1, [str(fault) for fault in run.health]
+    return run.health[0]
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("rate", [100.0, 500.0])
+def test_a_sound_run_has_no_fault(seed: int, rate: float) -> None:
+    run = cleaned(motion(rate=rate, seed=seed))
+    assert run.health == ()
+    assert np.isfinite(run.torque).all()
+
+
+def test_zeros_in_an_unused_channel_are_left_out(columns: Columns) -> None:
+    signals = Signals(
+        time="t",
+        position=("q1", "q2"),
+        velocity=("qd1", "qd2"),
+        link_position=("ql1", "ql2"),
+        torque=("tau1", "tau2"),
+    )
+    columns["ql2"] = np.zeros_like(columns["t"])
+    fault = only_fault(run := cleaned(columns, signals))
+    assert (fault.signal, fault.joint, fault.kind, fault.left_out) == (
+        "link_position",
+        2,
+        "constant",
+        True,
+    )
+    assert run.link_position is not None
+    assert np.isnan(run.link_position[:, 1]).all()
+    # Also in a joint that stands still, where a real encoder might not change either.
+    columns["q2"] = np.full_like(columns["t"], 0.3)
+    columns["qd2"] = np.zeros_like(columns["t"])
+    assert only_fault(cleaned(columns, signals)).signal == "link_position"
+    columns["ql1"] = columns["ql2"]
+    run = cleaned(columns, signals)
+    assert run.link_position is None
+
+
+@pytest.mark.parametrize(("column", "signal"), [("tau2", "torque"), ("qd1", "velocity")])
+@pytest.mark.parametrize("level", [0.0, 3.7])
+def test_a_constant_channel_is_left_out(
+    columns: Columns, column: str, signal: str, level: float
+) -> None:
+    columns[column] = np.full_like(columns["t"], level)
+    fault = only_fault(run := cleaned(columns))
+    assert (fault.signal, fault.kind, fault.left_out) == (signal, "constant", True)
+    assert f"{level:g}" in fault.detail
+    array = run.torque if signal == "torque" else run.velocity
+    assert array is not None
+    j = int(column[-1]) - 1
+    assert np.isnan(array[:, j]).all()
+    assert np.isfinite(array[:, 1 - j]).all()
+
+
+def test_a_joint_that_stands_still_is_no_fault(columns: Columns) -> None:
+    rng = np.random.default_rng(3)
+    columns["q2"] = 0.2 + 1e-6 * rng.integers(-1, 2, len(columns["t"]))
+    columns["qd2"] = np.zeros_like(columns["t"])
+    assert cleaned(columns).health == ()
+
+
+def test_a_dead_motor_encoder_makes_the_run_unusable(columns: Columns) -> None:
+    columns["q1"] = np.full_like(columns["t"], 0.4)
+    run = cleaned(columns)
+    assert (run.health[0].signal, run.health[0].kind) == ("position", "constant")
+    assert not run.usable
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "says"),
+    [
+        ("qd1", 180.0 / np.pi, "57.3 times as much .* as degrees would"),
+        ("qd2", -1.0, "the other way round"),
+        ("ql1", 180.0 / np.pi, "as degrees would"),
+        ("ql1", -1.0, "the other way round"),
+    ],
+)
+def test_sensors_that_contradict_the_motor_encoder(
+    columns: Columns, column: str, factor: float, says: str
+) -> None:
+    columns[column] *= factor
+    fault = only_fault(cleaned(columns))
+    assert fault.kind == "contradicts position"
+    assert fault.left_out
+    import re
+
+    assert re.search(says, fault.detail)
+
+
+def test_swapped_encoders_are_told(columns: Columns) -> None:
+    columns["ql1"] = columns["q2"] + 1e-5 * np.random.default_rng(0).normal(size=2500)
+    fault = only_fault(cleaned(columns))
+    assert (fault.signal, fault.kind) == ("link_position", "contradicts position")
+    assert "another joint" in fault.detail
+
+
+def test_a_stuck_torque_loses_the_stuck_samples_only(columns: Columns) -> None:
+    columns["tau1"][700:900] = columns["tau1"][700]
+    fault = only_fault(run := cleaned(columns))
+    assert (fault.kind, fault.left_out) == ("constant", False)
+    lost = np.flatnonzero(np.isnan(run.torque[:, 0]))
+    assert lost.tolist() == list(range(701, 900))
+    assert fault.share == pytest.approx(199 / 2500)
+
+
+def test_a_stuck_link_encoder(columns: Columns) -> None:
+    columns["ql1"][1000:1100] = columns["ql1"][1000]
+    fault = only_fault(cleaned(columns))
+    assert (fault.signal, fault.kind) == ("link_position", "constant")
+    assert fault.share == pytest.approx(99 / 2500)
+
+
+def test_spikes_are_taken_out_one_by_one(columns: Columns) -> None:
+    places = [200, 777, 778, 1500]
+    columns["tau1"][places] += [6.0, -9.0, -9.0, 25.0]
+    columns["q1"][[444]] += 0.002
+    run = cleaned(columns)
+    assert {(fault.signal, fault.kind) for fault in run.health} == {
+        ("torque", "outlier"),
+        ("position", "outlier"),
+    }
+    assert np.flatnonzero(np.isnan(run.torque[:, 0])).tolist() == places
+    assert np.flatnonzero(np.isnan(run.position[:, 0])).tolist() == [444]
+
+
+def test_friction_steps_and_contacts_are_no_spikes(columns: Columns) -> None:
+    t = columns["t"]
+    columns["tau1"] += np.where((t > 3.0) & (t < 3.4), 12.0, 0.0)
+    columns["tau2"] += 8.0 * np.sign(np.sin(3.0 * t))
+    assert cleaned(columns).health == ()
+
+
+def test_a_torque_limit_is_named_and_kept(columns: Columns) -> None:
+    columns["tau1"] = np.clip(columns["tau1"], -6.0, 6.0)
+    fault = only_fault(run := cleaned(columns))
+    assert (fault.kind, fault.left_out) == ("saturated", False)
+    assert fault.share == pytest.approx((np.abs(columns["tau1"]) == 6.0).mean())
+    np.testing.assert_array_equal(run.torque[:, 0], columns["tau1"])
+
+
+def test_coarse_counts_are_named_and_kept(columns: Columns) -> None:
+    step = 0.2
+    columns["tau2"] = np.round(columns["tau2"] / step) * step
+    fault = only_fault(run := cleaned(columns))
+    assert (fault.signal, fault.kind, fault.left_out) == ("torque", "quantised", False)
+    assert "steps of 0.2" in fault.detail
+    assert np.isfinite(run.torque).all()
+
+
+def test_samples_that_are_no_numbers(columns: Columns) -> None:
+    columns["tau1"][5:9] = np.nan
+    columns["ql1"][:] = np.inf
+    run = cleaned(columns)
+    told = {(fault.signal, fault.kind, fault.left_out) for fault in run.health}
+    assert told == {
+        ("torque", "not finite", False),
+        ("link_position", "not finite", True),
+    }
+    assert run.link_position is None
+
+
+def stamped(stamps: np.ndarray) -> Columns:
+    return {"t": stamps, **channels(stamps, np.random.default_rng(4))}
+
+
+def test_jitter_is_named_with_its_size() -> None:
+    rng = np.random.default_rng(5)
+    stamps = np.cumsum(np.full(2000, 0.004) + 0.0006 * rng.uniform(-1.0, 1.0, 2000))
+    fault = only_fault(cleaned(stamped(stamps)))
+    assert fault.kind == "jitter"
+    assert fault.share > 0.5
+
+
+def test_missing_samples_and_gaps_are_told_apart() -> None:
+    keep = np.ones(2500, dtype=bool)
+    keep[[300, 901, 902, 1500]] = False
+    keep[2000:2100] = False
+    run = cleaned(stamped(0.004 * np.arange(2500)[keep]))
+    faults = {fault.kind: fault for fault in run.health}
+    assert set(faults) == {"dropped", "gap"}
+    assert "about 4 samples" in faults["dropped"].detail
+    assert "1 gaps" in faults["gap"].detail
+    assert "0.404 s" in faults["gap"].detail
+
+
+def test_repeated_stamps_keep_the_first_row(columns: Columns) -> None:
+    places = np.sort(np.append(np.arange(2500), [100, 100, 2000]))
+    repeated = {name: values[places] for name, values in columns.items()}
+    fault = only_fault(run := cleaned(repeated))
+    assert fault.kind == "duplicate"
+    np.testing.assert_array_equal(run.time, columns["t"])
+    np.testing.assert_array_equal(run.stamps, repeated["t"])
+
+
+def test_stale_rows_under_new_stamps_are_left_out(columns: Columns) -> None:
+    stale = [250, 251, 1200]
+    for name, values in columns.items():
+        if name != "t":
+            values[[250, 251]] = values[249]
+            values[1200] = values[1199]
+    fault = only_fault(run := cleaned(columns))
+    assert fault.kind == "duplicate"
+    assert np.isin(columns["t"][stale], run.time).sum() == 0
+    assert len(run.time) == 2497
+
+
+def test_the_motion_of_a_run_does_not_depend_on_its_torque(columns: Columns) -> None:
+    """Whatever the torque is replaced by, time and positions stay the same."""
+    columns["t"] = columns["t"] + 0.0003 * np.sin(columns["t"] * 900.0)
+    first = cleaned(columns)
+    for replacement in (np.zeros(2500), np.random.default_rng(1).normal(size=2500)):
+        other = cleaned({**columns, "tau1": replacement, "tau2": replacement})
+        np.testing.assert_array_equal(other.time, first.time)
+        np.testing.assert_array_equal(other.position, first.position)
+        np.testing.assert_array_equal(other.link_position, first.link_position)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "says"),
+    [
+        (np.r_[np.arange(50.0), 20.0, np.arange(51.0, 90.0)] / 100.0, "row 51: .*backwards 1 time"),
+        (np.zeros(100), "only 1 different times in 100 rows"),
+        (np.full(100, np.nan), "has 0 time stamps"),
+        (np.arange(8.0) / 100.0, "has 8 time stamps; a run needs 20"),
+        (np.arange(100.0) * 4e6, "usual spacing is 4e.06; .*Convert the column to seconds"),
+    ],
+)
+def test_clocks_that_cannot_be_used(stamps: np.ndarray, says: str) -> None:
+    with pytest.raises(InputFileError, match=says):
+        cleaned({"t": stamps, **{name: np.arange(float(len(stamps))) for name in SIGNALS.wanted}})
+
+
+def test_rows_without_a_stamp_get_one_for_predictions(columns: Columns) -> None:
+    columns["t"][[40, 41]] = np.nan
+    run = cleaned(columns)
+    assert {fault.kind for fault in run.health} == {"not finite", "dropped"}
+    assert len(run.time) == 2498
+    np.testing.assert_allclose(run.stamps, 0.004 * np.arange(2500), atol=1e-12)

@@ -1,0 +1,211 @@
+"""A set folder becomes arrays in the set's order, or one message that says what is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from recording_sets import motion
+
+from stiffopt.errors import InputError, InputFileError
+from stiffopt.recording.recording_set import load_recordings, require_test_runs
+
+MakeSet = Callable[..., Path]
+
+
+def test_what_the_file_says_is_in_the_set(make_set: MakeSet) -> None:
+    recordings = load_recordings(make_set())
+    assert recordings.joints == ("swing", "slide")
+    assert recordings.arm.prismatic.tolist() == [False, True]
+    assert recordings.torque_side == "motor"
+    np.testing.assert_array_equal(recordings.nominal.coulomb, [1.0, 2.0])
+    assert recordings.nominal.viscous is None
+    assert recordings.tolerance.mass == 0.01
+    assert recordings.tolerance.com is None
+    np.testing.assert_array_equal(recordings.noise.torque, [0.05, 0.05])
+    first, second = recordings.runs
+    assert (first.name, first.role, first.session_time) == ("one", "train", 60.0)
+    np.testing.assert_array_equal(first.temperature, [25.0, 26.0])
+    assert second.temperature is None
+    assert recordings.with_role("test", "extrapolate") == (second,)
+    require_test_runs(recordings)
+    silent = " ".join(recordings.assumptions)
+    for word in ("Gravity", "nominal.viscous", "com", "nominal.reducer"):
+        assert word in silent
+    assert "nominal.coulomb" not in silent
+
+
+def test_an_opened_run_holds_the_columns_as_recorded(make_set: MakeSet) -> None:
+    recordings = load_recordings(make_set())
+    run = recordings.open(recordings.runs[0])
+    data = motion(seed=1)
+    assert run.health == ()
+    assert (run.name, run.file, run.role) == ("one", "one.npz", "train")
+    np.testing.assert_array_equal(run.time, data["t"])
+    np.testing.assert_array_equal(run.stamps, data["t"])
+    np.testing.assert_array_equal(run.torque, np.column_stack([data["tau1"], data["tau2"]]))
+    assert run.link_position is not None
+    np.testing.assert_array_equal(run.link_position[:, 0], data["ql1"])
+    assert np.isnan(run.link_position[:, 1]).all()
+    assert run.usable
+
+
+def test_the_set_may_list_joints_in_another_order(make_set: MakeSet) -> None:
+    """Gravity torque in the set's order, against a balance of forces by hand."""
+    folder = make_set(
+        ('joints = ["swing", "slide"]', 'joints = ["slide", "swing"]'),
+        ('link_position = ["ql1", ""]', 'link_position = ["", "ql1"]'),
+    )
+    recordings = load_recordings(folder)
+    assert recordings.order.tolist() == [1, 0]
+    assert recordings.arm.prismatic.tolist() == [True, False]
+    slide, swing = 0.15, 0.4
+    position = np.zeros(2)
+    position[recordings.order] = [slide, swing]
+    model = recordings.model
+    torque = pin.computeGeneralizedGravity(model, model.createData(), position)[recordings.order]
+    lever = 2.0 * 0.2 + 1.0 * (slide + 0.1)
+    np.testing.assert_allclose(
+        torque, [-9.81 * 1.0 * np.cos(swing), 9.81 * lever * np.sin(swing)], rtol=1e-12
+    )
+
+
+def test_joints_that_were_not_recorded_are_locked(make_set: MakeSet) -> None:
+    edits = [
+        ('joints = ["swing", "slide"]', 'joints = ["slide"]'),
+        ('position = ["q1", "q2"]', 'position = ["q2"]'),
+        ('velocity = ["qd1", "qd2"]\nlink_position = ["ql1", ""]\n', ""),
+        ('torque = ["tau1", "tau2"]', 'torque = ["tau2"]'),
+        ("gear_ratio = [101.0, 50.0]\ncoulomb = [1.0, 2.0]", "coulomb = [2.0]"),
+        ("housing_temperature = [25.0, 26.0]", "housing_temperature = 25.0"),
+    ]
+    recordings = load_recordings(make_set(*edits))
+    assert recordings.model.nv == 1
+    assert recordings.arm.locked == ("swing",)
+    assert any("swing" in sentence for sentence in recordings.assumptions)
+    np.testing.assert_array_equal(recordings.runs[0].temperature, [25.0])
+
+
+def test_a_shipped_robot_by_name_without_its_rotors(make_set: MakeSet) -> None:
+    names = ["joint_1", "joint_2"]
+    folder = make_set(
+        ('robot = "robot.urdf"', 'robot = "er3a_c60"'),
+        ('joints = ["swing", "slide"]', f"joints = {names}".replace("'", '"')),
+        ('tool_frame = "tool0"\n', ""),
+        ("[signals]", "gravity = [0.0, 0.0, 9.81]\n\n[signals]"),
+    )
+    from stiffopt.robot.files import load_robot
+
+    robot = load_robot("er3a_c60")
+    names = list(robot.joint_names[:2])
+    text = (folder / "recordings.toml").read_text()
+    text = text.replace('["joint_1", "joint_2"]', str(names).replace("'", '"'))
+    (folder / "recordings.toml").write_text(text)
+    recordings = load_recordings(folder)
+    assert recordings.arm.locked == tuple(robot.joint_names[2:])
+    assert recordings.gravity.tolist() == [0.0, 0.0, 9.81]
+    assert not np.any(recordings.model.armature)
+
+
+def test_counterbalances_push_back_to_their_offset(make_set: MakeSet) -> None:
+    spring = (
+        '[nominal.counterbalance]\njoint = "swing"\ntype = "spring"\nstiffness = 20.0\n'
+        "offset = 0.1\n\n[tolerance]"
+    )
+    balance = load_recordings(make_set(("[tolerance]", spring))).nominal.counterbalance[0]
+    assert balance.joint == 0
+    np.testing.assert_allclose(balance.at(np.array([0.1, 0.6])), [0.0, -10.0])
+    table = (
+        '[[nominal.counterbalance]]\njoint = 2\ntype = "table"\nangle = [0.0, 1.0, 2.0]\n'
+        "torque = [0.0, 4.0, 6.0]\n\n[tolerance]"
+    )
+    balance = load_recordings(make_set(("[tolerance]", table))).nominal.counterbalance[0]
+    assert balance.joint == 1
+    np.testing.assert_allclose(balance.at(np.array([0.5, 1.5, 9.0])), [2.0, 5.0, 6.0])
+
+
+REDUCER = "[nominal.reducer]\nK1 = [{0}, 1e4]\nK2 = [2e4, 2e4]\nK3 = [3e4, inf]\nT1 = [7.0, 7.0]\n"
+
+
+def test_a_rigid_reducer_is_infinite(make_set: MakeSet) -> None:
+    text = REDUCER.format("1e4") + "T2 = [25.0, 25.0]\n\n[tolerance]"
+    reducer = load_recordings(make_set(("[tolerance]", text))).nominal.reducer
+    assert reducer is not None
+    assert reducer.K3.tolist() == [3e4, np.inf]
+
+
+WRONG = {
+    "torque missing": ('torque = ["tau1", "tau2"]\n', "", r"signals\.torque: .*required"),
+    "torque nowhere": ('["tau1", "tau2"]', '["", ""]', r"signals\.torque: no joint has a torque"),
+    "no position": ('["q1", "q2"]', '["q1", ""]', r"signals\.position: every joint needs"),
+    "count": (
+        '["q1", "q2"]',
+        '["q1"]',
+        r"signals\.position: needs one column a joint \(2\), got 1",
+    ),
+    "twice": ('["qd1", "qd2"]', '["q1", "qd2"]', r"'q1' already stands for position of joint 1"),
+    "joint": ('"slide"]', '"slid"]', r"joints\[2\]: .* no moving joint 'slid'.*mean 'slide'"),
+    "joint twice": ('"slide"]', '"swing"]', r"'swing' is named twice"),
+    "frame": ('"tool0"', '"tool"', r"tool_frame: .* no frame 'tool'.*mean 'tool0'"),
+    "key": ("coulomb =", "coulom =", r"nominal\.coulom: unknown key.*mean 'coulomb'"),
+    "list": ("[1.0, 2.0]", "[1.0]", r"nominal\.coulomb: needs one number a joint \(2\), got 1"),
+    "sign": ("[1.0, 2.0]", "[1.0, -2.0]", r"nominal\.coulomb\[2\].* greater than or equal to 0"),
+    "ratio": ("[101.0, 50.0]", "[101.0, 0.0]", r"gear_ratio: a ratio of 0 turns nothing"),
+    "role": ('role = "test"', 'role = "tests"', r"runs\[2\]\.role: got 'tests'.*mean 'test'"),
+    "names": ('file = "two.npz"', 'file = "one.csv"', r"runs\[2\]\.file: 'one.csv' has the name"),
+    "outside": ('"two.npz"', '"../two.npz"', r"'\.\./two\.npz' lies outside of the set"),
+    "robot": ('"robot.urdf"', '"robots.urdf"', r"robots\.urdf: no such file.*robot\.urdf"),
+    "schema": ("schema = 1", "schema = 2", r"schema: this version reads schema = 1, got 2"),
+    "toml": ("[signals]", "[signals", r"line \d+: is not valid TOML"),
+    "reducer": ("[tolerance]", REDUCER.format("1e4") + "[tolerance]", r"reducer\.T2.*required"),
+    "soft": (
+        "[tolerance]",
+        REDUCER.format("0.0") + "T2 = [25.0, 25.0]\n[tolerance]",
+        r"reducer\.K1\[1\].*greater than 0",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_file_gets_one_clear_message(make_set: MakeSet, case: str) -> None:
+    old, new, says = WRONG[case]
+    with pytest.raises(InputError, match=r"(?s)(recordings\.toml|robots\.urdf).*") as caught:
+        load_recordings(make_set((old, new)))
+    caught.match(says)
+
+
+def test_no_run_to_judge_on(make_set: MakeSet) -> None:
+    recordings = load_recordings(make_set(('role = "test"', 'role = "train"')))
+    with pytest.raises(InputFileError, match=r'runs: none of the 2 runs has role = "test"'):
+        require_test_runs(recordings)
+    recordings = load_recordings(make_set(('role = "train"', 'role = "test"')))
+    with pytest.raises(InputFileError, match=r'has role = "train" .*one.npz: test'):
+        require_test_runs(recordings)
+
+
+def test_runs_are_opened_one_at_a_time(make_set: MakeSet) -> None:
+    """A set whose test run is absent can be read until that run is asked for."""
+    folder = make_set()
+    (folder / "two.npz").unlink()
+    recordings = load_recordings(folder)
+    recordings.open(recordings.runs[0])
+    with pytest.raises(InputFileError, match=r"two\.npz: no such file.*one\.npz"):
+        recordings.open(recordings.runs[1])
+
+
+def test_a_run_with_other_columns(make_set: MakeSet) -> None:
+    data = motion()
+    data["torque_1"] = data.pop("tau1")
+    recordings = load_recordings(make_set(two=data))
+    with pytest.raises(InputFileError, match=r"two\.npz: has no column 'tau1'"):
+        recordings.open(recordings.runs[1])
+
+
+def test_no_set_at_all(tmp_path: Path) -> None:
+    with pytest.raises(InputFileError, match=r"recordings\.toml: no such file"):
+        load_recordings(tmp_path)
+    with pytest.raises(InputFileError, match="there is no folder"):
+        load_recordings(tmp_path / "nowhere" / "recordings.toml")
