@@ -181,3 +181,26 @@ def test_readings_and_springs_have_their_signs():
     assert spring.values([5.0, 2.0], [], signals.constants) == {"k": 5.0, "offset": 0.4}
     torque = spring.term(signals, [5.0, 2.0], []).link_torque
     np.testing.assert_allclose(torque, 5.0 * (signals.link_position - 0.4), atol=1e-12)
+
+
+def test_a_weighted_shape_is_reported_by_its_slope():
+    signals = ROBOT.of_joint(4)
+    torque = np.linspace(-60.0, 60.0, 12001)
+    loaded = replace(signals, spring_torque=torque)
+    entry = effect("k1_softening")
+    slopes = []
+    for weight in (1.0, 0.6):
+        angle = entry.term(loaded, [weight], [0.4, 1.2]).deflection
+        nominal = signals.constants.windup(torque) - torque / signals.constants.contact_stiffness
+        slope = np.interp(1.0, torque, np.gradient(angle + nominal, torque))
+        slopes.append(entry.values([weight], [0.4, 1.2], signals.constants)["k1_factor"])
+        assert 1.0 / (slope * 1.6e4) == pytest.approx(slopes[-1], rel=1e-9)
+    assert slopes[0] == pytest.approx(0.4)
+    warm = effect("thermal_friction")
+    values = []
+    for rise in (1e-3, -1e-3):
+        heated = replace(signals, temperature_rise=np.full(60, rise))
+        values.append(warm.term(heated, [0.7, 0.0], [0.03]).drive_torque)
+    lost = -(values[0] - values[1]) / 2e-3 / (3.0 * signals.motor_velocity)
+    reported = warm.values([0.7, 0.0], [0.03], signals.constants)["b"]
+    np.testing.assert_allclose(lost, reported, rtol=1e-6)

@@ -125,7 +125,9 @@ def _factor(
 def _corners(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
-    return {"k1_factor": shapes[0], "t1_factor": shapes[1]}
+    # The slope at zero torque holds exactly, also where the weight is not 1.
+    softer = 1.0 + amplitudes[0] * (1.0 / shapes[0] - 1.0)
+    return {"k1_factor": 1.0 / softer, "t1_factor": shapes[1]}
 
 
 def _preload_left(
@@ -157,7 +159,9 @@ BACKLASH = Effect(
     signature="motor and link angle step apart where the load changes side, and nowhere else",
     term=backlash_term,
     amplitudes=(Amplitude(name="width", unit="rad", scale=3e-4, lower=0.0, upper=10.0),),
-    shapes=(Shape(name="rounding", unit="", starts=(0.005, 0.03), lower=0.001, upper=0.08),),
+    shapes=(
+        Shape(name="rounding", unit="", starts=(0.002, 0.008, 0.03), lower=0.0005, upper=0.08),
+    ),
     report=lambda amplitudes, shapes, constants: {"width": amplitudes[0]},
     applies=winds_up,
     separate="Carry the load slowly through zero torque: backlash is a step between two plateaus,"

@@ -18,11 +18,14 @@ from stiffopt.discovery.catalogue.common import (
     viscous_friction,
 )
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.settings import SIGN_SPEED
 from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity, smooth_abs
 
 # Share of the rated torque below which a carried load has no definite side.
 _LOAD_ROUNDING = 0.02
+# Of the speed within which friction has no definite sign, what rounds the size of a speed.
+_ROUNDED = 0.1
 
 
 def coulomb_term(
@@ -42,9 +45,12 @@ def viscous_term(
 def stribeck_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Friction A exp(-(w/vs)^2) sg(w) at low speed."""
+    """Friction A exp(-|w/vs|^n) sg(w) at low speed, n = 2 after Gauss and 1 after Tustin."""
     w = signals.motor_velocity
-    return Term(drive_torque=amplitudes[0] * np.exp(-((w / shapes[0]) ** 2)) * smooth_sign(w))
+    speed, power = shapes
+    # Away from zero, a power of the rounded speed has slopes everywhere.
+    fall = np.exp(-((smooth_abs(w, _ROUNDED * SIGN_SPEED) / speed) ** power))
+    return Term(drive_torque=amplitudes[0] * fall * smooth_sign(w))
 
 
 def load_friction_term(
@@ -129,11 +135,15 @@ STRIBECK = Effect(
     name="stribeck",
     family="friction",
     scope="joint",
-    equation="tau += A*exp(-(w/vs)^2)*sg(w)",
+    equation="tau += A*exp(-abs(w/vs)^n)*sg(w)",
     signature="motor torque too high only at low speed, against the motion",
     term=stribeck_term,
     amplitudes=(Amplitude(name="A", unit="N m", scale=_half_dry, lower=0.0, upper=4.0),),
-    shapes=(Shape(name="vs", unit="rad/s", starts=_slow_speeds, lower=0.005, upper=0.5),),
+    shapes=(
+        Shape(name="vs", unit="rad/s", starts=_slow_speeds, lower=0.005, upper=0.5),
+        Shape(name="n", unit="", starts=(1.0, 2.0), lower=0.5, upper=2.5),
+    ),
+    report=lambda amplitudes, shapes, constants: {"A": amplitudes[0], "vs": shapes[0]},
     separate="Ramp slowly through 0.01 to 0.3 rad/s without reversing: hysteresis depends on the"
     " travel since the last reversal, not on speed.",
 )
@@ -196,7 +206,8 @@ THERMAL_FRICTION = Effect(
         Amplitude(name="share", unit="", scale=0.3, lower=0.0, upper=3.3),
     ),
     shapes=(Shape(name="b", unit="1/K", starts=(0.01, 0.03, 0.06), lower=1e-4, upper=0.1),),
-    report=lambda amplitudes, shapes, constants: {"b": shapes[0]},
+    # The share lost a kelvin at T0, also where the weight is not 1.
+    report=lambda amplitudes, shapes, constants: {"b": amplitudes[0] * shapes[0]},
     separate="Repeat one motion cold and after half an hour of work: viscous friction alone stays"
     " the same.",
 )
