@@ -33,6 +33,8 @@ from stiffopt.study.optimise import solve
 from stiffopt.study.provenance import inputs_hash
 from stiffopt.study.staging import SolveProgress
 
+__all__ = ["MotionRound", "MotionStudy", "motion_study"]
+
 # Relative change of the deflection that ends a repetition.
 SETTLED = 1e-4
 # Solves of one motion from its own end until that changes nothing, so that the gain is one of the
