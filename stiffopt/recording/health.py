@@ -1,6 +1,6 @@
 """Faults of the channels of one joint: what is broken is named and left out.
 
-Order of the checks: samples that are no numbers, a channel that never changes, one that
+Order of the checks: samples that are no numbers, angles that wrap, a channel that never changes, one that
 contradicts the motor encoder, stretches that are stuck, spikes, a limit of the sensor, coarse
 counts. Only what cannot be physics is taken out; a limit and coarse counts are named and kept.
 """
@@ -21,9 +21,12 @@ from stiffopt.recording.spikes import spikes
 STILL = (1e-3, 1e-4)
 # Slope between two sensors of one motion within which neither contradicts the other.
 _AGREES = (0.8, 1.25)
+_ANGLES: tuple[Kind, ...] = ("position", "link_position")
 _SECOND: tuple[Kind, ...] = ("velocity", "link_position")
 # Jumps below this share of the range a channel covers do no harm, and clocks make them too.
 _HARMLESS = {"position": 2e-4, "link_position": 2e-4, "velocity": 5e-3, "torque": 5e-3}
+# A wrap is a turn within this share of one, for the motion of a sample time.
+_WRAP = 0.1
 _COARSE = 500
 _MOSTLY = 0.5
 # An encoder that misses so many counts of a motion is stuck.
@@ -86,6 +89,8 @@ def check_joint(joint: JointChannels) -> list[Fault]:
     """Run all checks; the channels are changed in place."""
     for signal in joint.channels:
         _finite(joint, signal)
+    for signal in _ANGLES:
+        _wrapped(joint, signal)
     _constant(joint)
     for signal in _SECOND:
         _contradicts(joint, signal)
@@ -112,6 +117,24 @@ def _finite(joint: JointChannels, signal: Kind) -> None:
         joint.report(signal, "not finite", "no sample is a number.")
     elif bad.any():
         joint.report(signal, "not finite", f"{int(bad.sum())} samples are no numbers.", bad)
+
+
+def _wrapped(joint: JointChannels, signal: Kind) -> None:
+    """Make an angle continuous that the logger keeps within one turn."""
+    values = joint.there(signal)
+    if values is None or joint.prismatic:
+        return
+    there = np.flatnonzero(np.isfinite(values))
+    turns = np.diff(values[there]) / (2.0 * np.pi)
+    jumps = np.abs(turns) > 0.5
+    # Anything else that jumps so far is no angle that wraps.
+    if not jumps.any() or (np.abs(np.abs(turns[jumps]) - 1.0) > _WRAP).any():
+        return
+    values[there[1:]] -= 2.0 * np.pi * np.cumsum(np.round(turns))
+    marked = np.zeros(len(values), dtype=bool)
+    marked[there[1:][jumps]] = True
+    text = f"jumps by a whole turn {int(jumps.sum())} times; made continuous."
+    joint.report(signal, "wrapped", text, marked, keep=True)
 
 
 def _constant(joint: JointChannels) -> None:

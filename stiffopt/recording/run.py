@@ -21,6 +21,7 @@ FaultKind = Literal[
     "quantised",
     "not finite",
     "contradicts position",
+    "wrapped",
 ]
 
 

@@ -176,6 +176,24 @@ def test_a_torque_limit_is_named_and_kept(columns: Columns) -> None:
     np.testing.assert_array_equal(run.torque[:, 0], columns["tau1"])
 
 
+def test_angles_that_wrap_are_made_continuous(columns: Columns) -> None:
+    t = columns["t"]
+    angle = 0.5 + 2.5 * np.sin(1.3 * t) + 1.5 * t
+    rng = np.random.default_rng(7)
+    for name, noise in (("q1", 1e-6), ("ql1", 1e-5)):
+        full = angle + noise * rng.normal(size=len(t))
+        columns[name] = np.mod(full + np.pi, 2.0 * np.pi) - np.pi
+    columns["qd1"] = 3.25 * np.cos(1.3 * t) + 1.5 + 1e-3 * rng.normal(size=len(t))
+    run = cleaned(columns)
+    assert {(f.signal, f.kind, f.left_out) for f in run.health} == {
+        ("position", "wrapped", False),
+        ("link_position", "wrapped", False),
+    }
+    np.testing.assert_allclose(run.position[:, 0], angle, atol=1e-5)
+    assert run.link_position is not None
+    np.testing.assert_allclose(run.link_position[:, 0], angle, atol=1e-4)
+
+
 def test_coarse_counts_are_named_and_kept(columns: Columns) -> None:
     step = 0.2
     columns["tau2"] = np.round(columns["tau2"] / step) * step

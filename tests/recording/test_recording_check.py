@@ -1,0 +1,170 @@
+"""The check of a set: its numbers against the simulation, its verdicts against what is there."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from recording_sets import motion
+
+from stiffopt.recording.channel import noise_level, resolution, slope_to
+from stiffopt.recording.check import RecordingReport, check_recordings
+from stiffopt.recording.check_text import report_lines
+from stiffopt.recording.recording_set import load_recordings
+
+MakeSet = Callable[..., Path]
+
+
+def check(folder: Path) -> RecordingReport:
+    return check_recordings(load_recordings(folder))
+
+
+def possible(report: RecordingReport, effect: str) -> list[int | None]:
+    return [c.joint for c in report.effects if c.effect == effect and c.possible]
+
+
+def why(report: RecordingReport, effect: str, joint: int | None) -> tuple[str, ...]:
+    return next(c.lacks for c in report.effects if (c.effect, c.joint) == (effect, joint))
+
+
+def test_numbers_of_a_run(make_set: MakeSet) -> None:
+    run = check(make_set()).runs[0]
+    assert (run.samples, run.role, run.usable) == (2500, "train", True)
+    assert run.duration == pytest.approx(9.996)
+    assert run.rate == pytest.approx(250.0)
+    assert run.jitter == pytest.approx(0.0, abs=1e-12)
+    channels = {channel.column: channel for channel in run.channels}
+    assert list(channels) == ["q1", "q2", "qd1", "qd2", "ql1", "tau1", "tau2"]
+    assert channels["tau1"].noise == pytest.approx(0.05, rel=0.1)
+    assert channels["tau1"].stated_noise == 0.05
+    assert channels["qd1"].noise == pytest.approx(1e-3, rel=0.1)
+    assert channels["qd1"].stated_noise is None
+    assert channels["ql1"].noise == pytest.approx(1e-5, rel=0.1)
+    assert channels["q2"].step == pytest.approx(1e-6, rel=1e-6)
+    assert (channels["q1"].unit, channels["q2"].unit) == ("rad", "m")
+    assert (channels["tau1"].unit, channels["tau2"].unit) == ("N m", "N")
+    q1 = motion(seed=1)["q1"]
+    assert channels["q1"].used == pytest.approx(np.ptp(q1) / 6.0)
+    assert channels["qd1"].used == pytest.approx(2.05 / 4.0, rel=0.02)
+
+
+def test_what_can_be_told_with_and_without_a_link_encoder(make_set: MakeSet) -> None:
+    report = check(make_set())
+    assert report.balances == (("motor", "link", "deflection"), ("torque",))
+    for effect in ("coulomb", "viscous", "rotor_inertia", "inertial_error", "cable_spring"):
+        assert possible(report, effect) == [1, 2]
+    for effect in ("backlash", "stiffness_linear", "preload_loss", "encoder_skew"):
+        assert possible(report, effect) == [1]
+        assert why(report, effect, 2) == ("it has no link encoder",)
+    for effect in ("payload", "base_tilt", "external_contact", "time_delay"):
+        assert possible(report, effect) == [None]
+    assert why(report, "thermal_friction", 1)[0].startswith("all runs are equally warm")
+    assert why(report, "torque_ripple", 1) == ("nominal.pole_pairs is not given",)
+    assert why(report, "encoder_zero_change", 1) == ("there is only one training run",)
+    assert why(report, "wrist_coupling", 1) == ("there is no joint before it",)
+    assert any(s.startswith("No link_position of joints 2") for s in report.missing)
+    assert any(s.startswith("Fewer than three training runs") for s in report.missing)
+
+
+def test_test_runs_do_not_add_to_what_can_be_told(make_set: MakeSet) -> None:
+    """Only training runs are fitted to: warmth seen in a test run teaches nothing."""
+    warm = ('role = "test"', 'role = "test"\nsession_time = 3600.0')
+    assert possible(check(make_set(warm)), "thermal_friction") == []
+    warm = ('role = "test"', 'role = "train"\nsession_time = 3600.0')
+    report = check(make_set(warm))
+    assert possible(report, "thermal_friction") == [1, 2]
+    assert any(s.startswith("No run has the role test") for s in report.missing)
+
+
+def test_motions_that_cannot_tell(make_set: MakeSet) -> None:
+    data = motion()
+    t = data["t"]
+    rng = np.random.default_rng(1)
+    data["q1"] = -1.0 + 0.2 * t
+    data["qd1"] = 0.2 + 1e-4 * rng.normal(size=len(t))
+    data["ql1"] = data["q1"] + 1e-5 * rng.normal(size=len(t))
+    data["q2"] = 0.1 + 1e-6 * rng.integers(-1, 2, len(t))
+    data["qd2"] = np.zeros_like(t)
+    report = check(make_set(one=data))
+    assert "it moves in one direction only" in why(report, "coulomb", 1)
+    assert why(report, "viscous", 1) == ("it moves at one speed only",)
+    assert "it never moves slowly (0.005 to 0.1 rad/s)" in why(report, "stribeck", 1)
+    assert why(report, "coulomb", 2) == ("it does not move",)
+    assert possible(report, "rotor_inertia") == [1]
+
+
+def test_gravity_that_never_changes_sign_hides_backlash(make_set: MakeSet) -> None:
+    assert possible(check(make_set()), "backlash") == [1]
+    data = motion()
+    data["q1"] = data["q1"] + 1.4
+    data["ql1"] = data["ql1"] + 1.4
+    report = check(make_set(one=data))
+    assert why(report, "backlash", 1) == ("gravity never changes sign on it",)
+    assert possible(report, "stiffness_linear") == [1]
+
+
+def test_a_broken_channel_takes_its_effects_along(make_set: MakeSet) -> None:
+    data = motion()
+    data["ql1"] = np.zeros_like(data["t"])
+    report = check(make_set(one=data))
+    assert report.balances[0] == ("torque",)
+    assert possible(report, "backlash") == []
+    channel = next(c for c in report.runs[0].channels if c.column == "ql1")
+    assert not channel.there
+    text = "\n".join(report_lines(report))
+    assert "ql1 (link_position of joint 1): left out" in text
+    assert "! link_position of joint 1: stays at 0" in text
+
+
+def test_text_and_json_say_the_same(make_set: MakeSet) -> None:
+    report = check(make_set())
+    data = json.loads(json.dumps(report.as_dict(), allow_nan=False))
+    assert [run["name"] for run in data["runs"]] == ["one", "two"]
+    told = {(e["effect"], e["joint"]): e["possible"] for e in data["effects"]}
+    assert told[("backlash", 1)]
+    assert not told[("backlash", 2)]
+    text = "\n".join(report_lines(report))
+    assert "one.npz (train): 2500 samples, 9.996 s, 250 Hz" in text
+    assert "backlash: joint 1; not 2 (it has no link encoder)" in text
+    assert "coulomb: joints 1, 2" in text
+    for sentence in (*report.missing, *report.assumptions):
+        assert sentence in text
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(1e-7, 10.0), st.integers(5, 3000), st.integers(0, 99))
+def test_the_step_of_counts_is_found(step: float, levels: int, seed: int) -> None:
+    values = step * np.random.default_rng(seed).integers(-levels, levels, 4000)
+    found = resolution(values + 17.0 * step)
+    assert found == pytest.approx(step, rel=1e-3)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 99))
+def test_numbers_on_no_grid_have_no_step(seed: int) -> None:
+    values = np.random.default_rng(seed).normal(size=4000)
+    assert resolution(values) is None
+    assert resolution(np.full(10, 3.0)) is None
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(1e-4, 1e-2), st.integers(0, 99))
+def test_noise_is_told_from_the_motion_and_from_jumps(level: float, seed: int) -> None:
+    t = np.arange(5000) / 500.0
+    noise = level * np.random.default_rng(seed).normal(size=5000)
+    values = np.sin(5.0 * t) + np.sign(np.sin(3.0 * t)) + noise
+    assert noise_level(values) == pytest.approx(level, rel=0.1)
+
+
+def test_slope_of_two_sensors_ignores_offsets_and_gaps() -> None:
+    t = np.concatenate([np.arange(0.0, 3.0, 0.01), np.arange(5.0, 8.0, 0.01)])
+    one = np.sin(2.0 * t)
+    two = 0.7 * one + np.where(t > 4.0, 9.0, -2.0)
+    slope, correlation = slope_to(one, two, t)
+    assert slope == pytest.approx(0.7)
+    assert correlation == pytest.approx(1.0)
