@@ -10,7 +10,7 @@ import numpy as np
 from stiffopt.recording.channel import noise_level, resolution
 from stiffopt.recording.clock import Clock, read_clock
 from stiffopt.recording.health import JointChannels, check_joint, travel
-from stiffopt.recording.run import Fault, Role, Run
+from stiffopt.recording.run import Fault, Role, Run, counted
 from stiffopt.recording.signals import KINDS, Signals
 
 
@@ -114,7 +114,7 @@ def _without_copies(
     copies[0] = False
     if not copies.any():
         return rows, []
-    text = f"{int(copies.sum())} rows repeat the motion of the row before and are left out."
+    text = f"the motion of the row before is repeated in {counted(int(copies.sum()), 'row')}, left out."
     fault = Fault(
         signal="time",
         joint=None,

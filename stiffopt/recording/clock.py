@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from stiffopt.errors import InputFileError
-from stiffopt.recording.run import Fault, FaultKind
+from stiffopt.recording.run import Fault, FaultKind, counted
 
 # In sample times: longer is a gap, across which nothing is interpolated.
 GAP = 5.0
@@ -62,7 +62,7 @@ def read_clock(stamps: np.ndarray, path: Path, column: str) -> Clock:
         raise InputFileError(
             path,
             f"{where}, row {row + 1}",
-            f"time runs backwards {len(back)} times, first from {stamps[finite[back[0]]]:.6f} s "
+            f"time runs backwards {counted(len(back), 'time')}, first from {stamps[finite[back[0]]]:.6f} s "
             f"to {stamps[row]:.6f} s. Cut the file there, or write it in the order of time.",
         )
     rows = finite[np.concatenate(([True], spacing > 0.0))]
@@ -101,10 +101,12 @@ def _lost(stamps: np.ndarray, finite: np.ndarray, rows: np.ndarray) -> list[Faul
     absent, repeated = len(stamps) - len(finite), len(finite) - len(rows)
     if absent:
         share = absent / len(stamps)
-        faults.append(_fault("not finite", f"{absent} rows have no time and are left out.", share))
+        faults.append(
+            _fault("not finite", f"no stamp in {counted(absent, 'row')}, left out.", share)
+        )
     if repeated:
         share = repeated / len(stamps)
-        text = f"{repeated} rows repeat the stamp before them and are left out."
+        text = f"the stamp before is repeated in {counted(repeated, 'row')}, left out."
         faults.append(_fault("duplicate", text, share))
     return faults
 
@@ -115,7 +117,7 @@ def _spacing(spacing: np.ndarray, step: float) -> list[Fault]:
     gaps = ratio > GAP
     if gaps.any():
         text = (
-            f"{int(gaps.sum())} gaps longer than {GAP:g} sample times, the longest "
+            f"{counted(int(gaps.sum()), 'gap')} longer than {GAP:g} sample times, the longest "
             f"{spacing.max():.3g} s; nothing is interpolated across them."
         )
         faults.append(_fault("gap", text, float(spacing[gaps].sum() / spacing.sum())))
@@ -123,7 +125,7 @@ def _spacing(spacing: np.ndarray, step: float) -> list[Fault]:
     if dropped.any():
         count = int(np.round(ratio[dropped] - 1.0).sum())
         text = (
-            f"about {count} samples are missing one by one, the longest wait is "
+            f"about {counted(count, 'sample')} lost in waits of up to "
             f"{1e3 * spacing[dropped].max():.3g} ms."
         )
         faults.append(_fault("dropped", text, count / (count + len(spacing) + 1)))

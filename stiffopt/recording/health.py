@@ -1,8 +1,8 @@
 """Faults of the channels of one joint: what is broken is named and left out.
 
-Order of the checks: samples that are no numbers, angles that wrap, a channel that never changes, one that
-contradicts the motor encoder, stretches that are stuck, spikes, a limit of the sensor, coarse
-counts. Only what cannot be physics is taken out; a limit and coarse counts are named and kept.
+Order of the checks: samples that are no numbers, angles that wrap, a channel that never changes,
+one that contradicts the motor encoder, stretches that are stuck, spikes, a limit of the sensor,
+coarse counts. Only what cannot be physics is taken out; a limit and coarse counts are named and kept.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from stiffopt.recording import stuck
 from stiffopt.recording.channel import resolution, slope_to, stretches, travelled
-from stiffopt.recording.run import Fault, FaultKind
+from stiffopt.recording.run import Fault, FaultKind, counted
 from stiffopt.recording.signals import Kind
 from stiffopt.recording.spikes import spikes
 
@@ -116,7 +116,9 @@ def _finite(joint: JointChannels, signal: Kind) -> None:
     if bad.all():
         joint.report(signal, "not finite", "no sample is a number.")
     elif bad.any():
-        joint.report(signal, "not finite", f"{int(bad.sum())} samples are no numbers.", bad)
+        joint.report(
+            signal, "not finite", f"no number at {counted(int(bad.sum()), 'sample')}.", bad
+        )
 
 
 def _wrapped(joint: JointChannels, signal: Kind) -> None:
@@ -133,7 +135,7 @@ def _wrapped(joint: JointChannels, signal: Kind) -> None:
     values[there[1:]] -= 2.0 * np.pi * np.cumsum(np.round(turns))
     marked = np.zeros(len(values), dtype=bool)
     marked[there[1:][jumps]] = True
-    text = f"jumps by a whole turn {int(jumps.sum())} times; made continuous."
+    text = f"jumps by a whole turn {counted(int(jumps.sum()), 'time')}; made continuous."
     joint.report(signal, "wrapped", text, marked, keep=True)
 
 
@@ -212,7 +214,7 @@ def _stuck(joint: JointChannels, signal: Kind) -> None:
         joint.report(
             signal,
             "constant",
-            f"is stuck {len(found)} times while the joint moves, longest {longest:.3g} s.",
+            f"is stuck {counted(len(found), 'time')} while the joint moves, longest {longest:.3g} s.",
             bad,
         )
 
@@ -228,7 +230,7 @@ def _spikes(joint: JointChannels, signal: Kind) -> None:
         joint.report(
             signal,
             "outlier",
-            f"{int(bad.sum())} samples jump away and back, by up to {size:.3g}.",
+            f"jumps away and back at {counted(int(bad.sum()), 'sample')}, by up to {size:.3g}.",
             bad,
         )
 
@@ -243,7 +245,7 @@ def _saturated(joint: JointChannels) -> None:
             "torque",
             "saturated",
             f"rests on its largest values {np.nanmin(torque):.4g} or {np.nanmax(torque):.4g} for "
-            f"{int(bad.sum())} samples: the drive or the sensor is at its limit. Kept.",
+            f"{counted(int(bad.sum()), 'sample')}: the drive or the sensor is at its limit. Kept.",
             bad,
             keep=True,
         )

@@ -25,6 +25,11 @@ FaultKind = Literal[
 ]
 
 
+def counted(number: int, noun: str) -> str:
+    """Number and noun: "1 sample", "3 samples"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Fault:
     """Something wrong with one signal of a run.

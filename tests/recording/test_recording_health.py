@@ -235,7 +235,7 @@ def test_missing_samples_and_gaps_are_told_apart() -> None:
     faults = {fault.kind: fault for fault in run.health}
     assert set(faults) == {"dropped", "gap"}
     assert "about 4 samples" in faults["dropped"].detail
-    assert "1 gaps" in faults["gap"].detail
+    assert "1 gap " in faults["gap"].detail
     assert "0.404 s" in faults["gap"].detail
 
 
