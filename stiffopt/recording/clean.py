@@ -114,7 +114,8 @@ def _without_copies(
     copies[0] = False
     if not copies.any():
         return rows, []
-    text = f"the motion of the row before is repeated in {counted(int(copies.sum()), 'row')}, left out."
+    rows_said = counted(int(copies.sum()), "row")
+    text = f"the motion of the row before is repeated in {rows_said}, left out."
     fault = Fault(
         signal="time",
         joint=None,

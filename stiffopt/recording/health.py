@@ -2,7 +2,7 @@
 
 Order of the checks: samples that are no numbers, angles that wrap, a channel that never changes,
 one that contradicts the motor encoder, stretches that are stuck, spikes, a limit of the sensor,
-coarse counts. Only what cannot be physics is taken out; a limit and coarse counts are named and kept.
+coarse counts. Only what cannot be physics is taken out; limits and coarse counts are kept.
 """
 
 from __future__ import annotations
@@ -214,7 +214,8 @@ def _stuck(joint: JointChannels, signal: Kind) -> None:
         joint.report(
             signal,
             "constant",
-            f"is stuck {counted(len(found), 'time')} while the joint moves, longest {longest:.3g} s.",
+            f"is stuck {counted(len(found), 'time')} while the joint moves, "
+            f"longest {longest:.3g} s.",
             bad,
         )
 
