@@ -63,7 +63,8 @@ def read_clock(stamps: np.ndarray, path: Path, column: str) -> Clock:
             path,
             f"{where}, row {row + 1}",
             f"time runs backwards {counted(len(back), 'time')}, first "
-            f"from {stamps[finite[back[0]]]:.6f} s to {stamps[row]:.6f} s. Cut the file there, or write it in the order of time.",
+            f"from {stamps[finite[back[0]]]:.6f} s to {stamps[row]:.6f} s. "
+            "Cut the file there, or write it in the order of time.",
         )
     rows = finite[np.concatenate(([True], spacing > 0.0))]
     if len(rows) < _FEWEST:
