@@ -65,10 +65,10 @@ class Scorer:
         parts = [nuisance, *(comparison.effect_columns(e) for e in base)]
         self._columns = np.column_stack(parts)
         self._prior = np.concatenate([sd, np.ones(self._columns.shape[1] - len(sd))])
-        self._sums = BlockSums.of(
+        self._sums = BlockSums(
             self._columns, comparison.target, comparison.rows.block, comparison.blocks
         )
-        self.start = posterior(self._sums, self._prior)
+        self.start = posterior(self._sums.own, self._prior)
         self._residual = comparison.target - self._columns @ self.start.mean
 
     def score(self, placed: PlacedEffect, price: float = 0.0) -> Candidate | None:
@@ -118,13 +118,9 @@ class Scorer:
         kept = np.arange(added.shape[1])
         bounds = np.array([(a.lower, a.upper) for a in placed.effect.amplitudes])
         p = self._columns.shape[1]
+        whole = self._sums.extended(added)
         while kept.size:
-            sums = self._sums.extended(
-                added[:, kept],
-                self._columns,
-                self.comparison.target,
-                self.comparison.rows.block,
-            )
+            sums = whole.part(np.concatenate([np.arange(p), p + kept]))
             prior = np.concatenate([self._prior, np.ones(kept.size)])
             found = posterior(sums, prior)
             mean = found.mean[p:]

@@ -143,8 +143,8 @@ class Comparison:
         parts = [nuisance, *(self.effect_columns(e) for e in effects)]
         columns = np.column_stack(parts)
         count = columns.shape[1] - nuisance.shape[1]
-        sums = BlockSums.of(columns, self.target, self.rows.block, self.blocks)
-        found = posterior(sums, np.concatenate([sd, np.ones(count)]))
+        sums = BlockSums(columns, self.target, self.rows.block, self.blocks)
+        found = posterior(sums.own, np.concatenate([sd, np.ones(count)]))
         residual = (self.target - columns @ found.mean) / self._weight
         return Fit(tuple(effects), found, residual, nuisance.shape[1])
 

@@ -31,59 +31,69 @@ class Posterior:
     log_predictive: float
 
 
-@dataclass(frozen=True, eq=False)
 class BlockSums:
-    """Sums of squares of every block.
+    """Sums of squares of every block of rows.
 
     Parameters
+    ----------
+    columns : array (m, p)
+    target : array (m,)
+    block : array (m,) of int
+    blocks : int
+
+    Attributes
     ----------
     gram : array (b, p, p)
     moment : array (b, p)
     square : array (b,)
     """
 
+    def __init__(
+        self, columns: np.ndarray, target: np.ndarray, block: np.ndarray, blocks: int
+    ) -> None:
+        self._places = [np.flatnonzero(block == b) for b in range(blocks)]
+        self._columns = [columns[p] for p in self._places]
+        self._target = [target[p] for p in self._places]
+        self.gram = np.array([c.T @ c for c in self._columns])
+        self.moment = np.array([c.T @ y for c, y in zip(self._columns, self._target, strict=True)])
+        self.square = np.array([float(y @ y) for y in self._target])
+
+    def extended(self, added: np.ndarray) -> Sums:
+        """Sums with further columns (m, k) beside those they were made of."""
+        grams, moments = [], []
+        parts = zip(self._places, self._columns, self._target, strict=True)
+        for b, (places, columns, target) in enumerate(parts):
+            new = added[places]
+            cross = columns.T @ new
+            grams.append(np.block([[self.gram[b], cross], [cross.T, new.T @ new]]))
+            moments.append(np.concatenate([self.moment[b], new.T @ target]))
+        return Sums(np.array(grams), np.array(moments), self.square)
+
+    @property
+    def own(self) -> Sums:
+        """Sums without further columns."""
+        return Sums(self.gram, self.moment, self.square)
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """Sums of squares of blocks: gram (b, p, p), moment (b, p), square (b,)."""
+
     gram: np.ndarray
     moment: np.ndarray
     square: np.ndarray
 
-    @classmethod
-    def of(
-        cls, columns: np.ndarray, target: np.ndarray, block: np.ndarray, blocks: int
-    ) -> BlockSums:
-        """Sums over the rows of each block; columns (m, p), target (m,), block (m,)."""
-        grams, moments, squares = [], [], []
-        for b in range(blocks):
-            own = block == b
-            part, y = columns[own], target[own]
-            grams.append(part.T @ part)
-            moments.append(part.T @ y)
-            squares.append(float(y @ y))
-        return cls(np.array(grams), np.array(moments), np.array(squares))
-
-    def extended(
-        self,
-        added: np.ndarray,
-        columns: np.ndarray,
-        target: np.ndarray,
-        block: np.ndarray,
-    ) -> BlockSums:
-        """Sums with further columns (m, k) beside those they were made of."""
-        grams, moments = [], []
-        for b in range(len(self.square)):
-            own = block == b
-            new = added[own]
-            cross = columns[own].T @ new
-            grams.append(np.block([[self.gram[b], cross], [cross.T, new.T @ new]]))
-            moments.append(np.concatenate([self.moment[b], new.T @ target[own]]))
-        return BlockSums(np.array(grams), np.array(moments), self.square)
+    def part(self, kept: np.ndarray) -> Sums:
+        """Sums with some of the columns only."""
+        return Sums(self.gram[:, kept][:, :, kept], self.moment[:, kept], self.square)
 
 
-def posterior(sums: BlockSums, prior_sd: np.ndarray, *, cross_validate: bool = True) -> Posterior:
+def posterior(sums: Sums, prior_sd: np.ndarray, *, cross_validate: bool = True) -> Posterior:
     """Posterior under independent zero-mean priors.
 
     Parameters
     ----------
-    sums : BlockSums
+    sums : Sums
         Of rows with unit noise.
     prior_sd : array (p,)
     """

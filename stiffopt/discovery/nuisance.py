@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,10 @@ import pinocchio as pin
 from stiffopt.discovery.prepare import PreparedRun, sign
 from stiffopt.discovery.robot import RobotModel
 from stiffopt.recording.nominal import Tolerance
+
+# Relative standard deviation of the torques at which a reducer's slope changes, and the width over
+# which it does.
+_KNEE = 0.08
 
 
 @dataclass(frozen=True)
@@ -61,11 +65,31 @@ def nuisance_columns(
         if tolerance.stiffness and np.any(signals.windup[:, j]):
             values = signals.windup[:, j]
             yield NuisanceColumn(f"stiffness {j + 1}", tolerance.stiffness, None, single(j, values))
+            yield from _knees(run, j, single)
         if tolerance.encoder_zero:
             values = np.ones(len(signals.time))
             yield NuisanceColumn(
                 f"encoder_zero {j + 1}", tolerance.encoder_zero, None, single(j, values)
             )
+
+
+def _knees(
+    run: PreparedRun, j: int, single: Callable[[int, np.ndarray], np.ndarray]
+) -> Iterator[NuisanceColumn]:
+    """Where the reducer's slope changes, and how roundly: catalogues idealise it as kinks."""
+    constants = run.signals.constants.joints[j]
+    if constants.slopes is None or constants.torques is None:
+        return
+    spring = run.signals.spring_torque[:, j]
+    (k1, k2, k3), (t1, t2) = constants.slopes, constants.torques
+    for name, knee, before, after in (("T1", t1, k1, k2), ("T2", t2, k2, k3)):
+        fall = 1.0 / before - 1.0 / after
+        beyond = np.sign(spring) * np.clip((np.abs(spring) - knee) / (_KNEE * knee), 0.0, 1.0)
+        column = single(j, fall * knee * beyond)
+        yield NuisanceColumn(f"{name} {j + 1}", _KNEE, None, column)
+        width = _KNEE * knee
+        rounded = np.sign(spring) * fall * width * np.exp(-np.abs(np.abs(spring) - knee) / width)
+        yield NuisanceColumn(f"rounding {name} {j + 1}", 1.0, None, single(j, rounded))
 
 
 def _bodies(run: PreparedRun, robot: RobotModel, tolerance: Tolerance) -> Iterator[NuisanceColumn]:

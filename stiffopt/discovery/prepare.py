@@ -103,7 +103,7 @@ def prepare(
     )
     moving = np.abs(velocity) >= settings.slow
     inside = np.zeros(len(time), dtype=bool)
-    inside[low_pass.settling : len(time) - low_pass.settling] = True
+    inside[low_pass.settling : max(len(time) - low_pass.settling, 0)] = True
     gap = _near_gaps(run, time, low_pass.settling)
     used = inside & ~gap
     deflection = position - link

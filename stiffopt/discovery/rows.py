@@ -108,8 +108,8 @@ class Rows:
                     if values is not None and len(where):
                         column = values[:, j]
                         if np.any(column):
-                            passed = column if filtered else run.low_pass(column)
-                            out[begin:end] = passed[where] / (scale[j] * run.low_pass.noise_gain)
+                            passed = column[where] if filtered else run.low_pass.at(column, where)
+                            out[begin:end] = passed / (scale[j] * run.low_pass.noise_gain)
                     begin = end
         return out
 
