@@ -77,7 +77,7 @@ def _sense(world: World, trace: Trace, rng: np.random.Generator) -> tuple[RunRec
     )
     for read in world.sensors:
         read(signals)
-    every = slice(None, int(round(spec.seconds * spec.rate)) * spec.substeps, spec.substeps)
+    every = slice(None, round(spec.seconds * spec.rate) * spec.substeps, spec.substeps)
     motor, speed = trace.motor[:, every], trace.motor_velocity[:, every]
     torque, link = signals.torque[:, every], signals.link[:, every]
     noisy_torque = torque + spec.noise * robot.torque_noise * rng.standard_normal(torque.shape)

@@ -34,7 +34,7 @@ def payload(world: World, joint: int, severity: float, rng: np.random.Generator)
 @effect("inertia", "link")
 def inertial_error(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
     """A link that is heavier or lighter than drawn, with its middle elsewhere."""
-    body = world.model.inertias[joint + 1]
+    body = pin.Inertia(world.model.inertias[joint + 1])
     share = sign(rng, 0.6) * 0.1 * severity * spread(rng)
     mass = body.mass * (1.0 + share)
     shift = rng.uniform(-1.0, 1.0, 3) * 0.008 * severity

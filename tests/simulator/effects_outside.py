@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
+from scipy.signal import lfilter
 
 from .effects import Outcome, effect, sign, spread
 from .world import Signals, State, World
@@ -47,8 +49,6 @@ def neighbour_friction(
 def slosh(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
     """Something loose in the link: a lightly damped mass that swings behind its acceleration."""
     data = world.model.createData()
-    import pinocchio as pin
-
     felt = float(pin.crba(world.model, data, world.robot.centre)[joint, joint])
     felt += float(world.robot.rotor_inertia[joint])
     inertia = 0.05 * severity * spread(rng) * felt
@@ -58,8 +58,10 @@ def slosh(world: World, joint: int, severity: float, rng: np.random.Generator) -
     rate = np.zeros(world.runs)
 
     def load(state: State, torque: np.ndarray) -> None:
+        if state.step == 0.0:  # at rest it hangs along
+            return
         here, moving = state.link[:, joint], state.link_velocity[:, joint]
-        if not angle or state.time is None:
+        if not angle:
             angle.append(here.copy())
         pull = stiffness * (angle[0] - here) + damping * (rate - moving)
         torque[:, joint] += pull
@@ -84,8 +86,6 @@ def torque_sensor_drift(
         keep = np.exp(-signals.step / memory)
         kick = size * np.sqrt(1.0 - keep**2) * draw.standard_normal((runs, steps))
         kick[:, 0] = size * draw.standard_normal(runs)
-        from scipy.signal import lfilter
-
         walk = lfilter([1.0], [1.0, -keep], kick, axis=1)
         signals.torque[:, :, joint] += walk
 
@@ -98,7 +98,7 @@ def slew_limit(world: World, joint: int, severity: float, rng: np.random.Generat
     """The amplifier cannot change its torque fast; the recording holds what was asked."""
     asked = world.nominal_torque[:, :, joint]
     rate = np.abs(np.diff(asked, axis=1)) * world.spec.rate
-    most = float(np.quantile(rate, 1.0 - 0.12 * min(severity, 3.0))) * spread(rng)
+    most = float(np.quantile(rate, 0.997)) * spread(rng) / (0.85 + 0.15 * severity)
     held: list[np.ndarray] = []
 
     def drive(command: np.ndarray, step: float) -> np.ndarray:

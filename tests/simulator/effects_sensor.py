@@ -104,9 +104,10 @@ def encoder_skew(world: World, joint: int, severity: float, rng: np.random.Gener
 def saturation(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
     """The amplifier gives no more than a limit, with a knee; the recording holds what was asked."""
     train = [r for r, plan in enumerate(world.plans) if plan.role == "train"]
-    peak = float(np.quantile(np.abs(world.nominal_torque[train, :, joint]), 0.999))
-    share = max(1.0 - 0.25 * severity * spread(rng), 0.35)
-    limit, knee = share * peak, 14.0
+    # Just under what the training motions need for a hundredth of the time.
+    need = np.abs(world.nominal_torque[train, :, joint])
+    share = min(0.01 * severity * spread(rng), 0.2)
+    limit, knee = float(np.quantile(need, 1.0 - share)), 14.0
 
     def drive(asked: np.ndarray, step: float) -> np.ndarray:
         given = asked.copy()

@@ -66,7 +66,7 @@ class SpringTable:
     def torque(self, deflection: np.ndarray) -> np.ndarray:
         """(..., n) [rad] -> (..., n) [N m]; beyond the grid the last slope goes on."""
         place = (deflection + self._limit) * self._per_step
-        cell = np.clip(place.astype(np.int64), 0, POINTS - 2)
+        cell = np.minimum(np.maximum(place.astype(np.int64), 0), POINTS - 2)
         index = cell + self._base
         low = self._flat[index]
         return low + (place - cell) * (self._flat[index + 1] - low)

@@ -43,9 +43,7 @@ class _Spring:
             creep.advance(torque)
         rate = state.motor_velocity - state.link_velocity
         # A spring inside its play transmits nothing, not even its damping.
-        damping = self._damping * rate
-        damping[(torque == 0.0)] = 0.0
-        return np.asarray(torque + damping)
+        return np.asarray(torque + self._damping * rate * (torque != 0.0))
 
     def wound(self, torque: np.ndarray) -> np.ndarray:
         """Deflection that carries a torque at rest, by bisection: (runs, n)."""
@@ -64,7 +62,7 @@ def _at_rest(world: World, spring: _Spring, motor: np.ndarray) -> np.ndarray:
     """Link angles that hang in balance below motors held at given angles."""
     data, zero = world.model.createData(), np.zeros(world.robot.joints)
     link = motor.copy()
-    state = State(0.0, motor, 0 * motor, link, 0 * motor, 0 * motor, 0 * motor, world.step)
+    state = State(0.0, motor, 0 * motor, link, 0 * motor, 0 * motor, 0 * motor, 0.0)
     for _ in range(8):
         torque = np.array([pin.rnea(world.model, data, q, zero, zero).copy() for q in link])
         load = np.zeros_like(torque)
@@ -83,7 +81,7 @@ def integrate(world: World) -> Trace:
     h, model, data = world.step, world.model, world.model.createData()
     robot, inertia = world.robot, world.rotor_inertia
     runs, steps, n = world.reference.shape
-    lead = int(round(LEAD / h))
+    lead = round(LEAD / h)
     controller = Controller(world)
     spring = _Spring(world)
     motor = world.reference[:, 0].copy()
@@ -95,7 +93,8 @@ def integrate(world: World) -> Trace:
     temperature = np.array([plan.temperature for plan in world.plans])
     state = State(0.0, motor, zero, link, zero, zero, temperature, h)
     kept = {name: np.empty((steps, runs, n)) for name in _KEPT}
-    forward = np.empty((runs, n))
+    dry = np.tile(world.coulomb, (runs, 1))
+    mobility, aba = h / inertia, pin.aba
     for k in range(steps):
         state.time = (k - lead) * h
         state.motor, state.link = motor, link
@@ -104,43 +103,41 @@ def integrate(world: World) -> Trace:
         torque_in = spring.torque(state)
         state.spring = torque_in
 
-        up, down = np.tile(world.coulomb, (runs, 1)), np.tile(world.coulomb, (runs, 1))
-        for law in world.friction:
-            law(state, up, down)
+        up = down = dry
+        if world.friction:
+            up, down = dry.copy(), dry.copy()
+            for law in world.friction:
+                law(state, up, down)
+            np.maximum(up, 0.0, out=up)
+            np.maximum(down, 0.0, out=down)
         against = world.viscous * state.motor_velocity
         for load in world.motor_loads:
             load(state, against)
-        back = torque_in.copy()
+        back = torque_in.copy() if world.gears else torque_in
         for gear in world.gears:
             gear.back(state, torque_in, back)
         given = command
         for limit in world.drive:
             given = limit(given, h)
         given = given * world.torque_constant
-        free = motor_half + h / inertia * (given - back - against)
-        moved = np.maximum(free - h / inertia * np.maximum(up, 0.0), 0.0) + np.minimum(
-            free + h / inertia * np.maximum(down, 0.0), 0.0
-        )
+        # Dry friction takes what momentum it can and no more: the set-valued law, solved.
+        free = motor_half + mobility * (given - back - against)
+        moved = np.maximum(free - mobility * up, 0.0) + np.minimum(free + mobility * down, 0.0)
         on_link = torque_in.copy()
         for load in world.link_loads:
             load(state, on_link)
         for r in range(runs):
-            forward[r] = pin.aba(model, data, link[r], state.link_velocity[r], on_link[r])
-        link_moved = link_half + h * forward
+            link_acc[r] = aba(model, data, link[r], state.link_velocity[r], on_link[r])
+        link_moved = link_half + h * link_acc
+        push = given - back
 
-        for name, value in (
-            ("motor", motor),
-            ("motor_velocity", (motor_half + moved) / 2),
-            ("link", link),
-            ("link_velocity", (link_half + link_moved) / 2),
-            ("spring", torque_in),
-            ("command", command),
-            ("torque", given),
-            ("friction", given - back - inertia * (moved - motor_half) / h),
-        ):
-            kept[name][k] = value
+        kept["motor"][k], kept["link"][k] = motor, link
+        kept["motor_velocity"][k] = 0.5 * (motor_half + moved)
+        kept["link_velocity"][k] = 0.5 * (link_half + link_moved)
+        kept["spring"][k], kept["command"][k], kept["torque"][k] = torque_in, command, given
+        motor_acc = (moved - motor_half) / h
+        kept["friction"][k] = push - inertia * motor_acc
         command = controller.next(k, motor)
-        motor_acc, link_acc = (moved - motor_half) / h, (link_moved - link_half) / h
         motor_half, link_half = moved, link_moved
         motor, link = motor + h * moved, link + h * link_moved
     if not (np.isfinite(motor).all() and np.abs(motor - robot.centre).max() < 4.0):

@@ -36,7 +36,7 @@ def run_plans(spec: CaseSpec, joints: int, rng: np.random.Generator) -> tuple[Ru
 
 def _bell(width: float, step: float) -> np.ndarray:
     """Smooth averaging window, three times continuously differentiable."""
-    half = max(int(round(width / step / 2)), 2)
+    half = max(round(width / step / 2), 2)
     bell = np.cos(np.linspace(-np.pi / 2, np.pi / 2, 2 * half + 1)) ** 4
     return np.asarray(bell / bell.sum())
 
@@ -84,7 +84,7 @@ def references(
     The extrapolating runs are half again as fast, a quarter wider and turn more sharply.
     """
     step = 1.0 / (spec.rate * spec.substeps)
-    steps = int(round((spec.seconds + LEAD) / step)) + 1
+    steps = round((spec.seconds + LEAD) / step) + 1
     result = np.empty((len(plans), steps, robot.joints))
     seeds = rng.integers(0, 2**63, size=len(plans))
     for r, plan in enumerate(plans):
