@@ -159,6 +159,34 @@ def stiffness(robot: str, *, out: Out | None = None, drivetrain: Path | None = N
     return 0
 
 
+@app.command(name="identify-stiffness")
+def identify_stiffness(recordings: Path, *, out: Out | None = None) -> int:
+    """Find the joint stiffness of an arm from deflections measured under known forces.
+
+    Writes stiffness.json, stiffness.csv, residuals.csv and report.html.
+
+    Parameters
+    ----------
+    recordings
+        Folder with a static.toml, or that file.
+    out
+        Default: out/NAME of the folder.
+    """
+    from stiffopt.discovery.static_stiffness import identify_stiffness as identify
+    from stiffopt.discovery.static_store import write_static
+    from stiffopt.recording.static_set import load_static_set
+    from stiffopt.report.static_page import write_static_report
+    from stiffopt.report.static_terminal import print_static
+
+    recorded = load_static_set(recordings)
+    with _folder(out or Path("out") / recorded.path.resolve().parent.name) as folder:
+        result = identify(recorded)
+        write_static_report(result, folder)
+        write_static(result, folder)
+    print_static(result, folder)
+    return 0
+
+
 @app.command
 def schema(kind: Literal["trajectory", "robot", "preload"] = "trajectory") -> int:
     """Print the JSON Schema of a file kind, for editors.

@@ -1,0 +1,150 @@
+"""Compliances that cannot be negative, from displacements of which some may be wrong.
+
+A pose is the unit of measurement: its three components are trusted or doubted together, and it is
+left out as a whole when a prediction is tested.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+# Poses off by more than this many standard deviations of one component count less (Huber).
+BEND = 2.5
+# Root of the median of a chi-squared variable with three degrees of freedom.
+_MEDIAN_NORM = 1.5382
+_ITERATIONS = 60
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """Compliances fitted to displacements.
+
+    Parameters
+    ----------
+    value : array (p,)
+        One number a column, none negative.
+    weight : array (m,)
+        How far each pose counts, 1 in full.
+    residual : array (m, 3)
+        Measured less fitted [m].
+    scale : float
+        Robust standard deviation of one component [m].
+    """
+
+    value: np.ndarray
+    weight: np.ndarray
+    residual: np.ndarray
+    scale: float
+
+
+def fit(
+    columns: np.ndarray, displacement: np.ndarray, *, robust: bool = True, start: Fit | None = None
+) -> Fit:
+    """Non-negative least squares with Huber's weights by pose.
+
+    Parameters
+    ----------
+    columns : array (m, 3, p)
+        Displacement for a value of one [m].
+    displacement : array (m, 3)
+        [m]
+    robust : bool
+        False: plain least squares, all weights one.
+    start : Fit, optional
+        Values to begin from.
+
+    Returns
+    -------
+    Fit
+
+    Notes
+    -----
+    Huber, P. J.: Robust Estimation of a Location Parameter (1964); reweighted least squares.
+    """
+    size = np.sqrt(np.mean(np.square(columns), axis=(0, 1)))
+    size[size == 0.0] = 1.0
+    scaled = columns / size
+    value = _solve(scaled, displacement) if start is None else start.value * size
+    weight = np.ones(len(displacement))
+    residual = displacement - scaled @ value
+    scale = _scale(residual, int(np.count_nonzero(value)))
+    # Data without error leave nothing to doubt, and no scale to doubt it by.
+    exact = 1e-9 * float(np.max(np.abs(displacement), initial=0.0))
+    for _ in range(_ITERATIONS if robust else 0):
+        if scale <= exact:
+            break
+        norm = np.linalg.norm(residual, axis=1)
+        weight = np.minimum(1.0, BEND * scale / np.maximum(norm, exact))
+        root = np.sqrt(weight)[:, None]
+        before, value = value, _solve(scaled * root[..., None], displacement * root)
+        residual = displacement - scaled @ value
+        scale = _scale(residual, int(np.count_nonzero(value)))
+        if np.max(np.abs(value - before)) <= 1e-7 * np.max(value, initial=1e-300):
+            break
+    return Fit(value=value / size, weight=weight, residual=residual, scale=scale)
+
+
+def loss(error: np.ndarray, scale: float) -> np.ndarray:
+    """Huber's loss of every pose in units of its scale: (m, 3) -> (m,).
+
+    Half the square up to `BEND` standard deviations, linear beyond.
+    """
+    u = np.linalg.norm(error, axis=-1) / scale
+    return np.asarray(np.where(u <= BEND, 0.5 * u**2, BEND * (u - 0.5 * BEND)))
+
+
+def without_each(count: int) -> Iterator[np.ndarray]:
+    """Masks that leave out one pose each."""
+    for k in range(count):
+        keep = np.ones(count, dtype=bool)
+        keep[k] = False
+        yield keep
+
+
+def model_covariance(columns: np.ndarray, fitted: Fit) -> np.ndarray:
+    """Covariance of the values if all errors are alike and independent, (p, p).
+
+    All columns count as free, also those that ended at zero: a bound is no knowledge of a value.
+    """
+    p = columns.shape[2]
+    weight = fitted.weight[:, None, None]
+    information = np.einsum("kia,kib->ab", columns * weight, columns)
+    size = np.sqrt(np.diag(information))
+    inverse = np.linalg.inv(information / np.outer(size, size)) / np.outer(size, size)
+    freedom = max(3.0 * float(np.sum(fitted.weight)) - p, 1.0)
+    variance = float(np.sum(fitted.weight * np.sum(fitted.residual**2, axis=1))) / freedom
+    return np.asarray(variance * inverse)
+
+
+def jackknife_deviation(values: np.ndarray) -> np.ndarray:
+    """Standard deviation from fits that leave out one pose each: (m, p) -> (p,).
+
+    Holds also where errors differ between poses or go together within one.
+    """
+    m = len(values)
+    return np.asarray(np.sqrt((m - 1) * np.var(values, axis=0)))
+
+
+def bootstrap(
+    columns: np.ndarray, displacement: np.ndarray, fitted: Fit, draws: int, seed: int
+) -> np.ndarray:
+    """Values fitted to poses drawn anew with replacement, (draws, p)."""
+    random = np.random.default_rng(seed)
+    m = len(displacement)
+    chosen = random.integers(0, m, size=(draws, m))
+    return np.array([fit(columns[i], displacement[i], start=fitted).value for i in chosen])
+
+
+def _solve(columns: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+    from scipy.optimize import nnls
+
+    return np.asarray(nnls(columns.reshape(-1, columns.shape[2]), displacement.ravel())[0])
+
+
+def _scale(residual: np.ndarray, fitted: int) -> float:
+    rows = residual.size
+    middle = float(np.median(np.linalg.norm(residual, axis=1))) / _MEDIAN_NORM
+    return middle * float(np.sqrt(rows / max(rows - fitted, 1)))
