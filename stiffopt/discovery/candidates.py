@@ -105,6 +105,16 @@ class Scorer:
             channel=channel,
         )
 
+    def deviation(self, placed: PlacedEffect) -> float | None:
+        """Standard deviation of a single amplitude over its size, no prior on it; None if unseen."""
+        added = self.comparison.effect_columns(placed)
+        if not np.isfinite(added).all() or not np.any(added):
+            return None
+        beside = self._columns
+        inner = self.start.covariance @ (beside.T @ added)
+        seen = float(np.sum(added**2) - np.sum((beside.T @ added) * inner))
+        return 1.0 / float(np.sqrt(seen)) if seen > 0.0 else None
+
     def nuisance_beside(self, placed: PlacedEffect) -> np.ndarray:
         """Nominal values as they are fitted beside an effect."""
         _, sd, _ = self.comparison.nuisance

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,6 +112,14 @@ class Rows:
                             out[begin:end] = passed / (scale[j] * run.low_pass.noise_gain)
                     begin = end
         return out
+
+    def sampled(self, signal: Callable[[PreparedRun], np.ndarray]) -> np.ndarray:
+        """Values of a signal (K, ...) of each run at every row (m, ...)."""
+        parts = []
+        for run, places in zip(self.runs, self._places, strict=True):
+            values = np.asarray(signal(run))
+            parts += [values[where] for where in places.samples]
+        return np.concatenate(parts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,9 +22,12 @@ CHI = 5.0
 EXPLAINED = 0.02
 _PULL = 0.5
 # Log evidences are too sure where formulas differ from nature: a difference counts against this
-# share of the winner's own.
-_TEMPER = 0.02
+# share of the winner's own, within bounds.
+_TEMPER = 0.01
+_WIDEST = 30.0
 _GROUP = 3.0
+# Log prior odds for every further parameter: of two that fit alike the plainer is right.
+_PLAINER = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,9 +208,19 @@ def _selected(
     own = scorer.score(placed)
     assert own is not None
     found = [c for c in scan(scorer, catalogue) if not c.placed.same_place(placed)]
-    width = max(1.0, _TEMPER * own.evidence)
-    near = [c for c in found if own.evidence - c.evidence < _GROUP * width][:3]
-    weights = np.exp([(c.evidence - own.evidence) / width for c in near])
+    width = float(np.clip(_TEMPER * own.evidence, 1.0, _WIDEST))
+    odds = [
+        (c.evidence - own.evidence) / width - _PLAINER * (_size(c.placed) - _size(placed))
+        for c in found
+    ]
+    near = sorted(zip(odds, found, strict=True), key=lambda pair: -pair[0])[:3]
+    near = [(o, c) for o, c in near if o > -_GROUP]
+    weights = np.exp([o for o, _ in near])
     total = 1.0 + float(np.sum(weights))
-    rivals = tuple((c.placed, float(w) / total) for c, w in zip(near, weights, strict=True))
+    rivals = tuple((c.placed, float(w) / total) for (_, c), w in zip(near, weights, strict=True))
     return Selected(placed, own.evidence, own.chi, 1.0 / total, rivals, own.channel)
+
+
+def _size(placed: PlacedEffect) -> int:
+    """Number of parameters of an effect."""
+    return len(placed.effect.amplitudes) + len(placed.effect.shapes)
