@@ -106,7 +106,7 @@ class Scorer:
         )
 
     def deviation(self, placed: PlacedEffect) -> float | None:
-        """Standard deviation of a single amplitude over its size, no prior on it; None if unseen."""
+        """Standard deviation of a single amplitude over its size; None if unseen."""
         added = self.comparison.effect_columns(placed)
         if not np.isfinite(added).all() or not np.any(added):
             return None

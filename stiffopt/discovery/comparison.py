@@ -133,7 +133,7 @@ class Comparison:
     def _column(
         self, torque: Sequence[np.ndarray | None], deflection: Sequence[np.ndarray | None]
     ) -> np.ndarray:
-        return self.rows.flatten(torque, deflection) * self._weight
+        return np.asarray(self.rows.flatten(torque, deflection) * self._weight)
 
     # ---- fits
 

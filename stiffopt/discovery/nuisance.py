@@ -48,7 +48,7 @@ def nuisance_columns(
     def single(j: int, values: np.ndarray) -> np.ndarray:
         column = compliance_free.copy()
         column[:, j] = values
-        return column
+        return np.asarray(column)
 
     for j in range(robot.n):
         speed = signals.motor_velocity[:, j]

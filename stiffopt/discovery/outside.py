@@ -111,7 +111,7 @@ def _bases(comparison: Comparison, own: np.ndarray, joint: int) -> Iterator[tupl
     n = comparison.robot.n
 
     def samples(name: str) -> np.ndarray:
-        return rows.sampled(lambda run: getattr(run.signals, name))[own]
+        return np.asarray(rows.sampled(lambda run: getattr(run.signals, name))[own])
 
     velocity = samples("motor_velocity")
     side = np.sign(velocity[:, joint])

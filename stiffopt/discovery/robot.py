@@ -71,7 +71,8 @@ class RobotModel:
                 contact_stiffness=float(contact[j]),
                 pole_pairs=nominal.pole_pairs,
                 prismatic=prismatic[j],
-                **self._reducer(j),
+                slopes=self._slopes(j),
+                torques=self._knees(j),
             )
             for j in range(self.n)
         )
@@ -87,7 +88,10 @@ class RobotModel:
     def ranged(self, signals: Sequence[object]) -> RobotConstants:
         """Constants with the ranges that some runs meet; unknown torques from what they carry."""
         base = self.constants
-        stack = lambda name: np.vstack([getattr(s, name) for s in signals])  # noqa: E731
+
+        def stack(name: str) -> np.ndarray:
+            return np.vstack([getattr(s, name) for s in signals])
+
         motor, speed = stack("motor_position"), np.abs(stack("motor_velocity"))
         spring, drive = np.abs(stack("spring_torque")), np.abs(stack("drive_torque"))
         tool = stack("tool_position")
@@ -108,14 +112,18 @@ class RobotModel:
         span = np.array([tool.min(axis=0), tool.max(axis=0)])
         return replace(base, joints=tuple(joints), tool_range=span)
 
-    def _reducer(self, j: int) -> dict[str, tuple[float, ...] | None]:
+    def _slopes(self, j: int) -> tuple[float, float, float] | None:
         reducer = self.recordings.nominal.reducer
-        if reducer is None or not np.isfinite([reducer.K1[j], reducer.K2[j], reducer.K3[j]]).all():
-            return {"slopes": None, "torques": None}
-        return {
-            "slopes": (float(reducer.K1[j]), float(reducer.K2[j]), float(reducer.K3[j])),
-            "torques": (float(reducer.T1[j]), float(reducer.T2[j])),
-        }
+        if reducer is None:
+            return None
+        slopes = (float(reducer.K1[j]), float(reducer.K2[j]), float(reducer.K3[j]))
+        return slopes if np.isfinite(slopes).all() else None
+
+    def _knees(self, j: int) -> tuple[float, float] | None:
+        reducer = self.recordings.nominal.reducer
+        if reducer is None or self._slopes(j) is None:
+            return None
+        return float(reducer.T1[j]), float(reducer.T2[j])
 
     def _slides(self, joint: int) -> bool:
         return str(self.model.joints[joint + 1].shortname()).startswith("JointModelP")

@@ -67,7 +67,7 @@ class JointConstants:
         torque = np.asarray(torque, dtype=float)
         angle = torque / self.contact_stiffness
         if self.slopes is None or self.torques is None:
-            return angle
+            return np.asarray(angle)
         (k1, k2, k3), (t1, t2) = self.slopes, self.torques
         size = np.abs(torque)
         reducer = (
