@@ -9,7 +9,7 @@ from scipy.signal import fftconvolve
 from .robots import Robot
 from .spec import CaseSpec, RunPlan
 
-LEAD = 0.4  # at rest before the recording begins [s]
+LEAD = 0.25  # at rest before the recording begins [s]
 TORQUE_USED = 0.62  # of the peak torque, at most
 
 
