@@ -148,6 +148,12 @@ class Comparison:
         residual = (self.target - columns @ found.mean) / self._weight
         return Fit(tuple(effects), found, residual, nuisance.shape[1])
 
+    def within_tolerance(self, fit: Fit, box: float) -> np.ndarray:
+        """Residual (m,) of a fit without effects, nominal values moved by `box` sd at most."""
+        _, sd, nuisance = self.nuisance
+        moved = np.clip(fit.posterior.mean[: len(sd)], -box * sd, box * sd)
+        return np.asarray((self.target - nuisance @ moved) / self._weight)
+
     def channel_ratio(self, residual: np.ndarray) -> np.ndarray:
         """Root mean square of whitened residuals in every channel (2 n,); nan without rows."""
         square = np.bincount(self.rows.channel, residual**2, minlength=2 * self.robot.n)

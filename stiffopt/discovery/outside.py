@@ -16,6 +16,9 @@ from stiffopt.discovery.search import SearchResult, Selected
 UNEXPLAINED = 1.3
 # Findings that take away less than this share of a channel's excess do not explain it.
 EXPLAINED = 0.6
+# A remainder is outside the catalogue from this ratio on, or if that share of it can be predicted.
+_PLAIN = 1.8
+_LEAST_SHARE = 0.25
 _KNOTS = 8
 _MOST = 3
 _LEAST_GAIN = 0.03
@@ -73,7 +76,11 @@ def judged(result: SearchResult) -> tuple[tuple[Selected, ...], Outside | None]:
     if not poor and kept:
         # What formulas that differ from nature leave behind, small against what they explain.
         return kept, None
-    return kept, _describe(result, [int(c) for c in remaining])
+    found = _describe(result, [int(c) for c in remaining])
+    if not kept and found.gain < _LEAST_SHARE and found.ratio < _PLAIN:
+        # Neither large nor depending on anything: noise that is larger than stated.
+        return result.selected, None
+    return kept, found
 
 
 def channel_name(channel: int, joints: int) -> str:

@@ -123,7 +123,8 @@ def places(effect: Effect, robot: RobotConstants, runs: Sequence[str]) -> Iterat
     if effect.scope == "joint":
         grids = [PlacedEffect(effect=effect, joint=j) for j in range(n)]
     elif effect.scope == "link":
-        grids = [PlacedEffect(effect=effect, link=j) for j in range(n)]
+        # What is fixed to the last link counts as payload.
+        grids = [PlacedEffect(effect=effect, link=j) for j in range(n - 1)]
     elif effect.scope == "run":
         grids = [PlacedEffect(effect=effect, joint=j, run=run) for j in range(n) for run in runs]
     else:

@@ -90,6 +90,7 @@ def search(
     catalogue: Sequence[Effect],
     *,
     most: int = 3,
+    box: float = 4.0,
     report: Report | None = None,
 ) -> SearchResult:
     """Name what is missing.
@@ -101,13 +102,16 @@ def search(
     catalogue : sequence of Effect
     most : int
         Effects at most.
+    box : float
+        Standard deviations that nominal values may be moved by, where the report says what they
+        alone explain.
     report : callable, optional
         Called with a sentence at every step.
     """
     say = report or (lambda _: None)
     first = comparison.fit()
     before = comparison.channel_ratio(comparison.target)
-    calibrated = comparison.channel_ratio(first.residual)
+    calibrated = comparison.channel_ratio(comparison.within_tolerance(first, box))
     effects: list[PlacedEffect] = []
     current = _about(comparison, first)
     while len(effects) < most:

@@ -82,7 +82,7 @@ class JointConstants:
         size = np.abs(np.asarray(torque, dtype=float))
         slope = np.full_like(size, 1.0 / self.contact_stiffness)
         if self.slopes is None or self.torques is None:
-            return slope
+            return np.asarray(slope)
         zone = np.searchsorted(np.asarray(self.torques), size, "right")
         return np.asarray(slope + 1.0 / np.asarray(self.slopes)[zone])
 

@@ -134,8 +134,8 @@ def test_units_are_known():
 @settings(max_examples=25, deadline=None)
 @given(
     index=st.integers(0, len(CATALOGUE) - 1),
-    factors=st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6),
-    others=st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6),
+    factors=st.lists(st.floats(-3.0, 3.0), min_size=10, max_size=10),
+    others=st.lists(st.floats(-3.0, 3.0), min_size=10, max_size=10),
     share=st.floats(-4.0, 4.0),
 )
 def test_terms_are_linear_in_amplitudes(index, factors, others, share):

@@ -24,7 +24,7 @@ def rotor_inertia_term(
 
 
 def body_term(signals: RobotSignals, amplitudes: Sequence[Quantity], body: int) -> Term:
-    """Torques of a changed mass and first moment of one body."""
+    """Torques of changed inertial parameters of one body."""
     torque: Quantity = 0.0
     for k, amplitude in enumerate(amplitudes):
         torque = torque + amplitude * part(signals.body_regressor, _A_BODY * body + k)
@@ -34,14 +34,14 @@ def body_term(signals: RobotSignals, amplitudes: Sequence[Quantity], body: int) 
 def payload_term(
     signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Mass dm at the place c of the last link; its size beyond a point is left out."""
+    """Mass dm at the place c of the last link, with its inertia about that link's joint."""
     return body_term(signals, amplitudes, signals.last_link)
 
 
 def inertial_error_term(
     signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Mass and first moment of the link in question."""
+    """Mass, first moment and inertia of the link in question."""
     return body_term(signals, amplitudes, signals.link)
 
 
@@ -57,7 +57,7 @@ def base_tilt_term(
 def _place_of_payload(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
-    mass, *moments = amplitudes
+    mass, *moments = amplitudes[:4]
     places = (ratio_or_zero(moment, mass) for moment in moments)
     return {"dm": mass, **dict(zip(("cx", "cy", "cz"), places, strict=True))}
 
@@ -65,7 +65,7 @@ def _place_of_payload(
 def _change_of_link(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
-    mass, *moments = amplitudes
+    mass, *moments = amplitudes[:4]
     return {
         "dm": mass,
         "dmc": float(np.linalg.norm(moments)),
@@ -92,6 +92,15 @@ def _moments(*names: str) -> tuple[Amplitude, ...]:
     )
 
 
+def _some_inertia(constants: RobotConstants) -> float:
+    return _REACH * _some_moment(constants)
+
+
+# Of the body about the origin of its joint, in the regressor's order.
+_INERTIA = tuple(
+    Amplitude(name=name, unit="kg m^2", scale=_some_inertia, lower=-20.0, upper=20.0)
+    for name in ("dIxx", "dIxy", "dIyy", "dIxz", "dIyz", "dIzz")
+)
 _MASS = Amplitude(name="dm", unit="kg", scale=_some_mass, lower=-20.0, upper=20.0)
 
 ROTOR_INERTIA = Effect(
@@ -111,10 +120,10 @@ PAYLOAD = Effect(
     name="payload",
     family="inertial",
     scope="robot",
-    equation="s += Y_last(q, v, a)*(dm, dm*c)",
+    equation="s += Y_last(q, v, a)*(dm, dm*c, dI)",
     signature="link torques of several joints off together, as a mass at the last link makes them",
     term=payload_term,
-    amplitudes=(_MASS, *_moments("mcx", "mcy", "mcz")),
+    amplitudes=(_MASS, *_moments("mcx", "mcy", "mcz"), *_INERTIA),
     report=_place_of_payload,
     units={"cx": "m", "cy": "m", "cz": "m"},
     separate="Turn the wrist by half a turn: a payload's torque turns with it, a cable's and a"
@@ -125,11 +134,11 @@ INERTIAL_ERROR = Effect(
     name="inertial_error",
     family="inertial",
     scope="link",
-    equation="s += Y_link(q, v, a)*(dm, dmc)",
+    equation="s += Y_link(q, v, a)*(dm, dmc, dI)",
     signature="torques of a link's own joint and of those before it off together, with gravity and"
     " acceleration",
     term=inertial_error_term,
-    amplitudes=(_MASS, *_moments("dmcx", "dmcy", "dmcz")),
+    amplitudes=(_MASS, *_moments("dmcx", "dmcy", "dmcz"), *_INERTIA),
     report=_change_of_link,
     units={"dmc": "kg m"},
     separate="Move the joint of the link through its whole stroke, fast and slowly, in several"
