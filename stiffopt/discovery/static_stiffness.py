@@ -15,7 +15,7 @@ from stiffopt.discovery.robust_compliance import (
 from stiffopt.discovery.static_identifiable import WEAK, Identifiable, identifiable
 from stiffopt.discovery.static_result import Errors, JointStiffness, StaticStiffness, Status
 from stiffopt.discovery.static_rows import StaticRows, static_rows
-from stiffopt.discovery.static_torque_dependence import torque_dependence
+from stiffopt.discovery.static_torque_dependence import UNTESTED, torque_dependence
 from stiffopt.errors import InputFileError
 from stiffopt.recording.static_set import StaticSet
 
@@ -28,13 +28,15 @@ _WEAK_RATIO = 5.0
 
 
 def identify_stiffness(
-    recorded: StaticSet, *, draws: int = DRAWS, seed: int = 1
+    recorded: StaticSet, *, torque: bool = True, draws: int = DRAWS, seed: int = 1
 ) -> StaticStiffness:
     """Joint stiffness with standard deviations, and whether it depends on torque.
 
     Parameters
     ----------
     recorded : StaticSet
+    torque : bool
+        Also test whether compliance depends on torque, which takes most of the time.
     draws : int
         Of the bootstrap.
     seed : int
@@ -59,7 +61,7 @@ def identify_stiffness(
     folds = [fit(used[k], measured[k], start=fitted) for k in without_each(len(measured))]
     plain_folds = [fit(used[k], measured[k], robust=False) for k in without_each(len(measured))]
     drawn = bootstrap(used, measured, fitted, draws, seed)
-    dependence = torque_dependence(rows, kept)
+    dependence = torque_dependence(rows, kept) if torque else UNTESTED
     left_out = _predict_left_out(used, folds)
     norm = np.linalg.norm(fitted.residual, axis=1)
     # Rounding alone must not make outliers of data without error.
@@ -247,6 +249,11 @@ def _assumptions(recorded: StaticSet, rows: StaticRows) -> tuple[str, ...]:
         said.append("Each displacement is a difference of two load states, so weight is out of it.")
     else:
         said.append("Displacements include the deflection under the weight of the links.")
+    if recorded.difference and rows.weight is not None:
+        said.append(
+            "Torque dependence about the weight that a joint already carries is tested with the "
+            "masses of the robot file, without counterbalances."
+        )
     if recorded.difference and rows.weight is None:
         said.append(
             "No link has a mass: the torque that the joints already carried is unknown, and a "

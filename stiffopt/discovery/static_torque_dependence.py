@@ -46,8 +46,8 @@ class Compared:
         Share by which the error on poses left out is below that of constant compliance; negative
         if above.
     chance : float
-        Probability of so much gain by chance, one-sided paired test over poses, adjusted for the
-        number of models tried; 1 for rivals.
+        Probability of so much gain by chance, one-sided signed-rank test over poses, adjusted for
+        the number of models tried; 1 for rivals.
     value : array (p,)
         Parameters on all poses.
     error : array (m, 3)
@@ -90,6 +90,11 @@ class TorqueDependence:
     models: tuple[Compared, ...]
     best: str
     secant: dict[int, tuple[float, float, float]]
+
+
+UNTESTED = TorqueDependence(
+    verdict="not tested", sentence="not tested.", models=(), best="", secant={}
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,13 +202,15 @@ def _best(fits: list[Fit]) -> int:
 
 
 def _paired(drop: np.ndarray) -> float:
-    """Probability that the mean drop of the loss over poses is chance, one-sided."""
-    from scipy.stats import t
+    """Probability that the loss drops in so many poses by chance (Wilcoxon's signed ranks).
 
-    spread = float(np.std(drop, ddof=1))
-    if spread == 0.0:
+    Ranks, as a few poses with large loads would drown all others in a test of the mean.
+    """
+    from scipy.stats import wilcoxon
+
+    if not drop.any():
         return 1.0
-    return float(t.sf(np.mean(drop) / (spread / np.sqrt(len(drop))), len(drop) - 1))
+    return float(wilcoxon(drop, alternative="greater", method="approx").pvalue)
 
 
 def _rms(error: np.ndarray) -> float:

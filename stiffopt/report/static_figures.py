@@ -54,12 +54,14 @@ def stiffness_figure(result: StaticStiffness) -> Figure:
                 axes.text(low * 1.03, joint.joint, text, va="center", fontsize=8, color=GREY)
         axes.set_xscale("log")
         axes.set_xlim(low, high)
+        axes.xaxis.set_major_formatter(lambda x, _: f"{x:.0e}".replace("e+0", "e"))
+        axes.xaxis.set_minor_formatter("")
         axes.set_yticks([j.joint for j in result.joints], [f"J{j.joint}" for j in result.joints])
         axes.set_ylim(len(result.joints) + 0.6, 0.4)
         units = " or ".join(sorted({j.unit for j in result.joints}))
         axes.set_xlabel(f"stiffness [{units}]")
         axes.grid(visible=False, axis="y")
-        below = -0.42 / figure.get_figheight()
+        below = -0.3 / figure.get_figheight()
         figure.legend(loc="upper left", ncols=3, bbox_to_anchor=(0.03, below))
         figure.subplots_adjust(left=0.04, right=0.97)
         return figure
@@ -163,6 +165,11 @@ def secant_figure(result: StaticStiffness) -> Figure:
             axes.plot(torque, values, color=colour, marker="o", ms=4, label=f"J{joint}")
         axes.set_xscale("log")
         axes.set_yscale("log")
+        for each in (axes.xaxis, axes.yaxis):
+            each.set_major_formatter(
+                lambda x, _: f"{x:.0e}".replace("e+0", "e").replace("e-0", "e-")
+            )
+            each.set_minor_formatter("")
         axes.set_xlabel("torque [N m]: 5, 50 and 95 % of the poses load the joint by no more")
         axes.set_ylabel("secant stiffness [N m/rad]")
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))

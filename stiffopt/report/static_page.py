@@ -114,7 +114,11 @@ def _status(joint: JointStiffness) -> str:
 
 
 def _number(value: float | None, digits: int = 3) -> str:
-    return DASH if value is None else f"{value:.{digits - 1}e}"
+    """Number such as 2.67e5: stiffness of one arm spans decades."""
+    if value is None:
+        return DASH
+    mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
+    return f"{mantissa}e{int(exponent)}"
 
 
 def _interval(lower: float | None, upper: float | None) -> str:
@@ -179,7 +183,7 @@ def _models_table(result: StaticStiffness) -> Table | None:
             str(model.parameters),
             engineering(model.fit, "m"),
             engineering(model.left_out, "m"),
-            f"{-100 * model.gain:+.1f} %",
+            DASH if model is models[0] else f"{-100 * model.gain:+.1f} %",
             f"{model.chance:.2g}" if model.candidate else DASH,
         )
         for model in models
