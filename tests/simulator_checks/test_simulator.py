@@ -17,6 +17,8 @@ from simulator import ROBOTS, CaseSpec, build_world, simulate, write_case, write
 from simulator.elasticity import Creep, Sliders, SpringTable, Windup, nominal_windups
 from simulator.integrator import integrate
 
+from stiffopt.recording.recording_set import load_recordings
+
 SHORT = CaseSpec(robot="planar2", seed=4, train=1, test=1, extrapolate=1, seconds=3.0)
 
 
@@ -301,3 +303,14 @@ def test_case_is_written_as_a_recording_set_and_its_truth_apart(tmp_path, encode
     assert json.loads(truth.read_text())["effects"][0]["effect"] == "backlash"
     for file in folder.glob("*.*"):
         assert b"backlash" not in file.read_bytes()
+
+
+def test_a_written_case_is_read_without_faults_or_assumptions(tmp_path):
+    case = simulate(replace(SHORT, seconds=1.0))
+    recordings = load_recordings(write_case(case, tmp_path))
+    assert recordings.assumptions == ()
+    for entry, made in zip(recordings.runs, case.runs, strict=True):
+        run = recordings.open(entry)
+        assert run.health == ()
+        np.testing.assert_array_equal(run.torque[:, 1], made.columns["tau2"])
+        np.testing.assert_array_equal(run.link_position[:, 0], made.columns["ql1"])
