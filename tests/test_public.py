@@ -26,11 +26,14 @@ NAMES = [
     "Trajectory",
     "TrajectoryProblem",
     "assess",
+    "diagnose",
     "load_problem",
+    "load_recordings",
     "load_robot",
     "shipped_robots",
     "solve",
     "stiffness_study",
+    "write_diagnosis",
     "write_solve_report",
 ]
 

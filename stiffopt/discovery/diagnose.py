@@ -1,0 +1,187 @@
+"""From recordings to an answer: search on training runs, then proof on runs never fitted to."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from stiffopt.discovery.candidates import Scorer
+from stiffopt.discovery.catalogue import CATALOGUE
+from stiffopt.discovery.comparison import Comparison
+from stiffopt.discovery.credit import variance_explained
+from stiffopt.discovery.detection import detection_limits
+from stiffopt.discovery.diagnosis import (
+    Diagnosis,
+    Finding,
+    Parameter,
+    Verdict,
+    rivals_of,
+)
+from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.extended_model import ExtendedModel, load_extended
+from stiffopt.discovery.extension import Extension
+from stiffopt.discovery.outside import Outside, channel_name, judged
+from stiffopt.discovery.predict import Predictor
+from stiffopt.discovery.proof import RunProof, prove
+from stiffopt.discovery.search import Selected, search
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import Training, train
+from stiffopt.discovery.uncertainty import Estimate, estimate
+from stiffopt.discovery.user_effects import load_effects
+from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
+
+Say = Callable[[str], object]
+
+
+def diagnose(
+    recordings: RecordingSet | str | os.PathLike[str],
+    *,
+    effects: Sequence[Effect] | str | os.PathLike[str] = (),
+    settings: Settings | None = None,
+    progress: Say | None = None,
+    model: ExtendedModel | str | os.PathLike[str] | None = None,
+) -> Diagnosis:
+    """Find what the nominal model of a recording set lacks, and prove it on held-out runs.
+
+    Parameters
+    ----------
+    recordings : RecordingSet or path
+        Of its folder or its recordings.toml.
+    effects : sequence of Effect, or path
+        Beside those of the catalogue: from Python, or a file of them.
+    settings : Settings, optional
+    progress : callable, optional
+        Called with a sentence at every step.
+    model : ExtendedModel or path, optional
+        extended.toml of an earlier diagnosis, in place of the nominal model.
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    InputFileError
+        A set or run that cannot be used, no training run or no test run.
+
+    Notes
+    -----
+    Only training runs are open until the findings are fixed. Nothing is written.
+    """
+    if not isinstance(recordings, RecordingSet):
+        recordings = load_recordings(recordings)
+    require_test_runs(recordings)
+    settings = settings or Settings()
+    say = progress or (lambda _: None)
+    extra = _given(effects)
+    catalogue = (*CATALOGUE, *extra)
+    base = load_extended(model, extra) if isinstance(model, str | os.PathLike) else model
+    if base is not None:
+        recordings = base.applied_to(recordings)
+    training = train(recordings, settings, base, say)
+    say("compare with the nominal model" if base is None else f"compare with {base.source}")
+    result = search(
+        training.comparison(), catalogue, most=settings.effects, box=settings.box, report=say
+    )
+    selected, outside = judged(result)
+    say("estimate parameters")
+    placed = tuple(s.placed for s in selected)
+    parameters = estimate(result.comparison, placed)
+    findings = _findings(result.comparison, selected, parameters, training)
+    limits = detection_limits(Scorer(result.comparison, placed), catalogue)
+    found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
+    # The findings are fixed: from here on other runs may be opened, and change nothing above.
+    start = () if base is None else (base.extension,)
+    proofs = _proofs(recordings, training, settings, start, found, say)
+    runs = (*training.recorded, *(proof.run for proof in proofs))
+    return Diagnosis(
+        recordings=recordings,
+        settings=settings,
+        model=None if base is None else base.source,
+        verdict=_verdict(findings, outside),
+        findings=findings,
+        extension=found if base is None else base.extension.followed_by(found),
+        training=training,
+        search=result,
+        held_out=proofs,
+        detection_limits=limits,
+        outside=outside,
+        next_experiment=_next_experiment(findings),
+        assumptions=training.assumptions,
+        faults=tuple((run.name, fault) for run in runs for fault in run.health),
+    )
+
+
+def _given(effects: Sequence[Effect] | str | os.PathLike[str]) -> tuple[Effect, ...]:
+    if isinstance(effects, str | os.PathLike):
+        return load_effects(Path(effects))
+    return tuple(effects)
+
+
+def _verdict(findings: tuple[Finding, ...], outside: Outside | None) -> Verdict:
+    if findings:
+        return "named"
+    return "nothing_missing" if outside is None else "outside_catalogue"
+
+
+def _findings(
+    comparison: Comparison,
+    kept: Sequence[Selected],
+    parameters: Estimate,
+    training: Training,
+) -> tuple[Finding, ...]:
+    constants, n = training.constants, training.robot.n
+    shares = variance_explained(
+        comparison, tuple(s.placed for s in kept), tuple(s.channel for s in kept)
+    )
+    findings = []
+    for index, (selected, share) in enumerate(zip(kept, shares, strict=True)):
+        placed, effect = selected.placed, selected.placed.effect
+        values = parameters.parameters(index, placed.constants(constants))
+        findings.append(
+            Finding(
+                sized=parameters.effects[index],
+                link=None if placed.link is None else constants.links[placed.link],
+                probability=selected.probability,
+                rivals=rivals_of(selected),
+                parameters=tuple(
+                    Parameter(name=name, value=value, sd=sd, unit=effect.unit_of(name))
+                    for name, (value, sd) in values.items()
+                ),
+                where=effect.signature,
+                channel=channel_name(selected.channel, n),
+                variance_explained=share,
+                log_evidence=selected.loss,
+                significance=selected.chi,
+            )
+        )
+    return tuple(findings)
+
+
+def _proofs(
+    recordings: RecordingSet,
+    training: Training,
+    settings: Settings,
+    start: tuple[Extension, ...],
+    found: Extension,
+    say: Say,
+) -> tuple[RunProof, ...]:
+    proofs = []
+    for entry in recordings.with_role("test", "extrapolate"):
+        say(f"predict {entry.file}")
+        run = recordings.open(entry)
+        if not run.usable:
+            continue
+        predictor = Predictor(training.robot, run, training.constants, settings)
+        before, after = predictor.predict(*start), predictor.predict(*start, found)
+        proofs.append(prove(run, predictor.velocity, before, after, training.noise))
+    return tuple(proofs)
+
+
+def _next_experiment(findings: tuple[Finding, ...]) -> str:
+    """What separates the first finding that has rivals from them."""
+    for finding in findings:
+        if finding.rivals:
+            return finding.placed.effect.separate
+    return findings[0].placed.effect.separate if findings else ""

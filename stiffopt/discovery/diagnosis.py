@@ -1,0 +1,212 @@
+"""What a diagnosis says: findings, verdict, proof on held-out runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from stiffopt.discovery.detection import DetectionLimit
+from stiffopt.discovery.extension import Extension, SizedEffect
+from stiffopt.discovery.outside import Outside
+from stiffopt.discovery.placed import PlacedEffect
+from stiffopt.discovery.proof import RunProof, nrmse
+from stiffopt.discovery.search import SearchResult, Selected
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import Training
+from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.run import Fault
+
+Verdict = Literal["named", "nothing_missing", "outside_catalogue"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """Reported value of a finding.
+
+    Parameters
+    ----------
+    name : str
+    value, sd : float
+        The value and one standard deviation [unit].
+    unit : str
+    """
+
+    name: str
+    value: float
+    sd: float
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rival:
+    """What the data cannot tell apart from a finding.
+
+    Parameters
+    ----------
+    placed : PlacedEffect
+    probability : float
+    """
+
+    placed: PlacedEffect
+    probability: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Finding:
+    """An effect that the nominal model lacks.
+
+    Parameters
+    ----------
+    sized : SizedEffect
+        Effect, place, shapes and amplitudes.
+    link : str or None
+        Name of the link, of effects of a link.
+    probability : float
+        Against its rivals.
+    rivals : tuple of Rival
+    parameters : tuple of Parameter
+    where : str
+        How and where it shows.
+    channel : str
+        That it changes most, such as "torque_3".
+    variance_explained : float
+        Share, 0 to 1, of that channel's squared residual above noise that it takes away in training
+        runs (or stretches) left out of the fit.
+    log_evidence : float
+        That is lost without it.
+    significance : float
+        Standard deviations from nothing.
+    """
+
+    sized: SizedEffect
+    link: str | None
+    probability: float
+    rivals: tuple[Rival, ...]
+    parameters: tuple[Parameter, ...]
+    where: str
+    channel: str
+    variance_explained: float
+    log_evidence: float
+    significance: float
+
+    @property
+    def placed(self) -> PlacedEffect:
+        """Effect and place."""
+        return self.sized.placed
+
+    @property
+    def joint(self) -> int | None:
+        """From 1; None for effects of the whole robot or of a link."""
+        return None if self.placed.joint is None else self.placed.joint + 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelFit:
+    """Residual of one channel over all test and extrapolation runs.
+
+    Parameters
+    ----------
+    channel : str
+        Such as "torque_3".
+    rms_before, rms_after, noise : float
+        [unit]
+    unit : str
+    """
+
+    channel: str
+    rms_before: float
+    rms_after: float
+    noise: float
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Diagnosis:
+    """What the nominal model of a recording set lacks, and the proof of it.
+
+    Parameters
+    ----------
+    recordings : RecordingSet
+    settings : Settings
+    model : str or None
+        Path of the extended model that the diagnosis started from.
+    verdict : str
+        "named", "nothing_missing" or "outside_catalogue".
+    findings : tuple of Finding
+        The strongest first; fixed before any test run was opened.
+    extension : Extension
+        All that the extended model has beyond the nominal one.
+    training : Training
+        Prepared training runs, noise, tolerances, constants.
+    search : SearchResult
+        With the residuals of the training runs: `search.before`, `.calibrated` and `.after` over
+        noise by channel, rows in `search.comparison.rows` and `search.fit.residual`.
+    held_out : tuple of RunProof
+        Test and extrapolation runs with their predictions before and after.
+    detection_limits : tuple of DetectionLimit
+        What would have been seen.
+    outside : Outside or None
+        What remains that no entry of the catalogue explains.
+    next_experiment : str
+        The motion that would separate the leading explanations best.
+    assumptions : tuple of str
+    faults : tuple of (str, Fault)
+        Run and fault, of all runs.
+    """
+
+    recordings: RecordingSet
+    settings: Settings
+    model: str | None
+    verdict: Verdict
+    findings: tuple[Finding, ...]
+    extension: Extension
+    training: Training
+    search: SearchResult
+    held_out: tuple[RunProof, ...]
+    detection_limits: tuple[DetectionLimit, ...]
+    outside: Outside | None
+    next_experiment: str
+    assumptions: tuple[str, ...]
+    faults: tuple[tuple[str, Fault], ...]
+
+    def proofs(self, role: str) -> tuple[RunProof, ...]:
+        """Held-out runs of one role, "test" or "extrapolate"."""
+        return tuple(proof for proof in self.held_out if proof.run.role == role)
+
+    def nrmse(self, role: str) -> tuple[float, float]:
+        """Residual over noise before and after, all channels of all runs of a role; maybe nan."""
+        proofs = self.proofs(role)
+        return nrmse(proofs, "before"), nrmse(proofs, "after")
+
+    @property
+    def channels(self) -> tuple[ChannelFit, ...]:
+        """Residuals by channel over all held-out runs."""
+        return channel_fits(self.held_out, [j.prismatic for j in self.training.constants.joints])
+
+
+def channel_fits(proofs: tuple[RunProof, ...], prismatic: list[bool]) -> tuple[ChannelFit, ...]:
+    """Root mean squares by channel over runs."""
+    found = []
+    for kind, units in (("torque", ("N m", "N")), ("link_position", ("rad", "m"))):
+        for joint, slides in enumerate(prismatic):
+            own = [c for p in proofs for c in p.channels if (c.kind, c.joint) == (kind, joint)]
+            count = sum(c.samples for c in own)
+            if not count:
+                continue
+            found.append(
+                ChannelFit(
+                    channel=own[0].name,
+                    rms_before=float(np.sqrt(sum(c.before for c in own) / count)),
+                    rms_after=float(np.sqrt(sum(c.after for c in own) / count)),
+                    noise=own[0].noise,
+                    unit=units[slides],
+                )
+            )
+    return tuple(found)
+
+
+def rivals_of(selected: Selected) -> tuple[Rival, ...]:
+    """Rivals of a selected effect."""
+    return tuple(Rival(placed=placed, probability=share) for placed, share in selected.rivals)

@@ -1,0 +1,151 @@
+"""What was found, beside the nominal model: calibrated values and effects along a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from stiffopt.discovery.nuisance import nuisance_columns
+from stiffopt.discovery.placed import PlacedEffect
+from stiffopt.discovery.prepare import PreparedRun
+from stiffopt.discovery.robot import RobotModel
+from stiffopt.recording.nominal import Tolerance
+
+# Any tolerance above zero makes a column; its size does not matter here.
+_EVERY = Tolerance(
+    mass=1.0,
+    com=1.0,
+    rotor_inertia=1.0,
+    coulomb=1.0,
+    viscous=1.0,
+    stiffness=1.0,
+    torque_constant=1.0,
+    encoder_zero=1.0,
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SizedEffect:
+    """An effect at a place, with its amplitudes.
+
+    Parameters
+    ----------
+    placed : PlacedEffect
+    amplitudes : tuple of float
+        In the amplitudes' own units.
+    """
+
+    placed: PlacedEffect
+    amplitudes: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Extension:
+    """Change of a nominal model.
+
+    Parameters
+    ----------
+    calibration : mapping of str to float
+        Change of nominal values by their names ("coulomb 3", "com 2 x"): relative, [m] or [rad].
+    effects : tuple of SizedEffect
+    """
+
+    calibration: Mapping[str, float] = field(default_factory=dict)
+    effects: tuple[SizedEffect, ...] = ()
+
+    def followed_by(self, later: Extension) -> Extension:
+        """Both in one."""
+        names = {**self.calibration, **later.calibration}
+        return Extension(
+            calibration={
+                name: self.calibration.get(name, 0.0) + later.calibration.get(name, 0.0)
+                for name in names
+            },
+            effects=(*self.effects, *later.effects),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Change:
+    """Sum of what changes the channels, (K, n) each."""
+
+    torque: np.ndarray
+    link_torque: np.ndarray
+    deflection: np.ndarray
+
+
+def extended(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun:
+    """Run whose nominal torques and wind-up have an extension in them.
+
+    Parameters
+    ----------
+    run : PreparedRun
+        With the nominal model.
+    robot : RobotModel
+    extension : Extension
+
+    Notes
+    -----
+    All terms are evaluated on the nominal signals, as they were when they were fitted; the joints
+    wind up by the exact law under the spring torque with all that was found in it.
+    """
+    change = _change(run, robot, extension)
+    signals = run.signals
+    spring = signals.spring_torque + change.link_torque
+    return replace(
+        run,
+        signals=replace(
+            signals,
+            spring_torque=spring,
+            windup=robot.windup(spring) + change.deflection,
+            drive_torque=signals.drive_torque + change.torque,
+            drive_torque_rate=np.gradient(
+                run.low_pass(signals.drive_torque + change.torque), signals.dt, axis=0
+            ),
+        ),
+    )
+
+
+def _change(run: PreparedRun, robot: RobotModel, extension: Extension) -> _Change:
+    like = np.zeros_like(run.signals.spring_torque)
+    change = _Change(like.copy(), like.copy(), like.copy())
+    if extension.calibration:
+        for column in nuisance_columns(run, robot, _EVERY):
+            value = extension.calibration.get(column.name, 0.0)
+            if not value:
+                continue
+            if column.torque is not None:
+                change.torque[:] += value * column.torque
+            # A change of both is a link torque: the joint winds up under it.
+            if column.torque is not None and column.deflection is not None:
+                change.link_torque[:] += value * column.torque
+            elif column.deflection is not None:
+                change.deflection[:] += value * column.deflection
+    for each in extension.effects:
+        _add(change, run, each)
+    return change
+
+
+def _add(change: _Change, run: PreparedRun, each: SizedEffect) -> None:
+    added = each.placed.contribution(run, each.amplitudes)
+    for total, part in (
+        (change.torque, added.torque),
+        (change.link_torque, added.link_torque),
+        (change.deflection, added.deflection),
+    ):
+        if part is not None:
+            total += part
+
+
+def sized(
+    effects: Sequence[PlacedEffect], scaled: np.ndarray, sizes: Sequence[np.ndarray]
+) -> tuple[SizedEffect, ...]:
+    """Effects with amplitudes given over their sizes, one effect's after another's."""
+    out, begin = [], 0
+    for placed, size in zip(effects, sizes, strict=True):
+        own = scaled[begin : begin + len(size)] * size
+        out.append(SizedEffect(placed=placed, amplitudes=tuple(float(v) for v in own)))
+        begin += len(size)
+    return tuple(out)

@@ -1,0 +1,112 @@
+"""The training runs of a set, prepared: all that a search may see."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from stiffopt.discovery.channel_noise import KnownNoise, known_noise
+from stiffopt.discovery.comparison import FEW_RUNS, Comparison
+from stiffopt.discovery.extended_model import ExtendedModel, check_extended
+from stiffopt.discovery.extension import extended
+from stiffopt.discovery.nuisance import merged
+from stiffopt.discovery.prepare import PreparedRun, prepare
+from stiffopt.discovery.robot import RobotModel
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.signals import RobotConstants
+from stiffopt.errors import InputFileError
+from stiffopt.recording.nominal import Tolerance
+from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.run import Run
+
+Say = Callable[[str], object]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Training:
+    """Prepared training runs with what they are judged by.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    runs : tuple of PreparedRun
+        With the nominal model, or with the model that the diagnosis started from.
+    recorded : tuple of Run
+        The same runs as they were read.
+    constants : RobotConstants
+        With the ranges that the runs meet.
+    noise : KnownNoise
+    tolerance : Tolerance
+    assumptions : tuple of str
+    """
+
+    robot: RobotModel
+    runs: tuple[PreparedRun, ...]
+    recorded: tuple[Run, ...]
+    constants: RobotConstants
+    noise: KnownNoise
+    tolerance: Tolerance
+    assumptions: tuple[str, ...]
+
+    def comparison(self) -> Comparison:
+        """The comparison that a search starts from."""
+        return Comparison(self.robot, self.runs, self.noise.channels, self.tolerance)
+
+
+def train(
+    recordings: RecordingSet,
+    settings: Settings,
+    model: ExtendedModel | None = None,
+    say: Say = lambda _: None,
+) -> Training:
+    """Open and prepare the training runs, and no other run.
+
+    Parameters
+    ----------
+    recordings : RecordingSet
+    settings : Settings
+    model : ExtendedModel, optional
+        To start from in place of the nominal model.
+    say : callable
+        Called with a sentence at every step.
+    """
+    robot = RobotModel(recordings)
+    opened: list[Run] = []
+    prepared: list[PreparedRun] = []
+    notes: list[str] = []
+    for entry in recordings.with_role("train"):
+        say(f"read {entry.file}")
+        run = recordings.open(entry)
+        if not run.usable:
+            notes.append(f"{entry.file} is left out: a joint of it has no usable position.")
+            continue
+        prepared.append(prepare(robot, run, len(opened), None, settings))
+        opened.append(run)
+    if not opened:
+        raise InputFileError(
+            recordings.path,
+            "runs",
+            f"no training run can be used. {' '.join(notes)} `stiffopt recording check` says more.",
+        )
+    ranged = robot.ranged([run.signals for run in prepared])
+    if model is not None:
+        ranged = model.scaled(ranged)
+        check_extended(model, ranged)
+    runs = [replace(run, signals=replace(run.signals, constants=ranged)) for run in prepared]
+    noise = known_noise(recordings.noise, runs)
+    if model is not None:
+        runs = [extended(run, robot, model.extension) for run in runs]
+    if len(runs) < FEW_RUNS:
+        notes.append(
+            f"With {len(runs)} training run{'s' * (len(runs) > 1)}, candidates are cross-validated"
+            " over stretches of runs instead of whole runs."
+        )
+    return Training(
+        robot=robot,
+        runs=tuple(runs),
+        recorded=tuple(opened),
+        constants=ranged,
+        noise=noise,
+        tolerance=merged(recordings.tolerance, settings.tolerance),
+        assumptions=(*recordings.assumptions, *noise.assumptions(), *notes),
+    )
