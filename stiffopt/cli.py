@@ -159,6 +159,52 @@ def stiffness(robot: str, *, out: Out | None = None, drivetrain: Path | None = N
     return 0
 
 
+@app.command
+def diagnose(
+    recordings: Path,
+    *,
+    out: Out | None = None,
+    model: Path | None = None,
+    effects: Path | None = None,
+    quiet: bool = False,
+) -> int:
+    """Find what the nominal model of recordings lacks, and prove it on runs never fitted to.
+
+    Writes diagnosis.json, extended.toml and the predictions of test and extrapolation runs.
+
+    Parameters
+    ----------
+    recordings
+        A recording set: its folder or its recordings.toml.
+    out
+        Default: out/NAME of the folder of the set.
+    model
+        extended.toml of an earlier diagnosis, to start from in place of the nominal model.
+    effects
+        Python file of effects beside those of the catalogue.
+    quiet
+        No progress display.
+    """
+    from stiffopt.discovery.answer_store import write_diagnosis
+    from stiffopt.discovery.diagnose import diagnose as find
+    from stiffopt.recording.recording_set import load_recordings
+    from stiffopt.report.diagnosis_terminal import Sentences, print_diagnosis
+
+    loaded = load_recordings(recordings)
+    home = loaded.path.parent.resolve()
+    chosen = out or Path("out") / home.name
+    if home in (chosen.resolve(), *chosen.resolve().parents):
+        raise InputFileError(
+            chosen, "", f"lies in the recording set {home}, which is only read. Give another --out."
+        )
+    with _folder(chosen) as folder:
+        with nullcontext() if quiet else Sentences(loaded.title) as progress:
+            found = find(loaded, effects=effects or (), model=model, progress=progress)
+        write_diagnosis(found, folder)
+    print_diagnosis(found, folder)
+    return 0
+
+
 @app.command(name="identify-stiffness")
 def identify_stiffness(recordings: Path, *, out: Out | None = None) -> int:
     """Find the joint stiffness of an arm from deflections measured under known forces.
