@@ -92,6 +92,14 @@ class PreloadModel:
         least = self._least(preloads, joint)
         return self._joints[joint].varying.windup(torque, preloads=least)
 
+    def net_windup(self, preloads: Quantity, joint: int, case: LoadCase) -> Quantity:
+        """`windup` beyond that of the load case's reference torque [rad]."""
+        angle = self.windup(preloads, joint, float(case.torque[joint - 1]))
+        if case.reference_torque is not None:
+            reference = float(case.reference_torque[joint - 1])
+            angle = angle - self.windup(preloads, joint, reference)
+        return angle
+
     def slip_torque(self, preloads: Quantity, index: int) -> Quantity:
         """Joint torque at which an element slips [N m]; linear in its preloads."""
         element = self.elements[index]

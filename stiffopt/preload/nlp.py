@@ -13,6 +13,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from stiffopt.preload.exact_shift import exact_shift
 from stiffopt.preload.model import PreloadModel
 from stiffopt.symbolic import Quantity
 from stiffopt.transcription.nlp import Blocks, Nlp
@@ -47,12 +48,17 @@ class PreloadNlp:
     objective : str
         A name in `stiffopt.preload.problem.OBJECTIVES`.
     levels : Levels
-    ceiling : float or None
-        Keep the largest bolt utilisation at or below this as well.
+    ceiling : (objective, float) or None
+        Keep another objective, "bolt_utilisation" or "tool_deflection", at or below this value of
+        its own programme as well.
     """
 
     def __init__(
-        self, model: PreloadModel, objective: str, levels: Levels, ceiling: float | None = None
+        self,
+        model: PreloadModel,
+        objective: str,
+        levels: Levels,
+        ceiling: tuple[str, float] | None = None,
     ) -> None:
         self.model, self.objective, self.levels = model, objective, levels
         self.ceiling = ceiling
@@ -61,9 +67,12 @@ class PreloadNlp:
         self.scale = model.spread([e.capacity for e in model.elements])
         self._x = ca.SX.sym("preload", model.size)
         self._z = ca.SX.sym("level", self._bounded)
-        # Compliances and net wind-ups of what the smooth law leaves out, from the exact law.
-        self._rest_compliance = ca.SX.sym("compliance", len(self.joints), len(model.cases))
-        self._rest_windup = ca.SX.sym("windup", self.n, len(model.cases))
+        # What the smooth law leaves out of compliances and net wind-ups: see `ExactShift`.
+        cases = len(model.cases)
+        self._rest_compliance = ca.SX.sym("compliance", len(self.joints), cases)
+        self._compliance_slope = ca.SX.sym("compliance slope", model.size, cases)
+        self._rest_windup = ca.SX.sym("windup", self.n, cases)
+        self._windup_slope = ca.SX.sym("windup slope", model.size, cases)
         self._preloads = self._x * ca.DM(self.scale)
         # A requirement and an objective share the compliances of their joint.
         self._built: dict[int, list[Quantity]] = {}
@@ -81,7 +90,7 @@ class PreloadNlp:
         rows, values = Blocks(), []
         for name, labels, expressions in (
             self._slip_rows(),
-            self._limit_rows(),
+            self._ceiling_rows(),
             self._stiffness_rows(),
             self._deflection_rows(),
             self._level_rows(),
@@ -99,7 +108,12 @@ class PreloadNlp:
         lower_g, upper_g = rows.bounds()
         return Nlp(
             x=ca.vertcat(self._x, self._z),
-            p=ca.vertcat(ca.vec(self._rest_compliance), ca.vec(self._rest_windup)),
+            p=ca.vertcat(
+                ca.vec(self._rest_compliance),
+                ca.vec(self._compliance_slope),
+                ca.vec(self._rest_windup),
+                ca.vec(self._windup_slope),
+            ),
             f=self._objective(),
             g=ca.SX(ca.vertcat(*values)) if values else ca.SX.zeros(0, 1),
             variables=variables,
@@ -158,12 +172,19 @@ class PreloadNlp:
                 rows.append(2.0 - self.model.slip_torque(self._preloads, index) / (safety * torque))
         return "slip safety", labels, rows
 
-    def _limit_rows(self) -> tuple[str, list[str], list[Quantity]]:
-        """Bounds of the preloads do this alone, but for a ceiling on the utilisation."""
+    def _ceiling_rows(self) -> tuple[str, list[str], list[Quantity]]:
         if self.ceiling is None:
-            return "utilisation", [], []
-        used = self._utilisations()
-        return "utilisation", [label for label, _ in used], [u / self.ceiling for _, u in used]
+            return "ceiling", [], []
+        kept, value = self.ceiling
+        found = self._measures(kept)
+        return "ceiling", [label for label, _ in found], [m / value for _, m in found]
+
+    def _measures(self, objective: str) -> list[tuple[str, Quantity]]:
+        """What an objective takes the largest of, of order one."""
+        if objective == "bolt_utilisation":
+            return self._utilisations()
+        level = self.levels.deflection**2
+        return [(name, square / level) for name, square in self._squared_deflections]
 
     def _utilisations(self) -> list[tuple[str, Quantity]]:
         found = []
@@ -179,7 +200,9 @@ class PreloadNlp:
         if joint not in self._built:
             row = self.joints.index(joint)
             self._built[joint] = [
-                self.model.compliance(self._preloads, joint, case) + self._rest_compliance[row, k]
+                self.model.compliance(self._preloads, joint, case)
+                + self._rest_compliance[row, k]
+                + self._times_own(self._compliance_slope, joint, k)
                 for k, case in enumerate(self.model.cases)
             ]
         return self._built[joint]
@@ -203,20 +226,17 @@ class PreloadNlp:
             for j in range(self.n):
                 angle = self._rest_windup[j, k]
                 if j + 1 in self.joints:
-                    angle = angle + self.varying_windup(self._preloads, j + 1, k)
+                    angle = angle + self.model.net_windup(self._preloads, j + 1, case)
+                    angle = angle + self._times_own(self._windup_slope, j + 1, k)
                 angles.append(angle)
             vector = ca.mtimes(ca.DM(case.jacobian), ca.vertcat(*angles))
             found.append((case.name, ca.sumsqr(vector)))
         return found
 
-    def varying_windup(self, preloads: Quantity, joint: int, index: int) -> Quantity:
-        """Smooth wind-up beyond the reference torque of what the study changes [rad]."""
-        case = self.model.cases[index]
-        angle = self.model.windup(preloads, joint, float(case.torque[joint - 1]))
-        if case.reference_torque is not None:
-            reference = float(case.reference_torque[joint - 1])
-            angle = angle - self.model.windup(preloads, joint, reference)
-        return angle
+    def _times_own(self, slope: Quantity, joint: int, index: int) -> Quantity:
+        """Linear term of a joint in one load case, over the joint's own preloads."""
+        parts = [self.model.slices[i] for i in self.model.indices[joint]]
+        return sum((ca.dot(slope[part, index], self._preloads[part]) for part in parts), ca.SX(0.0))
 
     def _deflection_rows(self) -> tuple[str, list[str], list[Quantity]]:
         allowed = self.model.problem.requirements.tool_deflection
@@ -227,13 +247,9 @@ class PreloadNlp:
 
     def _level_rows(self) -> tuple[str, list[str], list[Quantity]]:
         """Rows that keep the epigraph variables above what they stand for."""
-        if self.objective == "bolt_utilisation":
-            used = self._utilisations()
-            return "level", [label for label, _ in used], [1.0 + u - self._z[0] for _, u in used]
-        if self.objective == "tool_deflection":
-            found = self._squared_deflections
-            level = self.levels.deflection**2
-            return "level", [n for n, _ in found], [1.0 + s / level - self._z[0] for _, s in found]
+        if self.objective in ("bolt_utilisation", "tool_deflection"):
+            found = self._measures(self.objective)
+            return "level", [n for n, _ in found], [1.0 + m - self._z[0] for _, m in found]
         if self.objective == "joint_stiffness":
             labels, rows = [], []
             for position, joint in enumerate(self.joints):
@@ -263,17 +279,26 @@ class PreloadNlp:
 
     def parameters(self, preloads: np.ndarray) -> np.ndarray:
         """What has to be added to the smooth law so that it is exact at these preloads."""
-        model = self.model
-        compliance = np.zeros((len(self.joints), len(model.cases)))
-        windup = np.zeros((self.n, len(model.cases)))
-        for row, joint in enumerate(self.joints):
-            torques = np.array([case.torque[joint - 1] for case in model.cases])
-            smooth = [float(model.compliance(preloads, joint, case)) for case in model.cases]
-            compliance[row] = model.exact_compliance(preloads, joint, torques) - smooth
-        posed = [k for k, case in enumerate(model.cases) if case.jacobian is not None]
-        for j in range(1, self.n + 1) if posed else ():
-            windup[j - 1] = model.net_windups(preloads, j)
-            if j in self.joints:
-                smooth = [float(self.varying_windup(preloads, j, k)) for k in posed]
-                windup[j - 1, posed] -= smooth
-        return np.concatenate([compliance.ravel(order="F"), windup.ravel(order="F")])
+        shift = exact_shift(
+            self.model, preloads, compliances=self.sees_stiffness, windups=self.sees_deflection
+        )
+        parts = (
+            shift.compliance,
+            shift.compliance_slope,
+            shift.windup,
+            shift.windup_slope,
+        )
+        return np.concatenate([part.ravel(order="F") for part in parts])
+
+    @property
+    def sees_stiffness(self) -> bool:
+        """Whether the compliances of the joints matter."""
+        needed = self.model.problem.requirements.joint_stiffness
+        return bool(needed) or self.objective == "joint_stiffness"
+
+    @property
+    def sees_deflection(self) -> bool:
+        """Whether the wind-ups of the joints matter."""
+        allowed = self.model.problem.requirements.tool_deflection
+        seen = (self.objective, None if self.ceiling is None else self.ceiling[0])
+        return allowed is not None or "tool_deflection" in seen

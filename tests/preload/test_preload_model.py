@@ -139,7 +139,7 @@ def exercised(objective, individual=False):
         free=("pulley_pins",) if individual else (),
     )
     model = PreloadModel(problem)
-    return PreloadNlp(model, objective, levels_of(model), ceiling=0.9)
+    return PreloadNlp(model, objective, levels_of(model), ceiling=("bolt_utilisation", 0.9))
 
 
 @pytest.mark.parametrize(

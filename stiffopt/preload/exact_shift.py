@@ -1,0 +1,128 @@
+"""What lies between the smooth law and the exact one at a design, as a linear term.
+
+With it the smooth law has the value and the slope of the exact law there, so an optimum that the
+shift no longer moves is an optimum of the exact law. It stays convex.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from stiffopt.preload.model import PreloadModel
+
+# Step of the differences, as a share of a preload: the laws bend over the preload itself.
+_STEP = 1e-3
+# Largest correction of a slope, as a share of it: at slip the exact slope has no end.
+_MOST = 0.5
+
+# Design vector -> smooth and exact values of one joint, (cases,) each.
+_Laws = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class ExactShift:
+    """Constants and slopes to add to the smooth law.
+
+    Parameters
+    ----------
+    compliance : array (joints, cases)
+        [rad/(N m)], with all that no preload of the study changes.
+    compliance_slope : array (size, cases)
+        Over the preload of the joint it belongs to [rad/(N m) per N].
+    windup : array (n, cases)
+        Beyond the reference torque [rad]; of all joints of the robot.
+    windup_slope : array (size, cases)
+        [rad per N]
+    """
+
+    compliance: np.ndarray
+    compliance_slope: np.ndarray
+    windup: np.ndarray
+    windup_slope: np.ndarray
+
+
+def exact_shift(
+    model: PreloadModel, preloads: np.ndarray, *, compliances: bool = True, windups: bool = True
+) -> ExactShift:
+    """Difference of the two laws at a design.
+
+    Parameters
+    ----------
+    model : PreloadModel
+    preloads : array (size,) [N]
+    compliances, windups : bool
+        Which of them are asked for; the others are left at zero.
+    """
+    n, cases, joints = model.problem.robot.n, len(model.cases), model.problem.joints
+    shift = ExactShift(
+        np.zeros((len(joints), cases)),
+        np.zeros((model.size, cases)),
+        np.zeros((n, cases)),
+        np.zeros((model.size, cases)),
+    )
+    for row, joint in enumerate(joints) if compliances else ():
+        found = _linear(model, joint, preloads, partial(_compliances, model, joint))
+        shift.compliance[row] = found[0]
+        _spread(model, joint, found[1], shift.compliance_slope)
+    for joint in range(1, n + 1) if windups else ():
+        if joint not in joints:
+            shift.windup[joint - 1] = model.net_windups(preloads, joint)
+            continue
+        found = _linear(model, joint, preloads, partial(_windups, model, joint))
+        shift.windup[joint - 1] = found[0]
+        _spread(model, joint, found[1], shift.windup_slope)
+    return shift
+
+
+def _compliances(
+    model: PreloadModel, joint: int, preloads: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    torques = np.array([case.torque[joint - 1] for case in model.cases])
+    smooth = [float(model.compliance(preloads, joint, case)) for case in model.cases]
+    return np.array(smooth), model.exact_compliance(preloads, joint, torques)
+
+
+def _windups(
+    model: PreloadModel, joint: int, preloads: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    smooth = [float(model.net_windup(preloads, joint, case)) for case in model.cases]
+    return np.array(smooth), model.net_windups(preloads, joint)
+
+
+def _linear(
+    model: PreloadModel, joint: int, preloads: np.ndarray, laws: _Laws
+) -> tuple[np.ndarray, np.ndarray]:
+    """Constant (cases,) and slopes (own preloads, cases) of exact minus smooth."""
+    smooth, exact = laws(preloads)
+    slopes = []
+    for i in _own(model, joint):
+        step = np.zeros(model.size)
+        step[i] = _STEP * preloads[i]
+        (smooth_up, exact_up), (smooth_down, exact_down) = (
+            laws(preloads + step),
+            laws(preloads - step),
+        )
+        with np.errstate(invalid="ignore"):
+            missing = (exact_up - smooth_up) - (exact_down - smooth_down)
+        most = _MOST * np.abs(smooth_up - smooth_down)
+        missing = np.where(np.isfinite(missing), missing, 0.0)
+        slopes.append(np.clip(missing, -most, most) / (2.0 * step[i]))
+    found = np.array(slopes).reshape(-1, len(model.cases))
+    return exact - smooth - preloads[_own(model, joint)] @ found, found
+
+
+def _own(model: PreloadModel, joint: int) -> list[int]:
+    """Positions of a joint's preloads in the design vector."""
+    return [
+        i
+        for index in model.indices[joint]
+        for i in range(model.slices[index].start, model.slices[index].stop)
+    ]
+
+
+def _spread(model: PreloadModel, joint: int, slopes: np.ndarray, whole: np.ndarray) -> None:
+    whole[_own(model, joint)] = slopes
