@@ -197,6 +197,7 @@ def scan(
     catalogue: Sequence[Effect],
     *,
     refined: int = 6,
+    about: PlacedEffect | None = None,
     report: Callable[[str], object] | None = None,
 ) -> list[Candidate]:
     """Judge the whole catalogue; the best first, each place once.
@@ -207,6 +208,8 @@ def scan(
     catalogue : sequence of Effect
     refined : int
         How many of the best have their shapes fitted.
+    about : PlacedEffect, optional
+        Only what could stand in its place is tried.
     report : callable, optional
         Called with the name of every effect that is tried.
     """
@@ -218,6 +221,8 @@ def scan(
             report(effect.name)
         by_place: dict[tuple[int | None, int | None, str | None], list[PlacedEffect]] = {}
         for placed in places(effect, constants, runs):
+            if about is not None and not placed.near(about):
+                continue
             by_place.setdefault((placed.joint, placed.link, placed.run), []).append(placed)
         for tried in by_place.values():
             if any(tried[0].same_place(other) for other in scorer.base):

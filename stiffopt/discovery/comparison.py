@@ -20,6 +20,8 @@ from stiffopt.recording.nominal import Tolerance
 FEW_RUNS = 3
 _BLOCK_SECONDS = 2.0
 _MOST_BLOCKS = 8
+# Columns that are kept for the next time they are asked for.
+_KEPT = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +41,20 @@ class Fit:
     posterior: Posterior
     residual: np.ndarray
     nuisance: int
+
+    def losses(self) -> np.ndarray:
+        """Log evidence that is lost without each effect, the others kept.
+
+        The density that prior and posterior give to the amplitude zero, one over the other.
+        """
+        lost, begin = [], self.nuisance
+        for placed in self.effects:
+            part = slice(begin, begin + len(placed.effect.amplitudes))
+            mean, covariance = self.posterior.mean[part], self.posterior.covariance[part, part]
+            chi = float(mean @ np.linalg.solve(covariance, mean))
+            lost.append(0.5 * (chi + float(np.linalg.slogdet(covariance)[1])))
+            begin = part.stop
+        return np.array(lost)
 
     def amplitudes(self) -> np.ndarray:
         """Amplitudes of all effects over their sizes, one after another."""
@@ -83,6 +99,7 @@ class Comparison:
         self.whole_runs = len(self.runs) >= FEW_RUNS
         self.rows = Rows(self.runs, noise, self._blocks())
         self.blocks = int(self.rows.block.max()) + 1
+        self._kept: dict[tuple[object, ...], np.ndarray] = {}
         self.inflation = np.ones(2 * robot.n) if inflation is None else inflation
 
     def _blocks(self) -> int:
@@ -122,6 +139,14 @@ class Comparison:
 
     def effect_columns(self, placed: PlacedEffect) -> np.ndarray:
         """Columns (m, k) of an effect's amplitudes over their sizes."""
+        key = placed.key
+        if key not in self._kept:
+            self._kept[key] = self._effect_columns(placed)
+            if len(self._kept) > _KEPT:
+                self._kept.pop(next(iter(self._kept)))
+        return self._kept[key]
+
+    def _effect_columns(self, placed: PlacedEffect) -> np.ndarray:
         per_run = [list(placed.columns(run, self.robot)) for run in self.runs]
         sizes = placed.sizes(self.constants)
         columns = [

@@ -65,10 +65,20 @@ class PlacedEffect:
             place = f" of link {self.link + 1}"
         return f"{self.effect.name}{place}" + (f" in {self.run}" if self.run else "")
 
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What tells it from others: name, place and shapes."""
+        return (self.effect.name, self.joint, self.link, self.run, self.shapes)
+
+    def near(self, other: PlacedEffect) -> bool:
+        """Whether it could stand in the other's place: at its joint or next to it, or nowhere."""
+        if self.joint is None or other.joint is None:
+            return True
+        return abs(self.joint - other.joint) <= 1
+
     def same_place(self, other: PlacedEffect) -> bool:
         """Whether both are the same effect at the same place, whatever the shapes."""
-        mine = (self.effect.name, self.joint, self.link, self.run)
-        return mine == (other.effect.name, other.joint, other.link, other.run)
+        return self.key[:-1] == other.key[:-1]
 
     def constants(self, robot: RobotConstants) -> JointConstants | RobotConstants:
         """Constants that sizes and reports are taken from."""

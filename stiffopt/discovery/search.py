@@ -89,6 +89,7 @@ def search(
     comparison: Comparison,
     catalogue: Sequence[Effect],
     *,
+    start: Sequence[PlacedEffect] = (),
     most: int = 3,
     box: float = 4.0,
     report: Report | None = None,
@@ -100,8 +101,10 @@ def search(
     comparison : Comparison
         With the nominal model.
     catalogue : sequence of Effect
+    start : sequence of PlacedEffect
+        Tried together before anything else: what the nominal model is silent about.
     most : int
-        Effects at most.
+        Effects at most beside those.
     box : float
         Standard deviations that nominal values may be moved by, where the report says what they
         alone explain.
@@ -112,8 +115,14 @@ def search(
     first = comparison.fit()
     before = comparison.channel_ratio(comparison.target)
     calibrated = comparison.channel_ratio(comparison.within_tolerance(first, box))
-    effects: list[PlacedEffect] = []
     current = _about(comparison, first)
+    effects: list[PlacedEffect] = []
+    if start:
+        say(f"fit what the nominal model is silent about ({len(start)} values)")
+        current, effects = _settled(comparison, list(start))
+        effects = _pruned(current, effects)
+        current, effects = _settled(comparison, effects)
+    most += len(effects)
     while len(effects) < most:
         scorer = Scorer(current, effects)
         found = scan(scorer, catalogue)
@@ -187,12 +196,8 @@ def _settled(
 def _pruned(comparison: Comparison, effects: list[PlacedEffect]) -> list[PlacedEffect]:
     """Effects without which something is lost, given all others."""
     kept = list(effects)
-    while len(kept) > 1:
-        losses = []
-        for placed in kept:
-            others = [e for e in kept if e is not placed]
-            scored = Scorer(comparison, others).score(placed)
-            losses.append(-np.inf if scored is None else scored.evidence)
+    while kept:
+        losses = comparison.fit(kept).losses()
         worst = int(np.argmin(losses))
         if losses[worst] >= EVIDENCE:
             break
@@ -211,7 +216,8 @@ def _selected(
     scorer = Scorer(comparison, others)
     own = scorer.score(placed)
     assert own is not None
-    found = [c for c in scan(scorer, catalogue) if not c.placed.same_place(placed)]
+    near_by = scan(scorer, catalogue, about=placed)
+    found = [c for c in near_by if not c.placed.same_place(placed)]
     width = float(np.clip(_TEMPER * own.evidence, 1.0, _WIDEST))
     odds = [
         (c.evidence - own.evidence) / width - _PLAINER * (_size(c.placed) - _size(placed))

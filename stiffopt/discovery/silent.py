@@ -1,0 +1,22 @@
+"""What a nominal model says nothing about, although every joint has it."""
+
+from __future__ import annotations
+
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.placed import PlacedEffect
+from stiffopt.recording.recording_set import RecordingSet
+
+_OF_EVERY_JOINT = ("coulomb", "viscous", "rotor_inertia")
+
+
+def silent_effects(recordings: RecordingSet) -> tuple[PlacedEffect, ...]:
+    """Effects that stand for values the set does not give: friction and rotor inertia.
+
+    They are tried together before anything else; what the recordings do not bear out is dropped.
+    """
+    found = []
+    for name in _OF_EVERY_JOINT:
+        if getattr(recordings.nominal, name) is None:
+            entry = effect(name)
+            found += [PlacedEffect(effect=entry, joint=j) for j in range(len(recordings.joints))]
+    return tuple(found)
