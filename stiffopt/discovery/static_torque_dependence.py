@@ -210,7 +210,7 @@ def _paired(drop: np.ndarray) -> float:
 
     if not drop.any():
         return 1.0
-    return float(wilcoxon(drop, alternative="greater", method="approx").pvalue)
+    return float(wilcoxon(drop, alternative="greater").pvalue)
 
 
 def _rms(error: np.ndarray) -> float:
@@ -230,15 +230,15 @@ def _conclude(models: tuple[Compared, ...], rival: Compared) -> tuple[Verdict, s
     than = "constant compliance" if rival is models[0] else "constant compliance with an offset"
     return (
         "not supported",
-        f"not supported: {than} predicts poses left out better ({numbers}).",
+        f"not supported: {than} predicts poses left out better; {numbers}.",
         best,
     )
 
 
 def _numbers(model: Compared, tried: int) -> str:
     return (
-        f"{-100 * model.gain:+.1f} % error on poses left out by {model.name}, probability of "
-        f"chance {model.chance:.2g} with {tried} models tried"
+        f"{-100 * model.gain:+.1f} % error on poses left out (model: {model.name}), probability "
+        f"of chance {model.chance:.2g} with {tried} models tried"
     )
 
 
