@@ -178,9 +178,11 @@ class RobotModel:
         """Spring torques for the inertial parameters of every body (K, n, 10 n)."""
         model, data, order = self.model, self._data, self.order
         columns = np.concatenate([np.arange(10 * j, 10 * j + 10) for j in order])
+        shape = (model.nv, 10 * model.nv)
         out = np.empty((len(q), self.n, 10 * self.n))
         for k, each in enumerate(zip(*(self._in_model(x) for x in (q, v, a)), strict=True)):
-            out[k] = pin.computeJointTorqueRegressor(model, data, *each)[np.ix_(order, columns)]
+            full = np.reshape(pin.computeJointTorqueRegressor(model, data, *each), shape)
+            out[k] = full[np.ix_(order, columns)]
         return out
 
     def tilt(self, q: np.ndarray) -> np.ndarray:
@@ -208,7 +210,8 @@ class RobotModel:
             full = pin.computeFrameJacobian(
                 model, data, each, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
             )
-            jacobian[k] = full[:3, self.order]
+            # One joint comes back as a vector.
+            jacobian[k] = np.reshape(full, (6, model.nv))[:3, self.order]
             position[k] = pin.updateFramePlacement(model, data, frame).translation
         return position, np.einsum("kij,kj->ki", jacobian, v), jacobian
 
