@@ -26,6 +26,7 @@ from stiffopt.discovery.predict import Predictor
 from stiffopt.discovery.proof import RunProof, prove
 from stiffopt.discovery.search import Selected, search
 from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.silent import silent_effects
 from stiffopt.discovery.training import Training, train
 from stiffopt.discovery.uncertainty import Estimate, estimate
 from stiffopt.discovery.user_effects import load_effects
@@ -82,7 +83,12 @@ def diagnose(
     training = train(recordings, settings, base, say)
     say("compare with the nominal model" if base is None else f"compare with {base.source}")
     result = search(
-        training.comparison(), catalogue, most=settings.effects, box=settings.box, report=say
+        training.comparison(),
+        catalogue,
+        start=silent_effects(recordings) if base is None else (),
+        most=settings.effects,
+        box=settings.box,
+        report=say,
     )
     selected, outside = judged(result)
     say("estimate parameters")
