@@ -139,6 +139,24 @@ def bootstrap(
     return np.array([fit(columns[i], displacement[i], start=fitted).value for i in chosen])
 
 
+def bootstrap_interval(drawn: np.ndarray, poses: int, confidence: float) -> tuple[float, float]:
+    """Ends of an interval for the true value, at that confidence, from drawn values (draws,).
+
+    Notes
+    -----
+    Hesterberg, T. C.: What Teachers Should Know About the Bootstrap, The American Statistician
+    (2015): the plain percentiles of few poses are too close together, as a normal interval with
+    the deviation of divisor m in place of Student's with m - 1 is; percentiles further out make up
+    for it. Ranks r of B draws stand for r / (B + 1), so that few draws do not narrow it again.
+    """
+    from scipy.stats import norm, t
+
+    reach = t.ppf(0.5 + 0.5 * confidence, poses - 1) * np.sqrt(poses / (poses - 1))
+    level = float(norm.cdf(-reach))
+    lower, upper = np.quantile(drawn, [level, 1.0 - level], method="weibull")
+    return float(lower), float(upper)
+
+
 def _solve(columns: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     from scipy.optimize import nnls
 

@@ -7,6 +7,7 @@ import numpy as np
 from stiffopt.discovery.robust_compliance import (
     Fit,
     bootstrap,
+    bootstrap_interval,
     fit,
     jackknife_deviation,
     model_covariance,
@@ -128,7 +129,13 @@ def _joints(
             status, reason = _significance(value, deviation, factor, float(can.leverage[j]))
             if status != "not_loaded":
                 estimate = _estimate(
-                    value, deviation, factor, nominal, float(plain.value[k]), drawn[:, k]
+                    value,
+                    deviation,
+                    factor,
+                    nominal,
+                    float(plain.value[k]),
+                    bootstrap_interval(drawn[:, k], len(folds), CONFIDENCE),
+                    float(np.std(drawn[:, k], ddof=1)),
                 )
                 estimate["compliance_sd_alike"] = float(alike[k])
                 estimate["compliance_sd"] = float(jackknife[k])
@@ -206,11 +213,11 @@ def _estimate(
     factor: float,
     nominal: float | None,
     plain: float,
-    drawn: np.ndarray,
+    drawn: tuple[float, float],
+    spread: float,
 ) -> dict[str, float | None]:
     """Stiffness with its interval from a compliance; nothing is divided by zero."""
     guess = value > deviation
-    ends = np.quantile(drawn, [0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE])
     return {
         "stiffness": 1.0 / value if guess else None,
         "sd": deviation / value**2 if guess else None,
@@ -218,9 +225,9 @@ def _estimate(
         "upper": _inverse(value - factor * deviation),
         "least_squares": _inverse(plain),
         "compliance": value,
-        "compliance_sd_bootstrap": float(np.std(drawn, ddof=1)),
-        "bootstrap_lower": _inverse(float(ends[1])),
-        "bootstrap_upper": _inverse(float(ends[0])),
+        "compliance_sd_bootstrap": spread,
+        "bootstrap_lower": _inverse(drawn[1]),
+        "bootstrap_upper": _inverse(drawn[0]),
         "z_nominal": (value - 1.0 / nominal) / deviation if nominal and deviation else None,
     }
 
