@@ -1,4 +1,4 @@
-"""The command line: `stiffopt stiffness`, `solve`, `preload`, `verify`, `schema`.
+"""The command line: `stiffopt solve`, `preload`, `diagnose`, `recording check` and the others.
 
 Exit codes: 0 done, 1 a verified value is off, 2 wrong input or command line, 3 no usable result,
 130 interrupted. Commands import what they need, so that help and errors come at once.
@@ -25,11 +25,21 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 
+recording = App(name="recording", help="Look at recordings before they are used.")
+app.command(recording)
+
 Out = Annotated[Path, Parameter(name="--out", help="Folder for the results; made if missing.")]
 
 
 @app.command
-def solve(problem: Path, *, out: Out | None = None, quiet: bool = False) -> int:
+def solve(
+    problem: Path,
+    *,
+    out: Out | None = None,
+    model: Path | None = None,
+    effects: Path | None = None,
+    quiet: bool = False,
+) -> int:
     """Optimise a trajectory and certify it.
 
     Writes result.json, trajectory.csv and report.html. Ctrl-C ends the solve and keeps the best
@@ -41,6 +51,11 @@ def solve(problem: Path, *, out: Out | None = None, quiet: bool = False) -> int:
         A trajectory problem file (TOML).
     out
         Default: out/NAME of the problem file.
+    model
+        extended.toml of a diagnosis of this arm: plan without and with what was found, and
+        compare.
+    effects
+        Python file of the effects in it that are not of the catalogue.
     quiet
         No progress display.
     """
@@ -52,16 +67,24 @@ def solve(problem: Path, *, out: Out | None = None, quiet: bool = False) -> int:
     from stiffopt.study.optimise import solve as optimise
 
     loaded = load_problem(problem)
+    stated = loaded.problem
+    found = _extended(model, effects)
     with _folder(out or Path("out") / problem.stem) as folder:
-        with _progress(loaded.problem, quiet) as progress, _about(problem):
-            solution = optimise(loaded.problem, progress=progress, throw=False)
+        with _progress(stated, quiet) as progress, _about(problem):
+            if found is None:
+                solution = optimise(stated, progress=progress, throw=False)
+            else:
+                from stiffopt.discovery.planner_solve import solve_extended
+
+                loop = solve_extended(stated, found, progress=progress)
+                stated, solution = loop.problem, loop.solution
         if solution.trajectory is not None:
             times = export_times(solution.trajectory.duration)
-            exported = assess(loaded.problem, solution.trajectory, times=times)
+            exported = assess(stated, solution.trajectory, times=times)
             write_trajectory(exported, folder)
-        write_solve_report(loaded.problem, solution, folder)
+        write_solve_report(stated, solution, folder)
         write_result(solution, folder)
-    print_solution(loaded.problem, solution, folder)
+    print_solution(stated, solution, folder)
     return solution.status.exit_code
 
 
@@ -205,6 +228,41 @@ def diagnose(
     return 0
 
 
+@recording.command
+def check(recordings: Path, *, json: bool = False) -> int:
+    """Say what a recording set holds, what it lacks and what can be identified with it.
+
+    Ends with 2 where `stiffopt diagnose` (of a static set: `identify-stiffness`) cannot use it.
+
+    Parameters
+    ----------
+    recordings
+        Folder with a recordings.toml or a static.toml, or that file.
+    json
+        Print plain data in place of text.
+    """
+    from stiffopt.recording.check import check_recordings
+    from stiffopt.recording.recording_set import load_recordings, require_usable
+    from stiffopt.recording.static_set import is_static, load_static_set
+    from stiffopt.report import recording_terminal as terminal
+
+    if is_static(recordings):
+        facts = terminal.static_facts(load_static_set(recordings))
+        if json:
+            _print_json(facts)
+        else:
+            terminal.print_static_check(facts)
+        return 0
+    loaded = load_recordings(recordings)
+    report = check_recordings(loaded)
+    if json:
+        _print_json(report.as_dict())
+    else:
+        terminal.print_check(report)
+    require_usable(loaded, {run.file for run in report.runs if run.usable})
+    return 0
+
+
 @app.command(name="identify-stiffness")
 def identify_stiffness(recordings: Path, *, out: Out | None = None) -> int:
     """Find the joint stiffness of an arm from deflections measured under known forces.
@@ -234,7 +292,11 @@ def identify_stiffness(recordings: Path, *, out: Out | None = None) -> int:
 
 
 @app.command
-def schema(kind: Literal["trajectory", "robot", "preload"] = "trajectory") -> int:
+def schema(
+    kind: Literal[
+        "trajectory", "robot", "preload", "recordings", "static", "extended"
+    ] = "trajectory",
+) -> int:
     """Print the JSON Schema of a file kind, for editors.
 
     Parameters
@@ -242,20 +304,39 @@ def schema(kind: Literal["trajectory", "robot", "preload"] = "trajectory") -> in
     kind
         Which file.
     """
-    import json
-
+    from stiffopt.discovery.extended_schema import ExtendedFile
     from stiffopt.files import Section
     from stiffopt.preload.schema import PreloadFile
     from stiffopt.problem.schema import ProblemFile
+    from stiffopt.recording.schema import RecordingsFile, StaticFile
     from stiffopt.robot.schema import RobotFile
 
     models: dict[str, type[Section]] = {
         "trajectory": ProblemFile,
         "robot": RobotFile,
         "preload": PreloadFile,
+        "recordings": RecordingsFile,
+        "static": StaticFile,
+        "extended": ExtendedFile,
     }
-    print(json.dumps(models[kind].model_json_schema(by_alias=True), indent=2))
+    _print_json(models[kind].model_json_schema(by_alias=True))
     return 0
+
+
+def _print_json(document: Any) -> None:
+    import json
+
+    print(json.dumps(document, indent=2, ensure_ascii=False))
+
+
+def _extended(model: Path | None, effects: Path | None) -> Any:
+    """Extended model of a diagnosis, None without a file."""
+    if model is None:
+        return None
+    from stiffopt.discovery.extended_model import load_extended
+    from stiffopt.discovery.user_effects import load_effects
+
+    return load_extended(model, () if effects is None else load_effects(effects))
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Set
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -194,6 +195,20 @@ def require_test_runs(recordings: RecordingSet) -> None:
                 "runs",
                 f'none of the {len(recordings.runs)} runs has role = "{role}" ({roles}). '
                 f"{purpose}: mark or record at least one.",
+            )
+
+
+def require_usable(recordings: RecordingSet, usable: Set[str]) -> None:
+    """As `require_test_runs`, counting only runs whose files are named as usable."""
+    require_test_runs(recordings)
+    for role in ("train", "test"):
+        files = [entry.file for entry in recordings.with_role(role)]
+        if usable.isdisjoint(files):
+            raise InputFileError(
+                recordings.path,
+                "runs",
+                f'no run of the role "{role}" can be used: in {", ".join(files)} a joint has no'
+                " position that can be trusted. Record anew, or give other runs that role.",
             )
 
 

@@ -72,6 +72,14 @@ class StaticSet:
         return self.arm.order
 
 
+def is_static(path: str | os.PathLike[str]) -> bool:
+    """Whether a path is that of a static set: its folder, or a file of its name or kind."""
+    path = Path(path)
+    if path.is_dir():
+        return (path / FILE).is_file()
+    return path.name == FILE or (path.is_file() and load_toml(path).get("kind") == "static")
+
+
 def load_static_set(path: str | os.PathLike[str]) -> StaticSet:
     """Static set of a folder or of its static.toml.
 
