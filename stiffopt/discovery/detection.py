@@ -96,16 +96,16 @@ def _of_effect(scorer: Scorer, effect: Effect) -> Iterator[DetectionLimit]:
         base = None
         if nominal is not None and joint is not None:
             base = getattr(constants.joints[joint], nominal) or None
-        name, value, unit = amplitude.name, least, amplitude.unit
+        name, value = amplitude.name, least
         if effect.report is not None:
             values = effect.values([least], middle.shapes, middle.constants(constants))
             name = next(iter(values))
-            value, unit = values[name], effect.unit_of(name)
+            value = values[name]
         yield DetectionLimit(
             effect=effect.name,
             joint=None if joint is None else joint + 1,
             parameter=name,
             value=float(value),
-            unit=unit,
+            unit=middle.unit_of(name, constants),
             relative=None if base is None else least / base,
         )

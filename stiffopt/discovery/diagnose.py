@@ -152,7 +152,7 @@ def _findings(
                 probability=selected.probability,
                 rivals=rivals_of(selected),
                 parameters=tuple(
-                    Parameter(name=name, value=value, sd=sd, unit=effect.unit_of(name))
+                    Parameter(name=name, value=value, sd=sd, unit=placed.unit_of(name, constants))
                     for name, (value, sd) in values.items()
                 ),
                 where=effect.signature,

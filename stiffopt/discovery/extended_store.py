@@ -97,7 +97,7 @@ def _effect(
     parameters = {}
     for name, value in reported.items():
         sd = f", sd = {_value(spread[name])}" if np.isfinite(spread.get(name, np.nan)) else ""
-        unit = json.dumps(effect.unit_of(name))
+        unit = json.dumps(placed.unit_of(name, constants))
         parameters[name] = f"{{ value = {_value(value)}{sd}, unit = {unit} }}"
     lines = [f"{_key(name)} = {text}" for name, text in parameters.items()]
     return (

@@ -13,6 +13,18 @@ from stiffopt.discovery.prepare import PreparedRun
 from stiffopt.discovery.robot import RobotModel
 from stiffopt.discovery.signals import JointConstants, RobotConstants
 
+# Units of angle and torque, and what they are at a joint that slides.
+_OF_SLIDES = {
+    "rad": "m",
+    "rad/s": "m/s",
+    "N m": "N",
+    "N m s/rad": "N s/m",
+    "N m/rad": "N/m",
+    "N m/rad^3": "N/m^3",
+    "rad/(N m)": "m/N",
+    "kg m^2": "kg",
+}
+
 
 @dataclass(frozen=True, eq=False)
 class Contribution:
@@ -83,6 +95,12 @@ class PlacedEffect:
     def constants(self, robot: RobotConstants) -> JointConstants | RobotConstants:
         """Constants that sizes and reports are taken from."""
         return robot if self.joint is None else robot.joints[self.joint]
+
+    def unit_of(self, parameter: str, robot: RobotConstants) -> str:
+        """Unit of a reported parameter; of force and length where the joint slides."""
+        unit = self.effect.unit_of(parameter)
+        slides = self.joint is not None and robot.joints[self.joint].prismatic
+        return _OF_SLIDES.get(unit, unit) if slides else unit
 
     def sizes(self, robot: RobotConstants) -> np.ndarray:
         """Typical size of every amplitude."""
