@@ -30,23 +30,29 @@ def variance_explained(
     Notes
     -----
     Every block (a training run; a stretch where runs are few) is predicted with nominal values and
-    amplitudes fitted to the other blocks, once with all effects and once without the one in
-    question. Above noise: less what the rows' stated noise alone would leave.
+    amplitudes fitted to the other blocks, once with all of it and once without what the effect in
+    question adds. Nominal values stay as fitted beside the effect: fitted without it, they leave
+    their tolerances to stand in for it. Above noise: less what the rows' stated noise alone would
+    leave.
     """
-    whole = _left_out(comparison, effects)
+    residual, added = _left_out(comparison, effects)
     shares = []
-    for index, channel in enumerate(channels):
-        others = tuple(e for k, e in enumerate(effects) if k != index)
+    for own_part, channel in zip(added, channels, strict=True):
         own = comparison.rows.channel == channel
         noise = float(own.sum())
-        before = float(np.sum(_left_out(comparison, others)[own] ** 2)) - noise
-        after = float(np.sum(whole[own] ** 2)) - noise
+        before = float(np.sum((residual + own_part)[own] ** 2)) - noise
+        after = float(np.sum(residual[own] ** 2)) - noise
         shares.append(float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0.0 else 0.0)
     return tuple(shares)
 
 
-def _left_out(comparison: Comparison, effects: tuple[PlacedEffect, ...]) -> np.ndarray:
-    """Residual (m,) over the stated noise of blocks that the fit did not see."""
+def _left_out(
+    comparison: Comparison, effects: tuple[PlacedEffect, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Residual (m,) of blocks that the fit did not see, and what each effect adds to them (e, m).
+
+    Both over the stated noise.
+    """
     _, sd, nuisance = comparison.nuisance
     parts = [comparison.effect_columns(e) for e in effects]
     columns = np.column_stack([nuisance, *parts])
@@ -56,6 +62,7 @@ def _left_out(comparison: Comparison, effects: tuple[PlacedEffect, ...]) -> np.n
     sums = BlockSums(columns, comparison.target, block, int(block.max()) + 1)
     gram, moment, square = (x.sum(axis=0) for x in (sums.gram, sums.moment, sums.square))
     residual = np.empty_like(comparison.target)
+    added = np.empty((len(effects), len(residual)))
     for b in range(len(sums.square)):
         rest = Sums(
             (gram - sums.gram[b])[None],
@@ -63,6 +70,12 @@ def _left_out(comparison: Comparison, effects: tuple[PlacedEffect, ...]) -> np.n
             np.array([square - sums.square[b]]),
         )
         own = block == b
-        found = posterior(rest, prior, cross_validate=False)
-        residual[own] = comparison.target[own] - columns[own] @ found.mean
-    return np.asarray(residual * comparison.inflation[comparison.rows.channel])
+        mean = posterior(rest, prior, cross_validate=False).mean
+        residual[own] = comparison.target[own] - columns[own] @ mean
+        begin = len(sd)
+        for index, part in enumerate(parts):
+            end = begin + part.shape[1]
+            added[index, own] = part[own] @ mean[begin:end]
+            begin = end
+    weight = comparison.inflation[comparison.rows.channel]
+    return residual * weight, added * weight
