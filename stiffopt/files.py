@@ -183,6 +183,8 @@ def _fault(model: type[BaseModel], where: str, error: Any) -> tuple[str, str]:
         allowed = re.findall(r"'([^']*)'", error["ctx"]["expected"])
         if allowed:
             return where, f"got {given!r}. {nearest(str(given), allowed)}"
+    if kind == "value_error" and isinstance(given, Mapping):
+        return where, f"{error['msg'].removeprefix('Value error, ')}."
     if kind == "unit":
         return where, error["msg"]
     return where, f"{error['msg']}, got {given!r}."

@@ -136,7 +136,7 @@ def element_stoppers(model: PreloadModel, designs: Designs) -> tuple[Stopper, ..
                 best=safety / used if slips else used,
                 required=safety if slips else 1.0,
                 unit="",
-                against=f"The nearest of {len(own)} catalogue designs is {nearest.label}; this",
+                against=f"the nearest of {len(own)} catalogue designs is {nearest.label}",
                 remedy=f"{nearest.remedy(name)}, or more sizes, grades or counts in [choose]",
             )
         )
@@ -168,9 +168,9 @@ def requirement_stoppers(
         ):
             worst[owner] = i
     against = (
-        "Even the stiffest catalogue designs together do not give more; their compliance"
+        "even the stiffest catalogue designs together do not give more"
         if alone
-        else "It can be met alone, but not with the other requirements, which"
+        else "it can be met alone, but not with the other requirements"
     )
     return tuple(_requirement(model, table, i, float(least[i]), against) for i in worst.values())
 
@@ -181,8 +181,9 @@ def _requirement(
     rows = table.rows
     share = 1.0 - float(rows.base[row]) / least if least > 0.0 else 0.0
     remedy = (
-        f"larger, more or better bolts in [choose] gain at most {share:.1%}, since the rest of the "
-        "drivetrain yields that much; beyond it stiffer reducers, less load, or a lower requirement"
+        f"larger, more or better bolts in [choose] gain at most {100 * share:.1f} %, since "
+        "the rest of the drivetrain yields that much; beyond it stiffer reducers, less load, or a "
+        "lower requirement"
     )
     if table.joints[row] is None:
         return Stopper(

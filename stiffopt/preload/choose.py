@@ -235,5 +235,9 @@ def _beside_real_numbers(choice: CatalogueChoice, continuous: PreloadSolution) -
     if choice.problem.objective == "joint_stiffness":
         worse = -worse
     gap = worse / continuous.objective
-    text = f"{choice.message} Any torque instead of a standard one would gain {max(gap, 0.0):.2%}."
+    if choice.proof.complete:
+        what = "Any torque instead of a standard one would gain"
+    else:
+        what = "With its bolts and any torque the design would be better by"
+    text = f"{choice.message} {what} {100 * max(gap, 0.0):.2f} %."
     return replace(choice, continuous=continuous, gap=gap, message=text)

@@ -96,8 +96,7 @@ def _build(document: PreloadFile, robot: Robot, path: Path) -> PreloadProblem:
         joints = [j for j, chain in enumerate(robot.chains, start=1) if chain is not None]
     for joint in joints:
         lists.check_number(joint, "joints")
-    with located(path, "tightening"):
-        tightening = Tightening(**document.tightening.model_dump())
+    tightening = Tightening(**document.tightening.model_dump())
     objective, needs = document.minimise[0], document.require
     stiffness = _by_joint(needs.joint_stiffness, lists, "require.joint_stiffness")
     requirements = Requirements(**(needs.model_dump() | {"joint_stiffness": stiffness}))

@@ -13,6 +13,8 @@ from stiffopt.result.status import SolveStatus
 
 # A gain below this is called not worth the effort.
 _WORTH = 0.01
+# Less than what is written of it.
+_SEEN = 5e-5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,9 +88,15 @@ def meaning(status: SolveStatus, gain: float) -> str:
     """Tell a designer what the gain of a joint study means."""
     if not np.isfinite(gain):
         return "Stopped by the user before the preloads were optimised."
-    text = f"Optimised together, preloads and motion deflect {gain:.2%} less than one after another"
+    if gain < _SEEN:
+        text = "Optimised together, preloads and motion deflect no less than one after another"
+    else:
+        text = (
+            f"Optimised together, preloads and motion deflect {100 * gain:.2f} % less than one "
+            "after another"
+        )
     if gain < _WORTH:
-        text += ": below 1 %, so the joint study is not worth it here"
+        text += ": a gain below 1 %, so the joint study is not worth it here"
     ends = {
         SolveStatus.INTERRUPTED: " Stopped by the user; this is the best so far.",
         SolveStatus.ACCEPTABLE: " The rounds ended before the deflection settled.",

@@ -217,7 +217,7 @@ def _deflection_stopper(model: PreloadModel, progress: Report | None) -> tuple[S
             best=float(sizes[worst]),
             required=allowed,
             unit="m",
-            against="The largest preloads that bolts and pins bear",
+            against="bolts and pins bear no larger preloads",
             remedy="a smaller load, another pose, larger bolts, or stiffer reducers",
         ),
     )

@@ -278,7 +278,7 @@ def _knee_reason(points: Sequence[ParetoPoint], knee: int) -> str:
 
 
 def _percent(level: float, most: float) -> str:
-    return f"{level / most:.2%} of the largest stiffness"
+    return f"{100 * level / most:.2f} % of the largest stiffness"
 
 
 def _note(points: Sequence[ParetoPoint]) -> str:
@@ -290,7 +290,10 @@ def _note(points: Sequence[ParetoPoint]) -> str:
         )
     what = "stiffness" if len(first.stiffness) == 1 else "the least relative stiffness"
     gain, more = last.level / first.level - 1.0, last.total_preload / first.total_preload - 1.0
-    text = f"From the least to the most preload, {more:.0%} more in all, {what} rises by {gain:.1%}"
+    text = (
+        f"From the least to the most preload, {100 * more:.0f} % more in all, {what} rises by "
+        f"{100 * gain:.1f} %"
+    )
     if gain < _FLAT:
         return f"{text}: the front is nearly flat, so tightening buys hardly any stiffness."
     return f"{text}."

@@ -25,7 +25,7 @@ class Stopper:
         Best reachable and required value, in `unit`.
     unit : str
     against : str
-        What stands against it.
+        What stands against it; "" where nothing more is to be said.
     remedy : str
         What to change.
     """
@@ -38,12 +38,33 @@ class Stopper:
     remedy: str
 
     def __str__(self) -> str:
-        unit = f" {self.unit}" if self.unit else ""
-        stop = f" {self.against} stops it." if self.against else ""
+        required, best = self.amounts
+        stop = f" What stops it: {self.against}." if self.against else ""
         return (
-            f"{self.limit}: required {self.required:.4g}{unit}, best reachable "
-            f"{self.best:.4g}{unit}.{stop} To change: {self.remedy}."
+            f"{self.limit[:1].upper()}{self.limit[1:]}: required {required}, best reachable "
+            f"{best}.{stop} To change: {self.remedy}."
         )
+
+    @property
+    def amounts(self) -> tuple[str, str]:
+        """Required and best value with unit, with the digits at which they differ."""
+        factor, unit = _READ_IN.get(self.unit, (1.0, self.unit))
+        for digits in range(4, 10):
+            required = f"{_significant(factor * self.required, digits)} {unit}".rstrip()
+            best = f"{_significant(factor * self.best, digits)} {unit}".rstrip()
+            if required != best:
+                break
+        return required, best
+
+
+# Units that read better than SI, with their factor.
+_READ_IN = {"m": (1e3, "mm"), "Pa": (1e-6, "MPa")}
+
+
+def _significant(value: float, digits: int) -> str:
+    """Without an exponent for what bolts and joints have."""
+    text = f"{value:.{digits}g}"
+    return f"{value:.0f}" if "e+" in text and abs(value) < 1e9 else text
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

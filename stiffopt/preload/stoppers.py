@@ -85,7 +85,7 @@ def limiting(element: FreeElement, bolt_utilisation: float) -> str:
     """Name of the limit that ends an element's preload, with that preload."""
     ends = element.ends(bolt_utilisation)
     name = min(ends, key=lambda each: ends[each])
-    return f"{name[0].upper()}{name[1:]} of {element.key} (at most {ends[name]:.0f} N)"
+    return f"{name} of {element.key} (at most {ends[name]:.0f} N)"
 
 
 def _slip(
@@ -125,7 +125,7 @@ def _reach(model: PreloadModel, row: UtilisationRow, upper: np.ndarray) -> Stopp
         for e in model.elements
         if e.joint == row.joint
     ]
-    stop = " and ".join(ends) if ends else "No preload of this joint is free; its fixed elements"
+    stop = " and ".join(ends) if ends else "no preload of this joint is free"
     return Stopper(
         limit=row.name,
         best=row.value,
@@ -133,7 +133,8 @@ def _reach(model: PreloadModel, row: UtilisationRow, upper: np.ndarray) -> Stopp
         unit=row.unit,
         against=stop,
         remedy=(
-            f"the preloaded connections hold {share:.1%} of the compliance there, so larger bolts "
-            f"gain at most that; beyond it a stiffer reducer or stiffer elements, or less stiffness"
+            f"the preloaded connections hold {100 * share:.1f} % of the compliance there, so "
+            "larger bolts gain at most that; beyond it a stiffer reducer or stiffer elements, or "
+            "less stiffness"
         ),
     )

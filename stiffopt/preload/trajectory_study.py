@@ -137,7 +137,7 @@ class _Study:
             nearest = min(t.deflection for _, t in pairs) / separate.deflection - 1.0
             self.remarks.append(
                 "No round came below the motion and preloads optimised one after another; the best "
-                f"of them deflects {nearest:.2%} more."
+                f"of them deflects {100 * nearest:.2f} % more."
             )
         first, separate = self._best_apart(first, separate, pairs)
         return self._conclude(first, separate, best, pairs)
@@ -156,8 +156,8 @@ class _Study:
         if best[0].deflection < first.deflection * (1.0 - SETTLED):
             self.remarks.append(
                 "A motion of the rounds suits the start preloads better than the one found for "
-                f"them ({1.0 - best[0].deflection / first.deflection:.2%}); it stands for the "
-                "motion optimised alone."
+                f"them ({100 * (1.0 - best[0].deflection / first.deflection):.2f} %); it stands "
+                "for the motion optimised alone."
             )
             return best
         return first, separate

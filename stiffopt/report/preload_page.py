@@ -112,11 +112,11 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
 
 
 def _stopper(stop: Any) -> dict[str, str]:
-    unit = f" {stop.unit}" if stop.unit else ""
+    required, best = stop.amounts
     return {
         "limit": spoken(stop.limit),
-        "required": f"{significant(stop.required)}{unit}",
-        "best": f"{significant(stop.best)}{unit}",
+        "required": required,
+        "best": best,
         "against": prose(stop.against),
         "remedy": prose(stop.remedy),
     }

@@ -93,7 +93,7 @@ def test_each_step_lowers_the_deflection(rough):
     assert study.status is SolveStatus.OPTIMAL
     assert study.joint <= study.separate < study.start
     assert study.gain == pytest.approx(1.0 - study.joint / study.separate, abs=1e-15)
-    assert f"{study.gain:.2%}" in study.note
+    assert f"{100 * study.gain:.2f} % less" in study.note
     # The start is what the robot has.
     assert study.start_preloads == {e.key: e.stage.element.preload for e in problem.elements}
 
@@ -298,8 +298,9 @@ def test_robot_takes_preloads_by_joint_and_name(tmp_path):
 
 
 def test_meaning_of_a_gain():
-    assert "3.00%" in meaning(SolveStatus.OPTIMAL, 0.03)
+    assert "3.00 % less" in meaning(SolveStatus.OPTIMAL, 0.03)
     assert "not worth it" not in meaning(SolveStatus.OPTIMAL, 0.03)
+    assert "no less than" in meaning(SolveStatus.OPTIMAL, 1e-8)
     assert "before the deflection settled" in meaning(SolveStatus.ACCEPTABLE, 0.03)
 
 

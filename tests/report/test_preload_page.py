@@ -93,7 +93,7 @@ def test_page_of_a_study_that_cannot_be_met_gives_reasons_and_recommends_nothing
     for text in (
         "No preload meets this study",
         "slip safety, flexspline flange, overload",
-        "Bolt utilisation of flexspline flange",
+        "bolt utilisation of flexspline flange",
         "To change: a larger bolt",
         "Do not tighten to them.",
         "exceeded",
