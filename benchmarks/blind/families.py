@@ -1,0 +1,12 @@
+"""Classes of effects, as the simulator sorts them."""
+
+from __future__ import annotations
+
+# The import fills the registry of effects.
+from tests.simulator import case  # noqa: F401
+from tests.simulator.effects import EFFECTS
+
+
+def family(effect: str) -> str:
+    """Class of an effect of the catalogue; "user" of one that the simulator does not know."""
+    return EFFECTS[effect].family if effect in EFFECTS else "user"
