@@ -49,7 +49,7 @@ class RobotModel:
     @cached_property
     def constants(self) -> RobotConstants:
         """Constants without any range met."""
-        nominal = self.recordings.nominal
+        nominal, connections = self.recordings.nominal, self.recordings.nominal.connections
         stiff = np.full(self.n, np.inf)
         torque_max = filled(nominal.torque_max, np.abs(self.model.effortLimit[self.order]))
         torque_max = np.where((torque_max > 0.0) & np.isfinite(torque_max), torque_max, np.nan)
@@ -71,6 +71,7 @@ class RobotModel:
                 contact_stiffness=float(contact[j]),
                 pole_pairs=nominal.pole_pairs,
                 prismatic=prismatic[j],
+                belt=None if connections is None else "belt" in connections[j],
                 slopes=self._slopes(j),
                 torques=self._knees(j),
             )

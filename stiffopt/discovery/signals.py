@@ -39,6 +39,8 @@ class JointConstants:
     largest_torque : float
         Largest nominal spring torque met [N m].
     prismatic : bool
+    belt : bool or None
+        Whether a belt is among the connections; None where they are unknown.
     """
 
     joint: int
@@ -56,6 +58,7 @@ class JointConstants:
     fastest: float = 1.0
     largest_torque: float = 1.0
     prismatic: bool = False
+    belt: bool | None = None
 
     @property
     def elastic(self) -> bool:

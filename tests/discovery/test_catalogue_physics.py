@@ -174,13 +174,21 @@ def test_readings_and_springs_have_their_signs():
     for name in ("encoder_offset", "encoder_zero_change"):
         np.testing.assert_allclose(effect(name).term(signals, [2e-4], []).deflection, -2e-4)
     shift = effect("encoder_skew").term(ROBOT, [2e-3], []).deflection
-    np.testing.assert_allclose(shift, 2e-3 * ROBOT.motor_velocity)
+    np.testing.assert_allclose(shift, 2e-3 * ROBOT.link_velocity)
     late = effect("time_delay").term(ROBOT, [1e-3], []).drive_torque
     np.testing.assert_allclose(late, -1e-3 * ROBOT.drive_torque_rate)
     spring = effect("gravity_spring")
     assert spring.values([5.0, 2.0], [], signals.constants) == {"k": 5.0, "offset": 0.4}
     torque = spring.term(signals, [5.0, 2.0], []).link_torque
     np.testing.assert_allclose(torque, 5.0 * (signals.link_position - 0.4), atol=1e-12)
+
+
+def test_a_belt_creeps_only_where_a_belt_is():
+    joint = ROBOT.of_joint(1).constants
+    creep = effect("belt_creep")
+    assert creep.applies is not None
+    assert creep.applies(joint) and creep.applies(replace(joint, belt=True))
+    assert not creep.applies(replace(joint, belt=False))
 
 
 def test_a_weighted_shape_is_reported_by_its_slope():

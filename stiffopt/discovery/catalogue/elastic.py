@@ -142,6 +142,10 @@ def _belt(
     return {"C": amplitudes[0] + amplitudes[1], "tau_r": shapes[0]}
 
 
+def _may_have_belt(constants: JointConstants) -> bool:
+    return winds_up(constants) and constants.belt is not False
+
+
 def _loop_height(constants: JointConstants) -> float:
     return 0.04 * constants.torque_rated
 
@@ -249,7 +253,7 @@ BELT_CREEP = Effect(
     shapes=(Shape(name="tau_r", unit="s", starts=(0.03, 0.1, 0.3, 1.0), lower=0.01, upper=5.0),),
     report=_belt,
     units={"C": "rad/(N m)"},
-    applies=winds_up,
+    applies=_may_have_belt,
     separate="Run one path fast and slowly: creep shows in the difference, a plain change of"
     " stiffness and hysteresis do not.",
 )

@@ -53,7 +53,7 @@ def encoder_skew_term(
     signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
     """Link angles read d later than motor angles, on all joints."""
-    return Term(deflection=amplitudes[0] * signals.motor_velocity)
+    return Term(deflection=amplitudes[0] * signals.link_velocity)
 
 
 def saturation_term(
@@ -148,7 +148,7 @@ ENCODER_SKEW = Effect(
     name="encoder_skew",
     family="sensor",
     scope="robot",
-    equation="d += d_skew*w",
+    equation="d += d_skew*v",
     signature="motor and link angles of all joints apart in proportion to speed, with one factor",
     term=encoder_skew_term,
     amplitudes=(Amplitude(name="d", unit="s", scale=1e-3, lower=-20.0, upper=20.0),),
