@@ -1,0 +1,1 @@
+"""Sealed benchmark: effects that are concealed from the tool, found or not."""

@@ -1,0 +1,5 @@
+"""`python -m benchmarks.blind`."""
+
+from .cli import main
+
+raise SystemExit(main())
