@@ -187,7 +187,8 @@ def test_a_belt_creeps_only_where_a_belt_is():
     joint = ROBOT.of_joint(1).constants
     creep = effect("belt_creep")
     assert creep.applies is not None
-    assert creep.applies(joint) and creep.applies(replace(joint, belt=True))
+    assert creep.applies(joint)
+    assert creep.applies(replace(joint, belt=True))
     assert not creep.applies(replace(joint, belt=False))
 
 
