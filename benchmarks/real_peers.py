@@ -1,0 +1,154 @@
+"""What a diagnosis is compared with on real recordings: friction lines, and a Gaussian process.
+
+Both start from the same nominal prediction, are fitted to the training runs alone and predict the
+held-out runs on their own stamps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from stiffopt.discovery.diagnosis import Diagnosis
+from stiffopt.discovery.predict import Prediction, Predictor
+from stiffopt.discovery.settings import SIGN_SPEED
+from stiffopt.recording.run import Run
+
+# Samples that the Gaussian process is fitted to, and stretches its scales are chosen by.
+POINTS, STRETCHES = 800, 4
+LENGTHS, NOISES = (1.0, 2.0, 4.0, 8.0), (0.03, 0.1, 0.3, 1.0)
+SLOW = 3.0 * SIGN_SPEED
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A run with its nominal prediction."""
+
+    run: Run
+    predictor: Predictor
+    nominal: Prediction
+    velocity: np.ndarray
+
+    @property
+    def places(self) -> np.ndarray:
+        """Of the kept samples among all stamps."""
+        return np.searchsorted(self.run.stamps, self.run.time)
+
+    def features(self) -> np.ndarray:
+        """Postures, speeds with their signs, accelerations and nominal torques (K, f)."""
+        angle, speed = self.run.position, self.velocity
+        slope = np.gradient(speed, self.run.time, axis=0)
+        smooth = np.column_stack([np.convolve(c, np.ones(15) / 15, "same") for c in slope.T])
+        sign = np.tanh(speed / SIGN_SPEED)
+        columns = [np.sin(angle), np.cos(angle), speed, sign, smooth]
+        return np.column_stack([*columns, self.nominal.torque[self.places]])
+
+
+def motion(diagnosis: Diagnosis, run: Run) -> Motion:
+    """A run predicted by the nominal model."""
+    training = diagnosis.training
+    predictor = Predictor(training.robot, run, training.constants, diagnosis.settings)
+    return Motion(run, predictor, predictor.predict(), predictor.velocity)
+
+
+def friction_lines(train: list[Motion], test: list[Motion]) -> list[Prediction]:
+    """Coulomb and viscous friction of every joint by least squares, links as nominal."""
+    n = train[0].run.n
+    fitted = np.zeros((2, n))
+    for j in range(n):
+        rows, left = [], []
+        for each in train:
+            speed, residual = each.velocity[:, j], _torque_residual(each)[:, j]
+            used = np.isfinite(residual) & (np.abs(speed) >= SLOW)
+            rows.append(_friction(speed[used]))
+            left.append(residual[used])
+        fitted[:, j] = np.linalg.lstsq(np.vstack(rows), np.concatenate(left), rcond=None)[0]
+    return [
+        _moved(
+            each,
+            np.column_stack([_friction(each.velocity[:, j]) @ fitted[:, j] for j in range(n)]),
+            np.zeros_like(each.velocity),
+        )
+        for each in test
+    ]
+
+
+def gaussian_process(train: list[Motion], test: list[Motion]) -> list[Prediction]:
+    """Residuals of torque and link position as a Gaussian process of the motion."""
+    inputs = np.vstack([each.features() for each in train])
+    middle, spread = inputs.mean(axis=0), inputs.std(axis=0)
+    spread[spread < 1e-9] = 1.0
+    scaled = (inputs - middle) / spread / np.sqrt(inputs.shape[1])
+    wanted = [(each.features() - middle) / spread / np.sqrt(inputs.shape[1]) for each in test]
+    torque = np.vstack([_torque_residual(each) for each in train])
+    link = np.vstack([_link_residual(each) for each in train])
+    moving = np.abs(np.vstack([each.velocity for each in train])) >= SLOW
+    n = train[0].run.n
+    out = [[np.zeros((len(x), n)) for x in wanted] for _ in range(2)]
+    for kind, residual, usable in ((0, torque, moving), (1, link, np.ones_like(moving))):
+        for j in range(n):
+            used = np.flatnonzero(np.isfinite(residual[:, j]) & usable[:, j])
+            if not used.size:
+                continue
+            for k, values in enumerate(_process(scaled[used], residual[used, j], wanted)):
+                out[kind][k][:, j] = values
+    return [_moved(each, *pair) for each, *pair in zip(test, *out, strict=True)]
+
+
+def _process(inputs: np.ndarray, values: np.ndarray, wanted: list[np.ndarray]) -> list[np.ndarray]:
+    """Posterior mean at the wanted inputs; scales chosen by stretches left out."""
+    chosen = np.unique(np.linspace(0, len(values) - 1, POINTS).astype(int))
+    x, y = inputs[chosen], values[chosen]
+    middle, size = float(y.mean()), float(y.std()) or 1.0
+    y = (y - middle) / size
+    stretch = np.arange(len(y)) * STRETCHES // len(y)
+    scores = {}
+    for length, noise in product(LENGTHS, NOISES):
+        error = 0.0
+        for k in range(STRETCHES):
+            kept = stretch != k
+            weight = _weights(x[kept], y[kept], length, noise)
+            error += float(np.sum((y[~kept] - _kernel(x[~kept], x[kept], length) @ weight) ** 2))
+        scores[length, noise] = error
+    length, noise = min(scores, key=scores.__getitem__)
+    weight = _weights(x, y, length, noise)
+    return [middle + size * (_kernel(each, x, length) @ weight) for each in wanted]
+
+
+def _weights(x: np.ndarray, y: np.ndarray, length: float, noise: float) -> np.ndarray:
+    return np.asarray(np.linalg.solve(_kernel(x, x, length) + noise**2 * np.eye(len(x)), y))
+
+
+def _kernel(a: np.ndarray, b: np.ndarray, length: float) -> np.ndarray:
+    square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
+    return np.asarray(np.exp(-0.5 * np.maximum(square, 0.0) / length**2))
+
+
+def _friction(speed: np.ndarray) -> np.ndarray:
+    return np.column_stack([np.tanh(speed / SIGN_SPEED), speed])
+
+
+def _torque_residual(each: Motion) -> np.ndarray:
+    return each.run.torque - each.nominal.torque[each.places]
+
+
+def _link_residual(each: Motion) -> np.ndarray:
+    if each.run.link_position is None:
+        return np.full_like(each.run.torque, np.nan)
+    return each.run.link_position - each.nominal.link_position[each.places]
+
+
+def _moved(each: Motion, torque: np.ndarray, link: np.ndarray) -> Prediction:
+    """The nominal prediction with additions on the kept samples, bridged between them."""
+    stamps, time = each.run.stamps, each.run.time
+
+    def bridged(values: np.ndarray) -> np.ndarray:
+        return np.column_stack([np.interp(stamps, time, column) for column in values.T])
+
+    return Prediction(
+        stamps=stamps,
+        torque=each.nominal.torque + bridged(torque),
+        link_position=each.nominal.link_position + bridged(link),
+    )
