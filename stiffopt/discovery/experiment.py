@@ -1,0 +1,207 @@
+"""The next experiment: a motion on which the two leading explanations differ most."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.discovery.experiment_collocation import improved
+from stiffopt.discovery.experiment_motion import (
+    MotionLimits,
+    limits_of,
+    prepared_motion,
+    random_motion,
+)
+from stiffopt.discovery.placed import PlacedEffect
+from stiffopt.discovery.search import SearchResult
+from stiffopt.discovery.separation import Separation
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import Training
+from stiffopt.result.trajectory import Trajectory
+
+Say = Callable[[str], object]
+
+EXPERIMENT_FILE = "next_experiment.csv"
+_LONGEST = 10.0  # [s], of a designed motion
+_RATE = 100.0  # [Hz], of the exported motion
+_MOTIONS = 24
+_ROUNDS = 2
+_SEED = 1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExperimentPlan:
+    """A motion that tells two explanations apart.
+
+    Parameters
+    ----------
+    joints : tuple of str (n,)
+    motion : Trajectory
+        Callable `motion(t, order)` [rad], [rad/s], [rad/s^2].
+    first, second : PlacedEffect
+        The explanations.
+    separation : float
+        Predicted on the motion [sigma].
+    reference : float
+        On the training run that separates them best, cut or repeated to the same duration [sigma].
+    reference_run : str
+    method : str
+        How the motion was found.
+    """
+
+    joints: tuple[str, ...]
+    motion: Trajectory
+    first: PlacedEffect
+    second: PlacedEffect
+    separation: float
+    reference: float
+    reference_run: str
+    method: str
+
+    @property
+    def sentence(self) -> str:
+        """What to do and what it promises."""
+        return (
+            f"Record {EXPERIMENT_FILE} ({self.motion.duration:.1f} s): it is predicted to separate"
+            f" {self.first.label} from {self.second.label} by {self.separation:.1f} sigma, where"
+            f" another {self.reference_run} would by {self.reference:.1f}. It keeps the arm's"
+            " limits, but nobody has checked it for collisions."
+            f" ({self.method}) {self.first.effect.separate}"
+        )
+
+    def csv(self) -> str:
+        """Columns t, q1.., qd1.., SI, 100 a second."""
+        times = np.append(np.arange(0.0, self.motion.duration, 1.0 / _RATE), self.motion.duration)
+        n = len(self.joints)
+        names = ["t", *(f"q{j + 1}" for j in range(n)), *(f"qd{j + 1}" for j in range(n))]
+        table = np.column_stack([times, self.motion(times), self.motion(times, 1)])
+        stream = io.StringIO()
+        np.savetxt(stream, table, fmt="%.9g", delimiter=",", header=",".join(names), comments="")
+        return stream.getvalue()
+
+
+def leading_pair(result: SearchResult) -> tuple[PlacedEffect, PlacedEffect] | None:
+    """The strongest finding that has rivals, and the strongest of them that could be elsewhere."""
+    for selected in result.selected:
+        for rival, _ in selected.rivals:
+            # What is of one run only cannot be met in another.
+            if selected.placed.run is None and rival.run is None:
+                return selected.placed, rival
+    return None
+
+
+def plan_experiment(
+    training: Training,
+    result: SearchResult,
+    settings: Settings,
+    *,
+    pair: tuple[PlacedEffect, PlacedEffect] | None = None,
+    seconds: float = 20.0,
+    say: Say = lambda _: None,
+) -> ExperimentPlan | None:
+    """Design the motion that separates two explanations best.
+
+    Parameters
+    ----------
+    training : Training
+    result : SearchResult
+        Of these training runs.
+    settings : Settings
+    pair : (PlacedEffect, PlacedEffect), optional
+        Default: the strongest finding with rivals, and its strongest rival.
+    seconds : float
+        That the design may take.
+    say : callable
+        Called with a sentence at every step.
+
+    Returns
+    -------
+    ExperimentPlan or None
+        None where no two explanations are left, or no motion beats the training runs.
+
+    Notes
+    -----
+    A search over Fourier series within the limits, judged by `Separation` with everything that a
+    refit could absorb; its best motion is then improved by collocation, where both effects are
+    formulas of the instant (no memory). Whatever is better by the full criterion is kept.
+    """
+    pair = pair or leading_pair(result)
+    if pair is None:
+        return None
+    begin = time.perf_counter()
+    first, second = pair
+    say(f"design the motion that separates {first.label} from {second.label}")
+    others = tuple(e for e in result.effects if e.key not in (first.key, second.key))
+    separation = Separation(result.comparison, first, second, others)
+    limits = limits_of(training)
+    durations = [float(run.time[-1] - run.time[0]) for run in training.runs]
+    duration = min(_LONGEST, float(np.median(durations)))
+    step = float(np.median([run.signals.dt for run in training.runs]))
+    known = [
+        (separation.of(run) * float(np.sqrt(duration / own)), run.name)
+        for run, own in zip(training.runs, durations, strict=True)
+    ]
+    reference, name = max(known)
+
+    def judged(motion: Trajectory) -> float:
+        run = prepared_motion(training, training.constants, motion, settings)
+        return separation.of(run, step=step)
+
+    def left() -> float:
+        return seconds - (time.perf_counter() - begin)
+
+    best, value = _searched(training, limits, duration, judged, lambda: left() > 0.5 * seconds)
+    if best is None:
+        return None
+    method = f"best of {_MOTIONS} Fourier motions"
+    for _ in range(_ROUNDS):
+        better = improved(
+            separation,
+            prepared_motion(training, training.constants, best, settings),
+            best,
+            limits,
+            seconds=0.5 * left(),
+        )
+        if better is None or limits.excess(training.robot, better) > 1.0 / 0.95:
+            break
+        reached = judged(better)
+        if reached <= value * (1.0 + 1e-3):
+            break
+        best, value, method = better, reached, "by collocation from the best of Fourier motions"
+    if value <= reference:
+        return None
+    return ExperimentPlan(
+        joints=training.robot.recordings.joints,
+        motion=best,
+        first=first,
+        second=second,
+        separation=value,
+        reference=reference,
+        reference_run=name,
+        method=method,
+    )
+
+
+def _searched(
+    training: Training,
+    limits: MotionLimits,
+    duration: float,
+    judged: Callable[[Trajectory], float],
+    more: Callable[[], bool],
+) -> tuple[Trajectory | None, float]:
+    """The best of some motions of the family."""
+    random = np.random.default_rng(_SEED)
+    best, value = None, 0.0
+    for _ in range(_MOTIONS):
+        motion = random_motion(limits, training.robot, duration, random)
+        if motion is not None:
+            reached = judged(motion)
+            if best is None or reached > value:
+                best, value = motion, reached
+        if not more():
+            break
+    return best, value
