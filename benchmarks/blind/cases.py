@@ -12,7 +12,7 @@ from tests.simulator import Case, CaseSpec, simulate, truth_text, write_case
 
 from .key import Key
 from .mix import RATE, SECONDS, SUBSTEPS, Plan, plan
-from .oracle import balances, held_out
+from .oracle import balances, held_out, without_effects
 from .severity import START, Sized, sized
 from .store import Store, whole_folder, write_json, write_text
 
@@ -65,7 +65,6 @@ def realised(key: Key, drawn: Plan) -> tuple[Case, dict[str, Any]]:
         link_encoders=drawn.link_encoders,
         spec=asdict(spec),
     )
-    # How the effect scatters may depend on how many there are, so each is looked at again.
     alone = [
         {"effect": e, "joint": joint, "size": size, "z_at_1": s.z}
         for (e, joint, size), (_, _, s) in zip(effects, chosen, strict=True)
@@ -86,9 +85,14 @@ def _first_seen(
 
 
 def _write_exact(case: Case, folder: Path) -> None:
-    """Exact signals of the held-out runs, as a prediction is written."""
-    for run in case.runs:
+    """Exact signals of the held-out runs, and what robots that lack nothing would give."""
+    for r, run in enumerate(case.runs):
         if run.plan.role == "train":
             continue
         columns = {k: v for k, v in run.clean.items() if k == "t" or k.startswith(("tau", "ql"))}
-        np.savez_compressed(folder / f"pred_{run.plan.name}.npz", **columns)
+        for kind, values in (
+            ("pred", columns),
+            ("healthy", without_effects(case, r, tolerances=True)),
+            ("nominal", without_effects(case, r, tolerances=False)),
+        ):
+            np.savez_compressed(folder / f"{kind}_{run.plan.name}.npz", **values)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -54,8 +53,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if given.step in ("run", "diagnose"):
             run.diagnose(store, cases, given.jobs, given.timeout)
         if given.step in ("run", "score"):
-            score = importlib.import_module("benchmarks.blind.score")
-            score.main(store.folder)
+            from . import results
+
+            print(results.main(store.folder))
     except FileNotFoundError as error:
         print(error, file=sys.stderr)
         return 1

@@ -54,10 +54,13 @@ class Plan:
         """Where an effect can be, in the order in which places are tried."""
         if EFFECTS[effect].where == "robot":
             return [None]
-        first = 2 if effect == "wrist_coupling" else 1
-        return list(
-            key.shuffled(range(first, ROBOTS[self.robot].joints + 1), self.name, "joint", effect)
-        )
+        robot = ROBOTS[self.robot]
+        places: Sequence[int | None] = range(1, robot.joints + 1)
+        if effect == "wrist_coupling":  # of the joint before it
+            places = places[1:]
+        if effect == "belt_creep":
+            places = [j for j in range(1, robot.joints + 1) if "belt" in robot.connections[j - 1]]
+        return key.shuffled(places, self.name, "joint", effect)
 
 
 def case_names(suite: str, count: int) -> list[str]:
@@ -82,11 +85,8 @@ def plan(key: Key, name: str) -> Plan:
             first = _dealt(key, pool, turn, suite, kind, "effect", member)
             rest = key.shuffled(pool, name, "next", member)
             effects.append((first, *(e for e in rest if e != first)))
-        severity = (
-            SWEPT[turn // len(CATALOGUE) % len(SWEPT)]
-            if suite == "sweep"
-            else _dealt(key, SEVERITIES, turn, suite, kind, "severity")
-        )
+        sizes = SWEPT if suite == "sweep" else SEVERITIES
+        severity = _dealt(key, sizes, turn, suite, kind, "severity")
     if not link_encoders:
         effects = [tuple(e for e in order if e not in INVISIBLE_TO_MOTORS) for order in effects]
     return Plan(

@@ -57,79 +57,84 @@ def balances(case: Case) -> Balances:
     )
 
 
+@dataclass(frozen=True)
+class _Motion:
+    """Exact motion of one recording at some samples, and what it needs of rigid bodies."""
+
+    motor: np.ndarray
+    speed: np.ndarray
+    motor_acceleration: np.ndarray
+    windup_rate: np.ndarray
+    regressor: np.ndarray  # of the links (K, n, 10 n)
+
+    @property
+    def moving(self) -> np.ndarray:
+        return np.asarray(np.abs(self.speed) > MOVING)
+
+    def predicted(self, world: World) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Drive torque before its constant, torque in the springs, wind-up: each (K, n)."""
+        phi = np.concatenate([body.toDynamicParameters() for body in world.model.inertias[1:]])
+        rigid = self.regressor @ phi
+        elastic = rigid - world.robot.joint_damping * self.windup_rate
+        windup = np.column_stack([w.deflection(elastic[:, j]) for j, w in enumerate(world.windups)])
+        friction = world.coulomb * np.sign(self.speed) + world.viscous * self.speed
+        return world.rotor_inertia * self.motor_acceleration + friction + rigid, elastic, windup
+
+
+def _motion(case: Case, model: pin.Model, r: int, samples: np.ndarray) -> _Motion:
+    """Motion along a recording; the regressor holds for gravity as in the model."""
+    trace, at = case.trace, samples * case.spec.substeps
+    before, after = np.maximum(at - 1, 0), np.minimum(at + 1, trace.motor.shape[1] - 1)
+
+    def acceleration(position: np.ndarray) -> np.ndarray:
+        return (position[after] - 2 * position[at] + position[before]) / trace.step**2
+
+    data = model.createData()
+    rate = trace.link_velocity[r, at]
+    states = zip(trace.link[r, at], rate, acceleration(trace.link[r]), strict=True)
+    return _Motion(
+        motor=trace.motor[r, at],
+        speed=trace.motor_velocity[r, at],
+        motor_acceleration=acceleration(trace.motor[r]),
+        windup_rate=trace.motor_velocity[r, at] - rate,
+        regressor=np.array(
+            [pin.computeJointTorqueRegressor(model, data, *state).copy() for state in states]
+        ),
+    )
+
+
 def _run(case: Case, healthy: World, r: int) -> tuple[np.ndarray, np.ndarray]:
-    trace, robot, every = case.trace, case.robot, case.spec.substeps
-    clean, n = case.runs[r].clean, robot.joints
+    robot, clean, n = case.robot, case.runs[r].clean, case.robot.joints
     samples = np.arange(EDGE, len(clean["t"]) - EDGE, STRIDE)
-    at = samples * every
+    motion = _motion(case, healthy.model, r, samples)
+    speed, motor_acc, moving = motion.speed, motion.motor_acceleration, motion.moving
 
     def read(letter: str) -> np.ndarray:
         return np.column_stack([clean[f"{letter}{j + 1}"][samples] for j in range(n)])
 
-    def acceleration(position: np.ndarray) -> np.ndarray:
-        return (position[at + 1] - 2 * position[at] + position[at - 1]) / trace.step**2
-
-    motor, link = trace.motor[r], trace.link[r]
-    speed, rate = trace.motor_velocity[r, at], trace.link_velocity[r, at]
-    motor_acc, link_acc = acceleration(motor), acceleration(link)
-    data = healthy.model.createData()
-    phi = np.concatenate([body.toDynamicParameters() for body in healthy.model.inertias[1:]])
-    regressor = np.array(
-        [
-            pin.computeJointTorqueRegressor(healthy.model, data, q, v, a)
-            for q, v, a in zip(link[at], rate, link_acc, strict=True)
-        ]
-    )
-    rigid = regressor @ phi
-    damping = robot.joint_damping * (speed - rate)
-    elastic = rigid - damping
-    windup = np.column_stack([healthy.windups[j].deflection(elastic[:, j]) for j in range(n)])
+    needed, elastic, windup = motion.predicted(healthy)
     given = read("tau") * healthy.torque_constant
-    friction = healthy.coulomb * np.sign(speed) + healthy.viscous * speed
-    total = given - healthy.rotor_inertia * motor_acc - friction - rigid
-    moving = np.abs(speed) > MOVING
-    bodies = regressor @ _body_tangents(robot)
-    drive = [
-        -bodies,
-        *(
-            _diagonal(column)
-            for column in (
-                -robot.rotor_inertia * TOLERANCE["rotor_inertia"] * motor_acc,
-                -robot.coulomb * TOLERANCE["coulomb"] * np.sign(speed),
-                -robot.viscous * TOLERANCE["viscous"] * speed,
-                given * TOLERANCE["torque_constant"],
-            )
-        ),
-    ]
-    noise = np.asarray(robot.torque_noise) * case.spec.noise
-    rows = [_masked(total / noise, moving)]
-    columns = [_masked(np.concatenate(drive, axis=2) / noise[:, None], moving)]
-    elastic_columns = 2 * n
+    total = given - needed
+    bodies = motion.regressor @ _body_tangents(robot)
+    drive = (
+        -robot.rotor_inertia * TOLERANCE["rotor_inertia"] * motor_acc,
+        -robot.coulomb * TOLERANCE["coulomb"] * np.sign(speed),
+        -robot.viscous * TOLERANCE["viscous"] * speed,
+        given * TOLERANCE["torque_constant"],
+    )
+    none = np.zeros((len(samples), n, n))
+    noise = robot.torque_noise * case.spec.noise
+    known = np.concatenate([-bodies, *map(_diagonal, drive), none, none], axis=2)
+    rows, columns = [(total / noise)[moving]], [(known / noise[:, None])[moving]]
     if case.spec.link_encoders:
-        slope = _compliance(healthy, robot, elastic)
         fine = np.hypot(robot.link_noise * case.spec.noise, robot.link_count * ROUNDING)
-        off = motor[at] - read("ql") + healthy.link_zero - windup
-        known = np.concatenate(
-            [
-                -slope[:, :, None] * bodies,
-                np.zeros((len(at), n, 4 * n)),
-                _diagonal(windup * TOLERANCE["stiffness"]),
-                _diagonal(np.full_like(windup, TOLERANCE["encoder_zero"])),
-            ],
-            axis=2,
-        )
+        off = motion.motor - read("ql") + healthy.link_zero - windup
+        own = (windup * TOLERANCE["stiffness"], np.full_like(windup, TOLERANCE["encoder_zero"]))
+        soft = -_compliance(healthy, robot, elastic)[:, :, None] * bodies
+        known = np.concatenate([soft, *[none] * 4, *map(_diagonal, own)], axis=2)
         rows.append((off / fine).ravel())
         columns.append((known / fine).reshape(-1, known.shape[2]))
-    else:
-        elastic_columns = 0
-    padded = np.zeros((len(columns[0]), elastic_columns))
-    columns[0] = np.hstack([columns[0], padded])
     return np.concatenate(rows), case.spec.tolerance * np.concatenate(columns)
-
-
-def _masked(values: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """(K, n, ...) -> rows of what is kept."""
-    return np.asarray(values[kept])
 
 
 def _diagonal(values: np.ndarray) -> np.ndarray:
@@ -199,3 +204,33 @@ def held_out(case: Case) -> dict[str, Any]:
         for role, values in squares.items()
     }
     return {"runs": runs, **whole, "void": (whole["test"] or 0.0) > VOID}
+
+
+def without_effects(case: Case, r: int, *, tolerances: bool) -> dict[str, np.ndarray]:
+    """Signals that a recording's exact motion would give in a robot that lacks nothing.
+
+    Parameters
+    ----------
+    case : Case
+    r : int
+        Of the recording.
+    tolerances : bool
+        Of the true robot less its effects; otherwise of the nominal one.
+
+    Returns
+    -------
+    dict
+        Columns "t", and for each joint "tau" and, with link encoders, "ql".
+    """
+    scale = case.spec.tolerance if tolerances else 0.0
+    world, _ = build_world(replace(case.spec, effects=(), tolerance=scale))
+    time = case.runs[r].clean["t"]
+    motion = _motion(case, world.model, r, np.arange(len(time)))
+    needed, _, windup = motion.predicted(world)
+    torque, link = needed / world.torque_constant, motion.motor - windup + world.link_zero
+    columns = {"t": time}
+    for j in range(case.robot.joints):
+        columns[f"tau{j + 1}"] = torque[:, j]
+        if case.spec.link_encoders:
+            columns[f"ql{j + 1}"] = link[:, j]
+    return columns
