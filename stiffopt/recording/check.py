@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -160,7 +160,7 @@ def check_recordings(recordings: RecordingSet) -> RecordingReport:
         runs=tuple(_run(recordings, run) for run in runs),
         balances=tuple(balances(one) for one in facts),
         effects=effect_checks(recordings, facts, len(training)),
-        missing=_missing(recordings, runs),
+        missing=missing_signals(recordings, runs),
         assumptions=recordings.assumptions,
     )
 
@@ -229,7 +229,8 @@ def _used(recordings: RecordingSet, kind: Kind, j: int, low: float, high: float)
     return largest / limit
 
 
-def _missing(recordings: RecordingSet, runs: list[Run]) -> tuple[str, ...]:
+def missing_signals(recordings: RecordingSet, runs: Sequence[Run]) -> tuple[str, ...]:
+    """What these recordings lack, and what cannot be said without it, a sentence each."""
     found = []
     for role, loss in (
         ("train", "nothing can be fitted"),

@@ -12,11 +12,21 @@ from typing import TYPE_CHECKING, Any
 from stiffopt.errors import InputError, nearest
 
 if TYPE_CHECKING:
+    from stiffopt.discovery.effect import Effect
     from stiffopt.preload.study import PreloadStudy
     from stiffopt.problem.trajectory import TrajectoryProblem
 
 _CONTACTS = ("key", "bolted_flange", "clamping_pins", "gear_pair")
 _TRANSCRIPTIONS = {"radau": "GargEtAl2010"}
+# Sources of effects by name, else by family.
+_EFFECTS = {
+    "thermal_friction": "BittencourtAxelsson2014",
+    "load_friction": "BittencourtAxelsson2014",
+    "backlash": "NordinGutman2002",
+    "transmission_error": "TuttleSeering1996",
+    "k1_softening": "HarmonicDriveCSF",
+    "friction": "ArmstrongEtAl1994",
+}
 _ENGINE = ("WaechterBiegler2006", "AnderssonEtAl2019", "CarpentierEtAl2019")
 
 
@@ -107,4 +117,13 @@ def preload_references(study: PreloadStudy) -> list[Reference]:
     if study.front is not None:
         keys.append("Das1999")
     keys += _ENGINE[:2]
+    return cited(keys)
+
+
+def diagnosis_references(effects: Iterable[Effect]) -> list[Reference]:
+    """Collect the sources of a diagnosis: identification, judgement of rivals, effects found."""
+    keys = ["SweversEtAl2007", "KassRaftery1995", _ENGINE[2]]
+    for effect in effects:
+        key = _EFFECTS.get(effect.name) or _EFFECTS.get(effect.family)
+        keys += [key] if key else []
     return cited(keys)
