@@ -1,0 +1,110 @@
+"""The nominal model of a recording set evaluated along a run, apart from the tool's own code.
+
+Rivals and controls start from it: the same rigid bodies, friction and wind-up as the set states.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.signal import butter, sosfiltfilt
+
+from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.run import Run
+
+# Of the smooth sign of a speed [rad/s].
+SIGN_SPEED = 0.01
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """A run's motion and what the nominal model says along it; arrays (K, n), SI.
+
+    `rigid` is the torque of the bodies, `torque` that of the drives, `windup` motor less link
+    angle. `moving`: faster than 0.03 rad/s, where torque counts.
+    """
+
+    time: np.ndarray
+    session_time: float
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    rigid: np.ndarray
+    torque: np.ndarray
+    windup: np.ndarray
+    moving: np.ndarray
+    measured: np.ndarray
+
+
+def along(recordings: RecordingSet, run: Run, cutoff: float) -> Motion:
+    """Evaluate the nominal model along a run.
+
+    Parameters
+    ----------
+    recordings : RecordingSet
+    run : Run
+        Evenly sampled.
+    cutoff : float
+        Of the zero-phase low-pass on the motion [Hz].
+    """
+    nominal, n = recordings.nominal, recordings.n
+    step = float(np.median(np.diff(run.time)))
+    low_pass = butter(3, cutoff, fs=1.0 / step, output="sos")
+    position = sosfiltfilt(low_pass, run.position, axis=0)
+    velocity = np.gradient(position, step, axis=0)
+    acceleration = sosfiltfilt(low_pass, np.gradient(velocity, step, axis=0), axis=0)
+    rigid = _rnea(recordings, position, velocity, acceleration)
+    windup = _windup(recordings, rigid)
+    # Links move less than motors by the wind-up, which matters where they accelerate.
+    link = sosfiltfilt(low_pass, position - windup, axis=0)
+    link_velocity = np.gradient(link, step, axis=0)
+    link_acceleration = sosfiltfilt(low_pass, np.gradient(link_velocity, step, axis=0), axis=0)
+    rigid = _rnea(recordings, link, link_velocity, link_acceleration)
+    friction = _values(nominal.coulomb, n) * np.tanh(velocity / SIGN_SPEED)
+    friction += _values(nominal.viscous, n) * velocity
+    recorded = velocity if run.velocity is None else run.velocity
+    return Motion(
+        time=run.time,
+        session_time=run.session_time or 0.0,
+        position=position,
+        velocity=velocity,
+        acceleration=acceleration,
+        rigid=rigid,
+        torque=_values(nominal.rotor_inertia, n) * acceleration + rigid + friction,
+        windup=_windup(recordings, rigid),
+        moving=np.abs(recorded) >= 3.0 * SIGN_SPEED,
+        measured=run.torque,
+    )
+
+
+def _values(stated: np.ndarray | None, n: int) -> np.ndarray:
+    return np.zeros(n) if stated is None else np.nan_to_num(stated)
+
+
+def _rnea(recordings: RecordingSet, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Inverse dynamics of the bodies (K, n) in the set's order of joints."""
+    model, order = recordings.model, recordings.order
+    model.gravity.linear = recordings.gravity
+    data = model.createData()
+    turned = [np.zeros_like(q) for _ in range(3)]
+    for own, given in zip(turned, (q, v, a), strict=True):
+        own[:, order] = given
+    torque = np.array([pin.rnea(model, data, *lines) for lines in zip(*turned, strict=True)])
+    return torque[:, order]
+
+
+def _windup(recordings: RecordingSet, torque: np.ndarray) -> np.ndarray:
+    """Wind-up of reducers and contacts under a torque (K, n) [rad]."""
+    nominal = recordings.nominal
+    total = np.zeros_like(torque)
+    if nominal.contact_stiffness is not None:
+        total += torque / nominal.contact_stiffness
+    if nominal.reducer is None:
+        return total
+    r, size = nominal.reducer, np.abs(torque)
+    curve = np.minimum(size, r.T1) / r.K1
+    curve += np.clip(size - r.T1, 0.0, r.T2 - r.T1) / r.K2
+    curve += np.maximum(size - r.T2, 0.0) / r.K3
+    return np.asarray(total + np.sign(torque) * curve)
