@@ -19,6 +19,7 @@ from stiffopt.discovery.diagnosis import (
     rivals_of,
 )
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.experiment import ExperimentPlan, leading_pair, plan_experiment
 from stiffopt.discovery.extended_model import ExtendedModel, load_extended
 from stiffopt.discovery.extension import Extension
 from stiffopt.discovery.outside import Outside, channel_name, judged
@@ -42,6 +43,7 @@ def diagnose(
     settings: Settings | None = None,
     progress: Say | None = None,
     model: ExtendedModel | str | os.PathLike[str] | None = None,
+    experiment: bool = True,
 ) -> Diagnosis:
     """Find what the nominal model of a recording set lacks, and prove it on held-out runs.
 
@@ -56,6 +58,8 @@ def diagnose(
         Called with a sentence at every step.
     model : ExtendedModel or path, optional
         extended.toml of an earlier diagnosis, in place of the nominal model.
+    experiment : bool
+        Design the motion that would separate the leading explanations best; some seconds.
 
     Returns
     -------
@@ -97,6 +101,8 @@ def diagnose(
     findings = _findings(result.comparison, selected, parameters, training)
     limits = detection_limits(Scorer(result.comparison, placed), catalogue)
     found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
+    pair = leading_pair(selected) if experiment else None
+    plan = None if pair is None else plan_experiment(training, result, settings, pair, say=say)
     # The findings are fixed: from here on other runs may be opened, and change nothing above.
     start = () if base is None else (base.extension,)
     proofs = _proofs(recordings, training, settings, start, found, say)
@@ -113,9 +119,10 @@ def diagnose(
         held_out=proofs,
         detection_limits=limits,
         outside=outside,
-        next_experiment=_next_experiment(findings),
+        next_experiment=_next_experiment(findings, plan),
         assumptions=training.assumptions,
         faults=tuple((run.name, fault) for run in runs for fault in run.health),
+        experiment=plan,
     )
 
 
@@ -185,8 +192,10 @@ def _proofs(
     return tuple(proofs)
 
 
-def _next_experiment(findings: tuple[Finding, ...]) -> str:
+def _next_experiment(findings: tuple[Finding, ...], plan: ExperimentPlan | None) -> str:
     """What separates the first finding that has rivals from them."""
+    if plan is not None:
+        return plan.sentence
     for finding in findings:
         if finding.rivals:
             return finding.placed.effect.separate

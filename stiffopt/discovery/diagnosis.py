@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from stiffopt.discovery.detection import DetectionLimit
+from stiffopt.discovery.experiment import ExperimentPlan
 from stiffopt.discovery.extension import Extension, SizedEffect
 from stiffopt.discovery.outside import Outside
 from stiffopt.discovery.placed import PlacedEffect
@@ -154,6 +155,9 @@ class Diagnosis:
     assumptions : tuple of str
     faults : tuple of (str, Fault)
         Run and fault, of all runs.
+    experiment : ExperimentPlan or None
+        The designed motion of `next_experiment`; None where there are no two explanations to
+        separate, or no motion separates them better than the training runs.
     """
 
     recordings: RecordingSet
@@ -170,6 +174,7 @@ class Diagnosis:
     next_experiment: str
     assumptions: tuple[str, ...]
     faults: tuple[tuple[str, Fault], ...]
+    experiment: ExperimentPlan | None = None
 
     def proofs(self, role: str) -> tuple[RunProof, ...]:
         """Held-out runs of one role, "test" or "extrapolate"."""

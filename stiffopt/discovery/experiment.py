@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import io
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from stiffopt.discovery.experiment_collocation import improved
 from stiffopt.discovery.experiment_motion import (
+    USED,
     MotionLimits,
     limits_of,
     prepared_motion,
     random_motion,
 )
 from stiffopt.discovery.placed import PlacedEffect
-from stiffopt.discovery.search import SearchResult
+from stiffopt.discovery.search import SearchResult, Selected
 from stiffopt.discovery.separation import Separation
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
@@ -47,7 +48,7 @@ class ExperimentPlan:
     separation : float
         Predicted on the motion [sigma].
     reference : float
-        On the training run that separates them best, cut or repeated to the same duration [sigma].
+        On the training run that separates them best, as long as the motion [sigma].
     reference_run : str
     method : str
         How the motion was found.
@@ -68,8 +69,8 @@ class ExperimentPlan:
         return (
             f"Record {EXPERIMENT_FILE} ({self.motion.duration:.1f} s): it is predicted to separate"
             f" {self.first.label} from {self.second.label} by {self.separation:.1f} sigma, where"
-            f" another {self.reference_run} would by {self.reference:.1f}. It keeps the arm's"
-            " limits, but nobody has checked it for collisions."
+            f" another run like {self.reference_run} would by {self.reference:.1f}. It keeps the"
+            " arm's limits, but nobody has checked it for collisions."
             f" ({self.method}) {self.first.effect.separate}"
         )
 
@@ -84,13 +85,13 @@ class ExperimentPlan:
         return stream.getvalue()
 
 
-def leading_pair(result: SearchResult) -> tuple[PlacedEffect, PlacedEffect] | None:
-    """The strongest finding that has rivals, and the strongest of them that could be elsewhere."""
-    for selected in result.selected:
-        for rival, _ in selected.rivals:
+def leading_pair(selected: Sequence[Selected]) -> tuple[PlacedEffect, PlacedEffect] | None:
+    """The strongest finding that has rivals, and the strongest of them; None without rivals."""
+    for each in selected:
+        for rival, _ in each.rivals:
             # What is of one run only cannot be met in another.
-            if selected.placed.run is None and rival.run is None:
-                return selected.placed, rival
+            if each.placed.run is None and rival.run is None:
+                return each.placed, rival
     return None
 
 
@@ -98,9 +99,9 @@ def plan_experiment(
     training: Training,
     result: SearchResult,
     settings: Settings,
+    pair: tuple[PlacedEffect, PlacedEffect],
     *,
-    pair: tuple[PlacedEffect, PlacedEffect] | None = None,
-    seconds: float = 20.0,
+    seconds: float = 15.0,
     say: Say = lambda _: None,
 ) -> ExperimentPlan | None:
     """Design the motion that separates two explanations best.
@@ -111,8 +112,8 @@ def plan_experiment(
     result : SearchResult
         Of these training runs.
     settings : Settings
-    pair : (PlacedEffect, PlacedEffect), optional
-        Default: the strongest finding with rivals, and its strongest rival.
+    pair : (PlacedEffect, PlacedEffect)
+        The explanations, such as a finding and its strongest rival.
     seconds : float
         That the design may take.
     say : callable
@@ -121,7 +122,7 @@ def plan_experiment(
     Returns
     -------
     ExperimentPlan or None
-        None where no two explanations are left, or no motion beats the training runs.
+        None where no motion beats the training runs.
 
     Notes
     -----
@@ -129,9 +130,6 @@ def plan_experiment(
     refit could absorb; its best motion is then improved by collocation, where both effects are
     formulas of the instant (no memory). Whatever is better by the full criterion is kept.
     """
-    pair = pair or leading_pair(result)
-    if pair is None:
-        return None
     begin = time.perf_counter()
     first, second = pair
     say(f"design the motion that separates {first.label} from {second.label}")
@@ -166,7 +164,7 @@ def plan_experiment(
             limits,
             seconds=0.5 * left(),
         )
-        if better is None or limits.excess(training.robot, better) > 1.0 / 0.95:
+        if better is None or limits.excess(training.robot, better) > 1.0 / USED:
             break
         reached = judged(better)
         if reached <= value * (1.0 + 1e-3):

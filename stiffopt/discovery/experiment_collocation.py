@@ -58,9 +58,9 @@ def improved(
 
     Notes
     -----
-    The rival, friction, stiffness and encoder zeros of the joints concerned are fitted to the
-    first explanation on the motion so far; the squared remainder over noise, integrated over the
-    motion, is then maximised with these values held.
+    The rival and the friction, stiffness, gain and encoder zeros of the joints concerned follow the
+    first explanation on the motion so far as well as the training runs let them; the squared
+    remainder over noise, integrated over the motion, is then maximised with these values held.
     """
     model = _Instant(separation, run)
     if not model.holds(run):
@@ -135,32 +135,46 @@ class _Instant:
         return True
 
     def _fit(self, separation: Separation, run: PreparedRun) -> None:
-        """Hold the rival and the joints' own values where they follow the first best."""
-        amplitudes = separation.amplitudes[0]
-        target = self._weighted(self._channels(self.effects[0], amplitudes))
+        """Hold what the rival can follow the first with where it does so best, and no further."""
+        first, second = separation.first, separation.second
+        names, columns = self._free(first.names)
+        index = {name: i for i, name in enumerate(first.names)}
+        places = [index[name] for name in names]
         rival = self.effects[1]
-        columns = [
-            self._weighted(self._channels(rival, unit * size))
-            for unit, size in zip(
-                np.eye(len(rival.effect.amplitudes)), rival.sizes(self.constants), strict=True
-            )
-        ]
-        columns += [self._weighted(pair) for pair in self._nuisance()]
-        values = np.stack([self._along(c, run).ravel() for c in (target, *columns)], axis=1)
-        finite = np.isfinite(values).all(axis=1)
-        theta, *_ = np.linalg.lstsq(values[finite, 1:], values[finite, 0], rcond=1e-9)
-        self.difference = target - sum(float(t) * c for t, c in zip(theta, columns, strict=True))
+        count, own = len(first.names), len(rival.effect.amplitudes)
+        for unit, size in zip(np.eye(own), rival.sizes(self.constants), strict=True):
+            columns.append(self._weighted(self._channels(rival, unit * size)))
+        moved = first.fit.posterior.mean[places] - second.fit.posterior.mean[places]
+        shift = np.concatenate([moved, -second.fit.posterior.mean[count : count + own]])
+        begin = self._weighted(self._channels(self.effects[0], separation.amplitudes[0]))
+        begin += sum(float(x) * c for x, c in zip(shift, columns, strict=True))
+        values = np.stack([self._along(c, run).ravel() for c in (begin, *columns)], axis=1)
+        # As many rows as would be recorded: noise is of one recorded sample.
+        values *= np.sqrt(run.signals.dt / separation.comparison.runs[0].signals.dt)
+        kept = [*places, *range(count, count + own)]
+        spread = second.fit.posterior.covariance[np.ix_(kept, kept)]
+        inner = values[:, 1:].T @ values[:, 1:] + np.linalg.inv(spread)
+        theta = np.linalg.solve(inner, values[:, 1:].T @ values[:, 0])
+        self.difference = begin - sum(float(t) * c for t, c in zip(theta, columns, strict=True))
 
-    def _nuisance(self) -> list[tuple[Quantity, Quantity]]:
+    def _free(self, names: list[str]) -> tuple[list[str], list[Quantity]]:
+        """Nominal values of the joints concerned that are formulas of the instant."""
         n, zero = self.robot.n, ca.SX.zeros(self.robot.n)
-        out: list[tuple[Quantity, Quantity]] = []
+        found: dict[str, Quantity] = {}
         for j in self.joints:
             unit = ca.SX.zeros(n)
             unit[j] = 1.0
-            out += [(unit * smooth_sign(self.v), zero), (unit * self.v, zero)]
-            if self.robot.constants.joints[j].elastic:
-                out += [(zero, unit * self._windup(j)), (zero, unit)]
-        return out
+            dry, wet = float(self.robot.coulomb[j]), float(self.robot.viscous[j])
+            for name, channels in (
+                ("coulomb", (unit * (dry * smooth_sign(self.v[j])), zero)),
+                ("viscous", (unit * (wet * self.v[j]), zero)),
+                ("torque_constant", (unit * self.drive[j], zero)),
+                ("stiffness", (zero, unit * self._windup(j))),
+                ("encoder_zero", (zero, unit)),
+            ):
+                found[f"{name} {j + 1}"] = self._weighted(channels)
+        kept = [name for name in found if name in names]
+        return kept, [found[name] for name in kept]
 
     def _channels(self, placed: PlacedEffect, amplitudes: np.ndarray) -> tuple[Quantity, Quantity]:
         n, j = self.robot.n, placed.joint

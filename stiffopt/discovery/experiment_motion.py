@@ -15,7 +15,7 @@ from stiffopt.recording.run import Run
 from stiffopt.result.trajectory import Trajectory
 
 # Of the limits that a design uses, so that it keeps them between its nodes and on the real arm.
-_USED = 0.95
+USED = 0.95
 # How far beyond the angles met a joint may go, as a share of that range.
 _BEYOND = 0.25
 _HARMONICS = 4
@@ -68,6 +68,7 @@ def limits_of(training: Training) -> MotionLimits:
     # Farther than recordings went nobody knows what stands in the way.
     lower = np.maximum(np.asarray(model.lowerPositionLimit)[order], met[:, 0] - wider)
     upper = np.minimum(np.asarray(model.upperPositionLimit)[order], met[:, 1] + wider)
+    middle, half = 0.5 * (lower + upper), 0.5 * USED * (upper - lower)
     own = np.asarray(model.velocityLimit)[order]
     fastest = np.array([j.fastest for j in constants.joints])
     velocity = np.where((own > 0.0) & np.isfinite(own), own, fastest)
@@ -75,11 +76,11 @@ def limits_of(training: Training) -> MotionLimits:
         [np.abs(run.signals.motor_acceleration).max(axis=0) for run in training.runs], axis=0
     )
     return MotionLimits(
-        lower=lower,
-        upper=upper,
-        velocity=_USED * velocity,
-        acceleration=np.maximum(hardest, 1e-3),
-        torque=_USED * np.array([j.torque_max for j in constants.joints]),
+        lower=middle - half,
+        upper=middle + half,
+        velocity=USED * velocity,
+        acceleration=USED * np.maximum(hardest, 1e-3),
+        torque=USED * np.array([j.torque_max for j in constants.joints]),
     )
 
 
