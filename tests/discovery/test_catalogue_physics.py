@@ -177,10 +177,20 @@ def test_readings_and_springs_have_their_signs():
     np.testing.assert_allclose(shift, 2e-3 * ROBOT.link_velocity)
     late = effect("time_delay").term(ROBOT, [1e-3], []).drive_torque
     np.testing.assert_allclose(late, -1e-3 * ROBOT.drive_torque_rate)
+
+
+@pytest.mark.parametrize("bend", [1.0, 1.5, 10.0])
+def test_balancer_is_reported_by_its_stiffness_at_the_angle_without_torque(bend: float):
+    signals = ROBOT.of_joint(4)
     spring = effect("gravity_spring")
-    assert spring.values([5.0, 2.0], [], signals.constants) == {"k": 5.0, "offset": 0.4}
-    torque = spring.term(signals, [5.0, 2.0], []).link_torque
-    np.testing.assert_allclose(torque, 5.0 * (signals.link_position - 0.4), atol=1e-12)
+    amplitudes = [4.0, -3.0]
+    found = spring.values(amplitudes, [bend], replace(signals.constants, stroke=(0.0, 1.0)))
+    angles = found["offset"] + np.array([-1e-4, 0.0, 1e-4])
+    at_rest = replace(signals, link_position=angles)
+    torque = spring.term(at_rest, amplitudes, [bend]).link_torque
+    assert abs(found["offset"] - 0.5) <= 0.5 * np.pi * bend + 1e-12
+    assert torque[1] == pytest.approx(0.0, abs=1e-12)
+    assert (torque[2] - torque[0]) / 2e-4 == pytest.approx(found["k"])
 
 
 def test_a_belt_creeps_only_where_a_belt_is():

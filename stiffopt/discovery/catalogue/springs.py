@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from stiffopt.discovery.catalogue.common import Constants, along_stroke, on_wrist, ratio_or_zero
+import numpy as np
+
+from stiffopt.discovery.catalogue.common import Constants, along_stroke, on_wrist
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity
@@ -13,8 +15,12 @@ from stiffopt.symbolic import Quantity
 def gravity_spring_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Torque k (q - offset), its moment at q = 0 an amplitude of its own."""
-    return Term(link_torque=amplitudes[0] * signals.link_position - amplitudes[1])
+    """Torque k m sin((q - offset)/m), a torsion spring that turns over; sine and cosine apart."""
+    bend = shapes[0]
+    turned = signals.link_position / bend
+    return Term(
+        link_torque=bend * (amplitudes[0] * np.sin(turned) + amplitudes[1] * np.cos(turned))
+    )
 
 
 def cable_spring_term(
@@ -28,7 +34,12 @@ def cable_spring_term(
 def _rest_angle(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
-    return {"k": amplitudes[0], "offset": ratio_or_zero(amplitudes[1], amplitudes[0])}
+    """Stiffness where the spring carries nothing, of all such angles the one nearest the stroke."""
+    sine, cosine = amplitudes
+    bend = shapes[0]
+    stiffness, offset = float(np.hypot(sine, cosine)), bend * float(np.arctan2(-cosine, sine))
+    half_turns = round((float(np.mean(constants.stroke)) - offset) / (np.pi * bend))
+    return {"k": stiffness * (-1.0) ** half_turns, "offset": offset + half_turns * np.pi * bend}
 
 
 def _share_of_rated(constants: JointConstants) -> float:
@@ -43,15 +54,17 @@ GRAVITY_SPRING = Effect(
     name="gravity_spring",
     family="spring",
     scope="joint",
-    equation="s += k*(q - offset)",
+    equation="s += k*m*sin((q - offset)/m)",
     signature="link torque of one joint off along its own angle, whatever the other joints do",
     term=gravity_spring_term,
     amplitudes=(
-        Amplitude(name="k", unit="N m/rad", scale=_share_of_rated, lower=-20.0, upper=20.0),
-        Amplitude(name="k_offset", unit="N m", scale=_share_of_rated, lower=-40.0, upper=40.0),
+        Amplitude(name="k_sin", unit="N m/rad", scale=_share_of_rated, lower=-20.0, upper=20.0),
+        Amplitude(name="k_cos", unit="N m/rad", scale=_share_of_rated, lower=-20.0, upper=20.0),
     ),
+    # From a crank drawn by a spring of no free length to a plain torsion spring.
+    shapes=(Shape(name="m", unit="rad", starts=(1.0, 1.5, 5.0), lower=0.5, upper=10.0),),
     report=_rest_angle,
-    units={"offset": "rad"},
+    units={"k": "N m/rad", "offset": "rad"},
     log_prior=lambda constants: -1.0 if on_wrist(constants) else 0.0,
     separate="Move the next joint with this one still: the torque of a payload changes, that of a"
     " balancer does not.",
