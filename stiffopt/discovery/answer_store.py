@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from stiffopt.discovery.diagnosis import Diagnosis, Finding, Rival
+from stiffopt.discovery.experiment import EXPERIMENT_FILE
 from stiffopt.discovery.extended_store import extended_text
 from stiffopt.discovery.outside import Outside
 from stiffopt.discovery.placed import PlacedEffect
@@ -27,19 +28,35 @@ MODEL_FILE = "extended.toml"
 def write_diagnosis(diagnosis: Diagnosis, directory: str | Path) -> Path:
     """Write diagnosis.json, extended.toml and the predictions; return the path of the first.
 
-    Every file is written whole or not at all, diagnosis.json last: where it is, all others are.
+    Every file is written whole or not at all, diagnosis.json last: where it is, all others are. An
+    interruption takes back what is new.
     """
     folder = Path(directory)
     signals = diagnosis.recordings.signals
+    files: dict[str, str | bytes] = {}
     for proof in diagnosis.held_out:
         for when, prediction in (("before", proof.before), ("after", proof.after)):
-            path = folder / f"pred_{when}_{proof.run.name}.npz"
-            atomic_write(path, _arrays(prediction, signals))
-    atomic_write(folder / MODEL_FILE, extended_text(diagnosis))
+            files[f"pred_{when}_{proof.run.name}.npz"] = _arrays(prediction, signals)
+    files[MODEL_FILE] = extended_text(diagnosis)
+    if diagnosis.experiment is not None:
+        files[EXPERIMENT_FILE] = diagnosis.experiment.csv()
     text = json.dumps(answer(diagnosis), indent=1, ensure_ascii=False, allow_nan=False)
-    path = folder / ANSWER_FILE
-    atomic_write(path, text + "\n")
-    return path
+    files[ANSWER_FILE] = text + "\n"
+    # An earlier answer must not stand beside files that are not its own.
+    for name in (ANSWER_FILE, EXPERIMENT_FILE):
+        (folder / name).unlink(missing_ok=True)
+    new: list[Path] = []
+    try:
+        for name, content in files.items():
+            path = folder / name
+            if not path.exists():
+                new.append(path)
+            atomic_write(path, content)
+    except BaseException:
+        for path in new:
+            path.unlink(missing_ok=True)
+        raise
+    return folder / ANSWER_FILE
 
 
 def answer(diagnosis: Diagnosis) -> dict[str, Any]:
