@@ -38,7 +38,7 @@ class Motion:
 
     def features(self) -> np.ndarray:
         """Postures, speeds with their signs, accelerations and nominal torques (K, f)."""
-        angle, speed = self.run.position, self.velocity
+        angle, speed = _whole(self.run.position), _whole(self.velocity)
         slope = np.gradient(speed, self.run.time, axis=0)
         smooth = np.column_stack([np.convolve(c, np.ones(15) / 15, "same") for c in slope.T])
         sign = np.tanh(speed / SIGN_SPEED)
@@ -124,6 +124,15 @@ def _weights(x: np.ndarray, y: np.ndarray, length: float, noise: float) -> np.nd
 def _kernel(a: np.ndarray, b: np.ndarray, length: float) -> np.ndarray:
     square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
     return np.asarray(np.exp(-0.5 * np.maximum(square, 0.0) / length**2))
+
+
+def _whole(columns: np.ndarray) -> np.ndarray:
+    """Columns with single samples that are missing bridged."""
+    every = np.arange(len(columns))
+    found = [np.isfinite(column) for column in columns.T]
+    return np.column_stack(
+        [np.interp(every, every[k], c[k]) for c, k in zip(columns.T, found, strict=True)]
+    )
 
 
 def _friction(speed: np.ndarray) -> np.ndarray:

@@ -1,0 +1,113 @@
+"""From a set to an answer: the three verdicts, and that held-out runs decide nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from answered import COULOMB, answered, columns_of, command, copied
+from simulated import diagnosed, said
+from test_answer_store import conforms
+
+from stiffopt.discovery.answer_store import answer
+from stiffopt.discovery.diagnose import diagnose
+from stiffopt.recording.recording_set import RecordingSet, load_recordings
+
+pytestmark = pytest.mark.slow
+
+NOTHING = replace(COULOMB, effects=())
+OUTSIDE = replace(COULOMB, effects=(("pulsing_load", 1, 2.0),))
+
+
+def test_a_nominal_model_within_its_tolerances_lacks_nothing():
+    diagnosis = diagnosed(NOTHING)
+    assert diagnosis.verdict == "nothing_missing", said(diagnosis)
+    assert diagnosis.findings == ()
+    document = answer(diagnosis)
+    conforms(document)
+    assert document["outside"] is None
+    # What would have been seen: friction of every joint, in numbers below its nominal value.
+    limits = {(e["effect"], e["joint"]): e["value"] for e in document["detection_limits"]}
+    for joint, nominal in enumerate(diagnosis.recordings.nominal.coulomb, 1):
+        assert 0.0 < limits["coulomb", joint] < nominal
+
+
+def test_what_no_entry_explains_is_said_to_be_outside():
+    diagnosis = diagnosed(OUTSIDE)
+    assert diagnosis.verdict == "outside_catalogue", said(diagnosis)
+    document = answer(diagnosis)
+    conforms(document)
+    assert "torque_1" in document["outside"]["channels"]
+    assert document["outside"]["regressors"]
+    assert document["outside"]["gain_heldout"] > 0.0
+
+
+@pytest.fixture(scope="module")
+def disturbed(tmp_path_factory):
+    """The same set with other torques in every held-out run, and what is said about it."""
+    source = copied(COULOMB, tmp_path_factory.mktemp("disturbed") / "set")
+    for file in source.glob("*.npz"):
+        if file.stem.startswith("train"):
+            continue
+        columns = columns_of(file)
+        for name in ("tau1", "tau2"):
+            columns[name] = 3.0 * columns[name][::-1] + 5.0
+        np.savez_compressed(file, **columns)
+    return command(source)
+
+
+def test_torque_of_held_out_runs_changes_no_finding(disturbed):
+    first, second = answered(COULOMB).document, disturbed.document
+    assert second["fit"] != first["fit"]
+    # What is said about the held-out runs themselves follows their channels.
+    for key in ("fit", "runs", "faults"):
+        del first[key], second[key]
+    assert first == second
+    model = (answered(COULOMB).out / "extended.toml").read_bytes()
+    assert (disturbed.out / "extended.toml").read_bytes() == model
+
+
+def test_torque_of_held_out_runs_changes_no_prediction(disturbed):
+    first, second = answered(COULOMB).predictions(), disturbed.predictions()
+    assert set(first) == set(second)
+    for name, columns in first.items():
+        for column, values in columns.items():
+            np.testing.assert_array_equal(values, second[name][column], err_msg=name)
+
+
+class TestRunWasOpened(Exception):
+    __test__ = False
+
+
+def test_held_out_runs_are_opened_when_the_findings_are_fixed(monkeypatch):
+    recordings = load_recordings(answered(COULOMB).source)
+    told, opened = [], []
+    plain = RecordingSet.open
+
+    def watched(self, entry):
+        opened.append(entry.role)
+        if entry.role != "train":
+            raise TestRunWasOpened
+        return plain(self, entry)
+
+    monkeypatch.setattr(RecordingSet, "open", watched)
+    with pytest.raises(TestRunWasOpened):
+        diagnose(recordings, progress=told.append)
+    assert opened == ["train"] * 3 + ["test"]
+    # Parameters are estimated and their deviations known before the first held-out run.
+    assert told.index("estimate parameters") == len(told) - 2
+    assert told[-1].startswith("predict ")
+
+
+def test_fewer_than_three_training_runs_are_cross_validated_by_stretches(tmp_path):
+    source = copied(COULOMB, tmp_path / "set")
+    text = (source / "recordings.toml").read_text()
+    head, *runs = text.split("[[runs]]\n")
+    kept = [each for each in runs if '"train_3' not in each]
+    assert len(kept) == len(runs) - 1
+    (source / "recordings.toml").write_text("[[runs]]\n".join([head, *kept]))
+    document = command(source).document
+    assert any(
+        "2 training runs" in each and "stretches" in each for each in document["assumptions"]
+    )
+    assert not any("stretches" in each for each in answered(COULOMB).document["assumptions"])
+    assert document["findings"][0]["effect"] == "coulomb"

@@ -1,0 +1,111 @@
+"""extended.toml as the model that a further diagnosis starts from, and effects of a user's own."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from answered import COULOMB, answered, columns_of, command, copied
+
+from stiffopt.discovery.extended_model import load_extended
+from stiffopt.errors import InputFileError
+
+pytestmark = pytest.mark.slow
+
+WAVE = 1.5
+FILE = """
+import numpy as np
+
+from stiffopt.discovery.effect import Amplitude, Effect, Term
+
+WAVE = Effect(
+    name="rail_wave", family="periodic", scope="joint", equation="tau += A*sin(9*q)",
+    signature="torque that waves with the joint angle",
+    term=lambda signals, a, s: Term(drive_torque=a[0] * np.sin(9.0 * signals.motor_position)),
+    amplitudes=(Amplitude(name="A", unit="N m", scale=1.0, lower=-20.0, upper=20.0),),
+)
+"""
+
+
+@pytest.fixture(scope="module")
+def again():
+    """A second diagnosis that starts from what the first found."""
+    return command(
+        answered(COULOMB).source, "--model", str(answered(COULOMB).out / "extended.toml")
+    )
+
+
+def test_what_was_found_is_not_found_again(again):
+    assert again.code == 0
+    named = [(f["effect"], f["joint"]) for f in again.document["findings"]]
+    assert named == []
+    assert again.document["verdict"] == "nothing_missing"
+
+
+def test_a_second_diagnosis_begins_where_the_first_ended(again):
+    first, second = answered(COULOMB), again
+    for role in ("test", "extrapolate"):
+        before = second.document["fit"][role]["nrmse_before"]
+        assert before == pytest.approx(first.document["fit"][role]["nrmse_after"], rel=1e-6)
+    for name, columns in second.predictions().items():
+        if name.startswith("pred_before_"):
+            ended = first.predictions()[name.replace("before", "after")]
+            for column, values in columns.items():
+                np.testing.assert_allclose(values, ended[column], rtol=1e-6, atol=1e-9)
+
+
+def test_the_model_holds_the_finding_with_its_deviation():
+    model = load_extended(answered(COULOMB).out / "extended.toml")
+    found = answered(COULOMB).document["findings"][0]["parameters"]["dFc"]
+    (effect,) = model.extension.effects
+    assert (effect.placed.effect.name, effect.placed.joint) == ("coulomb", 1)
+    assert model.parameters[0]["dFc"] == pytest.approx(found["value"])
+    text = (answered(COULOMB).out / "extended.toml").read_text()
+    assert "sd = " in text
+    assert 'unit = "N m"' in text
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ('name = "coulomb"', 'name = "coulom"', r"effect\[1\].name: no effect 'coulom'.*coulomb"),
+        ("joint = 2", "joint = 5", r"effect\[1\].joint: is 5, there are 2"),
+        ("dFc = { value = ", "dFc = { value = 9", "but effect.term makes it"),
+        ("[effect.term]\ndFc", "[effect.term]\ndF", "coulomb needs exactly dFc"),
+        ('"joint1", "joint2"', '"joint2", "joint1"', "this model is of joint2, joint1"),
+        ('kind = "extended"', 'kind = "robot"', "robot"),
+    ],
+)
+def test_models_that_cannot_be_used_are_explained(tmp_path, capsys, before, after, message):
+    import re
+
+    text = (answered(COULOMB).out / "extended.toml").read_text()
+    assert before in text
+    model = tmp_path / "extended.toml"
+    model.write_text(text.replace(before, after))
+    result = command(answered(COULOMB).source, "--model", str(model))
+    assert result.code == 2
+    error = capsys.readouterr().err
+    assert re.search(message, error), error
+    assert str(model) in error
+    assert not result.out.exists()
+
+
+def test_an_effect_of_a_users_own_is_found_and_kept(tmp_path):
+    source = copied(replace(COULOMB, effects=()), tmp_path / "set")
+    for file in source.glob("*.npz"):
+        columns = columns_of(file)
+        columns["tau2"] = columns["tau2"] + WAVE * np.sin(9.0 * columns["q2"])
+        np.savez_compressed(file, **columns)
+    effects = tmp_path / "mine.py"
+    effects.write_text(FILE)
+    result = command(source, "--effects", str(effects))
+    found = result.document["findings"][0]
+    assert (found["effect"], found["joint"]) == ("rail_wave", 2)
+    assert found["parameters"]["A"]["value"] == pytest.approx(WAVE, rel=0.1)
+    model = result.out / "extended.toml"
+    with pytest.raises(InputFileError, match="An effect of your own needs its file"):
+        load_extended(model)
+    from stiffopt.discovery.user_effects import load_effects
+
+    kept = load_extended(model, load_effects(effects)).extension.effects
+    assert "rail_wave" in [each.placed.effect.name for each in kept]
