@@ -1,4 +1,4 @@
-"""The tool with a part taken out, in a process of its own: VARIANT CASE OUT [EFFECT].
+"""The tool with a part taken out, in a process of its own: VARIANT CASE OUT [EFFECT] [--model].
 
 Parts are taken out here, from outside, so that the tool itself has no switch for them.
 """
@@ -95,12 +95,16 @@ VARIANTS: dict[str, Callable[[str], Any]] = {
 
 @dataclass(frozen=True)
 class Job:
-    """One diagnosis: a variant of the tool on a recording set, its answer in a folder."""
+    """One diagnosis: a variant of the tool on a recording set, its answer in a folder.
+
+    `effect` is the one that a variant takes out, `model` the extended model to start from.
+    """
 
     variant: str
     case: Path
     out: Path
     effect: str = ""
+    model: Path | None = None
 
 
 def answers(
@@ -117,6 +121,7 @@ def answers(
             begin = time.perf_counter()
             command = [sys.executable, "-m", "benchmarks.blind.variants"]
             command += [job.variant, str(job.case), str(job.out), job.effect]
+            command += [] if job.model is None else ["--model", str(job.model)]
             single = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
             try:
                 done = subprocess.run(
@@ -144,12 +149,13 @@ def main() -> None:
     parser.add_argument("case", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("effect", nargs="?", default="")
+    parser.add_argument("--model", type=Path)
     given = parser.parse_args()
     from stiffopt.discovery.answer_store import write_diagnosis
     from stiffopt.discovery.diagnose import diagnose
 
     with VARIANTS[given.variant](given.effect):
-        found = diagnose(given.case)
+        found = diagnose(given.case, model=given.model)
     given.out.mkdir(parents=True, exist_ok=True)
     write_diagnosis(found, given.out)
 

@@ -1,0 +1,275 @@
+"""Effects concealed in real recordings: known physics taken out of the nominal model, or put in.
+
+    python -m benchmarks.blind.real KEY_FOLDER [--jobs J]
+
+Recordings are in the folder that STIFFOPT_RECORDINGS names.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.blind.extras import save
+from benchmarks.blind.score import Named
+from benchmarks.blind.sets import Columns, description, write_set
+from benchmarks.blind.variants import Job, answers
+
+RECORDINGS = Path(
+    os.environ.get(
+        "STIFFOPT_RECORDINGS", Path(__file__).parents[2].parent / "shared" / "recordings"
+    )
+)
+# Slower than this a joint counts as standing: an added friction says nothing there [rad/s].
+_MOVING = 0.03
+
+
+@dataclass(frozen=True, kw_only=True)
+class Concealed:
+    """Something known, hidden in a real recording set.
+
+    Parameters
+    ----------
+    name : str
+    source : str
+        Name of the set.
+    what : str
+        What was done, in words.
+    truth : tuple of Named
+        Any of these is right.
+    parameter : str
+        That is compared, "" for none.
+    value : float
+        What it is [SI].
+    build : callable
+        From source and target folder to the changed set.
+    after_first : bool
+        The tool starts from the model that it found for the unchanged set.
+    """
+
+    name: str
+    source: str
+    what: str
+    truth: tuple[Named, ...]
+    parameter: str
+    value: float
+    build: Callable[[Path, Path], Path]
+    after_first: bool = False
+
+
+def without_rotor(joint: int, left: float) -> Callable[[Path, Path], Path]:
+    """The nominal rotor inertia of a joint cut to a share."""
+
+    def build(source: Path, target: Path) -> Path:
+        told = description(source)
+        told["nominal"]["rotor_inertia"][joint - 1] *= left
+        return write_set(source, target, told)
+
+    return build
+
+
+def lighter(link: str, mass: float) -> Callable[[Path, Path], Path]:
+    """A link of the nominal robot lighter by a mass [kg], its inertia about it in proportion."""
+
+    def build(source: Path, target: Path) -> Path:
+        told = description(source)
+        write_set(source, target, told)
+        tree = ElementTree.parse(target / told["robot"])
+        inertial = tree.find(f".//link[@name='{link}']/inertial")
+        assert inertial is not None
+        entry, tensor = inertial.find("mass"), inertial.find("inertia")
+        assert entry is not None
+        assert tensor is not None
+        now = float(entry.attrib["value"])
+        entry.set("value", repr(now - mass))
+        for key, value in tensor.attrib.items():
+            tensor.set(key, repr(float(value) * (now - mass) / now))
+        tree.write(target / told["robot"])
+        return target
+
+    return build
+
+
+def stiffer(joint: int, factor: float) -> Callable[[Path, Path], Path]:
+    """The nominal wind-up of a joint too stiff by a factor."""
+
+    def build(source: Path, target: Path) -> Path:
+        told = description(source)
+        for key in ("K1", "K2", "K3"):
+            told["nominal"]["reducer"][key][joint - 1] *= factor
+        return write_set(source, target, told)
+
+    return build
+
+
+def rubbing(joint: int, level: float) -> Callable[[Path, Path], Path]:
+    """Coulomb friction [N m] added to the measured torque, by the sign of the measured motion."""
+
+    def build(source: Path, target: Path) -> Path:
+        told = description(source)
+        signals = told["signals"]
+
+        def change(_: str, columns: Columns) -> Columns:
+            torque, position = signals["torque"][joint - 1], signals["position"][joint - 1]
+            time = columns[signals["time"]]
+            speed = _speed(time, columns[position])
+            added = level * np.sign(speed) * np.minimum(np.abs(speed) / _MOVING, 1.0)
+            return columns | {torque: columns[torque] + added}
+
+        return write_set(source, target, told, change)
+
+    return build
+
+
+def weaker(joint: int, share: float) -> Callable[[Path, Path], Path]:
+    """Measured torque of a joint read too large by a share, as after a change of its constant."""
+
+    def build(source: Path, target: Path) -> Path:
+        told = description(source)
+        column = told["signals"]["torque"][joint - 1]
+        return write_set(source, target, told, lambda _, c: c | {column: c[column] * (1.0 + share)})
+
+    return build
+
+
+def _speed(time: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Speed from positions, over 20 ms: what a person would differentiate by hand."""
+    step = float(np.median(np.diff(time)))
+    width = max(3, round(0.02 / step))
+    smooth = np.convolve(position, np.full(width, 1.0 / width), mode="same")
+    return np.asarray(np.gradient(smooth, step))
+
+
+def _payload(link: str) -> tuple[Named, ...]:
+    return (Named("payload"), Named("inertial_error", None, link))
+
+
+EMPS = "its friction is silent in the nominal model; published: Coulomb 20.4 N"
+CASES = (
+    Concealed(
+        name="emps_friction", source="emps", what=EMPS,
+        truth=(Named("coulomb", 1),), parameter="dFc", value=20.4,
+        build=lambda s, t: write_set(s, t, description(s)),
+    ),
+    Concealed(
+        name="kuka_rotor_2", source="kuka_kr300",
+        what="rotor inertia of joint 2 halved in the nominal model",
+        truth=(Named("rotor_inertia", 2),), parameter="dJ", value=0.5 * 843.912881633,
+        build=without_rotor(2, 0.5),
+    ),
+    Concealed(
+        name="kuka_rotor_1", source="kuka_kr300",
+        what="rotor inertia of joint 1 halved in the nominal model",
+        truth=(Named("rotor_inertia", 1),), parameter="dJ", value=0.5 * 608.954712653,
+        build=without_rotor(1, 0.5),
+    ),
+    Concealed(
+        name="kuka_payload", source="kuka_kr300",
+        what="the 150 kg payload taken out of the last link",
+        truth=_payload("link_6"), parameter="dm", value=150.0, build=lighter("link_6", 150.0),
+    ),
+    Concealed(
+        name="kuka_stiffness_2", source="kuka_kr300",
+        what="joint 2 twice as stiff in the nominal model",
+        truth=(Named("stiffness_linear", 2),), parameter="factor", value=0.5,
+        build=stiffer(2, 2.0),
+    ),
+    Concealed(
+        name="ur10e_friction_3", source="ur10e",
+        what="6 N m Coulomb friction added to joint 3, against the model found before",
+        truth=(Named("coulomb", 3),), parameter="dFc", value=6.0, build=rubbing(3, 6.0),
+        after_first=True,
+    ),
+    Concealed(
+        name="kuka_friction_1", source="kuka_kr300",
+        what="150 N m Coulomb friction added to joint 1, against the model found before",
+        truth=(Named("coulomb", 1),), parameter="dFc", value=150.0, build=rubbing(1, 150.0),
+        after_first=True,
+    ),
+    Concealed(
+        name="ur10_gain_2", source="unisa_ur10",
+        what="torque of joint 2 read 10 % too large, against the model found before",
+        truth=(Named("torque_gain", 2),), parameter="eps", value=0.10, build=weaker(2, 0.10),
+        after_first=True,
+    ),
+)  # fmt: skip
+
+
+def conceal(folder: Path, workers: int, say: Callable[[str], object]) -> Path:
+    """Hide, diagnose, and leave the section for the page."""
+    base = folder / "real"
+    made = [c for c in CASES if (RECORDINGS / c.source / "recordings.toml").exists()]
+    for c in made:
+        if not (base / "cases" / c.name / "recordings.toml").exists():
+            c.build(RECORDINGS / c.source, base / "cases" / c.name)
+    sources = sorted({c.source for c in made if c.after_first})
+    first = [Job("whole", RECORDINGS / s, base / "first" / s) for s in sources]
+    answers(first, workers, say)
+    jobs = [
+        Job(
+            "whole",
+            base / "cases" / c.name,
+            base / "answers" / c.name,
+            model=base / "first" / c.source / "extended.toml" if c.after_first else None,
+        )
+        for c in made
+    ]
+    found = answers(jobs, workers, say)
+    rows = [_row(c, a) for c, a in zip(made, found, strict=True)]
+    rows += [
+        [c.what, c.source, "", "not run: no recordings", "", ""] for c in CASES if c not in made
+    ]
+    text = (
+        "Public recordings of real robots, described in each set's own README. Either something"
+        " known is taken out of the nominal model, or something known is added to the measured"
+        " torque. Real sets lack more than what is hidden: what else is named may well be true."
+    )
+    head = ["hidden", "set", "truth", "said", "parameter: truth, found +- sd", "named"]
+    return save(
+        folder,
+        "real",
+        {"title": "Concealed in real recordings", "text": text, "head": head, "rows": rows},
+    )
+
+
+def _row(concealed: Concealed, answer: dict[str, Any] | None) -> list[str]:
+    truth = " or ".join(t.label for t in concealed.truth)
+    head = [concealed.what, concealed.source, truth]
+    if answer is None:
+        return [*head, "no answer", "", "no"]
+    findings = answer["findings"] if answer["verdict"] == "named" else []
+    said = [Named.read(f) for f in findings]
+    places = [k for k, s in enumerate(said) if s in concealed.truth]
+    words = ", ".join(s.label for s in said) or answer["verdict"].replace("_", " ")
+    if not places:
+        group = any(Named.read(r) in concealed.truth for f in findings for r in f["confused_with"])
+        return [*head, words, "", "among the rivals" if group else "no"]
+    value = findings[places[0]]["parameters"].get(concealed.parameter)
+    told = f"{concealed.parameter}: {concealed.value:.4g}"
+    if value is not None:
+        told += f", {value['value']:.4g} +- {value['sd'] or float('nan'):.2g}"
+    return [*head, words, told, "first" if places[0] == 0 else f"as number {places[0] + 1}"]
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.blind.real")
+    parser.add_argument("folder", type=Path, help="folder of a key, where the answers go")
+    parser.add_argument("--jobs", type=int, default=1)
+    given = parser.parse_args()
+    if not RECORDINGS.is_dir():
+        print(f"No recordings in {RECORDINGS}; name their folder in STIFFOPT_RECORDINGS.")
+        return
+    print(conceal(given.folder, given.jobs, lambda text: print(text, file=sys.stderr)))
+
+
+if __name__ == "__main__":
+    main()
