@@ -27,10 +27,14 @@ def make(key: Key, name: str, store: Store) -> None:
     The truth is on disk before the case is: what the tool can be given has a truth that it is
     held to.
     """
-    if store.made(name):
+    if store.made(name) or store.unmade(name).exists():
         return
     drawn = plan(key, name)
-    case, oracle = realised(key, drawn)
+    try:
+        case, oracle = realised(key, drawn)
+    except (NothingToSeeError, FloatingPointError) as error:
+        write_json(store.unmade(name), {"id": name, "reason": str(error)})
+        return
     write_text(store.truth(name), truth_text(case))
     with whole_folder(store.oracle_predictions(name)) as folder:
         _write_exact(case, folder)

@@ -27,7 +27,20 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--timeout", type=float, default=900.0, help="of one diagnosis [s]")
     parser.add_argument("--work", type=Path, default=WORK, help="folder of all files")
     parser.add_argument("--key", help="a key for development, dev-...")
+    parser.add_argument(
+        "--demand", action="store_true", help="fail where the least that is asked is not reached"
+    )
     return parser
+
+
+def _judge(store: Store) -> int:
+    from .demands import unmet
+    from .tally import score_all
+
+    found = unmet(score_all(store.folder))
+    for sentence in found:
+        print(sentence, file=sys.stderr)
+    return 1 if found else 0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -56,6 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             from . import results
 
             print(results.main(store.folder))
+        if given.demand:
+            return _judge(store)
     except FileNotFoundError as error:
         print(error, file=sys.stderr)
         return 1

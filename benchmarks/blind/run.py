@@ -70,6 +70,7 @@ def generate(key: Key, store: Store, cases: Sequence[str], jobs: int) -> None:
 
 def diagnose(store: Store, cases: Sequence[str], jobs: int, timeout: float) -> None:
     """Let the tool answer the cases that it has not answered yet."""
+    cases = [name for name in cases if not store.unmade(name).exists()]
     missing = [name for name in cases if not store.made(name)]
     if missing:
         raise FileNotFoundError(

@@ -41,6 +41,10 @@ class Store:
     def made(self, name: str) -> bool:
         return (self.case(name) / "commitment.txt").exists()
 
+    def unmade(self, name: str) -> Path:
+        """Why a case could not be made."""
+        return self.folder / "unmade" / f"{name}.json"
+
     def answered(self, name: str) -> bool:
         return (self.answer(name) / "time.json").exists()
 
