@@ -193,7 +193,8 @@ def diagnose(
 ) -> int:
     """Find what the nominal model of recordings lacks, and prove it on runs never fitted to.
 
-    Writes diagnosis.json, extended.toml and the predictions of test and extrapolation runs.
+    Writes diagnosis.json, extended.toml, report.html and the predictions of test and extrapolation
+    runs.
 
     Parameters
     ----------
@@ -211,6 +212,7 @@ def diagnose(
     from stiffopt.discovery.answer_store import write_diagnosis
     from stiffopt.discovery.diagnose import diagnose as find
     from stiffopt.recording.recording_set import load_recordings
+    from stiffopt.report.diagnosis_page import write_diagnosis_report
     from stiffopt.report.diagnosis_terminal import Sentences, print_diagnosis
 
     loaded = load_recordings(recordings)
@@ -223,6 +225,7 @@ def diagnose(
     with _folder(chosen) as folder:
         with nullcontext() if quiet else Sentences(loaded.title) as progress:
             found = find(loaded, effects=effects or (), model=model, progress=progress)
+        write_diagnosis_report(found, folder)
         write_diagnosis(found, folder)
     print_diagnosis(found, folder)
     return 0

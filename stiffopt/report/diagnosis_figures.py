@@ -89,7 +89,7 @@ def held_out_figure(diagnosis: Diagnosis) -> Figure:
             grid[0].plot([], [], "o", color=BLUE, ms=5)[0],
             grid[0].plot([], [], color=GREY, linewidth=1.0)[0],
         ]
-        below = -0.45 / figure.get_figheight()
+        below = 0.11 - 0.42 / figure.get_figheight()
         figure.legend(
             handles,
             ("before", "after", "sensor noise"),

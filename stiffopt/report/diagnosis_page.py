@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
 PAGE_FILE = "report.html"
 # Findings that are shown with figures of their own.
-_SHOWN = 4
+_SHOWN = 3
 
 
 def write_diagnosis_report(diagnosis: Diagnosis, directory: str | Path) -> Path:
@@ -141,10 +141,10 @@ def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
     tiles = []
     new, silent = told(diagnosis)
     for finding in (new or silent)[:2]:
-        sure = percent_sure(finding.probability) if finding.rivals else "no rival"
+        sure = percent_sure(finding.probability) if finding.rivals else "no rival near"
         name = effect_words(finding.placed.effect.name)
         note = f"{name}, {place(diagnosis, finding.placed)}"
-        tiles.append({"name": "probability", "value": sure, "note": note})
+        tiles.append({"name": "how sure", "value": sure, "note": note})
     for role, words in (("test", "test runs"), ("extrapolate", "extrapolation")):
         if diagnosis.proofs(role):
             before, after = (significant(v, 2) for v in diagnosis.nrmse(role))

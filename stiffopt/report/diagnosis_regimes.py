@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _BINS, _CELLS = 28, 14
 # Points of a cloud that a page can carry.
 _POINTS = 1500
-_SIDES = ((1, VERMILLION, "moving up"), (-1, BLUE, "moving down"))
+_SIDES = ((1, VERMILLION, "positive direction"), (-1, BLUE, "negative direction"))
 
 
 def regime_figure(diagnosis: Diagnosis, rows: ChannelRows, finding: Finding | None) -> Figure:

@@ -12,6 +12,7 @@ from stiffopt.report.diagnosis_motion import Window
 from stiffopt.report.diagnosis_words import (
     channels_in_words,
     effect_words,
+    fall,
     is_silent,
     own_unit,
     percent_sure,
@@ -41,7 +42,9 @@ def findings_table(diagnosis: Diagnosis) -> Table | None:
             + (" (no nominal value)" if is_silent(diagnosis, f) else ""),
             _parameters(diagnosis, f),
             f"{f.significance:.0f} sd",
-            f"{100 * f.variance_explained:.0f} % of {channels_in_words([f.channel])}",
+            channels_in_words([f.channel])[4:],
+            " → ".join(significant(v, 2) for v in fall(diagnosis, f.channel)),
+            f"{100 * f.variance_explained:.0f} %",
             percent_sure(f.probability) if f.rivals else "no rival",
         )
         for f in diagnosis.findings
@@ -51,7 +54,9 @@ def findings_table(diagnosis: Diagnosis) -> Table | None:
         "effect",
         "parameters, ± one standard deviation",
         "from nothing",
-        "takes away",
+        "shows in",
+        "residual over noise",
+        "share, left out",
         "probability",
     )
     return Table(head, tuple(rows)) if rows else None

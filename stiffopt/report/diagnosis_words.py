@@ -54,6 +54,15 @@ _PHRASES = {
     "wrist_coupling": "coupling with the joint before",
     "external_contact": "contact with the surroundings",
 }
+# Names that read badly with their underscores replaced by spaces.
+_NAMES = {
+    "coulomb": "Coulomb friction",
+    "viscous": "viscous friction",
+    "stribeck": "Stribeck friction",
+    "asym_friction": "asymmetric friction",
+    "stiffness_linear": "stiffness",
+    "k1_softening": "K1 softening",
+}
 # What nominal values that a set does not give are called when they are found.
 _VALUES = {
     "coulomb": "dry friction",
@@ -82,8 +91,8 @@ _SURE = 0.995
 
 
 def effect_words(name: str) -> str:
-    """Name of a catalogue effect with spaces."""
-    return name.replace("_", " ")
+    """Name of a catalogue effect as people write it."""
+    return _NAMES.get(name, name.replace("_", " "))
 
 
 def own_unit(unit: str, prismatic: bool) -> str:
@@ -179,7 +188,7 @@ def lead(diagnosis: Diagnosis) -> str:
         text = outside_sentence(diagnosis)
     else:
         new, silent = told(diagnosis)
-        parts = [how_sure(f) for f in new]
+        parts = [how_sure(diagnosis, f) for f in new]
         if new and silent:
             parts.append(f"Also found, not given by the nominal model: {_silent_words(silent)}.")
         elif silent:
@@ -190,20 +199,38 @@ def lead(diagnosis: Diagnosis) -> str:
     return text
 
 
-def how_sure(finding: Finding) -> str:
-    """Probability, deviations from nothing, and share explained, in a sentence."""
+def how_sure(diagnosis: Diagnosis, finding: Finding) -> str:
+    """Probability, deviations from nothing and fall of the residual, in a sentence."""
     if finding.rivals:
         rival = finding.rivals[0]
         other = effect_words(rival.placed.effect.name)
         sure = f"{percent_sure(finding.probability)} sure; the nearest rival is {other}"
+        if rival.placed.joint != finding.placed.joint:
+            sure += f", {place(diagnosis, rival.placed)}"
     else:
         sure = "no rival comes near"
     name = effect_words(finding.placed.effect.name)
     return (
-        f"{name[0].upper()}{name[1:]}: {sure}. {finding.significance:.0f} standard deviations from "
-        f"nothing, it takes away {100 * finding.variance_explained:.0f} % of what "
-        f"{channels_in_words([finding.channel])} leaves above noise in data left out of the fit."
+        f"{name[0].upper()}{name[1:]}: {sure}; {finding.significance:.0f} standard deviations from "
+        f"nothing. {fall_sentence(diagnosis, finding.channel)}"
     )
+
+
+def fall_sentence(diagnosis: Diagnosis, channel: str) -> str:
+    """How far the residual of a channel falls in the training runs."""
+    within, after = fall(diagnosis, channel)
+    words = channels_in_words([channel])
+    return (
+        f"{words[0].upper()}{words[1:]} is left at {significant(within, 2)} times its noise by "
+        f"nominal values within tolerance, at {significant(after, 2)} with what was found."
+    )
+
+
+def fall(diagnosis: Diagnosis, channel: str) -> tuple[float, float]:
+    """Residual over noise in training: nominal values within tolerance, then with findings."""
+    kind, _, joint = channel.rpartition("_")
+    number = int(joint) - 1 + (0 if kind == "torque" else diagnosis.recordings.n)
+    return float(diagnosis.search.calibrated[number]), float(diagnosis.search.after[number])
 
 
 def outside_sentence(diagnosis: Diagnosis) -> str:
