@@ -20,7 +20,6 @@ from stiffopt.drivetrain.stage import Stage
 _SHARES = np.linspace(0.05, 1.0, 20)
 # Slip torque that a loosened connection keeps, over the largest torque of the joint.
 _HOLDS = 1.1
-_HALVINGS = 60
 # Of a share of preload that is as good as none lost.
 _WHOLE = 0.999
 ADDED = "found_compliance"
@@ -157,20 +156,13 @@ def _preload_loss(chain: Chain, sized: SizedEffect, constants: JointConstants) -
 
 
 def _share(added: Callable[[float], float], wanted: float, least: float) -> float:
-    """Share of the preload at which the added wind-up is as wanted, by halving its logarithm."""
+    """Share of the preload at which the added wind-up is as wanted, or the least allowed."""
+    from scipy.optimize import brentq
+
     if added(least) <= wanted:
         return least
-    low, high = np.log(least), 0.0
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        # The looser, the more it winds up.
-        if added(float(np.exp(middle))) > wanted:
-            low = middle
-        else:
-            high = middle
-        if high - low < 1e-9:
-            break
-    return float(np.exp(0.5 * (low + high)))
+    # The looser, the more it winds up.
+    return float(brentq(lambda share: added(share) - wanted, least, 1.0, xtol=1e-6))
 
 
 def _weakest(chain: Chain, torque: float) -> int | None:
