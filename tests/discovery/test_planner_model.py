@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -66,7 +67,7 @@ def found(
     name: str,
     amplitudes: tuple[float, ...],
     shapes: tuple[float, ...] = (),
-    **place: int,
+    **place: Any,
 ) -> ExtendedModel:
     effect = next(e for e in CATALOGUE if e.name == name)
     placed = PlacedEffect(effect=effect, shapes=shapes, **place)
