@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
 
 from stiffopt.discovery.evidence import BlockSums, Posterior, posterior
 from stiffopt.discovery.nuisance import NuisanceColumn, nuisance_columns
@@ -173,11 +175,16 @@ class Comparison:
         residual = (self.target - columns @ found.mean) / self._weight
         return Fit(tuple(effects), found, residual, nuisance.shape[1])
 
-    def within_tolerance(self, fit: Fit, box: float) -> np.ndarray:
-        """Residual (m,) of a fit without effects, nominal values moved by `box` sd at most."""
+    def within_tolerance(self, box: float) -> np.ndarray:
+        """Residual (m,) without effects, nominal values moved by `box` deviations at most."""
         _, sd, nuisance = self.nuisance
-        moved = np.clip(fit.posterior.mean[: len(sd)], -box * sd, box * sd)
-        return np.asarray((self.target - nuisance @ moved) / self._weight)
+        if not len(sd):
+            return np.asarray(self.target / self._weight)
+        scaled = nuisance * sd
+        root = np.linalg.cholesky(scaled.T @ scaled + np.eye(len(sd)))
+        goal = solve_triangular(root, scaled.T @ self.target, lower=True)
+        moved = lsq_linear(root.T, goal, (-box, box)).x
+        return np.asarray((self.target - scaled @ moved) / self._weight)
 
     def channel_ratio(self, residual: np.ndarray) -> np.ndarray:
         """Root mean square of whitened residuals in every channel (2 n,); nan without rows."""

@@ -69,7 +69,7 @@ def prepare(
     time, position, link, torque = _uniform(run)
     dt = float(time[1] - time[0])
     low_pass = ZeroPhaseFilter(1.0 / dt, min(settings.cutoff, 0.2 / dt))
-    motor = low_pass(_filled(position))
+    motor = low_pass.motion(_filled(position))
     velocity = derivative(motor, dt)
     acceleration = derivative(velocity, dt)
     q, v, a, spring = _link_motion(robot, motor, dt, low_pass)
@@ -183,8 +183,8 @@ def _link_motion(
     q = motor
     for _ in range(_ROUNDS if robot.elastic else 0):
         v = derivative(q, dt)
-        spring = low_pass(robot.spring_torque(q, v, derivative(v, dt)))
-        q = low_pass(motor - robot.windup(spring))
+        spring = low_pass.motion(robot.spring_torque(q, v, derivative(v, dt)))
+        q = low_pass.motion(motor - robot.windup(spring))
     v = derivative(q, dt)
     a = derivative(v, dt)
     return q, v, a, robot.spring_torque(q, v, a)

@@ -11,6 +11,8 @@ from stiffopt.discovery.candidates import Candidate, Scorer, scan
 from stiffopt.discovery.comparison import Comparison, Fit
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.placed import PlacedEffect
+from stiffopt.discovery.signals import RobotConstants
+from stiffopt.discovery.uncertainty import estimate
 
 Report = Callable[[str], object]
 
@@ -21,6 +23,8 @@ CHI = 5.0
 # away this share of a channel's squared residual.
 EXPLAINED = 0.02
 _PULL = 0.5
+# Jackknife deviations from nothing of its amplitudes.
+CONFIRMED = 3.0
 # Log evidences are too sure where formulas differ from nature: a difference counts against this
 # share of the winner's own, within bounds.
 _TEMPER = 0.01
@@ -114,7 +118,7 @@ def search(
     say = report or (lambda _: None)
     first = comparison.fit()
     before = comparison.channel_ratio(comparison.target)
-    calibrated = comparison.channel_ratio(comparison.within_tolerance(first, box))
+    calibrated = comparison.channel_ratio(comparison.within_tolerance(box))
     current = _about(comparison, first)
     effects: list[PlacedEffect] = []
     if start:
@@ -138,11 +142,16 @@ def search(
             break
         effects = kept
     current, effects = _settled(comparison, effects)
-    fit = current.fit(effects)
-    selected = [_selected(current, effects, e, catalogue) for e in effects]
-    selected.sort(key=lambda s: -s.loss)
-    ordered = tuple(s.placed for s in selected)
-    fit = current.fit(ordered)
+    confirmed = _confirmed(current, effects)
+    if len(confirmed) < len(effects):
+        current, effects = _settled(comparison, confirmed)
+    judged = [_judged(current, effects, e, catalogue) for e in effects]
+    likelier = [j.likeliest for j in judged]
+    if likelier != effects and _distinct(likelier):
+        current, effects = _settled(comparison, likelier)
+        judged = [_judged(current, effects, e, catalogue) for e in effects]
+    selected = sorted((j.selected for j in judged), key=lambda s: -s.loss)
+    fit = current.fit(tuple(s.placed for s in selected))
     return SearchResult(
         tuple(selected), current, fit, before, calibrated, current.channel_ratio(fit.residual)
     )
@@ -205,32 +214,62 @@ def _pruned(comparison: Comparison, effects: list[PlacedEffect]) -> list[PlacedE
     return kept
 
 
-def _selected(
+def _confirmed(comparison: Comparison, effects: list[PlacedEffect]) -> list[PlacedEffect]:
+    """Effects that no few seconds of the recordings are alone responsible for."""
+    kept = list(effects)
+    while kept:
+        found = estimate(comparison, kept)
+        sure = [found.significance(i) for i in range(len(kept))]
+        worst = int(np.argmin(sure))
+        if sure[worst] >= CONFIRMED:
+            break
+        kept.pop(worst)
+    return kept
+
+
+def _distinct(effects: Sequence[PlacedEffect]) -> bool:
+    return not any(a.same_place(b) for i, a in enumerate(effects) for b in effects[:i])
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """A found effect among its rivals, and the likeliest of them all."""
+
+    selected: Selected
+    likeliest: PlacedEffect
+
+
+def _judged(
     comparison: Comparison,
     effects: Sequence[PlacedEffect],
     placed: PlacedEffect,
     catalogue: Sequence[Effect],
-) -> Selected:
+) -> _Judged:
     """Judge a found effect against everything that could stand in its place."""
     others = [e for e in effects if e is not placed]
     scorer = Scorer(comparison, others)
     own = scorer.score(placed)
     assert own is not None
-    near_by = scan(scorer, catalogue, about=placed)
-    found = [c for c in near_by if not c.placed.same_place(placed)]
+    found = [c for c in scan(scorer, catalogue, about=placed) if not c.placed.same_place(placed)]
     width = float(np.clip(_TEMPER * own.evidence, 1.0, _WIDEST))
-    odds = [
-        (c.evidence - own.evidence) / width - _PLAINER * (_size(c.placed) - _size(placed))
-        for c in found
-    ]
+    constants = comparison.constants
+    ease = _ease(own, constants)
+    odds = [(c.evidence - own.evidence) / width + _ease(c, constants) - ease for c in found]
     near = sorted(zip(odds, found, strict=True), key=lambda pair: -pair[0])[:3]
     near = [(o, c) for o, c in near if o > -_GROUP]
     weights = np.exp([o for o, _ in near])
     total = 1.0 + float(np.sum(weights))
     rivals = tuple((c.placed, float(w) / total) for (_, c), w in zip(near, weights, strict=True))
-    return Selected(placed, own.evidence, own.chi, 1.0 / total, rivals, own.channel)
+    selected = Selected(placed, own.evidence, own.chi, 1.0 / total, rivals, own.channel)
+    return _Judged(selected, near[0][1].placed if near and near[0][0] > 0.0 else placed)
 
 
-def _size(placed: PlacedEffect) -> int:
-    """Number of parameters of an effect."""
-    return len(placed.effect.amplitudes) + len(placed.effect.shapes)
+def _ease(candidate: Candidate, constants: RobotConstants) -> float:
+    """Log prior odds: plainer effects, and those usual at their joint, are likelier.
+
+    An amplitude counts as far as the data determine it.
+    """
+    placed = candidate.placed
+    size = len(placed.effect.shapes) + float(np.sum(1.0 - np.diag(candidate.covariance)))
+    usual = placed.effect.log_prior
+    return (usual(placed.constants(constants)) if usual else 0.0) - _PLAINER * size

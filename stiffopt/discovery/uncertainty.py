@@ -85,6 +85,13 @@ class Estimate:
             name: (float(v), float(s)) for name, v, s in zip(names, report(inputs), sd, strict=True)
         }
 
+    def significance(self, index: int) -> float:
+        """Standard deviations of an effect's amplitudes from nothing, by the jackknife."""
+        rows, _ = self._places(index)
+        rows = rows[: len(self.sizes[index])]
+        values, spread = self.values[rows], self.spread[np.ix_(rows, rows)]
+        return float(np.sqrt(max(values @ np.linalg.lstsq(spread, values)[0], 0.0)))
+
     def _places(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Where the amplitudes and shapes of an effect stand, and the units they have there."""
         lengths = [len(s) for s in self.sizes]
