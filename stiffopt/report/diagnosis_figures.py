@@ -28,7 +28,10 @@ def balances_figure(diagnosis: Diagnosis) -> Figure:
         ("nominal values moved within tolerance", search.calibrated),
     ]
     if search.selected:
-        stages.append(("and with what was found", search.after))
+        words = (
+            "and with what was found" if diagnosis.findings else "and with effects that were tried"
+        )
+        stages.append((words, search.after))
     every = np.concatenate([s[1] for s in stages])
     known = every[np.isfinite(every)]
     top = max(_DARKEST, float(known.max()) if known.size else 0.0)

@@ -13,6 +13,7 @@ from stiffopt.files import atomic_write
 from stiffopt.recording.check import missing_signals
 from stiffopt.recording.facts import joint_facts
 from stiffopt.recording.identifiable import effect_checks
+from stiffopt.recording.run import counted
 from stiffopt.report.citations import diagnosis_references
 from stiffopt.report.diagnosis_figures import balances_figure, held_out_figure
 from stiffopt.report.diagnosis_motion import overlay_figure, trace, worst_windows
@@ -93,7 +94,7 @@ def write_diagnosis_report(diagnosis: Diagnosis, directory: str | Path) -> Path:
         "balances": _saved(
             balances_figure(diagnosis),
             "diagnosis_balances",
-            "Where it shows",
+            "Where it shows" if diagnosis.verdict != "nothing_missing" else "All balances",
             "Training runs: root mean square of the filtered residual over noise, of the torque "
             "and of the wind-up seen by the link encoder. 1 is the noise.",
             folder,
@@ -170,8 +171,8 @@ def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
         {
             "name": "recordings",
             "value": f"{len(diagnosis.training.recorded)} + {len(diagnosis.held_out)} runs",
-            "note": f"to fit + held out; {recordings.n} joints, "
-            + (f"{encoders} link encoders" if encoders else "no link encoders"),
+            "note": f"to fit + held out; {counted(recordings.n, 'joint')}, "
+            + (counted(encoders, "link encoder") if encoders else "no link encoders"),
         }
     )
     return tiles
@@ -184,7 +185,7 @@ def _sections(diagnosis: Diagnosis, folder: Path) -> Iterator[dict[str, Any]]:
         effect = finding.placed.effect
         where = place(diagnosis, finding.placed)
         yield {
-            "title": f"{where[0].upper()}{where[1:]}: {phrase(finding)}",
+            "title": f"{where[0].upper()}{where[1:]}: {phrase(finding, finding in silent)}",
             "effect": effect_words(effect.name),
             "equation": effect.equation,
             "signature": effect.signature,
@@ -253,7 +254,7 @@ def _outside_figures(diagnosis: Diagnosis, folder: Path) -> list[PageFigure]:
         _saved(
             regime_figure(diagnosis, rows, None),
             "diagnosis_outside",
-            "What it follows",
+            "It does not follow the motion" if outside.period else "What it follows",
             f"Mean of what is left of {channel}, with ±2 standard deviations of the mean, by "
             "direction of motion.",
             folder,

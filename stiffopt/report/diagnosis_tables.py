@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 # Standard deviations from which a nominal value that moved is marked.
 _FAR = 3.0
+# Speed below which a joint as good as stands [rad/s].
+_STILL = 0.02
 
 
 def findings_table(diagnosis: Diagnosis) -> Table | None:
@@ -201,7 +203,10 @@ def windows_table(windows: Sequence[Window]) -> Table | None:
     for window in windows:
         factor, unit = scaled_unit(window.rms, window.unit)
         speeds = f"{significant(window.slowest, 2)} to {significant(window.fastest, 2)}"
-        reverses = window.slowest < 0.0 < window.fastest
+        if window.slowest < -_STILL and window.fastest > _STILL:
+            speeds += ", reverses"
+        elif window.slowest < _STILL and window.fastest > -_STILL:
+            speeds += ", comes to rest or leaves it"
         rows.append(
             (
                 window.run,
@@ -209,7 +214,7 @@ def windows_table(windows: Sequence[Window]) -> Table | None:
                 f"{window.begin:.2f} to {window.end:.2f} s",
                 f"{significant(factor * window.rms, 3)} {unit}",
                 f"{significant(window.ratio, 2)} times",
-                f"{speeds}{', reverses' if reverses else ''}",
+                speeds,
             )
         )
     head = ("run", "channel", "when", "residual, rms", "over noise", "joint speed [rad/s or m/s]")

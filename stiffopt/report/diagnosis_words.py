@@ -88,6 +88,8 @@ _SCALES = {
 }
 # From here on more or fewer decimals say nothing to a reader.
 _SURE = 0.995
+# Residual over noise of held-out runs from which a reader is told that much is left.
+_MUCH_LEFT = 2.0
 
 
 def effect_words(name: str) -> str:
@@ -122,7 +124,8 @@ def with_deviation(value: float, sd: float, unit: str) -> str:
     places = digits - 1 - math.floor(math.log10(sd))
     if not -3 <= places <= 6:
         return f"{significant(value, 3)} ± {significant(sd, 2)} {name}".strip()
-    shown = [f"{round(v, places):.{max(places, 0)}f}" for v in (value, sd)]
+    # Plus zero: no minus before a value that rounds to zero.
+    shown = [f"{round(v, places) + 0.0:.{max(places, 0)}f}" for v in (value, sd)]
     return f"{shown[0]} ± {shown[1]} {name}".strip()
 
 
@@ -153,9 +156,11 @@ def told(diagnosis: Diagnosis) -> tuple[list[Finding], list[Finding]]:
     return [f for f in diagnosis.findings if f not in silent], silent
 
 
-def phrase(finding: Finding) -> str:
+def phrase(finding: Finding, silent: bool = False) -> str:
     """What is missing, in plain words."""
     name = finding.placed.effect.name
+    if name in _VALUES and silent:
+        return f"{_VALUES[name]}, for which there is no nominal value"
     if name in _SIGNED:
         return _SIGNED[name][finding.sized.amplitudes[0] < 0.0]
     return _PHRASES.get(name, effect_words(name))
@@ -167,12 +172,14 @@ def headline(diagnosis: Diagnosis) -> str:
         return "Nothing is missing within the tolerances"
     if diagnosis.verdict == "outside_catalogue":
         where = channels_in_words(diagnosis.outside.channels[:1]) if diagnosis.outside else ""
-        return f"Something is missing that the catalogue does not know: {where}"
+        return f"Something outside the catalogue acts on {where}"
     new, silent = told(diagnosis)
     if not new:
         return f"Found what the nominal model does not give: {_silent_words(silent)}"
-    parts = [f"{place(diagnosis, f.placed)}: {phrase(f)}" for f in new]
-    text = "; ".join(parts)
+    by_place: dict[str, list[str]] = {}
+    for finding in new:
+        by_place.setdefault(place(diagnosis, finding.placed), []).append(phrase(finding))
+    text = "; ".join(f"{where}: {listed(what)}" for where, what in by_place.items())
     return text[0].upper() + text[1:]
 
 
@@ -188,7 +195,8 @@ def lead(diagnosis: Diagnosis) -> str:
         text = outside_sentence(diagnosis)
     else:
         new, silent = told(diagnosis)
-        parts = [how_sure(diagnosis, f) for f in new]
+        parts = [how_sure(finding) for finding in new]
+        parts += [fall_sentence(diagnosis, c) for c in dict.fromkeys(f.channel for f in new)]
         if new and silent:
             parts.append(f"Also found, not given by the nominal model: {_silent_words(silent)}.")
         elif silent:
@@ -199,20 +207,20 @@ def lead(diagnosis: Diagnosis) -> str:
     return text
 
 
-def how_sure(diagnosis: Diagnosis, finding: Finding) -> str:
-    """Probability, deviations from nothing and fall of the residual, in a sentence."""
+def how_sure(finding: Finding) -> str:
+    """Probability against rivals and deviations from nothing, in a sentence."""
     if finding.rivals:
         rival = finding.rivals[0]
         other = effect_words(rival.placed.effect.name)
         sure = f"{percent_sure(finding.probability)} sure; the nearest rival is {other}"
-        if rival.placed.joint != finding.placed.joint:
-            sure += f", {place(diagnosis, rival.placed)}"
+        if rival.placed.joint not in (None, finding.placed.joint):
+            sure += f" of joint {rival.placed.joint + 1}"
     else:
         sure = "no rival comes near"
     name = effect_words(finding.placed.effect.name)
     return (
         f"{name[0].upper()}{name[1:]}: {sure}; {finding.significance:.0f} standard deviations from "
-        f"nothing. {fall_sentence(diagnosis, finding.channel)}"
+        "nothing."
     )
 
 
@@ -242,6 +250,7 @@ def outside_sentence(diagnosis: Diagnosis) -> str:
     text = f"In {channels} up to {outside.ratio:.2g} times the noise remains unexplained"
     if outside.period is not None:
         text += f"; it repeats every {significant(outside.period, 3)} s, whatever the motion"
+        return f"{text}: a wave of that period explains {100 * outside.gain:.0f} % of it."
     elif outside.regressors:
         text += f"; it follows {listed(regressor_words(r) for r in outside.regressors)}"
     else:
@@ -258,10 +267,14 @@ def proof_sentence(diagnosis: Diagnosis) -> str:
             parts.append(f"from {significant(before, 3)} to {significant(after, 3)} on {words}")
     if not parts:
         return ""
-    return (
+    text = (
         f"On recordings that no fit has seen, the residual goes {' and '.join(parts)}, in units "
         "of the sensor noise."
     )
+    left = [diagnosis.nrmse(role)[1] for role in ("test", "extrapolate") if diagnosis.proofs(role)]
+    if max(left) > _MUCH_LEFT and diagnosis.verdict == "named":
+        text += " So not all is explained: below is where it is still worst."
+    return text
 
 
 def percent_sure(probability: float) -> str:
