@@ -12,17 +12,22 @@ import stiffopt
 
 NAMES = [
     "__version__",
+    "Choice",
     "InputError",
     "Limits",
+    "LoadCase",
     "Method",
     "NoSolutionFound",
     "Objective",
+    "PreloadProblem",
     "ProblemError",
+    "Requirements",
     "Robot",
     "Solution",
     "SolveStatus",
     "StiffoptError",
     "Target",
+    "Tightening",
     "Trajectory",
     "TrajectoryProblem",
     "assess",
@@ -30,10 +35,14 @@ NAMES = [
     "load_problem",
     "load_recordings",
     "load_robot",
+    "load_study",
+    "optimise_preloads",
+    "preload_study",
     "shipped_robots",
     "solve",
     "stiffness_study",
     "write_diagnosis",
+    "write_preload_report",
     "write_solve_report",
 ]
 
@@ -84,6 +93,17 @@ def test_a_dozen_lines_of_python(tmp_path):
     assert len(seen) > 3
     assert seen[-1].elapsed >= seen[0].elapsed >= 0
     assert seen[-1].objective == pytest.approx(solution.objective.value, rel=0.05)
+
+
+def test_preload_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    blocks = (ROOT / "README.md").read_text().split("```python\n")[1:]
+    (example,) = [code for code in (b.split("```")[0] for b in blocks) if "preload_study" in code]
+    seen = {}
+    exec(compile(example, "README.md", "exec"), seen)
+    assert seen["study"].status.usable
+    assert "N m" in capsys.readouterr().out
+    assert (tmp_path / "out/preload/report.html").stat().st_size > 10_000
 
 
 def test_file_and_python_give_the_same_problem(tmp_path):
