@@ -133,13 +133,16 @@ def test_wrist_coupling_does_no_work():
     np.testing.assert_allclose(given, taken, rtol=1e-12)
 
 
-def test_saturation_holds_the_torque_at_its_limit():
+def test_saturation_holds_a_reading_at_its_limit_and_asks_for_more_in_vain():
     asked = np.linspace(-120.0, 120.0, 60)
     signals = replace(ROBOT.of_joint(4), drive_torque=asked)
     entry = effect("saturation")
-    real = asked + entry.term(signals, [1.0], [0.5]).drive_torque
+    real = asked + entry.term(signals, [-1.0], [0.5]).drive_torque
     np.testing.assert_allclose(real, np.clip(asked, -60.0, 60.0), atol=1.0)
     assert np.abs(real).max() <= 60.0 + 1e-6
+    more = entry.term(signals, [30.0], [0.5]).drive_torque
+    assert np.abs(more[np.abs(asked) < 50.0]).max() < 0.05
+    assert np.all(more[asked > 63.0] > 30.0)
     assert entry.values([1.0], [0.5], signals.constants) == {"limit": 60.0}
 
 
@@ -183,12 +186,12 @@ def test_readings_and_springs_have_their_signs():
 def test_balancer_is_reported_by_its_stiffness_at_the_angle_without_torque(bend: float):
     signals = ROBOT.of_joint(4)
     spring = effect("gravity_spring")
-    amplitudes = [4.0, -3.0]
+    amplitudes = [4.0, -3.0, 1.5]
     found = spring.values(amplitudes, [bend], replace(signals.constants, stroke=(0.0, 1.0)))
     angles = found["offset"] + np.array([-1e-4, 0.0, 1e-4])
     at_rest = replace(signals, link_position=angles)
     torque = spring.term(at_rest, amplitudes, [bend]).link_torque
-    assert abs(found["offset"] - 0.5) <= 0.5 * np.pi * bend + 1e-12
+    assert abs(found["offset"] - 0.5) <= np.pi * bend
     assert torque[1] == pytest.approx(0.0, abs=1e-12)
     assert (torque[2] - torque[0]) / 2e-4 == pytest.approx(found["k"])
 

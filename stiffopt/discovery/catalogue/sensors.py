@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from stiffopt.discovery.catalogue.common import (
-    WEIGHT,
     Constants,
     dry_friction,
     viscous_friction,
@@ -59,12 +58,16 @@ def encoder_skew_term(
 def saturation_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """What a drive that ends at its limit leaves out of the torque asked for."""
+    """What a drive asks for beyond its limit, or what a reading that ends there leaves out.
+
+    Motions never show more than the drive gives, so the torque asked for leaves the predicted one
+    steeply where that comes near the limit.
+    """
     highest = signals.constants.torque_max
     rounding = _LIMIT_ROUNDING * highest
     limit, asked = shapes[0] * highest, signals.drive_torque
     beyond = softplus((asked - limit) / rounding) - softplus((-asked - limit) / rounding)
-    return Term(drive_torque=-amplitudes[0] * rounding * beyond)
+    return Term(drive_torque=amplitudes[0] * rounding * beyond)
 
 
 def _limit(
@@ -80,7 +83,7 @@ def _offset(constants: JointConstants) -> float:
 def _limits(constants: JointConstants) -> tuple[float, ...]:
     friction = dry_friction(constants) + viscous_friction(constants) * constants.fastest
     asked = min(1.0, (constants.largest_torque + friction) / constants.torque_max)
-    return tuple(max(0.1, share * asked) for share in (0.4, 0.55, 0.7, 0.85))
+    return tuple(max(0.1, share * asked) for share in (0.4, 0.55, 0.7, 0.85, 0.97))
 
 
 _READING_ZERO = Amplitude(name="off", unit="rad", scale=1e-3, lower=-10.0, upper=10.0)
@@ -160,10 +163,12 @@ SATURATION = Effect(
     name="saturation",
     family="sensor",
     scope="joint",
-    equation="tau = clip(tau, -limit, limit)",
-    signature="motor torque that stops at a level where the model asks for more",
+    equation="given = clip(tau, -limit, limit)",
+    signature="motor torque that leaves the model only near one level, to which the true torque is"
+    " limited",
     term=saturation_term,
-    amplitudes=(WEIGHT,),
+    # -1 is a reading that ends at the limit; a drive in vain asks for many times what is beyond.
+    amplitudes=(Amplitude(name="steepness", unit="", scale=10.0, lower=-0.15, upper=20.0),),
     shapes=(Shape(name="share", unit="", starts=_limits, lower=0.05, upper=1.2),),
     report=_limit,
     units={"limit": "N m"},

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import Constants, along_stroke, on_wrist
+from stiffopt.discovery.catalogue.common import Constants, along_stroke, on_wrist, ratio_or_zero
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity
@@ -15,12 +15,11 @@ from stiffopt.symbolic import Quantity
 def gravity_spring_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Torque k m sin((q - offset)/m), a torsion spring that turns over; sine and cosine apart."""
+    """Torque k m sin((q - q1)/m) + B of a spring that turns over; sine and cosine apart."""
+    sine, cosine, constant = amplitudes
     bend = shapes[0]
     turned = signals.link_position / bend
-    return Term(
-        link_torque=bend * (amplitudes[0] * np.sin(turned) + amplitudes[1] * np.cos(turned))
-    )
+    return Term(link_torque=bend * (sine * np.sin(turned) + cosine * np.cos(turned)) + constant)
 
 
 def cable_spring_term(
@@ -34,12 +33,22 @@ def cable_spring_term(
 def _rest_angle(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
-    """Stiffness where the spring carries nothing, of all such angles the one nearest the stroke."""
-    sine, cosine = amplitudes
-    bend = shapes[0]
-    stiffness, offset = float(np.hypot(sine, cosine)), bend * float(np.arctan2(-cosine, sine))
-    half_turns = round((float(np.mean(constants.stroke)) - offset) / (np.pi * bend))
-    return {"k": stiffness * (-1.0) ** half_turns, "offset": offset + half_turns * np.pi * bend}
+    """Stiffness where the spring carries nothing, of all such angles the one nearest the stroke.
+
+    Where it carries torque all round, the angle of the wave alone.
+    """
+    sine, cosine, constant = amplitudes
+    bend, middle = shapes[0], float(np.mean(constants.stroke))
+    size = float(np.hypot(sine, cosine))
+    level = -ratio_or_zero(constant, bend * size)
+    first = float(np.arcsin(level)) if abs(level) <= 1.0 else 0.0
+    begin = -float(np.arctan2(cosine, sine))
+    angles = []
+    for turn in (first, np.pi - first):
+        whole = round((middle / bend - begin - turn) / (2.0 * np.pi))
+        angles.append((bend * (begin + turn + 2.0 * np.pi * whole), float(np.cos(turn))))
+    offset, side = min(angles, key=lambda pair: abs(pair[0] - middle))
+    return {"k": size * side, "offset": offset}
 
 
 def _share_of_rated(constants: JointConstants) -> float:
@@ -54,12 +63,13 @@ GRAVITY_SPRING = Effect(
     name="gravity_spring",
     family="spring",
     scope="joint",
-    equation="s += k*m*sin((q - offset)/m)",
+    equation="s += k*m*sin((q - q1)/m) + B",
     signature="link torque of one joint off along its own angle, whatever the other joints do",
     term=gravity_spring_term,
     amplitudes=(
         Amplitude(name="k_sin", unit="N m/rad", scale=_share_of_rated, lower=-20.0, upper=20.0),
         Amplitude(name="k_cos", unit="N m/rad", scale=_share_of_rated, lower=-20.0, upper=20.0),
+        Amplitude(name="B", unit="N m", scale=_share_of_rated, lower=-40.0, upper=40.0),
     ),
     # From a crank drawn by a spring of no free length to a plain torsion spring.
     shapes=(Shape(name="m", unit="rad", starts=(1.0, 1.5, 5.0), lower=0.5, upper=10.0),),
