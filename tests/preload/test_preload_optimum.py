@@ -321,7 +321,10 @@ def test_requirements_that_exclude_each_other_are_no_optimum():
     ("joint", "name", "objective", "torque", "needed"),
     [
         (6, "circular_spline_flange", "total_preload", 6.0, 4630.0),
-        (6, "circular_spline_flange", "joint_stiffness", 6.0, 4630.0),
+        pytest.param(
+            *(6, "circular_spline_flange", "joint_stiffness", 6.0, 4630.0),
+            marks=pytest.mark.slow,
+        ),
         (3, "pulley_pins", "total_preload", 15.0, None),
     ],
 )

@@ -108,6 +108,7 @@ def least_pair(flanges, rest, torque, needed, low, high):
     return forces, float(total[best])
 
 
+@pytest.mark.slow
 def test_all_bolts():
     loaded = study("all_bolts")
     problem = loaded.problem

@@ -161,6 +161,7 @@ def test_progress_names_the_part_of_the_study(rough):
     assert elapsed == sorted(elapsed)
 
 
+@pytest.mark.slow
 def test_a_small_gain_is_called_not_worth_it(tmp_path):
     motion = arm(tmp_path, preload="5 kN", surface="fine_steel")
     study = motion_study(study_of(motion, joints=(2,)), motion, rounds=1)
@@ -169,6 +170,7 @@ def test_a_small_gain_is_called_not_worth_it(tmp_path):
     assert "not worth it" in study.note
 
 
+@pytest.mark.slow
 def test_a_start_that_slips_is_raised_to_the_least_that_holds(tmp_path):
     motion = arm(tmp_path, preload="0.9 kN")
     problem = study_of(motion)

@@ -94,6 +94,7 @@ def test_titles_are_escaped(tmp_path):
     assert page.text.count("alert('x')") >= 3
 
 
+@pytest.mark.slow
 def test_report_of_seven_joints(tmp_path):
     page = page_of(problem(7), solution(7), tmp_path)
     assert "made_up, 7 joints" in page.text
