@@ -27,6 +27,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--timeout", type=float, default=900.0, help="of one diagnosis [s]")
     parser.add_argument("--work", type=Path, default=WORK, help="folder of all files")
     parser.add_argument("--key", help="a key for development, dev-...")
+    parser.add_argument("--commit", default="HEAD", help="under test, if not the last one")
     parser.add_argument(
         "--demand", action="store_true", help="fail where the least that is asked is not reached"
     )
@@ -51,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from . import run
 
     try:
-        key = key_under_test(given.key)
+        key = key_under_test(given.key, given.commit)
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2

@@ -14,6 +14,15 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 DEVELOPMENT = "dev-"
 DIRTY = "-dirty"
+# What must be as it was committed: the tool, and what cases are made with.
+FROZEN = (
+    "stiffopt",
+    "tests/simulator",
+    *(
+        f"benchmarks/blind/{name}.py"
+        for name in ("cases", "key", "mix", "oracle", "sealed_tool", "severity", "tool")
+    ),
+)
 
 T = TypeVar("T")
 
@@ -52,23 +61,30 @@ def _git(*arguments: str) -> str:
     return done.stdout.strip()
 
 
-def key_under_test(given: str | None = None) -> Key:
-    """The key of the commit that is checked out.
+def key_under_test(given: str | None = None, commit: str = "HEAD") -> Key:
+    """The key of a commit whose tool and cases are those that are checked out.
 
     Parameters
     ----------
     given : str, optional
         A key for development in its place; begins with "dev-".
+    commit : str
+        Any name that git knows it by.
 
     Raises
     ------
     ValueError
-        For a given key that could be mistaken for a drawn one.
+        For a given key that could be mistaken for a drawn one, or a commit that git does not know.
     """
-    commit = _git("rev-parse", "HEAD")
+    try:
+        full = _git("rev-parse", "--verify", f"{commit}^{{commit}}")
+    except subprocess.CalledProcessError as error:
+        raise ValueError(f"git knows no commit {commit!r}") from error
     if given is not None:
         if not given.startswith(DEVELOPMENT):
             raise ValueError(f"a given key begins with {DEVELOPMENT!r}, not {given!r}")
-        return Key(given, commit)
-    dirty = _git("status", "--porcelain", "--", "stiffopt")
-    return Key(hashlib.sha256(commit.encode()).hexdigest() + (DIRTY if dirty else ""), commit)
+        return Key(given, full)
+    changed = _git("diff", "--name-only", full, "--", *FROZEN)
+    untracked = _git("ls-files", "--others", "--exclude-standard", "--", *FROZEN)
+    digest = hashlib.sha256(full.encode()).hexdigest()
+    return Key(digest + (DIRTY if changed or untracked else ""), full)

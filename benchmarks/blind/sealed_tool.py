@@ -13,8 +13,10 @@ import site
 import sys
 import sysconfig
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
+ROOT = Path(__file__).resolve().parents[2]  # of the commit under test
 LISTED = {"os.listdir", "os.scandir"}
 FORBIDDEN = {
     "subprocess.Popen",
@@ -83,6 +85,7 @@ def _end(what: str) -> None:
 
 
 if __name__ == "__main__":
+    sys.path.insert(0, str(ROOT))
     seal()
     sys.argv[0] = "stiffopt"
     runpy.run_module("stiffopt", run_name="__main__", alter_sys=True)

@@ -16,6 +16,21 @@ from .store import Store, whole_folder, write_json
 SCRIPT = Path(__file__).with_name("sealed_tool.py")
 TIMEOUT = 900.0  # [s]
 POLL = 0.05  # [s]
+_fonts_lock = threading.Lock()
+
+
+def _fonts(store: Store) -> Path:
+    """The list of fonts that plots look for, made once: a sealed process cannot ask for it."""
+    folder = store.folder / "fonts"
+    with _fonts_lock:
+        if not folder.exists():
+            with whole_folder(folder) as partial:
+                subprocess.run(
+                    [sys.executable, "-c", "import matplotlib.font_manager"],
+                    env={**os.environ, "MPLCONFIGDIR": str(partial)},
+                    check=True,
+                )
+    return folder
 
 
 def answer(name: str, store: Store, timeout: float, stop: threading.Event) -> str | None:
@@ -28,6 +43,7 @@ def answer(name: str, store: Store, timeout: float, stop: threading.Event) -> st
     with tempfile.TemporaryDirectory(prefix="recordings-") as place:
         folder = Path(place).resolve()
         shutil.copytree(store.case(name), folder / "case")
+        shutil.copytree(_fonts(store), folder / "fonts")
         measured = _run(folder, timeout, stop)
         if measured is None:
             return None
@@ -50,7 +66,7 @@ def _run(folder: Path, timeout: float, stop: threading.Event) -> dict[str, objec
         "TMPDIR": str(folder),
         "LANG": "C.UTF-8",
         "COLUMNS": "160",
-        "MPLCONFIGDIR": str(folder),
+        "MPLCONFIGDIR": str(folder / "fonts"),
         **{f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")},
     }
     begin = time.monotonic()

@@ -41,6 +41,8 @@ def test_key_is_the_hash_of_the_commit():
     assert key_under_test("dev-x").development
     with pytest.raises(ValueError, match="dev-"):
         key_under_test("0" * 64)
+    with pytest.raises(ValueError, match="no commit"):
+        key_under_test(commit="nothing-like-it")
 
 
 def test_draws_follow_from_key_and_purpose_alone():
