@@ -42,13 +42,14 @@ GRID: dict[str, dict[str, list[float]]] = {
 }
 
 
-def build(name: str, recordings: RecordingSet, settings: dict[str, float]) -> Rival:
-    """A rival by its name."""
+def build(
+    name: str, recordings: RecordingSet, settings: dict[str, float], python: Path | None = None
+) -> Rival:
+    """A rival by its name; `python`: an interpreter that has pysindy."""
     own = {key: value for key, value in settings.items() if key != "cutoff"}
     if name == "friction":
         return Friction()
     if name == "sparse":
-        python = PYSINDY if PYSINDY.exists() else None
         return Sparse(recordings.nominal, python=python, **own)
     return BlackBox(**own)
 
@@ -67,9 +68,13 @@ class Bench:
     def __init__(self, folder: Path, name: str) -> None:
         self.case, self.oracle = folder / "cases" / name, folder / "oracle" / name
         self.recordings = load_recordings(self.case)
+        # Terms that the last rival kept, if it chooses any.
+        self.terms: int | None = None
         self._motions: dict[float, dict[str, Motion]] = {}
 
-    def fits(self, rival: str, settings: dict[str, float]) -> dict[str, FitScore]:
+    def fits(
+        self, rival: str, settings: dict[str, float], python: Path | None = None
+    ) -> dict[str, FitScore]:
         """Residual over noise of the torque channels by role."""
         cutoff = settings["cutoff"]
         if cutoff not in self._motions:
@@ -78,8 +83,9 @@ class Bench:
                 for entry in self.recordings.runs
             }
         motions = self._motions[cutoff]
-        model = build(rival, self.recordings, settings)
+        model = build(rival, self.recordings, settings, python)
         model.fit([motions[entry.name] for entry in self.recordings.with_role("train")])
+        self.terms = model.terms if isinstance(model, Sparse) else None
         sums: dict[str, np.ndarray] = {}
         for entry in self.recordings.with_role("test", "extrapolate"):
             run = motions[entry.name]
@@ -134,18 +140,22 @@ def tune(folder: Path, scores: Sequence[CaseScore], say: Callable[[str], object]
 def compare(folder: Path, scores: Sequence[CaseScore], say: Callable[[str], object]) -> Path:
     """Score the rivals beside the tool, and leave the section for the page."""
     settings: dict[str, dict[str, float]] = json.loads(SETTINGS.read_text())
+    python = PYSINDY if PYSINDY.exists() else None
     lines: dict[str, list[tuple[CaseScore, dict[str, FitScore]]]] = {name: [] for name in settings}
+    kept = []
     for score in chosen(scores):
         case = Bench(folder, score.id)
         say(score.id)
         for rival, own in settings.items():
-            lines[rival].append((score, case.fits(rival, own)))
+            lines[rival].append((score, case.fits(rival, own, python)))
+            if score.kind == "none" and case.terms is not None:
+                kept.append(case.terms)
     tool = [(s, s.torque_fit) for s in chosen(scores)]
     rows = [_row("stiffopt diagnose", "defaults", tool)]
     for rival, fits in lines.items():
         told = ", ".join(f"{key} {value:g}" for key, value in settings[rival].items())
         rows.append(_row(NAMES[rival], told, fits))
-    solver = "pysindy's STLSQ" if PYSINDY.exists() else "the same algorithm in NumPy"
+    solver = "the same algorithm in NumPy" if python is None else "pysindy's STLSQ"
     text = (
         "Torque channels alone, all with the same rigid bodies, nominal friction and training"
         " runs. Share: what is taken off the squared residual over what the oracle takes off, 1 is"
