@@ -164,6 +164,8 @@ def compare(folder: Path, scores: Sequence[CaseScore], say: Callable[[str], obje
         f" chosen on development cases by the median share on test runs, from {_grid()}. Sparse"
         f" regression by {solver}; its terms: {', '.join(f'`{t}`' for t in LIBRARY)}."
     )
+    if kept:
+        text += f" Where nothing is missing it keeps {np.median(kept):.0f} terms (median)."
     head = [
         "", "settings", "cases", "share, test, median", "90 % or more on test",
         "share, extrapolation, median", "nothing missing: after / before",
