@@ -60,6 +60,8 @@ if TYPE_CHECKING:
 PAGE_FILE = "report.html"
 # Findings that are shown with figures of their own.
 _SHOWN = 3
+# Contents of figures by file name.
+Files = dict[str, str | bytes]
 
 
 def write_diagnosis_report(diagnosis: Diagnosis, directory: str | Path) -> Path:
@@ -75,7 +77,7 @@ def write_diagnosis_report(diagnosis: Diagnosis, directory: str | Path) -> Path:
     -------
     Path
     """
-    folder = Path(directory)
+    files: Files = {}
     recordings = diagnosis.recordings
     trained = diagnosis.training.recorded
     runs = [*trained, *(proof.run for proof in diagnosis.held_out)]
@@ -97,21 +99,21 @@ def write_diagnosis_report(diagnosis: Diagnosis, directory: str | Path) -> Path:
             "Where it shows" if diagnosis.verdict != "nothing_missing" else "All balances",
             "Training runs: root mean square of the filtered residual over noise, of the torque "
             "and of the wind-up seen by the link encoder. 1 is the noise.",
-            folder,
+            files,
         ),
-        "sections": list(_sections(diagnosis, folder)),
+        "sections": list(_sections(diagnosis, files)),
         "outside": outside_sentence(diagnosis),
-        "outside_figures": _outside_figures(diagnosis, folder),
-        "quiet": _quiet(diagnosis, folder),
+        "outside_figures": _outside_figures(diagnosis, files),
+        "quiet": _quiet(diagnosis, files),
         "held_out": _saved(
             held_out_figure(diagnosis),
             "diagnosis_held_out",
             "",
             "Runs that no fit has seen, as measured and not filtered. Torque counts while the "
             "joint moves.",
-            folder,
+            files,
         ),
-        "overlays": list(_overlays(diagnosis, folder)),
+        "overlays": list(_overlays(diagnosis, files)),
         "channels": channels_table(diagnosis),
         "runs": runs_table(diagnosis),
         "windows": windows_table(windows),
@@ -135,7 +137,7 @@ def write_diagnosis_report(diagnosis: Diagnosis, directory: str | Path) -> Path:
         "references": diagnosis_references(f.placed.effect for f in diagnosis.findings),
         "settings": diagnosis.settings,
     }
-    return write_page("diagnosis.html.j2", folder / PAGE_FILE, context)
+    return _written(context, files, Path(directory))
 
 
 def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
@@ -178,7 +180,7 @@ def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
     return tiles
 
 
-def _sections(diagnosis: Diagnosis, folder: Path) -> Iterator[dict[str, Any]]:
+def _sections(diagnosis: Diagnosis, files: Files) -> Iterator[dict[str, Any]]:
     """One section a finding, those that say something new first."""
     new, silent = told(diagnosis)
     for number, finding in enumerate([*new, *silent][:_SHOWN], 1):
@@ -191,12 +193,12 @@ def _sections(diagnosis: Diagnosis, folder: Path) -> Iterator[dict[str, Any]]:
             "signature": effect.signature,
             "evidence": f"{finding.log_evidence:.0f}",
             "candidates": candidates_table(diagnosis, finding),
-            "figures": list(_finding_figures(diagnosis, finding, number, folder)),
+            "figures": list(_finding_figures(diagnosis, finding, number, files)),
         }
 
 
 def _finding_figures(
-    diagnosis: Diagnosis, finding: Finding, number: int, folder: Path
+    diagnosis: Diagnosis, finding: Finding, number: int, files: Files
 ) -> Iterator[PageFigure]:
     rows = channel_rows(diagnosis, finding.channel)
     if len(rows.after) < 50:
@@ -210,7 +212,7 @@ def _finding_figures(
         f"Residual of {channel} in the training runs with everything else explained. Left: against "
         f"what {name} adds by its fitted formula; points on the red line are explained. Right: its "
         "distribution.",
-        folder,
+        files,
     )
     yield _saved(
         regime_figure(diagnosis, rows, finding),
@@ -219,7 +221,7 @@ def _finding_figures(
         f"Means of the same residual of {channel} with ±2 standard deviations of the mean, by "
         "direction of motion. The lines are the fitted model of the finding; what they do not "
         "follow, it does not explain.",
-        folder,
+        files,
     )
     yield _saved(
         map_figure(diagnosis, rows, finding),
@@ -227,11 +229,11 @@ def _finding_figures(
         "",
         f"Mean residual of {channel} over noise without and with the finding; white cells are "
         "explained or were not visited.",
-        folder,
+        files,
     )
 
 
-def _outside_figures(diagnosis: Diagnosis, folder: Path) -> list[PageFigure]:
+def _outside_figures(diagnosis: Diagnosis, files: Files) -> list[PageFigure]:
     outside = diagnosis.outside
     if outside is None:
         return []
@@ -247,7 +249,7 @@ def _outside_figures(diagnosis: Diagnosis, folder: Path) -> list[PageFigure]:
                 "It repeats in time",
                 f"Share of what is left of {channel} that a wave of each frequency explains, its "
                 "phase free in every run. The dashed line is the period that all runs share.",
-                folder,
+                files,
             )
         )
     figures.append(
@@ -257,13 +259,13 @@ def _outside_figures(diagnosis: Diagnosis, folder: Path) -> list[PageFigure]:
             "It does not follow the motion" if outside.period else "What it follows",
             f"Mean of what is left of {channel}, with ±2 standard deviations of the mean, by "
             "direction of motion.",
-            folder,
+            files,
         )
     )
     return figures
 
 
-def _quiet(diagnosis: Diagnosis, folder: Path) -> PageFigure | None:
+def _quiet(diagnosis: Diagnosis, files: Files) -> PageFigure | None:
     """Of a set in which nothing is missing: its worst channel, which should show no pattern."""
     if diagnosis.verdict != "nothing_missing" or not np.isfinite(diagnosis.search.after).any():
         return None
@@ -274,11 +276,11 @@ def _quiet(diagnosis: Diagnosis, folder: Path) -> PageFigure | None:
         "The worst channel",
         f"Mean of what is left of {channels_in_words([name])}, the channel with the largest "
         "residual over noise, with ±2 standard deviations of the mean.",
-        folder,
+        files,
     )
 
 
-def _overlays(diagnosis: Diagnosis, folder: Path) -> Iterator[PageFigure]:
+def _overlays(diagnosis: Diagnosis, files: Files) -> Iterator[PageFigure]:
     """One test run and one extrapolation run in the channel that the answer is about."""
     new, silent = told(diagnosis)
     if diagnosis.outside is not None and not new:
@@ -299,13 +301,27 @@ def _overlays(diagnosis: Diagnosis, folder: Path) -> Iterator[PageFigure]:
                 f"{words} {proof.run.name}, {channels_in_words([name])}",
                 "Measured and predicted from the motor's motion alone, before and after; below, "
                 f"what is left.{kind} Residuals of torque are shown while the joint moves.",
-                folder,
+                files,
             )
             break
 
 
-def _saved(figure: Figure, name: str, title: str, caption: str, folder: Path) -> PageFigure:
+def _saved(figure: Figure, name: str, title: str, caption: str, files: Files) -> PageFigure:
     svg = to_svg(figure, name, title or caption)
-    atomic_write(folder / f"{name}.svg", svg)
-    atomic_write(folder / f"{name}.png", to_png(figure))
+    files[f"{name}.svg"] = svg
+    files[f"{name}.png"] = to_png(figure)
     return page_figure(svg, caption, title)
+
+
+def _written(context: dict[str, Any], files: Files, folder: Path) -> Path:
+    """Write figures, then the page; an interruption takes back what is new."""
+    page = folder / PAGE_FILE
+    new = [path for name in (*files, PAGE_FILE) if not (path := folder / name).exists()]
+    try:
+        for name, content in files.items():
+            atomic_write(folder / name, content)
+        return write_page("diagnosis.html.j2", page, context)
+    except BaseException:
+        for path in new:
+            path.unlink(missing_ok=True)
+        raise

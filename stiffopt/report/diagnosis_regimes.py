@@ -179,7 +179,8 @@ def _histogram(axes: Axes, rows: ChannelRows, residual: np.ndarray) -> None:
         (without, VERMILLION, "without the finding"),
         (with_it, BLUE, "with it"),
     ):
-        axes.hist(values, bins, density=True, histtype="step", color=colour, lw=1.4, label=label)
+        shown = np.clip(values, -reach, reach)
+        axes.hist(shown, bins, density=True, histtype="step", color=colour, lw=1.4, label=label)
     place = np.linspace(-4.0, 4.0, 81)
     density = np.exp(-0.5 * place**2) / np.sqrt(2.0 * np.pi)
     axes.plot(place, density, color=GREY, linewidth=1.0, linestyle=(0, (4, 2)), label="noise alone")
