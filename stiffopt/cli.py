@@ -209,7 +209,7 @@ def diagnose(
     quiet
         No progress display.
     """
-    from stiffopt.discovery.answer_store import write_diagnosis
+    from stiffopt.discovery.answer_store import ANSWER_FILE, write_diagnosis
     from stiffopt.discovery.diagnose import diagnose as find
     from stiffopt.recording.recording_set import load_recordings
     from stiffopt.report.diagnosis_page import write_diagnosis_report
@@ -225,8 +225,9 @@ def diagnose(
     with _folder(chosen) as folder:
         with nullcontext() if quiet else Sentences(loaded.title) as progress:
             found = find(loaded, effects=effects or (), model=model, progress=progress)
-        write_diagnosis_report(found, folder)
-        write_diagnosis(found, folder)
+        with _staged(folder, last=ANSWER_FILE) as stage:
+            write_diagnosis_report(found, stage)
+            write_diagnosis(found, stage)
     print_diagnosis(found, folder)
     return 0
 
@@ -361,6 +362,19 @@ def _folder(path: Path) -> Iterator[Path]:
             with suppress(OSError):
                 folder.rmdir()
         raise
+
+
+@contextmanager
+def _staged(folder: Path, last: str) -> Iterator[Path]:
+    """A folder whose files go into `folder` when all of them are whole; one of them last."""
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".") as stage:
+        yield Path(stage)
+        files = (path for path in Path(stage).rglob("*") if path.is_file())
+        (folder / last).unlink(missing_ok=True)
+        for path in sorted(files, key=lambda path: path.name == last):
+            target = folder / path.relative_to(stage)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            path.replace(target)
 
 
 @contextmanager

@@ -28,8 +28,7 @@ MODEL_FILE = "extended.toml"
 def write_diagnosis(diagnosis: Diagnosis, directory: str | Path) -> Path:
     """Write diagnosis.json, extended.toml and the predictions; return the path of the first.
 
-    Every file is written whole or not at all, diagnosis.json last: where it is, all others are. An
-    interruption takes back what is new.
+    Every file is written whole or not at all, diagnosis.json last: where it is, all others are.
     """
     folder = Path(directory)
     signals = diagnosis.recordings.signals
@@ -45,17 +44,8 @@ def write_diagnosis(diagnosis: Diagnosis, directory: str | Path) -> Path:
     # An earlier answer must not stand beside files that are not its own.
     for name in (ANSWER_FILE, EXPERIMENT_FILE):
         (folder / name).unlink(missing_ok=True)
-    new: list[Path] = []
-    try:
-        for name, content in files.items():
-            path = folder / name
-            if not path.exists():
-                new.append(path)
-            atomic_write(path, content)
-    except BaseException:
-        for path in new:
-            path.unlink(missing_ok=True)
-        raise
+    for name, content in files.items():
+        atomic_write(folder / name, content)
     return folder / ANSWER_FILE
 
 

@@ -85,5 +85,5 @@ def copied(spec: CaseSpec, to: Path) -> Path:
 
 
 def contents(path: Path) -> dict[str, bytes]:
-    """Bytes of every file of a folder."""
-    return {p.name: p.read_bytes() for p in sorted(path.iterdir())}
+    """Bytes of every file below a folder."""
+    return {p.name: p.read_bytes() for p in sorted(path.rglob("*")) if p.is_file()}
