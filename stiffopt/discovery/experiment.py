@@ -16,6 +16,7 @@ from stiffopt.discovery.experiment_motion import (
     limits_of,
     prepared_motion,
     random_motion,
+    repeated_motion,
 )
 from stiffopt.discovery.placed import PlacedEffect
 from stiffopt.discovery.search import SearchResult, Selected
@@ -30,7 +31,8 @@ EXPERIMENT_FILE = "next_experiment.csv"
 _LONGEST = 10.0  # [s], of a designed motion
 _RATE = 100.0  # [Hz], of the exported motion
 _MOTIONS = 24
-_ROUNDS = 2
+# Of separation, below which collocation is not repeated.
+_GAIN = 0.02
 _SEED = 1
 
 
@@ -101,7 +103,7 @@ def plan_experiment(
     settings: Settings,
     pair: tuple[PlacedEffect, PlacedEffect],
     *,
-    seconds: float = 15.0,
+    seconds: float = 18.0,
     say: Say = lambda _: None,
 ) -> ExperimentPlan | None:
     """Design the motion that separates two explanations best.
@@ -127,8 +129,9 @@ def plan_experiment(
     Notes
     -----
     A search over Fourier series within the limits, judged by `Separation` with everything that a
-    refit could absorb; its best motion is then improved by collocation, where both effects are
-    formulas of the instant (no memory). Whatever is better by the full criterion is kept.
+    refit could absorb; its best motion, and the best recorded one, are improved by collocation
+    where both effects are formulas of the instant (no memory). Whatever is better by the full
+    criterion is kept.
     """
     begin = time.perf_counter()
     first, second = pair
@@ -152,24 +155,34 @@ def plan_experiment(
     def left() -> float:
         return seconds - (time.perf_counter() - begin)
 
-    best, value = _searched(training, limits, duration, judged, lambda: left() > 0.5 * seconds)
+    best, value = _searched(training, limits, duration, judged, lambda: left() > 0.6 * seconds)
+    method = f"best of {_MOTIONS} Fourier motions"
+    # A recorded motion may be the better one to start from.
+    best_run = next(run for run in training.runs if run.name == name)
+    starts = [repeated_motion(best_run, duration), *([] if best is None else [best])]
+    if value > reference:
+        starts.reverse()
+    for k, start in enumerate(starts):
+        motion, worth = start, 0.0
+        while left() > 1.0:
+            share = 0.5 if k + 1 < len(starts) else 0.8
+            better = improved(
+                separation,
+                prepared_motion(training, training.constants, motion, settings),
+                motion,
+                limits,
+                seconds=share * left(),
+            )
+            if better is None or limits.excess(training.robot, better) > 1.0 / USED:
+                break
+            reached = judged(better)
+            if reached > value:
+                best, value, method = better, reached, "by direct collocation"
+            if reached <= worth * (1.0 + _GAIN):
+                break
+            motion, worth = better, reached
     if best is None:
         return None
-    method = f"best of {_MOTIONS} Fourier motions"
-    for _ in range(_ROUNDS):
-        better = improved(
-            separation,
-            prepared_motion(training, training.constants, best, settings),
-            best,
-            limits,
-            seconds=0.5 * left(),
-        )
-        if better is None or limits.excess(training.robot, better) > 1.0 / USED:
-            break
-        reached = judged(better)
-        if reached <= value * (1.0 + 1e-3):
-            break
-        best, value, method = better, reached, "by collocation from the best of Fourier motions"
     if value <= reference:
         return None
     return ExperimentPlan(

@@ -242,6 +242,11 @@ def _with(values: np.ndarray | None, extra: Any) -> np.ndarray | None:
     return values if np.isscalar(extra) else extra + (0.0 if values is None else values)
 
 
+def _between(name: str, labels: list[str], most: np.ndarray, unit: str) -> Rows:
+    """Rows of a limit either way that also hold between the nodes."""
+    return Rows.make(name, labels, -most, most, most, unit, midpoints=True)
+
+
 def _problem(model: _Instant, motion: Trajectory, limits: MotionLimits) -> OptimalControlProblem:
     n = model.robot.n
     x, u = ca.vertcat(model.q, model.v), model.a
@@ -263,11 +268,12 @@ def _problem(model: _Instant, motion: Trajectory, limits: MotionLimits) -> Optim
         states=(*(f"{j} position" for j in names), *(f"{j} velocity" for j in names)),
         controls=tuple(f"{j} acceleration" for j in names),
         dynamics=ca.Function("dynamics", [x, u, p], [ca.vertcat(model.v, u)]),
-        stage=ca.Function("stage", [x, u, z, p], [integrand, model.drive]),
+        stage=ca.Function("stage", [x, u, z, p], [integrand, ca.vertcat(model.drive, model.v)]),
         objective=ca.Function("objective", [total, length, z, first, last, p], [-total]),
         duration=(motion.duration, motion.duration),
         path_rows=(
-            Rows.make("torque", names, -limits.torque, limits.torque, limits.torque, "N m"),
+            _between("torque", names, limits.torque, "N m"),
+            _between("velocity", names, limits.velocity, "rad/s"),
         ),
         state_lower=lower,
         state_upper=upper,

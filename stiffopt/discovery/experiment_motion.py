@@ -125,6 +125,19 @@ def random_motion(
     return None
 
 
+def repeated_motion(run: PreparedRun, duration: float) -> Trajectory:
+    """The begin of a recorded motion, as smooth as a designed one, from rest."""
+    from scipy.interpolate import CubicSpline
+
+    signals = run.signals
+    knots = np.linspace(0.0, duration, int(np.ceil(duration / _KNOT)) + 1)
+    places = np.clip(np.rint(knots / signals.dt).astype(int), 0, len(run.time) - 1)
+    spline = CubicSpline(knots, signals.motor_position[places], bc_type="clamped")
+    return Trajectory.piecewise_linear_acceleration(
+        knots, spline(knots, 2), spline(0.0), np.zeros(spline(0.0).shape)
+    )
+
+
 def prepared_motion(
     training: Training, constants: RobotConstants, motion: Trajectory, settings: Settings
 ) -> PreparedRun:
