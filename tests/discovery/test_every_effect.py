@@ -143,7 +143,7 @@ def test_nothing_is_named_beside_the_effect(trial: Trial) -> None:
     trials(
         thermal_friction="slope at the identification temperature read off another law over 15 K,"
         " with a share of dry friction beside it",
-        torque_ripple="the sixth harmonic passes the filter only where the joint counts as standing",
+        torque_ripple="the sixth harmonic passes the filter only where a joint counts as standing",
     ),
 )
 def test_parameters_that_any_model_shares_agree_with_the_truth(trial: Trial) -> None:
