@@ -56,6 +56,7 @@ def main(folder: Path) -> Path:
     """
     scores = score_all(folder)
     manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["unmade"] = len(list((folder / "unmade").glob("*.json")))
     sealed = sum(s.suite == "main" for s in scores)
     development = bool(manifest.get("development", True))
     target = HERE if not development and sealed >= PUBLISHED else folder
@@ -100,6 +101,7 @@ def _head(scores: Sequence[CaseScore], manifest: dict[str, Any]) -> str:
     broken = [s.id for s in scores if not s.sealed]
     void = [s.id for s in scores if s.void]
     failed = [s for s in scores if s.verdict is None]
+    unmade = manifest.get("unmade", 0)
     lines = [
         "# Effects concealed from the tool: results\n",
         f"Key `{manifest['key']}`, commit `{manifest['commit']}`, {len(scores)} cases answered.",
@@ -109,7 +111,8 @@ def _head(scores: Sequence[CaseScore], manifest: dict[str, Any]) -> str:
     lines += [
         f"Seals broken: {', '.join(broken) or 'none'}. Void, since the oracle itself stays above"
         f" 1.2 times the noise: {', '.join(void) or 'none'}. Without an answer, counted as wrong:"
-        f" {len(failed)}.",
+        f" {len(failed)}. Planned, but with nothing that the oracle could see or the simulator"
+        f" could make: {unmade}.",
         "\nIntervals are Wilson's, 95 %. Residuals are recomputed from the prediction files; the"
         " protocol is in `README.md`.\n",
     ]
@@ -174,6 +177,10 @@ def _summary(scores: Sequence[CaseScore], own: Sequence[CaseScore]) -> str:
         ["95 % intervals that hold the truth", str(Rate.of(p.covered for p in right))],
         ["share of the oracle's improvement, test, median", _median(shares(own, "test"))],
         ["the same, extrapolation", _median(shares(own, "extrapolate"))],
+        [
+            "share of the change from nominal to true robot that is predicted, test, median",
+            _median([s.added["test"] for s in own if "test" in s.added]),
+        ],
         ["calibration error of probabilities", f"{calibration:.3f}"],
         ["wall time a case [s], median", _median(seconds)],
     ]

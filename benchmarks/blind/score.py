@@ -79,7 +79,8 @@ class CaseScore:
     """All that is counted of one case.
 
     Answers that do not apply to a kind of case are None: `exact` where nothing is missing,
-    `false_alarm` where something is.
+    `false_alarm` where something is. `added`: by role, the share of what separates the nominal
+    robot from the true one that the answer adds to the nominal model.
     """
 
     id: str
@@ -110,6 +111,7 @@ class CaseScore:
     parameters: tuple[ParameterScore, ...] = ()
     fit: dict[str, FitScore] = field(default_factory=dict)
     torque_fit: dict[str, FitScore] = field(default_factory=dict)
+    added: dict[str, float] = field(default_factory=dict)
     seconds: float = float("nan")
     cpu: float = float("nan")
 
@@ -154,6 +156,7 @@ def score_case(folder: Path, name: str) -> CaseScore:
         **judged(truth, answer),
         fit=fits(case, answered, folder / "oracle" / name, ("tau", "ql")),
         torque_fit=fits(case, answered, folder / "oracle" / name, ("tau",)),
+        added=added(case, answered, folder / "oracle" / name),
     )
 
 
@@ -278,6 +281,39 @@ def fits(case: Path, answer: Path, oracle: Path, kinds: tuple[str, ...]) -> dict
     }
 
 
+def added(case: Path, answer: Path, oracle: Path) -> dict[str, float]:
+    """Share of the exact change of the channels that an answer predicts, by role.
+
+    What the answer adds to its own nominal prediction, against what the true robot adds to the
+    nominal one along the exact motion: no filter, no noise and no edge of a run is in either
+    difference.
+    """
+    sums: dict[str, np.ndarray] = {}
+    for run, role in held_out(case):
+        names = [
+            answer / f"pred_before_{run}.npz",
+            answer / f"pred_after_{run}.npz",
+            oracle / f"nominal_{run}.npz",
+            oracle / f"pred_{run}.npz",
+        ]
+        if not all(name.exists() for name in names):
+            continue
+        before, after, nominal, true = (dict(np.load(name)) for name in names)
+        change = {k: v - nominal[k] for k, v in true.items() if k in nominal}
+        left = {k: v - (after[k] - before[k]) for k, v in change.items() if k in after}
+        with np.load(case / f"{run}.npz") as columns:
+            measured = {k: columns[k] for k in columns.files}
+        total = [_size(case, measured, each) for each in (left, change)]
+        sums[role] = sums.get(role, np.zeros(2)) + np.array(total)
+    return {role: float(1.0 - a / b) for role, (a, b) in sums.items() if b > 0.0}
+
+
+def _size(case: Path, measured: dict[str, np.ndarray], change: dict[str, np.ndarray]) -> float:
+    """Sum of squares over noise of a change of the channels."""
+    predicted = {k: measured[k] - v for k, v in change.items() if k[:3] == "tau" or k[:2] == "ql"}
+    return squares_of(case, measured, predicted, ("tau", "ql"))[0]
+
+
 def held_out(case: Path) -> list[tuple[str, str]]:
     """Runs that were not for training, with their roles."""
     runs = tomllib.loads((case / "recordings.toml").read_text())["runs"]
@@ -292,19 +328,30 @@ def squares(
     Torque counts where its joint moves, link positions everywhere; one that is not finite makes
     the sum infinite.
     """
+    with np.load(case / f"{run}.npz") as columns:
+        measured = {name: columns[name] for name in columns.files}
+    return squares_of(case, measured, predicted, kinds)
+
+
+def squares_of(
+    case: Path,
+    measured: dict[str, np.ndarray],
+    predicted: dict[str, np.ndarray],
+    kinds: tuple[str, ...],
+) -> tuple[float, int]:
+    """As `squares`, of columns that are already read."""
     noise = tomllib.loads((case / "recordings.toml").read_text())["noise"]
     total, count = 0.0, 0
-    with np.load(case / f"{run}.npz") as columns:
-        for j in range(1, 1 + sum(name.startswith("tau") for name in columns.files)):
-            for kind in kinds:
-                if f"{kind}{j}" not in columns.files:
-                    continue
-                stated = noise["torque" if kind == "tau" else "link_position"]
-                sd = stated[j - 1] if isinstance(stated, list) else stated
-                left = (columns[f"{kind}{j}"] - predicted[f"{kind}{j}"]) / sd
-                if kind == "tau":
-                    left = left[np.abs(columns[f"qd{j}"]) >= MOVING]
-                square = float(left @ left)
-                total += square if np.isfinite(square) else np.inf
-                count += left.size
+    for j in range(1, 1 + sum(name.startswith("tau") for name in measured)):
+        for kind in kinds:
+            if f"{kind}{j}" not in measured:
+                continue
+            stated = noise["torque" if kind == "tau" else "link_position"]
+            sd = stated[j - 1] if isinstance(stated, list) else stated
+            left = (measured[f"{kind}{j}"] - predicted[f"{kind}{j}"]) / sd
+            if kind == "tau":
+                left = left[np.abs(measured[f"qd{j}"]) >= MOVING]
+            square = float(left @ left)
+            total += square if np.isfinite(square) else np.inf
+            count += left.size
     return total, count

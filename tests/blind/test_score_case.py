@@ -198,3 +198,17 @@ def test_case_that_ran_out_of_time_is_a_failure(tmp_path: Path) -> None:
     assert not score.detected
     assert wrong(score)
     assert reason(score) == "no answer (timeout)"
+
+
+def test_change_that_is_predicted_by_half_is_a_share_of_three_quarters(tmp_path: Path) -> None:
+    _write(tmp_path, _truth("single", COULOMB), _named(_finding("coulomb", 2)))
+    _predictions(tmp_path)
+    time = np.arange(100)
+    keys = ("tau1", "tau2", "ql1", "ql2")
+    for name, size in (("nominal_test_1", 0.0), ("pred_test_1", 2.0)):
+        values = dict.fromkeys(keys, size + 0.0 * time)
+        np.savez(tmp_path / f"oracle/a/{name}.npz", t=time, **values)
+    for name, size in (("pred_before_test_1", 5.0), ("pred_after_test_1", 6.0)):
+        values = dict.fromkeys(keys, size + np.sin(time))
+        np.savez(tmp_path / f"answers/a/{name}.npz", t=time, **values)
+    assert score_case(tmp_path, "a").added == {"test": pytest.approx(0.75)}
