@@ -189,6 +189,7 @@ def diagnose(
     out: Out | None = None,
     model: Path | None = None,
     effects: Path | None = None,
+    experiment: bool = True,
     quiet: bool = False,
 ) -> int:
     """Find what the nominal model of recordings lacks, and prove it on runs never fitted to.
@@ -206,6 +207,9 @@ def diagnose(
         extended.toml of an earlier diagnosis, to start from in place of the nominal model.
     effects
         Python file of effects beside those of the catalogue.
+    experiment
+        Where two explanations are left, design the motion that would separate them best
+        (next_experiment.csv); takes up to 20 s.
     quiet
         No progress display.
     """
@@ -224,7 +228,9 @@ def diagnose(
         )
     with _folder(chosen) as folder:
         with nullcontext() if quiet else Sentences(loaded.title) as progress:
-            found = find(loaded, effects=effects or (), model=model, progress=progress)
+            found = find(
+                loaded, effects=effects or (), model=model, experiment=experiment, progress=progress
+            )
         with _staged(folder, last=ANSWER_FILE) as stage:
             write_diagnosis_report(found, stage)
             write_diagnosis(found, stage)
