@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import objective_value
-from stiffopt.discovery.extended_model import ExtendedModel
+from stiffopt.discovery.extended_model import ExtendedModel, load_extended
 from stiffopt.discovery.planner_model import PlannerModel, planner_model
+from stiffopt.discovery.user_effects import load_effects
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Solution
@@ -40,6 +42,11 @@ class ClosedLoop:
     nominal: Solution
     carried_over: Assessment | None
     solution: Solution
+
+
+def read_model(model: Path, effects: Path | None = None) -> ExtendedModel:
+    """Extended model of a diagnosis, with the effects of a user's own file."""
+    return load_extended(model, () if effects is None else load_effects(effects))
 
 
 def solve_extended(
