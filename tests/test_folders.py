@@ -10,10 +10,15 @@ def tree(path):
     return {p.relative_to(path).as_posix(): p.read_text() for p in path.rglob("*") if p.is_file()}
 
 
+def interrupted(*files):
+    for file in files:
+        file.write_text("new")
+    raise KeyboardInterrupt
+
+
 def test_a_folder_that_stays_empty_is_removed_with_those_above_it(tmp_path):
-    with pytest.raises(KeyboardInterrupt), output_folder(tmp_path / "a" / "b") as folder:
-        assert folder.is_dir()
-        raise KeyboardInterrupt
+    with pytest.raises(KeyboardInterrupt), output_folder(tmp_path / "a" / "b"):
+        interrupted()
     assert list(tmp_path.iterdir()) == []
 
 
@@ -35,8 +40,7 @@ def test_files_appear_together(tmp_path):
 def test_an_interruption_leaves_what_was_there(tmp_path):
     (tmp_path / "z.json").write_text("old")
     with pytest.raises(KeyboardInterrupt), staged(tmp_path, last="z.json") as stage:
-        (stage / "z.json").write_text("new")
-        raise KeyboardInterrupt
+        interrupted(stage / "z.json")
     assert tree(tmp_path) == {"z.json": "old"}
     assert len(list(tmp_path.iterdir())) == 1
 
