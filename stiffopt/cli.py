@@ -7,15 +7,15 @@ Exit codes: 0 done, 1 a verified value is off, 2 wrong input or command line, 3 
 from __future__ import annotations
 
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
 from stiffopt.errors import InputError, InputFileError, NoSolutionFound
+from stiffopt.folders import output_folder, staged
 
 app = App(
     name="stiffopt",
@@ -73,7 +73,7 @@ def solve(
         from stiffopt.discovery.planner_solve import read_model, solve_extended
 
         found = read_model(model, effects)
-    with _folder(out or Path("out") / problem.stem) as folder:
+    with output_folder(out or Path("out") / problem.stem) as folder:
         with _progress(stated, quiet) as progress, _about(problem):
             if found is None:
                 solution = optimise(stated, progress=progress, throw=False)
@@ -112,7 +112,7 @@ def preload(study: Path, *, out: Out | None = None, quiet: bool = False) -> int:
     from stiffopt.report.terminal import print_study
 
     loaded = load_study(study)
-    with _folder(out or Path("out") / study.stem) as folder:
+    with output_folder(out or Path("out") / study.stem) as folder:
         with _named_progress(loaded.problem.title, quiet) as display, _about(study):
             result = preload_study(
                 loaded.problem,
@@ -176,7 +176,7 @@ def stiffness(robot: str, *, out: Out | None = None, drivetrain: Path | None = N
     from stiffopt.study.stiffness import stiffness_study, write_stiffness_csv
 
     arm = load_robot(robot, drivetrain)
-    with _folder(out or Path("out") / f"stiffness_{arm.name}") as folder:
+    with output_folder(out or Path("out") / f"stiffness_{arm.name}") as folder:
         rows = stiffness_study(arm)
         write_stiffness_csv(rows, folder / "stiffness.csv")
         page = write_stiffness_report(arm, rows, folder)
@@ -228,12 +228,12 @@ def diagnose(
         raise InputFileError(
             chosen, "", f"lies in the recording set {home}, which is only read. Give another --out."
         )
-    with _folder(chosen) as folder:
+    with output_folder(chosen) as folder:
         with nullcontext() if quiet else Sentences(loaded.title) as progress:
             found = find(
                 loaded, effects=effects or (), model=model, experiment=experiment, progress=progress
             )
-        with _staged(folder, last=ANSWER_FILE) as stage:
+        with staged(folder, last=ANSWER_FILE) as stage:
             write_diagnosis_report(found, stage)
             write_diagnosis(found, stage)
     print_diagnosis(found, folder)
@@ -295,7 +295,7 @@ def identify_stiffness(recordings: Path, *, out: Out | None = None) -> int:
     from stiffopt.report.static_terminal import print_static
 
     recorded = load_static_set(recordings)
-    with _folder(out or Path("out") / recorded.path.resolve().parent.name) as folder:
+    with output_folder(out or Path("out") / recorded.path.resolve().parent.name) as folder:
         result = identify(recorded)
         write_static_report(result, folder)
         write_static(result, folder)
@@ -339,40 +339,6 @@ def _print_json(document: Any) -> None:
     import json
 
     print(json.dumps(document, indent=2, ensure_ascii=False))
-
-
-@contextmanager
-def _folder(path: Path) -> Iterator[Path]:
-    """The output folder, tried before any long work; what stays empty is removed again."""
-    made = [folder for folder in (path, *path.parents) if not folder.exists()]
-    try:
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=path):
-                pass
-        except OSError as error:
-            raise InputFileError(
-                path, "", f"the folder cannot be written: {error.strerror}. Give another as --out."
-            ) from error
-        yield path
-    except BaseException:
-        for folder in made:
-            with suppress(OSError):
-                folder.rmdir()
-        raise
-
-
-@contextmanager
-def _staged(folder: Path, last: str) -> Iterator[Path]:
-    """A folder whose files go into `folder` when all of them are whole; one of them last."""
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".") as stage:
-        yield Path(stage)
-        files = (path for path in Path(stage).rglob("*") if path.is_file())
-        (folder / last).unlink(missing_ok=True)
-        for path in sorted(files, key=lambda path: path.name == last):
-            target = folder / path.relative_to(stage)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            path.replace(target)
 
 
 @contextmanager
