@@ -217,6 +217,7 @@ def diagnose(
     """
     from stiffopt.discovery.answer_store import ANSWER_FILE, write_diagnosis
     from stiffopt.discovery.diagnose import diagnose as find
+    from stiffopt.discovery.experiment import EXPERIMENT_FILE
     from stiffopt.recording.recording_set import load_recordings
     from stiffopt.report.diagnosis_page import write_diagnosis_report
     from stiffopt.report.diagnosis_terminal import Sentences, print_diagnosis
@@ -233,6 +234,8 @@ def diagnose(
             found = find(
                 loaded, effects=effects or (), model=model, experiment=experiment, progress=progress
             )
+        # A motion designed by an earlier diagnosis is none of this one's.
+        (folder / EXPERIMENT_FILE).unlink(missing_ok=True)
         with staged(folder, last=ANSWER_FILE) as stage:
             write_diagnosis_report(found, stage)
             write_diagnosis(found, stage)
