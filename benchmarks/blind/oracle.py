@@ -84,10 +84,11 @@ class _Motion:
 def _motion(case: Case, model: pin.Model, r: int, samples: np.ndarray) -> _Motion:
     """Motion along a recording; the regressor holds for gravity as in the model."""
     trace, at = case.trace, samples * case.spec.substeps
-    before, after = np.maximum(at - 1, 0), np.minimum(at + 1, trace.motor.shape[1] - 1)
+    inner = np.clip(at, 1, trace.motor.shape[1] - 2)
 
     def acceleration(position: np.ndarray) -> np.ndarray:
-        return (position[after] - 2 * position[at] + position[before]) / trace.step**2
+        second = position[inner + 1] - 2 * position[inner] + position[inner - 1]
+        return np.asarray(second / trace.step**2)
 
     data = model.createData()
     rate = trace.link_velocity[r, at]
