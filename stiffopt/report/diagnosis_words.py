@@ -273,7 +273,13 @@ def proof_sentence(diagnosis: Diagnosis) -> str:
     )
     left = [diagnosis.nrmse(role)[1] for role in ("test", "extrapolate") if diagnosis.proofs(role)]
     if max(left) > _MUCH_LEFT and diagnosis.verdict == "named":
-        text += " So not all is explained: below is where it is still worst."
+        ratios = diagnosis.search.after
+        number, n = int(np.nanargmax(ratios)), diagnosis.recordings.n
+        worst = f"{'torque' if number < n else 'link_position'}_{number % n + 1}"
+        text += (
+            f" So not all is explained: most is left in {channels_in_words([worst])}, at "
+            f"{significant(float(ratios[number]), 2)} times its noise in the training runs."
+        )
     return text
 
 

@@ -1,0 +1,238 @@
+"""Pages of diagnoses: what they say agrees with the diagnosis, whatever the verdict."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from stiffopt.discovery.diagnosis import Rival
+from stiffopt.discovery.outside import Outside
+from stiffopt.report.diagnosis_motion import trace, worst_windows
+from stiffopt.report.diagnosis_page import write_diagnosis_report
+from stiffopt.report.diagnosis_residuals import (
+    binned,
+    channel_rows,
+    contribution,
+    direction,
+    regimes,
+)
+from stiffopt.report.diagnosis_tables import candidates_table, channels_table, limits_table
+from stiffopt.report.diagnosis_words import (
+    channels_in_words,
+    headline,
+    lead,
+    own_unit,
+    percent_sure,
+    proof_sentence,
+    with_deviation,
+)
+from stiffopt.report.quantities import significant
+from tests.discovery.simulated import diagnosed
+from tests.simulator import CaseSpec
+
+# Two joints; the second has more dry friction than its nominal model.
+FRICTION = CaseSpec(
+    effects=(("coulomb", 2, 1.5),),
+    seed=3,
+    train=3,
+    test=1,
+    extrapolate=1,
+    seconds=5.0,
+    rate=250.0,
+    substeps=8,
+)
+
+
+@pytest.fixture(scope="module")
+def friction():
+    return diagnosed(FRICTION)
+
+
+class Page(HTMLParser):
+    """Counts tags and collects what a page asks for from elsewhere."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.asked, self.count = [], [], {}
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.count[tag] = self.count.get(tag, 0) + 1
+        self.asked += [v for k, v in attrs if k in ("src", "href", "xlink:href")]
+        if tag not in ("meta", "br", "path", "use"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if self.open and self.open[-1] == tag:
+            self.open.pop()
+
+
+def page_of(diagnosis, folder):
+    text = write_diagnosis_report(diagnosis, folder).read_text(encoding="utf-8")
+    assert not [each for each in Page(text).asked if not each.startswith(("#", "data:"))]
+    assert "nan" not in re.sub(r"<[^>]*>", " ", text).split()
+    return text
+
+
+def outside_of(diagnosis, **changes):
+    outside = Outside(
+        channels=("torque_2", "link_position_1"),
+        regressors=("time",),
+        period=0.5,
+        gain=0.4,
+        ratio=9.0,
+    )
+    return replace(
+        diagnosis, verdict="outside_catalogue", findings=(), outside=replace(outside, **changes)
+    )
+
+
+def test_page_says_what_was_found(friction, tmp_path):
+    text = page_of(friction, tmp_path)
+    (finding,) = friction.findings
+    assert "Joint 2: more dry friction than nominal" in text
+    parameter = finding.parameters[0]
+    assert f"dFc = {with_deviation(parameter.value, parameter.sd, parameter.unit)}" in text
+    for role in ("test", "extrapolate"):
+        before, after = (significant(v, 3) for v in friction.nrmse(role))
+        assert f"from {before} to {after} on" in text
+    assert friction.next_experiment in text
+    names = {path.stem for path in tmp_path.glob("*.svg")}
+    assert {"diagnosis_balances", "diagnosis_regimes_1", "diagnosis_extrapolate"} <= names
+    assert {path.stem for path in tmp_path.glob("*.png")} == names
+
+
+def test_page_of_what_the_catalogue_lacks(friction, tmp_path):
+    found = replace(outside_of(friction), held_out=friction.proofs("test"), faults=())
+    text = page_of(found, tmp_path)
+    assert "Something outside the catalogue acts on the torque of joint 2" in text
+    assert "repeats every 0.5 s, whatever the motion" in text
+    assert "extrapolation, before" not in text
+    assert (tmp_path / "diagnosis_spectrum.svg").exists()
+
+
+def test_rows_are_those_of_the_search(friction):
+    for name, number in (("torque_2", 1), ("link_position_1", 2)):
+        rows = channel_rows(friction, name)
+        for residual, ratios in ((rows.before, friction.search.before), (rows.after, None)):
+            expected = (friction.search.after if ratios is None else ratios)[number]
+            found = np.sqrt(np.mean((residual / rows.noise) ** 2))
+            assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_contribution_is_the_friction_that_was_found(friction):
+    (finding,) = friction.findings
+    rows = channel_rows(friction, "torque_2")
+    added = contribution(friction, finding, rows)
+    speed = next(r.values for r in regimes(friction, rows) if r.name == "speed")
+
+    def by_hand(run):
+        return run.low_pass(np.tanh(run.signals.motor_velocity[:, 1] / 0.01))
+
+    filtered = friction.search.comparison.rows.sampled(by_hand)[rows.chosen]
+    assert added == pytest.approx(finding.parameters[0].value * filtered, rel=1e-6, abs=1e-9)
+    assert np.array_equal(direction(friction, rows), np.sign(speed))
+    # Friction of one joint is no business of another's.
+    assert not contribution(friction, finding, channel_rows(friction, "torque_1")).any()
+
+
+def test_squares_of_a_trace_are_those_of_the_proof(friction):
+    for proof in friction.held_out:
+        for error in proof.channels:
+            shown = trace(friction, proof, error.name)
+            for name in ("before", "after"):
+                left = (shown.measured - getattr(shown, name))[shown.used]
+                assert shown.used.sum() == pytest.approx(error.samples, rel=0.01)
+                assert np.sum(left**2) == pytest.approx(getattr(error, name), rel=0.03)
+
+
+def test_worst_windows_are_worst(friction):
+    quiet = replace(
+        friction,
+        held_out=tuple(replace(p, after=p.before) for p in friction.held_out),
+    )
+    windows = worst_windows(quiet)
+    assert windows
+    assert windows[0].error.name == "torque_2"
+    ratios = [w.ratio for w in windows]
+    assert ratios == sorted(ratios, reverse=True)
+    assert min(ratios) > 2.0
+    assert all(0.0 < w.end - w.begin <= 0.5 + 1e-9 for w in windows)
+
+
+def test_means_by_bins():
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(0, 3, 200), rng.normal(size=200)
+    edges = np.array([0.0, 1.0, 1.02, 3.0])
+    centre, mean, sd = binned(x, y, edges, least=10)
+    first, last = y[x < 1.0], y[x >= 1.02]
+    assert mean == pytest.approx([first.mean(), last.mean()])
+    assert sd == pytest.approx([first.std() / np.sqrt(len(first)), last.std() / len(last) ** 0.5])
+    assert 0.0 < centre[0] < 1.0 < centre[1] < 3.0
+
+
+def test_nothing_missing_in_words(friction):
+    none = replace(friction, verdict="nothing_missing", findings=())
+    assert headline(none) == "Nothing is missing within the tolerances"
+    assert "No effect of the catalogue is needed" in lead(none)
+    assert channels_table(none).rows[0][0] == "torque of joint 1"
+    assert len(limits_table(none).head) == 2 + 2
+
+
+def test_what_a_remainder_follows_in_words(friction):
+    followed = outside_of(friction, period=None, regressors=("q_1 x sign(qd_2)", "session_time"))
+    text = lead(followed)
+    assert "the position of joint 1 and the direction of motion" in text
+    assert "the session time, which predicts 40 % of it in data left out" in text
+    assert "nothing that was recorded" in lead(outside_of(friction, period=None, regressors=()))
+
+
+def test_rivals_are_ranked(friction):
+    (finding,) = friction.findings
+    other = replace(finding.placed, joint=0)
+    shared = replace(finding, probability=0.4, rivals=(Rival(placed=other, probability=0.6),))
+    table = candidates_table(friction, shared)
+    assert [row[2:4] for row in table.rows] == [("joint 1", "60 %"), ("joint 2", "40 %")]
+    assert "40 % sure" in lead(replace(friction, findings=(shared,)))
+    assert "Coulomb friction of joint 1" in lead(replace(friction, findings=(shared,)))
+
+
+def test_values_without_a_nominal_one_are_no_surprise(friction):
+    nominal = replace(friction.recordings.nominal, coulomb=None)
+    silent = replace(friction, recordings=replace(friction.recordings, nominal=nominal))
+    assert headline(silent) == "Found what the nominal model does not give: dry friction of joint 2"
+
+
+def test_much_left_is_said(friction):
+    assert "not all is explained" not in proof_sentence(friction)
+    worse = [
+        replace(p, channels=tuple(replace(c, after=50.0 * c.before) for c in p.channels))
+        for p in friction.held_out
+    ]
+    assert "not all is explained" in proof_sentence(replace(friction, held_out=tuple(worse)))
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "unit", "text"),
+    [
+        (6.2134, 0.1312, "N m", "6.21 ± 0.13 N m"),
+        (3.2e-4, 2e-6, "rad", "320 ± 2 µrad"),
+        (-0.012, 0.04, "m", "-10 ± 40 mm"),
+        (-0.0001, 0.03, "", "0.00 ± 0.03"),
+        (2.5e-5, float("nan"), "rad/(N m)", "25 µrad/(N m)"),
+    ],
+)
+def test_value_and_deviation(value, sd, unit, text):
+    assert with_deviation(value, sd, unit) == text
+
+
+def test_words_of_channels_units_and_probability():
+    assert channels_in_words(["torque_3", "link_position_12"]) == (
+        "the torque of joint 3 and the link encoder of joint 12"
+    )
+    assert own_unit("N m s/rad", prismatic=True) == "N s/m"
+    assert own_unit("N m s/rad", prismatic=False) == "N m s/rad"
+    assert percent_sure(1.0) == "above 99 %"
+    assert percent_sure(0.97) == "97 %"
