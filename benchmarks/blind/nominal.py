@@ -16,6 +16,8 @@ from stiffopt.recording.run import Run
 
 # Of the smooth sign of a speed [rad/s].
 SIGN_SPEED = 0.01
+# Of a run that its filter spoils [s].
+_ENDS = 0.25
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -23,7 +25,8 @@ class Motion:
     """A run's motion and what the nominal model says along it; arrays (K, n), SI.
 
     `rigid` is the torque of the bodies, `torque` that of the drives, `windup` motor less link
-    angle. `moving`: faster than 0.03 rad/s, where torque counts.
+    angle. `moving`: faster than 0.03 rad/s, and not at the ends of the run, where the filter of
+    the motion has one side only.
     """
 
     time: np.ndarray
@@ -52,7 +55,7 @@ def along(recordings: RecordingSet, run: Run, cutoff: float) -> Motion:
     nominal, n = recordings.nominal, recordings.n
     step = float(np.median(np.diff(run.time)))
     low_pass = butter(3, cutoff, fs=1.0 / step, output="sos")
-    position = sosfiltfilt(low_pass, run.position, axis=0)
+    position = sosfiltfilt(low_pass, _bridged(run.time, run.position), axis=0)
     velocity = np.gradient(position, step, axis=0)
     acceleration = sosfiltfilt(low_pass, np.gradient(velocity, step, axis=0), axis=0)
     rigid = _rnea(recordings, position, velocity, acceleration)
@@ -64,6 +67,7 @@ def along(recordings: RecordingSet, run: Run, cutoff: float) -> Motion:
     rigid = _rnea(recordings, link, link_velocity, link_acceleration)
     friction = _values(nominal.coulomb, n) * np.tanh(velocity / SIGN_SPEED)
     friction += _values(nominal.viscous, n) * velocity
+    inside = (run.time > run.time[0] + _ENDS) & (run.time < run.time[-1] - _ENDS)
     recorded = velocity if run.velocity is None else run.velocity
     return Motion(
         time=run.time,
@@ -74,9 +78,18 @@ def along(recordings: RecordingSet, run: Run, cutoff: float) -> Motion:
         rigid=rigid,
         torque=_values(nominal.rotor_inertia, n) * acceleration + rigid + friction,
         windup=_windup(recordings, rigid),
-        moving=np.abs(recorded) >= 3.0 * SIGN_SPEED,
+        moving=(np.abs(recorded) >= 3.0 * SIGN_SPEED) & inside[:, None],
         measured=run.torque,
     )
+
+
+def _bridged(time: np.ndarray, samples: np.ndarray) -> np.ndarray:
+    """Samples (K, n) with those that were left out drawn straight."""
+    columns = []
+    for column in samples.T:
+        known = np.isfinite(column)
+        columns.append(np.interp(time, time[known], column[known]))
+    return np.column_stack(columns)
 
 
 def _values(stated: np.ndarray | None, n: int) -> np.ndarray:
