@@ -111,7 +111,8 @@ def make(folder: Path, scores: Sequence[CaseScore], most: int) -> dict[str, list
     """Sets and jobs of every control."""
     own = counted(scores)
     single = [s for s in own if s.kind == "single" and s.severity >= 1.0][:most]
-    none = [s for s in own if s.kind == "none"][:most]
+    nothing = [s for s in own if s.kind == "none"]
+    none = nothing[:most]
     base = folder / "controls"
 
     def jobs(name: str, cases: Sequence[CaseScore], build: Callable[..., Path]) -> list[Made]:
@@ -125,7 +126,7 @@ def make(folder: Path, scores: Sequence[CaseScore], most: int) -> dict[str, list
 
     found = {"scrambled": jobs("scrambled", single, scrambled)}
     found["swapped"] = []
-    for a, b in _neighbours(none):
+    for a, b in list(_neighbours(nothing))[:most]:
         other = folder / "cases" / b.id
         found["swapped"] += jobs("swapped", [a], lambda c, t, other=other: swapped(c, other, t))
     found["relabelled"] = jobs(

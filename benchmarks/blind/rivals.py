@@ -144,6 +144,8 @@ def tune(folder: Path, scores: Sequence[CaseScore], say: Callable[[str], object]
 
 def compare(folder: Path, scores: Sequence[CaseScore], say: Callable[[str], object]) -> Path:
     """Score the rivals beside the tool, and leave the section for the page."""
+    if not SETTINGS.exists():
+        raise SystemExit("The rivals have no settings yet: --tune them on a dev-... key first.")
     settings: dict[str, dict[str, float]] = json.loads(SETTINGS.read_text())
     python = PYSINDY if PYSINDY.exists() else None
     lines: dict[str, list[tuple[CaseScore, dict[str, FitScore]]]] = {name: [] for name in settings}
