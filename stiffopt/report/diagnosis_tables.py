@@ -184,12 +184,12 @@ def calibration_table(diagnosis: Diagnosis) -> Table | None:
         kind = names[k].split()[0]
         unit = {"com": "m", "encoder_zero": "rad"}.get(kind)
         if unit is None:
-            shown, width = (f"{100 * v:+.2g} %" for v in (moved[k], sd[k]))
-            width = width.lstrip("+")
+            factor, unit = 100.0, "%"
         else:
             factor, unit = scaled_unit(sd[k], unit)
-            shown = f"{factor * moved[k]:+.2g} {unit}"
-            width = f"{significant(factor * sd[k], 2)} {unit}"
+        sign = "+" if moved[k] > 0.0 else ""
+        shown = f"{sign}{significant(factor * moved[k], 2)} {unit}"
+        width = f"{significant(factor * sd[k], 2)} {unit}"
         rows.append((effect_words(names[k]), shown, width, f"{far:+.1f}"))
         if abs(far) > _FAR:
             bad.add(number)
