@@ -84,6 +84,15 @@ def known_noise(stated: Noise, runs: Sequence[PreparedRun]) -> KnownNoise:
     )
 
 
+def above_cutoff(runs: Sequence[PreparedRun]) -> np.ndarray:
+    """Noise (2 n,) that runs hold above the filter's cutoff, torques first; nan without samples."""
+    n = runs[0].torque.shape[1]
+    kinds = ([run.torque for run in runs], [run.deflection for run in runs])
+    return np.array(
+        [_estimate([samples[:, j] for samples in kind], runs) for kind in kinds for j in range(n)]
+    )
+
+
 def _channels(
     stated: np.ndarray | None,
     count: np.ndarray | None,

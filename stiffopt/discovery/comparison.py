@@ -73,7 +73,7 @@ class Comparison:
     noise : ChannelNoise
     tolerance : Tolerance
     link_torque : sequence of array (K, n), optional
-        Already found, one a run; laws that bend are taken about it.
+        Of effects already found, one a run; laws that bend are taken about it.
     inflation : array (2 n,), optional
         Factor on the noise of every channel, for what the model leaves unexplained there.
     """
@@ -134,9 +134,16 @@ class Comparison:
     def target(self) -> np.ndarray:
         """What the nominal model leaves of the measured channels (m,), weighted."""
         torque, deflection = [], []
-        for run in self.runs:
-            torque.append(_bridged(run.torque) - run.signals.drive_torque)
-            deflection.append(_bridged(run.deflection) - run.signals.windup)
+        for index, run in enumerate(self.runs):
+            signals = run.signals
+            drive, windup = signals.drive_torque, signals.windup
+            if self.link_torque is not None:
+                # Amplitudes stay whole: what their own share of the link torque does comes back.
+                added = self.link_torque[index]
+                drive = drive - added
+                windup = windup - self.robot.compliance(signals.spring_torque) * added
+            torque.append(_bridged(run.torque) - drive)
+            deflection.append(_bridged(run.deflection) - windup)
         return self._column(torque, deflection)
 
     def effect_columns(self, placed: PlacedEffect) -> np.ndarray:

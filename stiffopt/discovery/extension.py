@@ -9,7 +9,7 @@ import numpy as np
 
 from stiffopt.discovery.nuisance import nuisance_columns
 from stiffopt.discovery.placed import PlacedEffect
-from stiffopt.discovery.prepare import PreparedRun
+from stiffopt.discovery.prepare import PreparedRun, with_link_torque
 from stiffopt.discovery.robot import RobotModel
 from stiffopt.recording.nominal import Tolerance
 
@@ -88,10 +88,11 @@ def extended(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prepa
 
     Notes
     -----
-    All terms are evaluated on the nominal signals, as they were when they were fitted; the joints
-    wind up by the exact law under the spring torque with all that was found in it.
+    Terms are evaluated with the link torque that was found in the springs, as they were when they
+    were fitted; the joints wind up by the exact law under it.
     """
-    change = _change(run, robot, extension)
+    found = _change(run, robot, extension).link_torque
+    change = _change(with_link_torque(run, robot, found), robot, extension)
     signals = run.signals
     spring = signals.spring_torque + change.link_torque
     return replace(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BSpline
 
+from stiffopt.discovery.channel_noise import above_cutoff
 from stiffopt.discovery.comparison import Comparison
 from stiffopt.discovery.search import SearchResult, Selected
 
@@ -77,10 +78,19 @@ def judged(result: SearchResult) -> tuple[tuple[Selected, ...], Outside | None]:
         # What formulas that differ from nature leave behind, small against what they explain.
         return kept, None
     found = _describe(result, [int(c) for c in remaining])
-    if not kept and found.gain < _LEAST_SHARE and found.ratio < _PLAIN:
+    if not kept and found.gain < _LEAST_SHARE and found.ratio < _PLAIN * _noisier(result):
         # Neither large nor depending on anything: noise that is larger than stated.
         return result.selected, None
     return kept, found
+
+
+def _noisier(result: SearchResult) -> float:
+    """Noise of the worst channel above the filter's cutoff, over what is stated; 1 at least."""
+    comparison = result.comparison
+    worst = int(np.nanargmax(result.after))
+    stated = np.concatenate([comparison.noise.torque, comparison.noise.deflection])
+    held = above_cutoff(comparison.nominal_runs)
+    return float(np.nanmax([1.0, held[worst] / stated[worst]]))
 
 
 def channel_name(channel: int, joints: int) -> str:

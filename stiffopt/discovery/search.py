@@ -10,6 +10,7 @@ import numpy as np
 from stiffopt.discovery.candidates import Candidate, Scorer, scan
 from stiffopt.discovery.comparison import Comparison, Fit
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.extension import sized
 from stiffopt.discovery.placed import PlacedEffect
 from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.uncertainty import estimate
@@ -25,6 +26,8 @@ EXPLAINED = 0.02
 _PULL = 0.5
 # Jackknife deviations from nothing of its amplitudes.
 CONFIRMED = 3.0
+# Or share of its log evidence that runs left out of a fit hold.
+_BORNE_OUT = 0.8
 # Log evidences are too sure where formulas differ from nature: a difference counts against this
 # share of the winner's own, within bounds.
 _TEMPER = 0.01
@@ -175,15 +178,32 @@ def _relief(candidate: Candidate, scorer: Scorer) -> float:
 
 
 def _about(comparison: Comparison, fit: Fit) -> Comparison:
-    """The comparison with the noise that a fit leaves in each channel."""
+    """The comparison about a fit: joints wound up as found, with the noise left in each channel."""
     left = np.nan_to_num(comparison.channel_ratio(fit.residual), nan=1.0)
     return Comparison(
         comparison.robot,
         comparison.nominal_runs,
         comparison.noise,
         comparison.tolerance,
+        link_torque=_link_torque(comparison, fit),
         inflation=np.maximum(1.0, left),
     )
+
+
+def _link_torque(comparison: Comparison, fit: Fit) -> list[np.ndarray] | None:
+    """Torque (K, n) that the effects of a fit put into the joints of every run."""
+    sizes = [placed.sizes(comparison.constants) for placed in fit.effects]
+    effects = sized(fit.effects, fit.amplitudes(), sizes)
+    per_run = [
+        [each.placed.contribution(run, each.amplitudes).link_torque for each in effects]
+        for run in comparison.nominal_runs
+    ]
+    if all(part is None for parts in per_run for part in parts):
+        return None
+    return [
+        sum((p for p in parts if p is not None), np.zeros_like(run.signals.spring_torque))
+        for run, parts in zip(comparison.nominal_runs, per_run, strict=True)
+    ]
 
 
 def _settled(
@@ -215,16 +235,27 @@ def _pruned(comparison: Comparison, effects: list[PlacedEffect]) -> list[PlacedE
 
 
 def _confirmed(comparison: Comparison, effects: list[PlacedEffect]) -> list[PlacedEffect]:
-    """Effects that no few seconds of the recordings are alone responsible for."""
+    """Effects that no few seconds of the recordings are alone responsible for.
+
+    What shows in a few seconds only, such as a drive at its limit, is confirmed by recordings that
+    were left out and bear it out as well as those that were not.
+    """
     kept = list(effects)
     while kept:
         found = estimate(comparison, kept)
-        sure = [found.significance(i) for i in range(len(kept))]
-        worst = int(np.argmin(sure))
-        if sure[worst] >= CONFIRMED:
+        sure = {i: found.significance(i) for i in range(len(kept))}
+        weak = [i for i in sorted(sure, key=lambda i: sure[i]) if sure[i] < CONFIRMED]
+        lost = next((i for i in weak if not _borne_out(comparison, kept, i)), None)
+        if lost is None:
             break
-        kept.pop(worst)
+        kept.pop(lost)
     return kept
+
+
+def _borne_out(comparison: Comparison, effects: list[PlacedEffect], index: int) -> bool:
+    others = [e for k, e in enumerate(effects) if k != index]
+    own = Scorer(comparison, others).score(effects[index])
+    return own is not None and own.gain > _BORNE_OUT * own.evidence
 
 
 def _distinct(effects: Sequence[PlacedEffect]) -> bool:
