@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from stiffopt.discovery.evidence import BlockSums, Posterior, posterior
+from stiffopt.discovery.evidence import BlockSums, Posterior, Sums, posterior
 from stiffopt.discovery.nuisance import NuisanceColumn, nuisance_columns
 from stiffopt.discovery.placed import PlacedEffect
 from stiffopt.discovery.prepare import PreparedRun, with_link_torque
@@ -76,6 +76,8 @@ class Comparison:
         Of effects already found, one a run; laws that bend are taken about it.
     inflation : array (2 n,), optional
         Factor on the noise of every channel, for what the model leaves unexplained there.
+    box : float
+        Nominal values stay within so many standard deviations.
     """
 
     def __init__(
@@ -87,8 +89,9 @@ class Comparison:
         *,
         link_torque: Sequence[np.ndarray] | None = None,
         inflation: np.ndarray | None = None,
+        box: float = 4.0,
     ) -> None:
-        self.robot, self.noise, self.tolerance = robot, noise, tolerance
+        self.robot, self.noise, self.tolerance, self.box = robot, noise, tolerance, box
         self.nominal_runs = tuple(runs)
         self.link_torque = link_torque
         if link_torque is not None:
@@ -171,33 +174,34 @@ class Comparison:
 
     # ---- fits
 
-    def fit(self, effects: Sequence[PlacedEffect] = ()) -> Fit:
-        """Fit nuisance values and effects together."""
+    def fit(self, effects: Sequence[PlacedEffect] = (), *, boxed: bool = True) -> Fit:
+        """Fit nuisance values, in their box unless told otherwise, and effects together."""
         _, sd, nuisance = self.nuisance
         parts = [nuisance, *(self.effect_columns(e) for e in effects)]
         columns = np.column_stack(parts)
-        count = columns.shape[1] - nuisance.shape[1]
-        sums = BlockSums(columns, self.target, self.rows.block, self.blocks)
-        found = posterior(sums.own, np.concatenate([sd, np.ones(count)]))
+        prior = np.concatenate([sd, np.ones(columns.shape[1] - len(sd))])
+        sums = BlockSums(columns, self.target, self.rows.block, self.blocks).own
+        found = posterior(sums, prior)
+        limits = np.full(len(prior), np.inf)
+        limits[: len(sd)] = self.box
+        if boxed and np.any(np.abs(found.mean / prior) > limits):
+            found = replace(found, mean=_within(sums, prior, limits))
         residual = (self.target - columns @ found.mean) / self._weight
-        return Fit(tuple(effects), found, residual, nuisance.shape[1])
-
-    def within_tolerance(self, box: float) -> np.ndarray:
-        """Residual (m,) without effects, nominal values moved by `box` deviations at most."""
-        _, sd, nuisance = self.nuisance
-        if not len(sd):
-            return np.asarray(self.target / self._weight)
-        scaled = nuisance * sd
-        root = np.linalg.cholesky(scaled.T @ scaled + np.eye(len(sd)))
-        goal = solve_triangular(root, scaled.T @ self.target, lower=True)
-        moved = lsq_linear(root.T, goal, (-box, box)).x
-        return np.asarray((self.target - scaled @ moved) / self._weight)
+        return Fit(tuple(effects), found, residual, len(sd))
 
     def channel_ratio(self, residual: np.ndarray) -> np.ndarray:
         """Root mean square of whitened residuals in every channel (2 n,); nan without rows."""
         square = np.bincount(self.rows.channel, residual**2, minlength=2 * self.robot.n)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(np.sqrt(square / self.rows.counts))
+
+
+def _within(sums: Sums, prior: np.ndarray, limits: np.ndarray) -> np.ndarray:
+    """Likeliest values (p,) within so many standard deviations of their priors."""
+    scaled = sums.gram.sum(axis=0) * np.outer(prior, prior) + np.eye(len(prior))
+    root = np.linalg.cholesky(scaled)
+    goal = solve_triangular(root, prior * sums.moment.sum(axis=0), lower=True)
+    return np.asarray(prior * lsq_linear(root.T, goal, (-limits, limits)).x)
 
 
 def _bridged(samples: np.ndarray) -> np.ndarray:

@@ -91,7 +91,6 @@ def diagnose(
         catalogue,
         start=silent_effects(recordings) if base is None else (),
         most=settings.effects,
-        box=settings.box,
         report=say,
     )
     selected, outside = judged(result)

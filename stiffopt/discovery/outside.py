@@ -19,6 +19,8 @@ UNEXPLAINED = 1.3
 EXPLAINED = 0.6
 # A remainder is outside the catalogue from this ratio on, or if that share of it can be predicted.
 _PLAIN = 1.8
+# Left beside findings that explain the most of it, this ratio is still something else.
+_LARGE = 5.0
 _LEAST_SHARE = 0.25
 _KNOTS = 8
 _MOST = 3
@@ -74,7 +76,7 @@ def judged(result: SearchResult) -> tuple[tuple[Selected, ...], Outside | None]:
     share = 1.0 - (after**2 - 1.0) / excess
     poor = {int(c) for c in remaining if share[c] < EXPLAINED}
     kept = tuple(s for s in result.selected if s.channel not in poor)
-    if not poor and kept:
+    if not poor and kept and after[remaining[0]] < _LARGE:
         # What formulas that differ from nature leave behind, small against what they explain.
         return kept, None
     found = _describe(result, [int(c) for c in remaining])

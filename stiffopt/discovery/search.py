@@ -13,7 +13,7 @@ from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extension import sized
 from stiffopt.discovery.placed import PlacedEffect
 from stiffopt.discovery.signals import RobotConstants
-from stiffopt.discovery.uncertainty import estimate
+from stiffopt.discovery.uncertainty import significance
 
 Report = Callable[[str], object]
 
@@ -25,9 +25,8 @@ CHI = 5.0
 EXPLAINED = 0.02
 _PULL = 0.5
 # Jackknife deviations from nothing of its amplitudes.
-CONFIRMED = 3.0
-# Or share of its log evidence that runs left out of a fit hold.
-_BORNE_OUT = 0.8
+CONFIRMED = 3.5
+_MOST = 0.5
 # Log evidences are too sure where formulas differ from nature: a difference counts against this
 # share of the winner's own, within bounds.
 _TEMPER = 0.01
@@ -98,7 +97,6 @@ def search(
     *,
     start: Sequence[PlacedEffect] = (),
     most: int = 3,
-    box: float = 4.0,
     report: Report | None = None,
 ) -> SearchResult:
     """Name what is missing.
@@ -112,17 +110,13 @@ def search(
         Tried together before anything else: what the nominal model is silent about.
     most : int
         Effects at most beside those.
-    box : float
-        Standard deviations that nominal values may be moved by, where the report says what they
-        alone explain.
     report : callable, optional
         Called with a sentence at every step.
     """
     say = report or (lambda _: None)
-    first = comparison.fit()
     before = comparison.channel_ratio(comparison.target)
-    calibrated = comparison.channel_ratio(comparison.within_tolerance(box))
-    current = _about(comparison, first)
+    calibrated = comparison.channel_ratio(comparison.fit().residual)
+    current = _about(comparison, comparison.fit(boxed=False))
     effects: list[PlacedEffect] = []
     if start:
         say(f"fit what the nominal model is silent about ({len(start)} values)")
@@ -187,6 +181,7 @@ def _about(comparison: Comparison, fit: Fit) -> Comparison:
         comparison.tolerance,
         link_torque=_link_torque(comparison, fit),
         inflation=np.maximum(1.0, left),
+        box=comparison.box,
     )
 
 
@@ -224,7 +219,11 @@ def _settled(
 
 def _pruned(comparison: Comparison, effects: list[PlacedEffect]) -> list[PlacedEffect]:
     """Effects without which something is lost, given all others."""
-    kept = list(effects)
+    kept = [
+        e
+        for e in effects
+        if Scorer(comparison, [o for o in effects if o is not e]).score(e) is not None
+    ]
     while kept:
         losses = comparison.fit(kept).losses()
         worst = int(np.argmin(losses))
@@ -237,14 +236,13 @@ def _pruned(comparison: Comparison, effects: list[PlacedEffect]) -> list[PlacedE
 def _confirmed(comparison: Comparison, effects: list[PlacedEffect]) -> list[PlacedEffect]:
     """Effects that no few seconds of the recordings are alone responsible for.
 
-    What shows in a few seconds only, such as a drive at its limit, is confirmed by recordings that
-    were left out and bear it out as well as those that were not.
+    Where a few seconds hold all there is, as of a drive at its limit, those count that take away
+    most of a channel's residual, in recordings left out of the fit too.
     """
     kept = list(effects)
     while kept:
-        found = estimate(comparison, kept)
-        sure = {i: found.significance(i) for i in range(len(kept))}
-        weak = [i for i in sorted(sure, key=lambda i: sure[i]) if sure[i] < CONFIRMED]
+        sure = significance(comparison, kept)
+        weak = [int(i) for i in np.argsort(sure) if sure[i] < CONFIRMED]
         lost = next((i for i in weak if not _borne_out(comparison, kept, i)), None)
         if lost is None:
             break
@@ -255,7 +253,7 @@ def _confirmed(comparison: Comparison, effects: list[PlacedEffect]) -> list[Plac
 def _borne_out(comparison: Comparison, effects: list[PlacedEffect], index: int) -> bool:
     others = [e for k, e in enumerate(effects) if k != index]
     own = Scorer(comparison, others).score(effects[index])
-    return own is not None and own.gain > _BORNE_OUT * own.evidence
+    return own is not None and own.explained > _MOST and own.gain > _MOST * own.evidence
 
 
 def _distinct(effects: Sequence[PlacedEffect]) -> bool:

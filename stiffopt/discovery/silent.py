@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.placed import PlacedEffect
 from stiffopt.recording.recording_set import RecordingSet
 
@@ -17,6 +20,12 @@ def silent_effects(recordings: RecordingSet) -> tuple[PlacedEffect, ...]:
     found = []
     for name in _OF_EVERY_JOINT:
         if getattr(recordings.nominal, name) is None:
-            entry = effect(name)
+            entry = _unbounded(effect(name))
             found += [PlacedEffect(effect=entry, joint=j) for j in range(len(recordings.joints))]
     return tuple(found)
+
+
+def _unbounded(entry: Effect) -> Effect:
+    """The effect without the upper bounds that compare it with a nominal value."""
+    amplitudes = tuple(replace(a, upper=float("inf")) for a in entry.amplitudes)
+    return replace(entry, amplitudes=amplitudes)

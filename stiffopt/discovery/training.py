@@ -37,6 +37,8 @@ class Training:
         With the ranges that the runs meet.
     noise : KnownNoise
     tolerance : Tolerance
+    box : float
+        Standard deviations that nominal values stay within.
     assumptions : tuple of str
     """
 
@@ -46,11 +48,12 @@ class Training:
     constants: RobotConstants
     noise: KnownNoise
     tolerance: Tolerance
+    box: float
     assumptions: tuple[str, ...]
 
     def comparison(self) -> Comparison:
         """The comparison that a search starts from."""
-        return Comparison(self.robot, self.runs, self.noise.channels, self.tolerance)
+        return Comparison(self.robot, self.runs, self.noise.channels, self.tolerance, box=self.box)
 
 
 def train(
@@ -108,5 +111,6 @@ def train(
         constants=ranged,
         noise=noise,
         tolerance=merged(recordings.tolerance, settings.tolerance),
+        box=settings.box,
         assumptions=(*recordings.assumptions, *noise.assumptions(), *notes),
     )

@@ -85,13 +85,6 @@ class Estimate:
             name: (float(v), float(s)) for name, v, s in zip(names, report(inputs), sd, strict=True)
         }
 
-    def significance(self, index: int) -> float:
-        """Standard deviations of an effect's amplitudes from nothing, by the jackknife."""
-        rows, _ = self._places(index)
-        rows = rows[: len(self.sizes[index])]
-        values, spread = self.values[rows], self.spread[np.ix_(rows, rows)]
-        return float(np.sqrt(max(values @ np.linalg.lstsq(spread, values)[0], 0.0)))
-
     def _places(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Where the amplitudes and shapes of an effect stand, and the units they have there."""
         lengths = [len(s) for s in self.sizes]
@@ -141,6 +134,24 @@ def estimate(comparison: Comparison, effects: Sequence[PlacedEffect]) -> Estimat
         sizes=sizes,
         shape_sizes=shape_sizes,
     )
+
+
+def significance(comparison: Comparison, effects: Sequence[PlacedEffect]) -> np.ndarray:
+    """Jackknife deviations from nothing of every effect's amplitudes (e,), shapes held."""
+    fit = comparison.fit(effects)
+    _, prior_sd, nuisance = comparison.nuisance
+    columns = [comparison.effect_columns(e) for e in effects]
+    amplitudes = fit.amplitudes()
+    prior = np.concatenate([prior_sd, np.ones(len(amplitudes))])
+    _, spread = _jackknife(comparison, np.column_stack([nuisance, *columns]), prior)
+    found, begin = [], 0
+    for own in columns:
+        values = amplitudes[begin : begin + own.shape[1]]
+        rows = slice(len(prior_sd) + begin, len(prior_sd) + begin + own.shape[1])
+        begin += own.shape[1]
+        square = values @ np.linalg.lstsq(spread[rows, rows], values)[0]
+        found.append(float(np.sqrt(max(square, 0.0))))
+    return np.array(found)
 
 
 def _shape_sizes(placed: PlacedEffect) -> np.ndarray:
