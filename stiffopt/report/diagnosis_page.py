@@ -52,7 +52,7 @@ from stiffopt.report.diagnosis_words import (
 )
 from stiffopt.report.quantities import significant
 from stiffopt.report.rendering import PageFigure, page_figure, write_page
-from stiffopt.report.svg import to_png, to_svg
+from stiffopt.report.svg import extent_of, to_png, to_svg
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
@@ -60,24 +60,34 @@ if TYPE_CHECKING:
 PAGE_FILE = "report.html"
 # Findings that are shown with figures of their own.
 _SHOWN = 3
-# Contents of figures by file name.
-Files = dict[str, str | bytes]
 
 
-def write_diagnosis_report(diagnosis: Diagnosis, directory: str | Path) -> Path:
-    """Write report.html and its figures as SVG and PNG into `directory`; return the page.
+class Files(dict[str, str | bytes]):
+    """Contents of figures by file name; as PNG, too, where that is asked."""
+
+    def __init__(self, png: bool) -> None:
+        super().__init__()
+        self.png = png
+
+
+def write_diagnosis_report(
+    diagnosis: Diagnosis, directory: str | Path, *, png: bool = False
+) -> Path:
+    """Write report.html and its figures as SVG into `directory`; return the page.
 
     Parameters
     ----------
     diagnosis : Diagnosis
         Of any verdict.
     directory : path
+    png : bool
+        Write the figures as PNG as well.
 
     Returns
     -------
     Path
     """
-    files: Files = {}
+    files = Files(png)
     recordings = diagnosis.recordings
     trained = diagnosis.training.recorded
     runs = [*trained, *(proof.run for proof in diagnosis.held_out)]
@@ -307,9 +317,11 @@ def _overlays(diagnosis: Diagnosis, files: Files) -> Iterator[PageFigure]:
 
 
 def _saved(figure: Figure, name: str, title: str, caption: str, files: Files) -> PageFigure:
-    svg = to_svg(figure, name, title or caption)
+    extent = extent_of(figure)
+    svg = to_svg(figure, name, title or caption, extent)
     files[f"{name}.svg"] = svg
-    files[f"{name}.png"] = to_png(figure)
+    if files.png:
+        files[f"{name}.png"] = to_png(figure, extent)
     return page_figure(svg, caption, title)
 
 

@@ -13,6 +13,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 
 # Okabe and Ito's colours: told apart by colour-blind readers and, by lightness, in grey print.
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -146,7 +147,7 @@ def shade_beyond(axes: Axes, lower: float, upper: float) -> None:
     axes.set_ylim(min(shown), max(shown))
 
 
-def to_svg(figure: Figure, name: str, description: str) -> str:
+def to_svg(figure: Figure, name: str, description: str, extent: Bbox | None = None) -> str:
     """Figure as inline SVG.
 
     Parameters
@@ -156,21 +157,30 @@ def to_svg(figure: Figure, name: str, description: str) -> str:
         Unique on its page; prefixes the ids, which would else clash between figures.
     description : str
         What the figure shows, for readers that cannot see it.
+    extent : Bbox, optional
+        Of `extent_of`, where it is known.
     """
     with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
         buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", bbox_inches="tight", pad_inches=0.06)
+        figure.savefig(buffer, format="svg", bbox_inches=extent or extent_of(figure))
     return _compact(buffer.getvalue(), name, description)
 
 
-def to_png(figure: Figure) -> bytes:
-    """Figure as PNG, 150 dots per inch on white."""
+def to_png(figure: Figure, extent: Bbox | None = None) -> bytes:
+    """Figure as PNG, 150 dots per inch on white; `extent` as of `extent_of`, where it is known."""
     with mpl.rc_context(_STYLE):
         buffer = io.BytesIO()
-        figure.savefig(
-            buffer, format="png", bbox_inches="tight", pad_inches=0.06, facecolor="white"
-        )
+        box = extent or extent_of(figure)
+        figure.savefig(buffer, format="png", bbox_inches=box, facecolor="white")
     return buffer.getvalue()
+
+
+def extent_of(figure: Figure) -> Bbox:
+    """What a figure covers, with a margin [inch].
+
+    Told without drawing: `bbox_inches="tight"` draws every figure once more only to know this.
+    """
+    return figure.get_tightbbox().padded(0.06)
 
 
 def _compact(text: str, name: str, description: str) -> str:

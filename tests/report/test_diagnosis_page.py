@@ -70,7 +70,7 @@ class Page(HTMLParser):
 
 
 def page_of(diagnosis, folder):
-    text = write_diagnosis_report(diagnosis, folder).read_text(encoding="utf-8")
+    text = write_diagnosis_report(diagnosis, folder, png=True).read_text(encoding="utf-8")
     assert not [each for each in Page(text).asked if not each.startswith(("#", "data:"))]
     assert "nan" not in re.sub(r"<[^>]*>", " ", text).split()
     return text
@@ -111,6 +111,11 @@ def test_page_of_what_the_catalogue_lacks(friction, tmp_path):
     assert "repeats every 0.5 s, whatever the motion" in text
     assert "extrapolation, before" not in text
     assert (tmp_path / "diagnosis_spectrum.svg").exists()
+
+
+def test_figures_as_png_only_where_asked(friction, tmp_path):
+    write_diagnosis_report(friction, tmp_path)
+    assert {path.suffix for path in tmp_path.iterdir()} == {".html", ".svg"}
 
 
 def test_rows_are_those_of_the_search(friction):

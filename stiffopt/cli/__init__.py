@@ -1,0 +1,45 @@
+"""The command line: `stiffopt solve`, `preload`, `diagnose`, `recording check` and the others.
+
+Exit codes: 0 done, 1 a verified value is off, 2 wrong input or command line, 3 no usable result,
+130 interrupted. Commands import what they need, so that help and errors come at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from cyclopts import CycloptsError
+
+# In the order in which help lists them; importing registers them.
+from stiffopt.cli import motions, recordings, schemas
+from stiffopt.cli.base import app
+from stiffopt.errors import InputError, NoSolutionFound
+
+__all__ = ["app", "main", "motions", "recordings", "run", "schemas"]
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line; return its exit code. Errors of the user become one message."""
+    tokens = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+    except (InputError, CycloptsError) as error:
+        print(f"stiffopt: {error}", file=sys.stderr)
+        return 2
+    except NoSolutionFound as error:
+        print(f"stiffopt: {error}", file=sys.stderr)
+        return 3
+    except KeyboardInterrupt:
+        print("stiffopt: interrupted; nothing was written.", file=sys.stderr)
+        return 130
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        print(f"stiffopt: {place}{error.strerror or error}", file=sys.stderr)
+        return 2
+    return code if isinstance(code, int) else 0
+
+
+def main() -> None:
+    """Entry point of the `stiffopt` command."""
+    sys.exit(run())

@@ -1,0 +1,25 @@
+"""The application that commands register with, and what they share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import App, Parameter
+
+app = App(
+    name="stiffopt",
+    help="Stiff and true trajectories for industrial robot arms.",
+    help_on_error=False,
+    # `run` says what an interruption means.
+    suppress_keyboard_interrupt=False,
+)
+
+Out = Annotated[Path, Parameter(name="--out", help="Folder for the results; made if missing.")]
+
+
+def print_json(document: Any) -> None:
+    """Print plain data, indented."""
+    import json
+
+    print(json.dumps(document, indent=2, ensure_ascii=False))

@@ -1,0 +1,194 @@
+"""`stiffopt solve`, `preload`, `verify` and `stiffness`: motions, fasteners, joints of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+from stiffopt.cli.base import Out, app
+from stiffopt.errors import InputError, InputFileError
+from stiffopt.folders import output_folder
+
+
+@app.command
+def solve(
+    problem: Path,
+    *,
+    out: Out | None = None,
+    model: Path | None = None,
+    effects: Path | None = None,
+    quiet: bool = False,
+) -> int:
+    """Optimise a trajectory and certify it.
+
+    Writes result.json, trajectory.csv and report.html. Ctrl-C ends the solve and keeps the best
+    motion so far.
+
+    Parameters
+    ----------
+    problem
+        A trajectory problem file (TOML).
+    out
+        Default: out/NAME of the problem file.
+    model
+        extended.toml of a diagnosis of this arm: plan without and with what was found, and
+        compare.
+    effects
+        Python file of the effects in it that are not of the catalogue.
+    quiet
+        No progress display.
+    """
+    from stiffopt.certificate.assess import assess
+    from stiffopt.problem.files import load_problem
+    from stiffopt.report.page import write_solve_report
+    from stiffopt.report.terminal import print_solution
+    from stiffopt.result.store import export_times, write_result, write_trajectory
+    from stiffopt.study.optimise import solve as optimise
+
+    loaded = load_problem(problem)
+    stated = loaded.problem
+    found = None
+    if model is not None:
+        from stiffopt.discovery.planner_solve import read_model, solve_extended
+
+        found = read_model(model, effects)
+    with output_folder(out or Path("out") / problem.stem) as folder:
+        with _progress(stated, quiet) as progress, _about(problem):
+            if found is None:
+                solution = optimise(stated, progress=progress, throw=False)
+            else:
+                loop = solve_extended(stated, found, progress=progress)
+                stated, solution = loop.problem, loop.solution
+        if solution.trajectory is not None:
+            times = export_times(solution.trajectory.duration)
+            exported = assess(stated, solution.trajectory, times=times)
+            write_trajectory(exported, folder)
+        write_solve_report(stated, solution, folder)
+        write_result(solution, folder)
+    print_solution(stated, solution, folder)
+    return solution.status.exit_code
+
+
+@app.command
+def preload(study: Path, *, out: Out | None = None, quiet: bool = False) -> int:
+    """Find how tight bolts and pins must be: preloads, tightening torques, what binds.
+
+    Writes study.json, study.csv and report.html with its figures.
+
+    Parameters
+    ----------
+    study
+        A preload study file (TOML).
+    out
+        Default: out/NAME of the study file.
+    quiet
+        No progress display.
+    """
+    from stiffopt.preload.files import load_study
+    from stiffopt.preload.store import write_curves, write_study
+    from stiffopt.preload.study import preload_study
+    from stiffopt.report.preload_page import write_preload_report
+    from stiffopt.report.terminal import print_study
+
+    loaded = load_study(study)
+    with output_folder(out or Path("out") / study.stem) as folder:
+        with _named_progress(loaded.problem.title, quiet) as display, _about(study):
+            result = preload_study(
+                loaded.problem,
+                motion=loaded.motion,
+                rounds=loaded.rounds,
+                front_points=loaded.front_points,
+                progress=_study_progress(display),
+            )
+        write_preload_report(result, folder)
+        write_curves(result, folder)
+        write_study(result, folder)
+    print_study(result, folder)
+    return result.status.exit_code
+
+
+@app.command
+def verify(problems: Path, *, quiet: bool = False) -> int:
+    """Solve problem and study files anew and compare with the values they expect.
+
+    Parameters
+    ----------
+    problems
+        A trajectory problem or preload study file, or a folder of them.
+    quiet
+        No progress display.
+    """
+    from stiffopt import verify as verification
+    from stiffopt.report.terminal import print_checks
+
+    checks: list[verification.Check] = []
+    paths = verification.problem_files(problems)
+    # A fault in the last file must not cost the time of the others.
+    for path in paths:
+        verification.check_problem(path)
+    for path in paths:
+        with _named_progress(path.stem, quiet) as display, _about(path):
+            checks += verification.verify(path, _study_progress(display))
+        if checks[-1].interrupted:
+            break
+    print_checks(checks)
+    if any(check.interrupted for check in checks):
+        return 130
+    return 0 if all(check.passed for check in checks) else 1
+
+
+@app.command
+def stiffness(robot: str, *, out: Out | None = None, drivetrain: Path | None = None) -> int:
+    """Joint stiffness against torque, with and without contacts: stiffness.csv, plots and a page.
+
+    Parameters
+    ----------
+    robot
+        A shipped robot (er3a_c60, er3a_c60_contact, ur10), a robot TOML, or a URDF.
+    out
+        Default: out/stiffness_NAME.
+    drivetrain
+        Robot TOML beside a URDF.
+    """
+    from stiffopt.report.stiffness_page import write_stiffness_report
+    from stiffopt.robot.files import load_robot
+    from stiffopt.study.stiffness import stiffness_study, write_stiffness_csv
+
+    arm = load_robot(robot, drivetrain)
+    with output_folder(out or Path("out") / f"stiffness_{arm.name}") as folder:
+        rows = stiffness_study(arm)
+        write_stiffness_csv(rows, folder / "stiffness.csv")
+        page = write_stiffness_report(arm, rows, folder)
+    print(f"Wrote {folder / 'stiffness.csv'} and {page}")
+    return 0
+
+
+@contextmanager
+def _about(path: Path) -> Iterator[None]:
+    """Add the problem file to what is said about the problem."""
+    try:
+        yield
+    except InputFileError:
+        raise
+    except InputError as error:
+        raise InputFileError(path, "", str(error)) from error
+
+
+def _progress(problem: Any, quiet: bool) -> Any:
+    first = problem.objectives[0]
+    return _named_progress(problem.title, quiet, first.unit if len(problem.objectives) == 1 else "")
+
+
+def _study_progress(display: Any) -> Any:
+    """Callback of a preload study; `display` is None where nothing is to be shown."""
+    from stiffopt.report.progress import StudyProgress
+
+    return None if display is None else StudyProgress(display)
+
+
+def _named_progress(title: str, quiet: bool, unit: str = "") -> Any:
+    from stiffopt.report.progress import ProgressDisplay
+
+    return nullcontext() if quiet else ProgressDisplay(title, unit)

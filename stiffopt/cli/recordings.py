@@ -1,0 +1,148 @@
+"""`stiffopt diagnose`, `recording check` and `identify-stiffness`: what measurements say."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from pathlib import Path
+
+from cyclopts import App
+
+from stiffopt.cli.base import Out, app, print_json
+from stiffopt.errors import InputFileError
+from stiffopt.folders import output_folder, staged
+
+recording = App(name="recording", help="Look at recordings before they are used.")
+app.command(recording)
+
+
+@app.command
+def diagnose(
+    recordings: Path,
+    *,
+    out: Out | None = None,
+    model: Path | None = None,
+    effects: Path | None = None,
+    experiment: bool = True,
+    report: bool = True,
+    png: bool = False,
+    quiet: bool = False,
+) -> int:
+    """Find what the nominal model of recordings lacks, and prove it on runs never fitted to.
+
+    Writes diagnosis.json, extended.toml, report.html and the predictions of test and extrapolation
+    runs.
+
+    Parameters
+    ----------
+    recordings
+        A recording set: its folder or its recordings.toml.
+    out
+        Default: out/NAME of the folder of the set.
+    model
+        extended.toml of an earlier diagnosis, to start from in place of the nominal model.
+    effects
+        Python file of effects beside those of the catalogue.
+    experiment
+        Where two explanations are left, design the motion that would separate them best
+        (next_experiment.csv); takes up to 20 s.
+    report
+        Write report.html and its figures.
+    png
+        Write the figures of the report as PNG beside SVG.
+    quiet
+        No progress display.
+    """
+    from stiffopt.discovery.answer_store import ANSWER_FILE, write_diagnosis
+    from stiffopt.discovery.diagnose import diagnose as find
+    from stiffopt.discovery.experiment import EXPERIMENT_FILE
+    from stiffopt.recording.recording_set import load_recordings
+    from stiffopt.report.diagnosis_terminal import Sentences, print_diagnosis
+
+    loaded = load_recordings(recordings)
+    home = loaded.path.parent.resolve()
+    chosen = out or Path("out") / home.name
+    if home in (chosen.resolve(), *chosen.resolve().parents):
+        raise InputFileError(
+            chosen, "", f"lies in the recording set {home}, which is only read. Give another --out."
+        )
+    with output_folder(chosen) as folder:
+        with nullcontext() if quiet else Sentences(loaded.title) as progress:
+            found = find(
+                loaded, effects=effects or (), model=model, experiment=experiment, progress=progress
+            )
+        # A motion designed by an earlier diagnosis is none of this one's.
+        (folder / EXPERIMENT_FILE).unlink(missing_ok=True)
+        with staged(folder, last=ANSWER_FILE) as stage:
+            if report:
+                from stiffopt.report.diagnosis_page import write_diagnosis_report
+
+                write_diagnosis_report(found, stage, png=png)
+            write_diagnosis(found, stage)
+        if not report:
+            # Nor does the page of an earlier diagnosis stand beside another answer.
+            (folder / "report.html").unlink(missing_ok=True)
+    print_diagnosis(found, folder)
+    return 0
+
+
+@recording.command
+def check(recordings: Path, *, json: bool = False) -> int:
+    """Say what a recording set holds, what it lacks and what can be identified with it.
+
+    Ends with 2 where `stiffopt diagnose` (of a static set: `identify-stiffness`) cannot use it.
+
+    Parameters
+    ----------
+    recordings
+        Folder with a recordings.toml or a static.toml, or that file.
+    json
+        Print plain data in place of text.
+    """
+    from stiffopt.recording.check import check_recordings
+    from stiffopt.recording.recording_set import load_recordings, require_usable
+    from stiffopt.recording.static_set import is_static, load_static_set
+    from stiffopt.report import recording_terminal as terminal
+
+    if is_static(recordings):
+        facts = terminal.static_facts(load_static_set(recordings))
+        if json:
+            print_json(facts)
+        else:
+            terminal.print_static_check(facts)
+        return 0
+    loaded = load_recordings(recordings)
+    report = check_recordings(loaded)
+    if json:
+        print_json(report.as_dict())
+    else:
+        terminal.print_check(report)
+    require_usable(loaded, {run.file for run in report.runs if run.usable})
+    return 0
+
+
+@app.command(name="identify-stiffness")
+def identify_stiffness(recordings: Path, *, out: Out | None = None) -> int:
+    """Find the joint stiffness of an arm from deflections measured under known forces.
+
+    Writes stiffness.json, stiffness.csv, residuals.csv and report.html.
+
+    Parameters
+    ----------
+    recordings
+        Folder with a static.toml, or that file.
+    out
+        Default: out/NAME of the folder.
+    """
+    from stiffopt.discovery.static_stiffness import identify_stiffness as identify
+    from stiffopt.discovery.static_store import write_static
+    from stiffopt.recording.static_set import load_static_set
+    from stiffopt.report.static_page import write_static_report
+    from stiffopt.report.static_terminal import print_static
+
+    recorded = load_static_set(recordings)
+    with output_folder(out or Path("out") / recorded.path.resolve().parent.name) as folder:
+        result = identify(recorded)
+        write_static_report(result, folder)
+        write_static(result, folder)
+    print_static(result, folder)
+    return 0
