@@ -11,6 +11,7 @@ from stiffopt.discovery.prepare import PreparedRun, prepare
 from stiffopt.discovery.robot import RobotModel
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.signals import RobotConstants
+from stiffopt.discovery.vibration import vibration
 from stiffopt.recording.run import Run
 
 # Of the motion that predictions follow [Hz]: wider than a fit's, since what is predicted is not
@@ -42,7 +43,8 @@ class Predictor:
     ----------
     robot : RobotModel
     run : Run
-        Only its motor positions, temperature and times are used.
+        Only its motor positions, temperature and times are used; that it has link encoders, not
+        what they read.
     constants : RobotConstants
         Of the training runs.
     settings : Settings
@@ -57,6 +59,9 @@ class Predictor:
         blind = replace(run, torque=np.full_like(run.torque, np.nan), link_position=None)
         self._nominal = prepare(robot, blind, 0, constants, wide)
         self._position = _at_stamps(run.time, run.position, run.stamps)
+        even = _at_stamps(run.time, run.position, self._nominal.time)
+        seen = None if run.link_position is None else self._nominal.signals
+        self._fast = None if seen is None else vibration(robot, seen, even)
 
     @property
     def velocity(self) -> np.ndarray:
@@ -73,12 +78,15 @@ class Predictor:
         prepared: PreparedRun = self._nominal
         for extension in extensions:
             prepared = extended(prepared, self.robot, extension)
-        signals = prepared.signals
+        drive, windup = prepared.signals.drive_torque, prepared.signals.windup
+        if self._fast is not None:
+            drive = drive + prepared.low_pass(self._fast.torque)
+            windup = windup + self._fast.deflection
         stamps = self.run.stamps
         return Prediction(
             stamps=stamps,
-            torque=_at_stamps(prepared.time, signals.drive_torque, stamps),
-            link_position=self._position - _at_stamps(prepared.time, signals.windup, stamps),
+            torque=_at_stamps(prepared.time, drive, stamps),
+            link_position=self._position - _at_stamps(prepared.time, windup, stamps),
         )
 
 

@@ -175,6 +175,11 @@ class RobotModel:
             torque[:, j] -= balance.at(q[:, order[j]])
         return torque
 
+    def inertia(self, q: np.ndarray) -> np.ndarray:
+        """Inertia matrices of the rigid bodies (K, n, n) [kg m^2]."""
+        full = (pin.crba(self.model, self._data, each) for each in self._in_model(q))
+        return np.array([matrix[np.ix_(self.order, self.order)] for matrix in full])
+
     def body_regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Spring torques for the inertial parameters of every body (K, n, 10 n)."""
         model, data, order = self.model, self._data, self.order

@@ -27,6 +27,8 @@ _PULL = 0.5
 # Jackknife deviations from nothing of its amplitudes.
 CONFIRMED = 3.5
 _MOST = 0.5
+# How often a likelier explanation takes the place of what was found.
+_EXCHANGES = 3
 # Log evidences are too sure where formulas differ from nature: a difference counts against this
 # share of the winner's own, within bounds.
 _TEMPER = 0.01
@@ -143,8 +145,10 @@ def search(
     if len(confirmed) < len(effects):
         current, effects = _settled(comparison, confirmed)
     judged = [_judged(current, effects, e, catalogue) for e in effects]
-    likelier = [j.likeliest for j in judged]
-    if likelier != effects and _distinct(likelier):
+    for _ in range(_EXCHANGES):
+        likelier = [j.likeliest for j in judged]
+        if likelier == effects or not _distinct(likelier):
+            break
         current, effects = _settled(comparison, likelier)
         judged = [_judged(current, effects, e, catalogue) for e in effects]
     selected = sorted((j.selected for j in judged), key=lambda s: -s.loss)
