@@ -14,23 +14,10 @@ from pathlib import Path
 from .store import Store, whole_folder, write_json
 
 SCRIPT = Path(__file__).with_name("sealed_tool.py")
+# What is for people: the page and the design of the next motion change nothing in the answer.
+LEFT_OUT = ("--no-report", "--no-experiment")
 TIMEOUT = 900.0  # [s]
 POLL = 0.05  # [s]
-_fonts_lock = threading.Lock()
-
-
-def _fonts(store: Store) -> Path:
-    """The list of fonts that plots look for, made once: a sealed process cannot ask for it."""
-    folder = store.folder / "fonts"
-    with _fonts_lock:
-        if not folder.exists():
-            with whole_folder(folder) as partial:
-                subprocess.run(
-                    [sys.executable, "-c", "import matplotlib.font_manager"],
-                    env={**os.environ, "MPLCONFIGDIR": str(partial)},
-                    check=True,
-                )
-    return folder
 
 
 def answer(name: str, store: Store, timeout: float, stop: threading.Event) -> str | None:
@@ -43,7 +30,6 @@ def answer(name: str, store: Store, timeout: float, stop: threading.Event) -> st
     with tempfile.TemporaryDirectory(prefix="recordings-") as place:
         folder = Path(place).resolve()
         shutil.copytree(store.case(name), folder / "case")
-        shutil.copytree(_fonts(store), folder / "fonts")
         measured = _run(folder, timeout, stop)
         if measured is None:
             return None
@@ -54,8 +40,7 @@ def answer(name: str, store: Store, timeout: float, stop: threading.Event) -> st
         if measured["status"] == "ok" and not (out / "diagnosis.json").exists():
             measured["status"] = "failed"
         with whole_folder(store.answer(name)) as partial:
-            pictures = shutil.ignore_patterns("*.png", "*.svg")  # report.html holds them
-            shutil.copytree(out, partial, dirs_exist_ok=True, ignore=pictures)
+            shutil.copytree(out, partial, dirs_exist_ok=True)
             write_json(partial / "time.json", {"id": name, **measured})
     return str(measured["status"])
 
@@ -67,13 +52,12 @@ def _run(folder: Path, timeout: float, stop: threading.Event) -> dict[str, objec
         "TMPDIR": str(folder),
         "LANG": "C.UTF-8",
         "COLUMNS": "160",
-        "MPLCONFIGDIR": str(folder / "fonts"),
         **{f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")},
     }
     begin = time.monotonic()
     with (folder / "stdout.txt").open("wb") as out, (folder / "stderr.txt").open("wb") as err:
         process = subprocess.Popen(
-            [sys.executable, "-I", str(SCRIPT), "diagnose", "case", "--out", "answer"],
+            [sys.executable, "-I", str(SCRIPT), "diagnose", "case", "--out", "answer", *LEFT_OUT],
             cwd=folder,
             env=environment,
             stdin=subprocess.DEVNULL,
