@@ -13,6 +13,7 @@ import stiffopt
 NAMES = [
     "__version__",
     "Choice",
+    "Diagnosis",
     "InputError",
     "Limits",
     "LoadCase",
@@ -32,9 +33,11 @@ NAMES = [
     "TrajectoryProblem",
     "assess",
     "diagnose",
+    "identify_stiffness",
     "load_problem",
     "load_recordings",
     "load_robot",
+    "load_static_set",
     "load_study",
     "optimise_preloads",
     "preload_study",
@@ -42,6 +45,7 @@ NAMES = [
     "solve",
     "stiffness_study",
     "write_diagnosis",
+    "write_diagnosis_report",
     "write_preload_report",
     "write_solve_report",
 ]
@@ -95,15 +99,40 @@ def test_a_dozen_lines_of_python(tmp_path):
     assert seen[-1].objective == pytest.approx(solution.objective.value, rel=0.05)
 
 
+def example_of_readme(word):
+    """The Python block of the README that has this word in it."""
+    blocks = (ROOT / "README.md").read_text().split("```python\n")[1:]
+    (example,) = [code for code in (b.split("```")[0] for b in blocks) if word in code]
+    return example
+
+
 def test_preload_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    blocks = (ROOT / "README.md").read_text().split("```python\n")[1:]
-    (example,) = [code for code in (b.split("```")[0] for b in blocks) if "preload_study" in code]
     seen = {}
-    exec(compile(example, "README.md", "exec"), seen)
+    exec(compile(example_of_readme("preload_study"), "README.md", "exec"), seen)
     assert seen["study"].status.usable
     assert "N m" in capsys.readouterr().out
     assert (tmp_path / "out/preload/report.html").stat().st_size > 10_000
+
+
+def test_diagnosis_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "problems").symlink_to(ROOT / "problems")
+    seen = {}
+    exec(compile(example_of_readme("load_recordings"), "README.md", "exec"), seen)
+    assert seen["diagnosis"].verdict == "named"
+    assert "coulomb 2 dFc" in capsys.readouterr().out
+    out = tmp_path / "out" / "two_link"
+    assert {"diagnosis.json", "extended.toml", "report.html"} <= {p.name for p in out.iterdir()}
+
+
+def test_own_effects_of_the_readme_are_read(tmp_path):
+    from stiffopt.discovery.user_effects import load_effects
+
+    file = tmp_path / "my_effects.py"
+    file.write_text(example_of_readme("stiffopt.discovery.effect"))
+    (effect,) = load_effects(file)
+    assert effect.name == "seal_drag"
 
 
 def test_file_and_python_give_the_same_problem(tmp_path):
