@@ -15,8 +15,9 @@ from stiffopt.recording.nominal import Noise
 _MAD = 1.4826
 # Standard deviation of what rounding to one count leaves.
 _ROUNDING = 12.0**-0.5
-# Of a channel's own range: smaller noise than this is none that a fit could use.
-_LEAST = 1e-7
+# Least noise that is estimated, of a channel's own range: recordings that were smoothed hold less,
+# and no model of a robot is better.
+_LEAST = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -146,8 +146,8 @@ def search(
         current, effects = _settled(comparison, confirmed)
     judged = [_judged(current, effects, e, catalogue) for e in effects]
     for _ in range(_EXCHANGES):
-        likelier = [j.likeliest for j in judged]
-        if likelier == effects or not _distinct(likelier):
+        likelier = _distinct([j.likeliest for j in judged])
+        if likelier == effects:
             break
         current, effects = _settled(comparison, likelier)
         judged = [_judged(current, effects, e, catalogue) for e in effects]
@@ -260,8 +260,13 @@ def _borne_out(comparison: Comparison, effects: list[PlacedEffect], index: int) 
     return own is not None and own.explained > _MOST and own.gain > _MOST * own.evidence
 
 
-def _distinct(effects: Sequence[PlacedEffect]) -> bool:
-    return not any(a.same_place(b) for i, a in enumerate(effects) for b in effects[:i])
+def _distinct(effects: Sequence[PlacedEffect]) -> list[PlacedEffect]:
+    """Each place once: one effect may be likelier than several that stood in for it."""
+    kept: list[PlacedEffect] = []
+    for placed in effects:
+        if not any(placed.same_place(other) for other in kept):
+            kept.append(placed)
+    return kept
 
 
 @dataclass(frozen=True, eq=False)
