@@ -128,7 +128,8 @@ def _cells(
     x: np.ndarray, y: np.ndarray, z: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Edges and means of z over a grid in x and y; nan in cells with too few samples."""
-    edges = [np.linspace(*np.quantile(v, (0.002, 0.998)), _CELLS + 1) for v in (x, y)]
+    ends = [np.quantile(v, (0.002, 0.998)) for v in (x, y)]
+    edges = [np.linspace(low, high, _CELLS + 1) for low, high in ends]
     if not all(np.all(np.diff(e) > 0.0) for e in edges):
         edges = [np.linspace(v.min() - 1e-9, v.max() + 1e-9, _CELLS + 1) for v in (x, y)]
     count, total = (np.histogram2d(x, y, bins=edges, weights=weights)[0] for weights in (None, z))
@@ -174,7 +175,7 @@ def _histogram(axes: Axes, rows: ChannelRows, residual: np.ndarray) -> None:
     """Distribution of the residual over noise, without and with the finding, beside the normal."""
     without, with_it = residual / rows.noise, rows.after / rows.noise
     reach = float(np.clip(np.quantile(np.abs(without), 0.99), 4.0, 40.0))
-    bins = np.linspace(-reach, reach, 61)
+    bins = np.linspace(-reach, reach, 61).tolist()
     for values, colour, label in (
         (without, VERMILLION, "without the finding"),
         (with_it, BLUE, "with it"),
