@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from stiffopt.discovery.filtering import derivative
 from stiffopt.discovery.nuisance import nuisance_columns
 from stiffopt.discovery.placed import PlacedEffect
 from stiffopt.discovery.prepare import PreparedRun, with_link_torque
@@ -91,20 +92,17 @@ def extended(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prepa
     Terms are evaluated with the link torque that was found in the springs, as they were when they
     were fitted; the joints wind up by the exact law under it.
     """
-    found = _change(run, robot, extension).link_torque
-    change = _change(with_link_torque(run, robot, found), robot, extension)
-    signals = run.signals
-    spring = signals.spring_torque + change.link_torque
+    bent = with_link_torque(run, robot, _change(run, robot, extension).link_torque)
+    change = _change(bent, robot, extension)
+    wound = with_link_torque(run, robot, change.link_torque).signals
+    drive = run.signals.drive_torque + change.torque
     return replace(
         run,
         signals=replace(
-            signals,
-            spring_torque=spring,
-            windup=robot.windup(spring) + change.deflection,
-            drive_torque=signals.drive_torque + change.torque,
-            drive_torque_rate=np.gradient(
-                run.low_pass(signals.drive_torque + change.torque), signals.dt, axis=0
-            ),
+            wound,
+            windup=wound.windup + change.deflection,
+            drive_torque=drive,
+            drive_torque_rate=derivative(run.low_pass(drive), wound.dt),
         ),
     )
 

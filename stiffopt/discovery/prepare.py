@@ -132,7 +132,8 @@ def with_link_torque(prepared: PreparedRun, robot: RobotModel, added: np.ndarray
         signals=replace(
             signals,
             spring_torque=spring,
-            windup=robot.windup(spring),
+            # What an extended model adds to the springs' own law stays.
+            windup=signals.windup + robot.windup(spring) - robot.windup(signals.spring_torque),
             drive_torque=signals.drive_torque + added,
         ),
     )

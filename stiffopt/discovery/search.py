@@ -151,6 +151,12 @@ def search(
             break
         current, effects = _settled(comparison, likelier)
         judged = [_judged(current, effects, e, catalogue) for e in effects]
+    else:
+        # Explanations that go on taking each other's place explain nothing.
+        kept = [j.selected.placed for j in judged if j.likeliest is j.selected.placed]
+        if len(kept) < len(effects):
+            current, effects = _settled(comparison, kept)
+            judged = [_judged(current, effects, e, catalogue) for e in effects]
     selected = sorted((j.selected for j in judged), key=lambda s: -s.loss)
     fit = current.fit(tuple(s.placed for s in selected))
     return SearchResult(
