@@ -19,6 +19,10 @@ UNEXPLAINED = 1.3
 EXPLAINED = 0.6
 # A remainder is outside the catalogue from this ratio on, or if that share of it can be predicted.
 _PLAIN = 1.8
+# Nearer to the noise than that, it is outside if what it depends on takes away this share of its
+# square in runs left out.
+_FAINT = 1.05
+_TAKEN = 0.1
 # Left beside findings that explain the most of it, this ratio is still something else.
 _LARGE = 5.0
 _LEAST_SHARE = 0.25
@@ -71,7 +75,7 @@ def judged(result: SearchResult) -> tuple[tuple[Selected, ...], Outside | None]:
     before = np.nan_to_num(result.calibrated, nan=0.0)
     remaining = [c for c in np.argsort(-after) if after[c] > UNEXPLAINED]
     if not remaining:
-        return result.selected, None
+        return result.selected, None if result.selected else _faint(result, after)
     excess = np.maximum(before**2 - 1.0, 1e-9)
     share = 1.0 - (after**2 - 1.0) / excess
     poor = {int(c) for c in remaining if share[c] < EXPLAINED}
@@ -84,6 +88,17 @@ def judged(result: SearchResult) -> tuple[tuple[Selected, ...], Outside | None]:
         # Neither large nor depending on anything: noise that is larger than stated.
         return result.selected, None
     return kept, found
+
+
+def _faint(result: SearchResult, after: np.ndarray) -> Outside | None:
+    """A remainder near the noise, where runs left out bear out what it depends on."""
+    best, most = None, _TAKEN
+    for channel in [int(c) for c in np.argsort(-after)[:_MOST] if after[c] > _FAINT]:
+        found = _describe(result, [channel])
+        taken = found.gain * (1.0 - 1.0 / found.ratio**2)
+        if taken > most:
+            best, most = found, taken
+    return best
 
 
 def _noisier(result: SearchResult) -> float:
