@@ -58,6 +58,8 @@ class Plan:
         places: Sequence[int | None] = range(1, robot.joints + 1)
         if effect == "wrist_coupling":  # of the joint before it
             places = places[1:]
+        if effect == "inertial_error":  # one of the last link is a payload, by another name
+            places = places[:-1]
         if effect == "belt_creep":
             places = [j for j in range(1, robot.joints + 1) if "belt" in robot.connections[j - 1]]
         return key.shuffled(places, self.name, "joint", effect)

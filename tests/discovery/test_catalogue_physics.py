@@ -127,9 +127,10 @@ def test_wrist_coupling_does_no_work():
     signals = ROBOT.of_joint(4)
     term = effect("wrist_coupling").term(signals, [0.02], [])
     before = ROBOT.motor_velocity[:, 3]
-    # The link turns by -c of the joint before, so the spring's work is what that joint gives.
+    # The link turns by c of the joint before, so the spring's work is what that joint gives.
     given = term.previous_torque * before
-    taken = signals.spring_torque * (-0.02 * before)
+    taken = signals.spring_torque * (0.02 * before)
+    np.testing.assert_allclose(term.deflection, -0.02 * signals.previous_position)
     np.testing.assert_allclose(given, taken, rtol=1e-12)
 
 

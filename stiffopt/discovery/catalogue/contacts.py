@@ -17,10 +17,10 @@ _TOUCH = 1e-4  # [m], over which a touch begins
 def wrist_coupling_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Link angle th - c th_before; by virtual work the joint before carries -c s."""
+    """Link angle th + c th_before; by virtual work the joint before carries c s."""
     return Term(
-        deflection=amplitudes[0] * signals.previous_position,
-        previous_torque=-amplitudes[0] * signals.spring_torque,
+        deflection=-amplitudes[0] * signals.previous_position,
+        previous_torque=amplitudes[0] * signals.spring_torque,
     )
 
 
@@ -56,7 +56,7 @@ WRIST_COUPLING = Effect(
     name="wrist_coupling",
     family="contact",
     scope="joint",
-    equation="d_j += c*th_(j-1), tau_(j-1) += -c*s_j",
+    equation="q_j += c*th_(j-1), tau_(j-1) += c*s_j",
     signature="link angle that moves with the joint before, which carries a share of the torque",
     term=wrist_coupling_term,
     amplitudes=(Amplitude(name="c", unit="", scale=0.01, lower=-5.0, upper=5.0),),
