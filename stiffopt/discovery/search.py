@@ -35,7 +35,7 @@ _TEMPER = 0.01
 _WIDEST = 30.0
 _GROUP = 3.0
 # Log prior odds for every further parameter: of two that fit alike the plainer is right.
-_PLAINER = 2.0
+_PLAINER = 1.0
 
 
 @dataclass(frozen=True, eq=False)
