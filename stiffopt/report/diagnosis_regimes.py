@@ -105,7 +105,8 @@ def map_figure(diagnosis: Diagnosis, rows: ChannelRows, finding: Finding | None)
         _cells(by_name["speed"].values, by_name[other].values, ratios[number])
         for other, number in panels
     ]
-    top = max(2.0, max(float(np.nanquantile(np.abs(m[2]), 0.98)) for m in maps))
+    filled = np.concatenate([np.abs(m[2][np.isfinite(m[2])]) for m in maps])
+    top = max(2.0, float(np.quantile(filled, 0.98))) if filled.size else 2.0
     with house_style():
         figure = Figure(figsize=(WIDTH, 2.9))
         grid = figure.subplots(1, len(panels), squeeze=False)[0]

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from stiffopt.transcription.ocp import Rows
-
 
 # SX or MX, as CasADi takes them.
 Symbols = Any
