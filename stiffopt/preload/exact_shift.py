@@ -16,6 +16,8 @@ from stiffopt.preload.model import PreloadModel
 
 # Step of the differences, as a share of a preload: the laws bend over the preload itself.
 _STEP = 1e-3
+# Relative difference below which preloads of one connection have one slope.
+_ALIKE = 1e-5
 # Largest correction of a slope, as a share of it: at slip the exact slope has no end.
 _MOST = 0.5
 
@@ -98,8 +100,13 @@ def _linear(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Constant (cases,) and slopes (own preloads, cases) of exact minus smooth."""
     smooth, exact = laws(preloads)
-    slopes = []
-    for i in _own(model, joint):
+    slopes: list[np.ndarray] = []
+    own = _own(model, joint)
+    for place, i in enumerate(own):
+        twin = _twin(model, preloads, own[:place], i)
+        if twin is not None:
+            slopes.append(slopes[twin])
+            continue
         step = np.zeros(model.size)
         step[i] = _STEP * preloads[i]
         (smooth_up, exact_up), (smooth_down, exact_down) = (
@@ -112,7 +119,16 @@ def _linear(
         missing = np.where(np.isfinite(missing), missing, 0.0)
         slopes.append(np.clip(missing, -most, most) / (2.0 * step[i]))
     found = np.array(slopes).reshape(-1, len(model.cases))
-    return exact - smooth - preloads[_own(model, joint)] @ found, found
+    return exact - smooth - preloads[own] @ found, found
+
+
+def _twin(model: PreloadModel, preloads: np.ndarray, before: list[int], i: int) -> int | None:
+    """Place of an equal preload of the same connection: fasteners of one are alike."""
+    ends = next(s for s in model.slices if s.start <= i < s.stop)
+    for place, k in enumerate(before):
+        if ends.start <= k and abs(preloads[k] - preloads[i]) < _ALIKE * preloads[i]:
+            return place
+    return None
 
 
 def _own(model: PreloadModel, joint: int) -> list[int]:
