@@ -142,7 +142,21 @@ def tune(folder: Path, scores: Sequence[CaseScore], say: Callable[[str], object]
     return SETTINGS
 
 
-def compare(folder: Path, scores: Sequence[CaseScore], say: Callable[[str], object]) -> Path:
+def some(scores: Sequence[CaseScore], count: int | None) -> list[CaseScore]:
+    """The first so many cases with something missing, and a quarter as many without."""
+    cases = chosen(scores)
+    if count is None:
+        return cases
+    none = [s for s in cases if s.kind == "none"]
+    return [s for s in cases if s.kind != "none"][:count] + none[: (count + 3) // 4]
+
+
+def compare(
+    folder: Path,
+    scores: Sequence[CaseScore],
+    say: Callable[[str], object],
+    count: int | None = None,
+) -> Path:
     """Score the rivals beside the tool, and leave the section for the page."""
     if not SETTINGS.exists():
         raise SystemExit("The rivals have no settings yet: --tune them on a dev-... key first.")
@@ -150,14 +164,15 @@ def compare(folder: Path, scores: Sequence[CaseScore], say: Callable[[str], obje
     python = PYSINDY if PYSINDY.exists() else None
     lines: dict[str, list[tuple[CaseScore, dict[str, FitScore]]]] = {name: [] for name in settings}
     kept = []
-    for score in chosen(scores):
+    cases = some(scores, count)
+    for score in cases:
         case = Bench(folder, score.id)
         say(score.id)
         for rival, own in settings.items():
             lines[rival].append((score, case.fits(rival, own, python)))
             if score.kind == "none" and case.terms is not None:
                 kept.append(case.terms)
-    tool = [(s, s.torque_fit) for s in chosen(scores)]
+    tool = [(s, s.torque_fit) for s in cases]
     rows = [_row("stiffopt diagnose", "defaults", tool)]
     for rival, fits in lines.items():
         told = ", ".join(f"{key} {value:g}" for key, value in settings[rival].items())
@@ -213,10 +228,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.blind.rivals")
     parser.add_argument("folder", type=Path, help="folder of a key")
     parser.add_argument("--tune", action="store_true", help="choose the settings here")
+    parser.add_argument("--cases", type=int, help="the first so many of those with an effect")
     given = parser.parse_args()
     scores = score_all(given.folder)
-    work = tune if given.tune else compare
-    print(work(given.folder, scores, lambda text: print(text, file=sys.stderr)))
+
+    def say(text: str) -> None:
+        print(text, file=sys.stderr)
+
+    made = (
+        tune(given.folder, scores, say)
+        if given.tune
+        else compare(given.folder, scores, say, given.cases)
+    )
+    print(made)
 
 
 if __name__ == "__main__":
