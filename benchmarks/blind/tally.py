@@ -94,7 +94,7 @@ def targets(scores: Sequence[CaseScore]) -> list[Target]:
         _target(
             "improvement on test runs over the oracle's, median",
             "0.90 or more",
-            f"{median:.2f} ({improved.size} cases)",
+            f"{median:.3f} ({improved.size} cases)",
             median >= 0.90,
             improved.size,
         ),
