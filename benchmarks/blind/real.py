@@ -11,7 +11,7 @@ import argparse
 import os
 import sys
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -203,10 +203,13 @@ CASES = (
 )  # fmt: skip
 
 
-def conceal(folder: Path, workers: int, say: Callable[[str], object]) -> Path:
+def conceal(
+    folder: Path, workers: int, say: Callable[[str], object], only: Sequence[str] = ()
+) -> Path:
     """Hide, diagnose, and leave the section for the page."""
     base = folder / "real"
-    made = [c for c in CASES if (RECORDINGS / c.source / "recordings.toml").exists()]
+    here = [c for c in CASES if (RECORDINGS / c.source / "recordings.toml").exists()]
+    made = [c for c in here if not only or c.name in only]
     for c in made:
         if not (base / "cases" / c.name / "recordings.toml").exists():
             c.build(RECORDINGS / c.source, base / "cases" / c.name)
@@ -224,9 +227,7 @@ def conceal(folder: Path, workers: int, say: Callable[[str], object]) -> Path:
     ]
     found = answers(jobs, workers, say)
     rows = [_row(c, a) for c, a in zip(made, found, strict=True)]
-    rows += [
-        [c.what, c.source, "", "not run: no recordings", "", ""] for c in CASES if c not in made
-    ]
+    rows += [[c.what, c.source, "", _why_not(c in here), "", ""] for c in CASES if c not in made]
     text = (
         "Public recordings of real robots, described in each set's own README. Either something"
         " known is taken out of the nominal model, or something known is added to the measured"
@@ -238,6 +239,10 @@ def conceal(folder: Path, workers: int, say: Callable[[str], object]) -> Path:
         "real",
         {"title": "Concealed in real recordings", "text": text, "head": head, "rows": rows},
     )
+
+
+def _why_not(here: bool) -> str:
+    return "not run" if here else "not run: no recordings"
 
 
 def _row(concealed: Concealed, answer: dict[str, Any] | None) -> list[str]:
@@ -264,11 +269,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.blind.real")
     parser.add_argument("folder", type=Path, help="folder of a key, where the answers go")
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--only", nargs="*", default=(), help="names of the concealments")
     given = parser.parse_args()
     if not RECORDINGS.is_dir():
         print(f"No recordings in {RECORDINGS}; name their folder in STIFFOPT_RECORDINGS.")
         return
-    print(conceal(given.folder, given.jobs, lambda text: print(text, file=sys.stderr)))
+
+    def say(text: str) -> None:
+        print(text, file=sys.stderr)
+
+    print(conceal(given.folder, given.jobs, say, given.only))
 
 
 if __name__ == "__main__":

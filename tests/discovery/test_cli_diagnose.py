@@ -128,6 +128,8 @@ def test_ctrl_c_ends_with_130_and_leaves_nothing(tmp_path):
         stdout=subprocess.PIPE,
         text=True,
         env=os.environ | {"PYTHONUNBUFFERED": "1"},
+        # Jobs in the background of a shell ignore the signal, and pass that on.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     line = ""
     while "compare with the nominal model" not in line:
