@@ -6,8 +6,11 @@ from collections.abc import Sequence
 
 from .score import CaseScore
 from .tally import of_kind
+from .wilson import Rate
 
-RIGHT = 0.75  # of single effects at severity 1 and above, effect and joint first
+# Of single effects at severity 1 and above, effect and joint first; a few cases fall short of it
+# only where their interval lies below it.
+RIGHT = 0.85
 FALSE_ALARMS = 0
 
 
@@ -19,7 +22,7 @@ def unmet(scores: Sequence[CaseScore]) -> list[str]:
     if not single or not none:
         found.append("there are no cases to judge by: with one effect, and with nothing missing")
     right = sum(bool(s.exact) for s in single)
-    if right < RIGHT * len(single):
+    if single and Rate(right, len(single)).interval[1] < RIGHT:
         found.append(f"effect and joint right first in {right} of {len(single)} cases")
     alarms = [s.id for s in none if s.false_alarm]
     if len(alarms) > FALSE_ALARMS:
