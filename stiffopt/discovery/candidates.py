@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -198,7 +198,6 @@ def scan(
     *,
     refined: int = 6,
     about: PlacedEffect | None = None,
-    report: Callable[[str], object] | None = None,
 ) -> list[Candidate]:
     """Judge the whole catalogue; the best first, each place once.
 
@@ -210,15 +209,11 @@ def scan(
         How many of the best have their shapes fitted.
     about : PlacedEffect, optional
         Only what could stand in its place is tried.
-    report : callable, optional
-        Called with the name of every effect that is tried.
     """
     constants = scorer.comparison.constants
     runs = [run.name for run in scorer.comparison.runs]
     best: list[tuple[Candidate, float]] = []
     for effect in catalogue:
-        if report is not None:
-            report(effect.name)
         by_place: dict[tuple[int | None, int | None, str | None], list[PlacedEffect]] = {}
         for placed in places(effect, constants, runs):
             if about is not None and not placed.near(about):

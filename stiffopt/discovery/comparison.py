@@ -181,7 +181,7 @@ class Comparison:
         columns = np.column_stack(parts)
         prior = np.concatenate([sd, np.ones(columns.shape[1] - len(sd))])
         sums = BlockSums(columns, self.target, self.rows.block, self.blocks).own
-        found = posterior(sums, prior)
+        found = posterior(sums, prior, cross_validate=False)
         limits = np.full(len(prior), np.inf)
         limits[: len(sd)] = self.box
         if boxed and np.any(np.abs(found.mean / prior) > limits):

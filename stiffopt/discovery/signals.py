@@ -91,15 +91,15 @@ class JointConstants:
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointSignals:
-    """Signals of one joint: arrays (K,) on a uniform clock, or CasADi symbols.
+class MotionSignals:
+    """Signals of one joint, arrays (K,), or of the robot, (K, n); or CasADi symbols.
 
     Parameters
     ----------
     time, session_time
-        Since the run's begin, since switching on [s].
+        Since the run's begin, since switching on [s]; (K,) always.
     dt : float
-        Of the clock [s].
+        Of the clock, which is uniform [s].
     temperature_rise
         Of the housing above that at which friction was identified [K]; 0 where unknown.
     motor_position, motor_velocity, motor_acceleration
@@ -112,9 +112,6 @@ class JointSignals:
         Nominal, under the spring torque [rad].
     drive_torque, drive_torque_rate
         Nominal prediction [N m], [N m/s].
-    previous_position
-        Motor angle of the joint before; 0 for the first [rad].
-    constants : JointConstants
     """
 
     time: Quantity
@@ -131,6 +128,19 @@ class JointSignals:
     windup: Quantity
     drive_torque: Quantity
     drive_torque_rate: Quantity
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointSignals(MotionSignals):
+    """Signals of one joint.
+
+    Parameters
+    ----------
+    previous_position
+        Motor angle of the joint before; 0 for the first [rad].
+    constants : JointConstants
+    """
+
     previous_position: Quantity
     constants: JointConstants
 
@@ -160,8 +170,8 @@ class RobotConstants:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RobotSignals:
-    """Signals of the whole robot; names as in `JointSignals`, arrays (K, n).
+class RobotSignals(MotionSignals):
+    """Signals of the whole robot.
 
     Parameters
     ----------
@@ -178,20 +188,6 @@ class RobotSignals:
     constants : RobotConstants
     """
 
-    time: Quantity
-    dt: float
-    session_time: Quantity
-    temperature_rise: Quantity
-    motor_position: Quantity
-    motor_velocity: Quantity
-    motor_acceleration: Quantity
-    link_position: Quantity
-    link_velocity: Quantity
-    link_acceleration: Quantity
-    spring_torque: Quantity
-    windup: Quantity
-    drive_torque: Quantity
-    drive_torque_rate: Quantity
     tool_position: Quantity
     tool_velocity: Quantity
     tool_jacobian: Quantity

@@ -42,6 +42,43 @@ class Arm:
     locked: tuple[str, ...]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SetOfArm:
+    """What every set that was recorded on an arm says.
+
+    Parameters
+    ----------
+    path : Path
+        Of its TOML file.
+    name, title, citation, licence : str
+    arm : Arm
+    joints : tuple of str (n,)
+    """
+
+    path: Path
+    name: str
+    title: str
+    citation: str
+    licence: str
+    arm: Arm
+    joints: tuple[str, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def model(self) -> Any:
+        """pinocchio.Model of the nominal robot: the listed joints in the robot's own order."""
+        return self.arm.model
+
+    @property
+    def order(self) -> np.ndarray:
+        """Index of each joint of the set in the model's velocity vector, (n,)."""
+        return self.arm.order
+
+
 def load_arm(
     source: str,
     joints: Sequence[str],

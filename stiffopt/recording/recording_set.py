@@ -6,13 +6,12 @@ import os
 from collections.abc import Set
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import load_toml, validate
-from stiffopt.recording.arm import Arm, inside, load_arm
+from stiffopt.recording.arm import SetOfArm, inside, load_arm
 from stiffopt.recording.assume import assumptions
 from stiffopt.recording.clean import clean
 from stiffopt.recording.nominal import Noise, Nominal, Tolerance
@@ -52,16 +51,11 @@ class RunEntry:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RecordingSet:
+class RecordingSet(SetOfArm):
     """Recordings of one robot and what today's simulation knows of it.
 
     Parameters
     ----------
-    path : Path
-        Of recordings.toml.
-    name, title, citation, licence : str
-    arm : Arm
-    joints : tuple of str (n,)
     tool_frame : str or None
     gravity : array (3,)
         [m/s^2]
@@ -74,13 +68,6 @@ class RecordingSet:
         What was assumed where the set is silent, a sentence each.
     """
 
-    path: Path
-    name: str
-    title: str
-    citation: str
-    licence: str
-    arm: Arm
-    joints: tuple[str, ...]
     tool_frame: str | None
     gravity: np.ndarray
     signals: Signals
@@ -89,21 +76,6 @@ class RecordingSet:
     noise: Noise
     runs: tuple[RunEntry, ...]
     assumptions: tuple[str, ...]
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.joints)
-
-    @property
-    def model(self) -> Any:
-        """pinocchio.Model of the nominal robot: the recorded joints in the robot's own order."""
-        return self.arm.model
-
-    @property
-    def order(self) -> np.ndarray:
-        """Index of each joint of the set in the model's velocity vector, (n,)."""
-        return self.arm.order
 
     @property
     def torque_side(self) -> str:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import check_header, load_toml, read_table, validate
-from stiffopt.recording.arm import Arm, inside, load_arm
+from stiffopt.recording.arm import SetOfArm, inside, load_arm
 from stiffopt.recording.nominal_files import per_joint
 from stiffopt.recording.schema import StaticFile
 
@@ -19,16 +18,11 @@ FILE = "static.toml"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class StaticSet:
+class StaticSet(SetOfArm):
     """Measured deflections of an arm at rest.
 
     Parameters
     ----------
-    path : Path
-        Of static.toml.
-    name, title, citation, licence : str
-    arm : Arm
-    joints : tuple of str (n,)
     tool_frame : str
     position : array (m, n)
         [rad]
@@ -42,34 +36,12 @@ class StaticSet:
         Nominal joint stiffness [N m/rad].
     """
 
-    path: Path
-    name: str
-    title: str
-    citation: str
-    licence: str
-    arm: Arm
-    joints: tuple[str, ...]
     tool_frame: str
     position: np.ndarray
     force: np.ndarray
     displacement: np.ndarray
     difference: bool
     stiffness: np.ndarray | None
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.joints)
-
-    @property
-    def model(self) -> Any:
-        """pinocchio.Model of the arm: the listed joints in the robot's own order."""
-        return self.arm.model
-
-    @property
-    def order(self) -> np.ndarray:
-        """Index of each joint of the set in the model's velocity vector, (n,)."""
-        return self.arm.order
 
 
 def is_static(path: str | os.PathLike[str]) -> bool:
