@@ -143,6 +143,7 @@ def _outside(outside: Outside) -> dict[str, Any]:
         "gain_heldout": outside.gain,
         "period": outside.period,
         "ratio": outside.ratio,
+        "brief": outside.brief,
     }
 
 

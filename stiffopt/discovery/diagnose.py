@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from stiffopt.discovery.bursts import bursts
 from stiffopt.discovery.candidates import Scorer
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison import Comparison
@@ -100,10 +101,13 @@ def diagnose(
     findings = _findings(result.comparison, selected, parameters, training)
     limits = detection_limits(Scorer(result.comparison, placed), catalogue)
     found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
+    start = () if base is None else (base.extension,)
+    if outside is None and not findings:
+        say("look for bursts above the filter's band")
+        outside = bursts(training, (*start, found), settings)
     pair = leading_pair(selected) if experiment else None
     plan = None if pair is None else plan_experiment(training, result, settings, pair, say=say)
     # The findings are fixed: from here on other runs may be opened, and change nothing above.
-    start = () if base is None else (base.extension,)
     proofs = _proofs(recordings, training, settings, start, found, say)
     runs = (*training.recorded, *(proof.run for proof in proofs))
     return Diagnosis(

@@ -107,6 +107,44 @@ def extended(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prepa
     )
 
 
+def added_inertia(
+    run: PreparedRun, robot: RobotModel, extensions: Sequence[Extension], every: int
+) -> np.ndarray:
+    """What extensions add to the inertia matrices of the links.
+
+    Parameters
+    ----------
+    run : PreparedRun
+        With the nominal model.
+    robot : RobotModel
+    extensions : sequence of Extension
+    every : int
+        Samples from one matrix to the next.
+
+    Returns
+    -------
+    array (K / every, n, n)
+        [kg m^2]; of effects that act through the bodies' regressor.
+    """
+    few = replace(run, signals=run.signals.thinned(every))
+    q = few.signals.link_position
+    rest = np.zeros_like(q)
+
+    def link_torque(acceleration: np.ndarray) -> np.ndarray:
+        signals = replace(
+            few.signals,
+            link_velocity=rest,
+            link_acceleration=acceleration,
+            body_regressor=robot.body_regressor(q, rest, acceleration),
+        )
+        here = replace(few, signals=signals)
+        return sum((_change(here, robot, each).link_torque for each in extensions), rest)
+
+    held = link_torque(rest)
+    units = (np.broadcast_to(unit, q.shape) for unit in np.eye(robot.n))
+    return np.stack([link_torque(unit) - held for unit in units], axis=2)
+
+
 def _change(run: PreparedRun, robot: RobotModel, extension: Extension) -> _Change:
     like = np.zeros_like(run.signals.spring_torque)
     change = _Change(like.copy(), like.copy(), like.copy())

@@ -49,6 +49,8 @@ class Outside:
         was not fitted to.
     ratio : float
         Residual over noise in the worst channel.
+    brief : bool
+        In bursts, faster than a fit's filter: `ratio` is that where they lie, `gain` their share.
     """
 
     channels: tuple[str, ...]
@@ -56,6 +58,7 @@ class Outside:
     period: float | None
     gain: float
     ratio: float
+    brief: bool = False
 
 
 def judged(result: SearchResult) -> tuple[tuple[Selected, ...], Outside | None]:

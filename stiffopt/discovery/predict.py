@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.discovery.extension import Extension, extended
-from stiffopt.discovery.prepare import PreparedRun, prepare
+from stiffopt.discovery.extension import Extension, added_inertia, extended
+from stiffopt.discovery.prepare import PreparedRun, prepare, with_link_torque
 from stiffopt.discovery.robot import RobotModel
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.signals import RobotConstants
-from stiffopt.discovery.vibration import vibration
+from stiffopt.discovery.vibration import Vibration, posture_step, swings, vibration
 from stiffopt.recording.run import Run
 
-# Of the motion that predictions follow [Hz]: wider than a fit's, since what is predicted is not
-# filtered, and below the resonances of the joints.
-PREDICTION_CUTOFF = 20.0
+# Of the motion of motors and of links that predictions follow [Hz]: wider than a fit's, since what
+# is predicted is not filtered; links' beyond it is for their vibration.
+MOTOR_CUTOFF = 45.0
+LINK_CUTOFF = 20.0
+# Of the slope of a spring's law, over the rated torque.
+_SLOPE_STEP = 0.01
+# Slope of an extended spring over the nominal one; beyond, a wave or a gap is no spring's.
+_STIFFER = (0.1, 3.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,14 +60,15 @@ class Predictor:
         self, robot: RobotModel, run: Run, constants: RobotConstants, settings: Settings
     ) -> None:
         self.robot, self.run = robot, run
-        wide = replace(settings, cutoff=max(settings.cutoff, PREDICTION_CUTOFF))
+        # Links that were never seen have springs that nothing confirms.
+        self.swinging = run.link_position is not None and swings(robot)
+        widest = MOTOR_CUTOFF if self.swinging else LINK_CUTOFF
+        wide = replace(settings, cutoff=max(settings.cutoff, widest))
         # What is predicted must not be seen.
         blind = replace(run, torque=np.full_like(run.torque, np.nan), link_position=None)
-        self._nominal = prepare(robot, blind, 0, constants, wide)
+        self._nominal = prepare(robot, blind, 0, constants, wide, links=LINK_CUTOFF)
         self._position = _at_stamps(run.time, run.position, run.stamps)
-        even = _at_stamps(run.time, run.position, self._nominal.time)
-        seen = None if run.link_position is None else self._nominal.signals
-        self._fast = None if seen is None else vibration(robot, seen, even)
+        self._even = _at_stamps(run.time, run.position, self._nominal.time)
 
     @property
     def velocity(self) -> np.ndarray:
@@ -75,19 +82,44 @@ class Predictor:
 
     def predict(self, *extensions: Extension) -> Prediction:
         """Prediction of the nominal model with extensions, each on top of those before it."""
-        prepared: PreparedRun = self._nominal
-        for extension in extensions:
-            prepared = extended(prepared, self.robot, extension)
+        prepared = self._with(extensions)
         drive, windup = prepared.signals.drive_torque, prepared.signals.windup
-        if self._fast is not None:
-            drive = drive + prepared.low_pass(self._fast.torque)
-            windup = windup + self._fast.deflection
+        fast = self._vibration(prepared, extensions)
+        if fast is not None:
+            drive = drive + prepared.low_pass(fast.torque)
+            windup = windup + fast.deflection
         stamps = self.run.stamps
         return Prediction(
             stamps=stamps,
             torque=_at_stamps(prepared.time, drive, stamps),
             link_position=self._position - _at_stamps(prepared.time, windup, stamps),
         )
+
+    def _with(
+        self, extensions: Sequence[Extension], added: np.ndarray | float = 0.0
+    ) -> PreparedRun:
+        """The run with extensions, and with a torque (n,) added in the springs."""
+        prepared = self._nominal
+        if np.any(added):
+            load = np.broadcast_to(added, prepared.signals.spring_torque.shape)
+            prepared = with_link_torque(prepared, self.robot, load)
+        for extension in extensions:
+            prepared = extended(prepared, self.robot, extension)
+        return prepared
+
+    def _vibration(
+        self, prepared: PreparedRun, extensions: Sequence[Extension]
+    ) -> Vibration | None:
+        if not self.swinging:
+            return None
+        carried = self._nominal.signals.spring_torque
+        step = _SLOPE_STEP * np.array([j.torque_rated for j in prepared.signals.constants.joints])
+        wound = self._with(extensions, step).signals.windup - prepared.signals.windup
+        nominal = self.robot.windup(carried + step) - self.robot.windup(carried)
+        stiffer = np.clip(nominal / wound, *_STIFFER)
+        every = posture_step(prepared.signals.dt)
+        added = added_inertia(self._nominal, self.robot, extensions, every)
+        return vibration(self.robot, prepared, self._even, stiffer, added)
 
 
 def _at_stamps(time: np.ndarray, values: np.ndarray, stamps: np.ndarray) -> np.ndarray:

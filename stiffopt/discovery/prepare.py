@@ -37,6 +37,8 @@ class PreparedRun:
     moving : array (K, n) of bool
         The joint is faster than `settings.slow`.
     low_pass : ZeroPhaseFilter
+    settling : int
+        Samples at either end of the links' motion that its filter makes up in part.
     """
 
     name: str
@@ -50,10 +52,17 @@ class PreparedRun:
     deflection_used: np.ndarray
     moving: np.ndarray
     low_pass: ZeroPhaseFilter
+    settling: int
 
 
 def prepare(
-    robot: RobotModel, run: Run, index: int, constants: RobotConstants | None, settings: Settings
+    robot: RobotModel,
+    run: Run,
+    index: int,
+    constants: RobotConstants | None,
+    settings: Settings,
+    *,
+    links: float = np.inf,
 ) -> PreparedRun:
     """Filter a run and evaluate the nominal model along it.
 
@@ -65,14 +74,18 @@ def prepare(
     constants : RobotConstants or None
         Of the training runs; None takes the ranges met from this run alone.
     settings : Settings
+    links : float
+        Of the links' motion where it is to be slower than the motors' [Hz].
     """
     time, position, link, torque = _uniform(run)
     dt = float(time[1] - time[0])
     low_pass = ZeroPhaseFilter(1.0 / dt, min(settings.cutoff, 0.2 / dt))
-    motor = low_pass.motion(_filled(position))
+    followed = _filled(position)
+    motor = low_pass.motion(followed)
     velocity = derivative(motor, dt)
     acceleration = derivative(velocity, dt)
-    q, v, a, spring = _link_motion(robot, motor, dt, low_pass)
+    slow = low_pass if links >= low_pass.cutoff else ZeroPhaseFilter(1.0 / dt, links)
+    q, v, a, spring = _link_motion(robot, slow.motion(followed), dt, slow)
     windup = robot.windup(spring)
     friction = robot.friction(velocity)
     drive = robot.rotor_inertia * acceleration + spring + friction
@@ -120,6 +133,7 @@ def prepare(
         deflection_used=used[:, None] & np.isfinite(deflection),
         moving=moving,
         low_pass=low_pass,
+        settling=slow.settling,
     )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -196,6 +197,12 @@ class RobotSignals(MotionSignals):
     last_link: int
     link: int
     constants: RobotConstants
+
+    def thinned(self, every: int) -> RobotSignals:
+        """Every so many samples; the clock stays."""
+        fields = {name: value for name, value in vars(self).items() if np.ndim(value) > 0}
+        kept: dict[str, Any] = {name: value[::every] for name, value in fields.items()}
+        return replace(self, **kept)
 
     def of_joint(self, index: int) -> JointSignals:
         """Signals of one joint (0-based)."""

@@ -10,14 +10,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.discovery.filtering import derivative
+from stiffopt.discovery.filtering import ZeroPhaseFilter, derivative
+from stiffopt.discovery.prepare import PreparedRun
 from stiffopt.discovery.robot import RobotModel
-from stiffopt.discovery.signals import RobotSignals
 
 # Integration step [s], far below the period of any resonance of a joint.
 _STEP = 5e-4
 # Between inertia matrices, which change with posture only [s].
 _POSTURE = 0.02
+# Of what links are taken to follow at the beginning, without swing [Hz].
+_BEGIN = 10.0
 # Points of the table of a spring's law, and how far it goes beyond the torques met.
 _POINTS = 4001
 _BEYOND = 1.5
@@ -39,54 +41,78 @@ class Vibration:
     torque: np.ndarray
 
 
-def vibration(robot: RobotModel, signals: RobotSignals, position: np.ndarray) -> Vibration | None:
+def swings(robot: RobotModel) -> bool:
+    """Whether every joint's spring and damping is known."""
+    known = robot.recordings.nominal.joint_damping is not None
+    return known and all(joint.elastic for joint in robot.constants.joints)
+
+
+def posture_step(dt: float) -> int:
+    """Samples between inertia matrices."""
+    return max(1, round(_POSTURE / dt))
+
+
+def vibration(
+    robot: RobotModel,
+    run: PreparedRun,
+    position: np.ndarray,
+    stiffer: np.ndarray,
+    added: np.ndarray,
+) -> Vibration:
     """Links driven by what recorded motor angles have beside the slow motion.
 
     Parameters
     ----------
     robot : RobotModel
-    signals : RobotSignals
-        Slow motion, with the spring torques that belong to it.
+    run : PreparedRun
+        Slow motion, with the spring torques and the wind-up that belong to it; what an extension
+        added to them takes part.
     position : array (K, n)
         Motor angles, not filtered [rad].
-
-    Returns
-    -------
-    Vibration or None
-        None where a joint's spring or damping is not known.
+    stiffer : array (K, n)
+        Slope of the springs at the slow torque with what was found over the nominal one.
+    added : array (m, n, n)
+        To the nominal inertia matrices of every `posture_step` samples [kg m^2].
 
     Notes
     -----
-    Symplectic Euler on inertia of the posture, the nominal springs about the slow torque and the
-    nominal damping. Gravity and Coriolis torques of so small a motion are left out.
+    Link angle less the slow one, s, follows M s" = K(d - s) - T + D (d - s)', with d what motor
+    angles have beside slow link and slow wind-up, and T the torque of the slow motion, which need
+    not be in balance. Symplectic Euler on inertia of the posture, nominal damping and nominal
+    springs that are as soft as the extended ones at the slow torque. It begins without swing where
+    the filter of the slow motion reaches no end. Gravity and Coriolis torques of so small a motion
+    are left out.
     """
     damping = robot.recordings.nominal.joint_damping
-    if damping is None or not all(joint.elastic for joint in robot.constants.joints):
-        return None
-    dt = signals.dt
+    signals, dt = run.signals, run.signals.dt
     steps = max(1, round(dt / _STEP))
     h = dt / steps
     spring = _Springs(robot, signals.spring_torque)
-    every = max(1, round(_POSTURE / dt))
-    mobility = np.linalg.inv(robot.inertia(signals.link_position[::every]))
-    fast = position - signals.motor_position
-    rate = derivative(fast, dt)
-    slow, carried = robot.windup(signals.spring_torque), signals.spring_torque
-    swing, speed = fast[0].copy(), np.zeros(robot.n)
-    deflection, torque = np.empty_like(fast), np.empty_like(fast)
+    every = posture_step(dt)
+    mobility = np.linalg.inv(robot.inertia(signals.link_position[::every]) + added)
+    carried = signals.spring_torque
+    slow = robot.windup(carried)
+    driven = position - signals.link_position - signals.windup
+    rate = derivative(driven + signals.windup, dt)
+    deflection, torque = np.zeros_like(driven), np.zeros_like(driven)
     shares = np.arange(steps)[:, None] / steps
-    for k in range(len(fast)):
-        deflection[k] = fast[k] - swing
-        torque[k] = spring(slow[k] + deflection[k]) - carried[k] + damping * (rate[k] - speed)
-        if k + 1 == len(fast):
+    begin = min(run.settling, len(driven) - 1)
+    swing = driven[begin].copy()
+    speed = derivative(ZeroPhaseFilter(1.0 / dt, _BEGIN).motion(driven), dt)[begin]
+    for k in range(begin, len(driven)):
+        deflection[k] = driven[k] - swing
+        wound = slow[k] + stiffer[k] * deflection[k]
+        torque[k] = spring(wound) - carried[k] + damping * (rate[k] - speed)
+        if k + 1 == len(driven):
             break
-        end = (1.0 - shares) * fast[k] + shares * fast[k + 1]
-        moved = (1.0 - shares) * rate[k] + shares * rate[k + 1]
-        wound = (1.0 - shares) * slow[k] + shares * slow[k + 1] + end
-        held = (1.0 - shares) * carried[k] + shares * carried[k + 1] - damping * moved
+        scale = stiffer[k]
+        apart = slow[k] + scale * driven[k]
+        apart = apart + shares * (slow[k + 1] + scale * driven[k + 1] - apart)
+        moved = rate[k] + shares * (rate[k + 1] - rate[k])
+        held = carried[k] + shares * (carried[k + 1] - carried[k]) - damping * moved
         free = mobility[k // every] * h
         for i in range(steps):
-            speed = speed + free @ (spring(wound[i] - swing) - held[i] - damping * speed)
+            speed = speed + free @ (spring(apart[i] - scale * swing) - held[i] - damping * speed)
             swing = swing + h * speed
     return Vibration(deflection, torque)
 

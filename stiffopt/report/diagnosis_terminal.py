@@ -13,6 +13,7 @@ from rich.status import Status
 from rich.table import Table
 from rich.text import Text
 
+from stiffopt.report.diagnosis_words import outside_sentence
 from stiffopt.report.quantities import significant
 
 if TYPE_CHECKING:
@@ -95,14 +96,8 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
             table.add_row(*_row(diagnosis, finding))
         wide = Console(highlight=False)
         (wide if wide.is_terminal else Console(highlight=False, width=_LOG_WIDTH)).print(table)
-    outside = diagnosis.outside
-    if outside is not None:
-        depends = ", ".join(outside.regressors) or "nothing that was recorded"
-        console.print(
-            f"Outside the catalogue: {', '.join(outside.channels)}, depending on {depends}"
-            f" ({100 * outside.gain:.0f} % of it in recordings left out).",
-            markup=False,
-        )
+    if diagnosis.outside is not None:
+        console.print(f"Outside the catalogue. {outside_sentence(diagnosis)}", markup=False)
     for role, meaning in (("test", "test"), ("extrapolate", "extrapolation")):
         if diagnosis.proofs(role):
             before, after = diagnosis.nrmse(role)

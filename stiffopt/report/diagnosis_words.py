@@ -247,6 +247,13 @@ def outside_sentence(diagnosis: Diagnosis) -> str:
     if outside is None:
         return ""
     channels = channels_in_words(outside.channels)
+    if outside.brief:
+        return (
+            f"In bursts, {channels} leaves {outside.ratio:.2g} times the noise:"
+            f" {100 * outside.gain:.0f} % of what remains lies where"
+            f" {regressor_words(outside.regressors[0])} is largest, as with a drive that"
+            f" {_DRIVES[outside.regressors[0].partition('_')[0]]}."
+        )
     text = f"In {channels} up to {outside.ratio:.2g} times the noise remains unexplained"
     if outside.period is not None:
         text += f"; it repeats every {significant(outside.period, 3)} s, whatever the motion"
@@ -294,6 +301,10 @@ def worst_ratio(ratios: np.ndarray) -> float:
     return float(known.max()) if known.size else math.nan
 
 
+# What bursts look like, by what they follow.
+_DRIVES = {"torque": "gives no more than a limit", "dtorque": "changes its torque too slowly"}
+
+
 def channels_in_words(channels: Iterable[str]) -> str:
     """Channels such as "torque_3", read aloud.
 
@@ -312,6 +323,7 @@ def regressor_words(name: str) -> str:
         "qd": "speed of joint",
         "qdd": "acceleration of joint",
         "torque": "load of joint",
+        "dtorque": "rate of the load of joint",
     }
     first, _, by = name.partition(" x ")
     kind, _, joint = first.rpartition("_")

@@ -11,11 +11,13 @@ from test_answer_store import conforms
 from stiffopt.discovery.answer_store import answer
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.recording.recording_set import RecordingSet, load_recordings
+from stiffopt.report.diagnosis_words import outside_sentence
 
 pytestmark = pytest.mark.slow
 
 NOTHING = replace(COULOMB, effects=())
 OUTSIDE = replace(COULOMB, effects=(("pulsing_load", 1, 2.0),))
+SLOW_DRIVE = replace(COULOMB, effects=(("slew_limit", 2, 1.5),))
 
 
 def test_a_nominal_model_within_its_tolerances_lacks_nothing():
@@ -39,6 +41,16 @@ def test_what_no_entry_explains_is_said_to_be_outside():
     assert "torque_1" in document["outside"]["channels"]
     assert document["outside"]["regressors"]
     assert document["outside"]["gain_heldout"] > 0.0
+
+
+def test_a_drive_that_changes_its_torque_too_slowly_shows_in_bursts():
+    diagnosis = diagnosed(SLOW_DRIVE)
+    assert diagnosis.verdict == "outside_catalogue", said(diagnosis)
+    assert diagnosis.outside.brief
+    assert diagnosis.outside.channels == ("torque_2",)
+    assert diagnosis.outside.regressors == ("dtorque_2",)
+    assert diagnosis.outside.ratio > 1.5
+    assert "too slowly" in outside_sentence(diagnosis)
 
 
 @pytest.fixture(scope="module")

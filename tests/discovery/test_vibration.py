@@ -1,0 +1,121 @@
+"""Predictions of an arm that resonates within the motion's own frequencies."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from simulated import simulated
+from simulator import CaseSpec, write_case
+
+from stiffopt.discovery.catalogue import CATALOGUE
+from stiffopt.discovery.extension import Extension, SizedEffect, added_inertia
+from stiffopt.discovery.placed import PlacedEffect
+from stiffopt.discovery.predict import Predictor
+from stiffopt.discovery.prepare import prepare
+from stiffopt.discovery.robot import RobotModel
+from stiffopt.discovery.settings import Settings
+from stiffopt.recording.recording_set import load_recordings
+
+# The large arm swings at 9.5 and 10.3 Hz; nothing of it differs from the nominal one by chance.
+HEALTHY = CaseSpec(
+    robot="big6", seed=3, train=1, test=2, extrapolate=0, seconds=5.0, rate=250.0, substeps=8,
+    tolerance=0.0,
+)  # fmt: skip
+LOADED = replace(HEALTHY, effects=(("payload", None, 3.0),))
+SOFTER = replace(HEALTHY, effects=(("stiffness_linear", 2, 2.0),))
+MOVING = 0.03
+# Of the noise: more than an eighth would be added to it.
+HALF = 0.5
+
+
+@cache
+def _opened(spec, folder):
+    path = write_case(simulated(spec), Path(folder) / spec.case_name)
+    recordings = load_recordings(path)
+    robot = RobotModel(recordings)
+    entries = (*recordings.with_role("train"), *recordings.with_role("test"))
+    runs = {entry.file: recordings.open(entry) for entry in entries}
+    ranged = robot.ranged(
+        [prepare(robot, run, 0, None, Settings()).signals for run in runs.values()]
+    )
+    return recordings, robot, runs, ranged
+
+
+def _errors(spec, folder, *extensions, swinging=True):
+    """Root mean square of prediction less exact signal over noise: torque in motion, links."""
+    _, robot, runs, ranged = _opened(spec, folder)
+    case = simulated(spec)
+    torque, link = [], []
+    for record, (name, run) in zip(case.runs, runs.items(), strict=True):
+        if not name.startswith("test"):
+            continue
+        predictor = Predictor(robot, run, ranged, Settings())
+        predictor.swinging = swinging
+        found = predictor.predict(*extensions)
+        for j in range(robot.n):
+            moving = np.abs(record.clean[f"qd{j + 1}"]) >= MOVING
+            left = found.torque[:, j] - record.clean[f"tau{j + 1}"]
+            torque.append(left[moving] / case.robot.torque_noise[j])
+            left = found.link_position[:, j] - record.clean[f"ql{j + 1}"]
+            link.append(left / case.robot.link_noise)
+    return [float(np.sqrt(np.mean(np.concatenate(part) ** 2))) for part in (torque, link)]
+
+
+def _found(name, amplitudes, joint=None):
+    effect = next(e for e in CATALOGUE if e.name == name)
+    sized = SizedEffect(placed=PlacedEffect(effect=effect, joint=joint), amplitudes=amplitudes)
+    return Extension(effects=(sized,))
+
+
+def _block(spec):
+    """What the simulator put on the last link."""
+    (line,) = simulated(spec).truth["effects"]
+    mass, *place = (line["params"][name] for name in ("dm", "cx", "cy", "cz"))
+    block = pin.Inertia.FromBox(mass, *line["law"]["edges"])
+    return pin.Inertia(mass, np.array(place), block.inertia)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return str(tmp_path_factory.mktemp("resonant"))
+
+
+def test_links_swing_as_the_simulated_ones_do(folder):
+    torque, link = _errors(HEALTHY, folder)
+    slow_torque, slow_link = _errors(HEALTHY, folder, swinging=False)
+    assert torque < HALF
+    assert link < 0.25
+    assert slow_torque > 1.5 * torque
+    assert slow_link > 2.0 * link
+
+
+def test_a_payload_that_was_found_makes_them_swing_slower(folder):
+    found = _found("payload", tuple(_block(LOADED).toDynamicParameters()))
+    torque, link = _errors(LOADED, folder, found)
+    assert torque < HALF
+    assert link < 0.25
+
+
+def test_a_softer_spring_that_was_found_makes_them_swing_slower(folder):
+    (line,) = simulated(SOFTER).truth["effects"]
+    found = _found("stiffness_linear", (1.0 / line["params"]["factor"] - 1.0,), joint=1)
+    torque, link = _errors(SOFTER, folder, found)
+    assert torque < HALF
+    assert link < 0.25
+
+
+def test_inertia_that_is_added_is_that_of_the_body(folder):
+    _, robot, runs, ranged = _opened(LOADED, folder)
+    run = prepare(robot, next(iter(runs.values())), 0, ranged, Settings())
+    block = _block(LOADED)
+    found = _found("payload", tuple(block.toDynamicParameters()))
+    added = added_inertia(run, robot, [found], every=100)
+    model = robot.model.copy()
+    model.inertias[robot.n] += block
+    for matrix, q in zip(added, run.signals.link_position[::100], strict=True):
+        with_block = pin.crba(model, model.createData(), q)
+        without = pin.crba(robot.model, robot.model.createData(), q)
+        np.testing.assert_allclose(matrix, with_block - without, atol=1e-10)
