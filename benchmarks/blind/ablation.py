@@ -43,10 +43,9 @@ def ablate(
     cases = chosen(scores, most)
     rows = []
     for variant, name in PARTS.items():
-        jobs = [
-            Job(variant, folder / "cases" / s.id, folder / "ablation" / variant / s.id)
-            for s in cases
-        ]
+        # What the whole tool says of these cases is there.
+        place = folder / "answers" if variant == "whole" else folder / "ablation" / variant
+        jobs = [Job(variant, folder / "cases" / s.id, place / s.id) for s in cases]
         found = answers(jobs, workers, say)
         counts: dict[str, list[bool | None]] = {
             key: [] for key in ("exact", "detected", "false_alarm", "recognised")
@@ -80,7 +79,9 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args()
     say = lambda text: print(text, file=sys.stderr)  # noqa: E731
-    print(ablate(given.folder, score_all(given.folder), given.cases, given.jobs, say))
+    print(
+        ablate(given.folder, score_all(given.folder, residuals=False), given.cases, given.jobs, say)
+    )
 
 
 if __name__ == "__main__":

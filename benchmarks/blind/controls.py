@@ -230,7 +230,11 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args()
     say = lambda text: print(text, file=sys.stderr)  # noqa: E731
-    print(control(given.folder, score_all(given.folder), given.cases, given.jobs, say))
+    print(
+        control(
+            given.folder, score_all(given.folder, residuals=False), given.cases, given.jobs, say
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -116,7 +116,7 @@ class CaseScore:
     cpu: float = float("nan")
 
 
-def score_case(folder: Path, name: str) -> CaseScore:
+def score_case(folder: Path, name: str, *, residuals: bool = True) -> CaseScore:
     """Open the seal of one answered case and count.
 
     Parameters
@@ -125,6 +125,8 @@ def score_case(folder: Path, name: str) -> CaseScore:
         Of a key, with cases, truth, oracle and answers.
     name : str
         Of the case.
+    residuals : bool
+        Recompute them, which takes the most of the time.
     """
     text = (folder / "truth" / f"{name}.json").read_bytes()
     truth = json.loads(text)
@@ -150,6 +152,8 @@ def score_case(folder: Path, name: str) -> CaseScore:
     if answer is None or known["status"] not in ("ok", "unanswered"):
         return CaseScore(**known, verdict=None, **judged(truth, None))
     case, answered = folder / "cases" / name, folder / "answers" / name
+    if not residuals:
+        return CaseScore(**known, verdict=answer.get("verdict"), **judged(truth, answer))
     return CaseScore(
         **known,
         verdict=answer.get("verdict"),

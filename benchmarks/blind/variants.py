@@ -66,6 +66,7 @@ def without_abstention(_: str) -> Iterator[None]:
             stack.enter_context(mock.patch.object(search, bar, 0.0))
         keep = mock.patch.object(diagnose, "judged", lambda result: (result.selected, None))
         stack.enter_context(keep)
+        stack.enter_context(mock.patch.object(diagnose, "bursts", return_value=None))
         yield
 
 
@@ -155,7 +156,7 @@ def main() -> None:
     from stiffopt.discovery.diagnose import diagnose
 
     with VARIANTS[given.variant](given.effect):
-        found = diagnose(given.case, model=given.model)
+        found = diagnose(given.case, model=given.model, experiment=False)
     given.out.mkdir(parents=True, exist_ok=True)
     write_diagnosis(found, given.out)
 

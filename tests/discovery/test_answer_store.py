@@ -38,7 +38,7 @@ LIMIT = {
     "value": NUMBER,
     "unit": TEXT,
 }
-OUTSIDE = {"channels": (list,), "regressors": (list,), "gain_heldout": NUMBER}
+OUTSIDE = {"channels": (list,), "regressors": (list,), "gain_heldout": NUMBER, "brief": (bool,)}
 DOCUMENT = {
     "schema": (int,),
     "verdict": TEXT,
