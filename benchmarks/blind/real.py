@@ -183,23 +183,33 @@ CASES = (
         truth=(Named("stiffness_linear", 2),), parameter="factor", value=0.5,
         build=stiffer(2, 2.0),
     ),
-    Concealed(
-        name="ur10e_friction_3", source="ur10e",
-        what="6 N m Coulomb friction added to joint 3, against the model found before",
-        truth=(Named("coulomb", 3),), parameter="dFc", value=6.0, build=rubbing(3, 6.0),
-        after_first=True,
+    *(
+        Concealed(
+            name=f"ur10e_friction_3_{level:g}", source="ur10e",
+            what=f"{level:g} N m Coulomb friction added to joint 3, against the model found before",
+            truth=(Named("coulomb", 3),), parameter="dFc", value=level, build=rubbing(3, level),
+            after_first=True,
+        )
+        for level in (6.0, 12.0, 24.0)
     ),
-    Concealed(
-        name="kuka_friction_1", source="kuka_kr300",
-        what="150 N m Coulomb friction added to joint 1, against the model found before",
-        truth=(Named("coulomb", 1),), parameter="dFc", value=150.0, build=rubbing(1, 150.0),
-        after_first=True,
+    *(
+        Concealed(
+            name=f"kuka_friction_1_{level:g}", source="kuka_kr300",
+            what=f"{level:g} N m Coulomb friction added to joint 1, against the model found before",
+            truth=(Named("coulomb", 1),), parameter="dFc", value=level, build=rubbing(1, level),
+            after_first=True,
+        )
+        for level in (150.0, 300.0, 600.0)
     ),
-    Concealed(
-        name="ur10_gain_2", source="unisa_ur10",
-        what="torque of joint 2 read 10 % too large, against the model found before",
-        truth=(Named("torque_gain", 2),), parameter="eps", value=0.10, build=weaker(2, 0.10),
-        after_first=True,
+    *(
+        Concealed(
+            name=f"ur10_gain_2_{100.0 * share:g}", source="unisa_ur10",
+            what=f"torque of joint 2 read {100.0 * share:g} % too large, against the model found"
+            " before",
+            truth=(Named("torque_gain", 2),), parameter="eps", value=share, build=weaker(2, share),
+            after_first=True,
+        )
+        for share in (0.1, 0.2, 0.4)
     ),
 )  # fmt: skip
 
@@ -228,13 +238,20 @@ def conceal(
     ]
     found = answers(jobs, workers, say)
     rows = [_row(c, a) for c, a in zip(made, found, strict=True)]
-    rows += [[c.what, c.source, "", _why_not(c in here), "", ""] for c in CASES if c not in made]
+    for c in CASES:
+        if c not in made:
+            rows.append([c.what, c.source, "", _why_not(c in here), "", "", ""])
     text = (
         "Public recordings of real robots, described in each set's own README. Either something"
         " known is taken out of the nominal model, or something known is added to the measured"
-        " torque. Real sets lack more than what is hidden: what else is named may well be true."
+        " torque, in growing sizes. Real sets lack more than what is hidden: what else is named may"
+        " well be true, and at most three effects are named beside friction that a set does not"
+        " give. Where the truth is not named, the least size that the answer itself says it would"
+        " have seen stands beside it."
     )
-    head = ["hidden", "set", "truth", "said", "parameter: truth, found +- sd", "named"]
+    head = [
+        "hidden", "set", "truth", "said", "parameter: truth, found +- sd", "named", "seen from",
+    ]  # fmt: skip
     return save(
         folder,
         "real",
@@ -250,19 +267,37 @@ def _row(concealed: Concealed, answer: dict[str, Any] | None) -> list[str]:
     truth = " or ".join(t.label for t in concealed.truth)
     head = [concealed.what, concealed.source, truth]
     if answer is None:
-        return [*head, "no answer", "", "no"]
+        return [*head, "no answer", "", "no", ""]
     findings = answer["findings"] if answer["verdict"] == "named" else []
     said = [Named.read(f) for f in findings]
     places = [k for k, s in enumerate(said) if s in concealed.truth]
     words = ", ".join(s.label for s in said) or answer["verdict"].replace("_", " ")
     if not places:
         group = any(Named.read(r) in concealed.truth for f in findings for r in f["confused_with"])
-        return [*head, words, "", "among the rivals" if group else "no"]
+        named = "among the rivals" if group else "no"
+        return [
+            *head,
+            words,
+            f"{concealed.parameter}: {concealed.value:.4g}",
+            named,
+            _seen_from(concealed, answer),
+        ]
     value = findings[places[0]]["parameters"].get(concealed.parameter)
     told = f"{concealed.parameter}: {concealed.value:.4g}"
     if value is not None:
         told += f", {value['value']:.4g} +- {value['sd'] or float('nan'):.2g}"
-    return [*head, words, told, "first" if places[0] == 0 else f"as number {places[0] + 1}"]
+    where = "first" if places[0] == 0 else f"as number {places[0] + 1}"
+    return [*head, words, told, where, ""]
+
+
+def _seen_from(concealed: Concealed, answer: dict[str, Any]) -> str:
+    """The answer's own detection limit of what was hidden."""
+    for limit in answer["detection_limits"]:
+        if limit["parameter"] == concealed.parameter and any(
+            (limit["effect"], limit["joint"]) == (t.effect, t.joint) for t in concealed.truth
+        ):
+            return f"{limit['value']:.3g} {limit['unit']}".strip()
+    return ""
 
 
 def main() -> None:

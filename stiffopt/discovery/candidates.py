@@ -92,7 +92,7 @@ class Scorer:
         covariance = np.zeros((added.shape[1],) * 2)
         mean[kept], covariance[np.ix_(kept, kept)] = found.mean[p:], found.covariance[p:, p:]
         residual = self.comparison.target - self._columns @ found.mean[:p] - added @ mean
-        channel, explained = self._explained(residual)
+        channel, explained = self._explained(residual, np.sum(added**2, axis=1))
         inner = covariance[np.ix_(kept, kept)]
         return Candidate(
             placed=placed,
@@ -143,12 +143,17 @@ class Scorer:
             kept = np.delete(kept, worst)
         return None, kept
 
-    def _explained(self, residual: np.ndarray) -> tuple[int, float]:
+    def _explained(self, residual: np.ndarray, acted_on: np.ndarray) -> tuple[int, float]:
+        """Channel of those acted on whose squares fall most, and the share that falls.
+
+        Other channels fall as well, where nominal values no longer stand in for the effect.
+        """
         rows = self.comparison.rows
         size = 2 * self.comparison.robot.n
         before = np.bincount(rows.channel, self._residual**2, minlength=size)
         after = np.bincount(rows.channel, residual**2, minlength=size)
-        fall = before - after
+        own = np.bincount(rows.channel, acted_on, minlength=size) > 0.0
+        fall = np.where(own, before - after, -np.inf)
         channel = int(np.argmax(fall))
         return channel, float(fall[channel] / before[channel]) if before[channel] > 0.0 else 0.0
 

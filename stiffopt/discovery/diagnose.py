@@ -28,7 +28,7 @@ from stiffopt.discovery.predict import Predictor
 from stiffopt.discovery.proof import RunProof, prove
 from stiffopt.discovery.search import Selected, search
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.silent import silent_effects
+from stiffopt.discovery.silent import silent_effects, without_bounds
 from stiffopt.discovery.training import Training, train
 from stiffopt.discovery.uncertainty import Estimate, estimate
 from stiffopt.discovery.user_effects import load_effects
@@ -89,7 +89,7 @@ def diagnose(
     say("compare with the nominal model" if base is None else f"compare with {base.source}")
     result = search(
         training.comparison(),
-        catalogue,
+        without_bounds(catalogue, recordings),
         start=silent_effects(recordings) if base is None else (),
         most=settings.effects,
         report=say,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from stiffopt.discovery.catalogue import effect
@@ -23,6 +24,12 @@ def silent_effects(recordings: RecordingSet) -> tuple[PlacedEffect, ...]:
             entry = _unbounded(effect(name))
             found += [PlacedEffect(effect=entry, joint=j) for j in range(len(recordings.joints))]
     return tuple(found)
+
+
+def without_bounds(catalogue: Sequence[Effect], recordings: RecordingSet) -> tuple[Effect, ...]:
+    """The catalogue, where what the nominal model is silent about may be of any size."""
+    silent = {name for name in _OF_EVERY_JOINT if getattr(recordings.nominal, name) is None}
+    return tuple(_unbounded(each) if each.name in silent else each for each in catalogue)
 
 
 def _unbounded(entry: Effect) -> Effect:
