@@ -1,0 +1,48 @@
+"""Candidates judged: what a candidate is about, and how large it may be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from answered import COULOMB
+from simulated import simulated
+from simulator import write_case
+
+from stiffopt.discovery.candidates import Scorer
+from stiffopt.discovery.catalogue import CATALOGUE
+from stiffopt.discovery.placed import places
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.silent import without_bounds
+from stiffopt.discovery.training import train
+from stiffopt.recording.recording_set import load_recordings
+
+
+@pytest.fixture(scope="module")
+def training(tmp_path_factory):
+    path = write_case(simulated(COULOMB), tmp_path_factory.mktemp("candidates") / "set")
+    return train(load_recordings(path), Settings())
+
+
+def test_an_effect_of_a_joint_is_about_a_channel_of_its_joint(training):
+    # Nominal values of other joints that no longer stand in for it are none of its doing.
+    comparison, n = training.comparison(), training.robot.n
+    scorer = Scorer(comparison)
+    tried = 0
+    for effect in CATALOGUE:
+        if effect.scope != "joint" or effect.name == "wrist_coupling":
+            continue
+        for placed in places(effect, comparison.constants, [run.name for run in comparison.runs]):
+            found = scorer.score(placed)
+            if found is not None:
+                tried += 1
+                assert found.channel in (placed.joint, n + placed.joint), placed.label
+    assert tried > 20
+
+
+def test_friction_has_bounds_only_beside_a_nominal_value(training, tmp_path):
+    recordings = load_recordings(write_case(simulated(COULOMB), tmp_path / "set"))
+    silent = replace(recordings, nominal=replace(recordings.nominal, coulomb=None))
+    for given, bounded in ((recordings, True), (silent, False)):
+        catalogue = {effect.name: effect for effect in without_bounds(CATALOGUE, given)}
+        assert np.isfinite(catalogue["coulomb"].amplitudes[0].upper) == bounded
+        assert np.isfinite(catalogue["viscous"].amplitudes[0].upper)
