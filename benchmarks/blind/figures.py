@@ -116,7 +116,7 @@ def _rates(axes: Axes, lines: list[tuple[float, Rate, Rate]], label: str) -> Non
         )  # fmt: skip
     axes.set_xscale("log")
     axes.minorticks_off()
-    axes.set_xticks(x, [f"{value:.2g}" for value in x])
+    axes.set_xticks(x, [f"{value:.2g}" if value < 10.0 else f"{value:.0f}" for value in x])
     axes.set_ylim(-0.03, 1.05)
     axes.set_xlabel(label)
     axes.grid(alpha=0.25, lw=0.5)
