@@ -152,6 +152,20 @@ def _payload(link: str) -> tuple[Named, ...]:
     return (Named("payload"), Named("inertial_error", None, link))
 
 
+def _rubbed(source: str, joint: int, level: float) -> Concealed:
+    return Concealed(
+        name=f"{source}_friction_{joint}_{level:g}",
+        source=source,
+        what=f"{level:g} N m Coulomb friction added to joint {joint}, against the model found"
+        " before",
+        truth=(Named("coulomb", joint),),
+        parameter="dFc",
+        value=level,
+        build=rubbing(joint, level),
+        after_first=True,
+    )
+
+
 EMPS = "its friction is silent in the nominal model; published: Coulomb 20.4 N"
 CASES = (
     Concealed(
@@ -183,24 +197,8 @@ CASES = (
         truth=(Named("stiffness_linear", 2),), parameter="factor", value=0.5,
         build=stiffer(2, 2.0),
     ),
-    *(
-        Concealed(
-            name=f"ur10e_friction_3_{level:g}", source="ur10e",
-            what=f"{level:g} N m Coulomb friction added to joint 3, against the model found before",
-            truth=(Named("coulomb", 3),), parameter="dFc", value=level, build=rubbing(3, level),
-            after_first=True,
-        )
-        for level in (6.0, 12.0, 24.0)
-    ),
-    *(
-        Concealed(
-            name=f"kuka_friction_1_{level:g}", source="kuka_kr300",
-            what=f"{level:g} N m Coulomb friction added to joint 1, against the model found before",
-            truth=(Named("coulomb", 1),), parameter="dFc", value=level, build=rubbing(1, level),
-            after_first=True,
-        )
-        for level in (150.0, 300.0, 600.0)
-    ),
+    *(_rubbed("ur10e", 3, level) for level in (6.0, 12.0, 24.0)),
+    *(_rubbed("kuka_kr300", 1, level) for level in (150.0, 300.0, 600.0)),
     *(
         Concealed(
             name=f"ur10_gain_2_{100.0 * share:g}", source="unisa_ur10",
