@@ -15,6 +15,7 @@ from benchmarks.blind.extras import extra_sections, table
 from benchmarks.blind.figures import draw_all
 from benchmarks.blind.score import CaseScore
 from benchmarks.blind.tally import (
+    COUNTED,
     Line,
     counted,
     grouped,
@@ -92,6 +93,8 @@ def results_page(
         *(f"![{_CAPTIONS[name]}](figures/{name}.svg)\n\n{_CAPTIONS[name]}\n" for name in figures),
         *extra,
         _failures(scores),
+        _missed(scores),
+        "What was tried about numbers that are not reached is in `README.md`.\n",
         "Every case with its severity, what the oracle sees and what was said: `cases.csv`.\n",
     ]
     return "\n".join(parts)
@@ -220,6 +223,29 @@ def _failures(scores: Sequence[CaseScore]) -> str:
     head = ["case", "truth", "robot", "severity", "oracle z", "said", "its rivals", "why"]
     body = table(head, rows) if rows else "None.\n"
     return f"## Failures one by one: {len(own)} of {len(counted(scores))} cases\n\n{body}"
+
+
+def _missed(scores: Sequence[CaseScore]) -> str:
+    """Intervals that do not hold the truth, of those that count."""
+    own = [s for s in of_kind(scores, "single", COUNTED) if s.exact and s.suite != "sweep"]
+    every = [(s, p) for s in own for p in s.parameters]
+    rows = [
+        [
+            s.id,
+            s.truth[0].label,
+            s.robot,
+            p.name,
+            f"{p.value:.3g} +- {p.sd:.2g}",
+            f"{p.truth:.3g}",
+            f"{abs(p.value - p.truth) / p.sd:.1f}" if p.sd else "",
+            f"{100.0 * p.error:.0f} %",
+        ]
+        for s, p in every
+        if not p.covered
+    ]
+    head = ["case", "truth", "robot", "parameter", "said", "true", "off, in sd", "off"]
+    body = table(head, rows) if rows else "None.\n"
+    return f"## Intervals that miss the truth: {len(rows)} of {len(every)}\n\n{body}"
 
 
 def case_table(scores: Sequence[CaseScore]) -> str:

@@ -262,11 +262,14 @@ def _outside_figures(diagnosis: Diagnosis, files: Files) -> list[PageFigure]:
                 files,
             )
         )
+    title = "It does not follow the motion" if outside.period else "What it follows"
+    if outside.brief:
+        title = "Below the filter's cutoff it leaves nothing"
     figures.append(
         _saved(
             regime_figure(diagnosis, rows, None),
             "diagnosis_outside",
-            "It does not follow the motion" if outside.period else "What it follows",
+            title,
             f"Mean of what is left of {channel}, with ±2 standard deviations of the mean, by "
             "direction of motion.",
             files,
