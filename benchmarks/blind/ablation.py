@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.blind.extras import save
+from benchmarks.blind.extras import key_folder, save
 from benchmarks.blind.score import CaseScore, fits, judged
 from benchmarks.blind.tally import counted, score_all
 from benchmarks.blind.variants import Job, answers
@@ -74,7 +74,7 @@ def ablate(
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.blind.ablation")
-    parser.add_argument("folder", type=Path, help="folder of a key")
+    parser.add_argument("folder", type=key_folder, help="folder of a key")
     parser.add_argument("--cases", type=int, default=24)
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args()

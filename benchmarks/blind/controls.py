@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.blind.extras import save
+from benchmarks.blind.extras import key_folder, save
 from benchmarks.blind.nominal import along
 from benchmarks.blind.score import CaseScore, Named, same
 from benchmarks.blind.sets import Columns, description, write_set
@@ -225,7 +225,7 @@ def _word(answer: dict[str, Any] | None) -> str:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.blind.controls")
-    parser.add_argument("folder", type=Path, help="folder of a key")
+    parser.add_argument("folder", type=key_folder, help="folder of a key")
     parser.add_argument("--cases", type=int, default=8, help="of each control")
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args()

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
 
 # Files under KEY/extras, in the order of the page.
 STUDIES = ("rivals", "controls", "ablation", "real")
+
+
+def key_folder(text: str) -> Path:
+    """Folder of a key, as an argument of a study's command line."""
+    folder = Path(text)
+    if not (folder / "manifest.json").is_file():
+        raise argparse.ArgumentTypeError(
+            f"{text} is no folder of a key: it has no manifest.json."
+            " `python -m benchmarks.blind run` makes one below its --work folder."
+        )
+    return folder
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.blind.extras import save
+from benchmarks.blind.extras import key_folder, save
 from benchmarks.blind.score import Named
 from benchmarks.blind.sets import Columns, description, write_set
 from benchmarks.blind.variants import Job, answers
@@ -270,18 +270,12 @@ def _row(concealed: Concealed, answer: dict[str, Any] | None) -> list[str]:
     said = [Named.read(f) for f in findings]
     places = [k for k, s in enumerate(said) if s in concealed.truth]
     words = ", ".join(s.label for s in said) or answer["verdict"].replace("_", " ")
+    told = f"{concealed.parameter}: {concealed.value:.4g}"
     if not places:
         group = any(Named.read(r) in concealed.truth for f in findings for r in f["confused_with"])
         named = "among the rivals" if group else "no"
-        return [
-            *head,
-            words,
-            f"{concealed.parameter}: {concealed.value:.4g}",
-            named,
-            _seen_from(concealed, answer),
-        ]
+        return [*head, words, told, named, _seen_from(concealed, answer)]
     value = findings[places[0]]["parameters"].get(concealed.parameter)
-    told = f"{concealed.parameter}: {concealed.value:.4g}"
     if value is not None:
         told += f", {value['value']:.4g} +- {value['sd'] or float('nan'):.2g}"
     where = "first" if places[0] == 0 else f"as number {places[0] + 1}"
@@ -301,9 +295,12 @@ def _seen_from(concealed: Concealed, answer: dict[str, Any]) -> str:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.blind.real")
-    parser.add_argument("folder", type=Path, help="folder of a key, where the answers go")
+    parser.add_argument("folder", type=key_folder, help="folder of a key, where the answers go")
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--only", nargs="*", default=(), help="names of the concealments")
+    names = [c.name for c in CASES]
+    parser.add_argument(
+        "--only", nargs="*", default=(), choices=names, metavar="NAME", help="of the concealments"
+    )
     given = parser.parse_args()
     if not RECORDINGS.is_dir():
         print(f"No recordings in {RECORDINGS}; name their folder in STIFFOPT_RECORDINGS.")

@@ -15,8 +15,8 @@ from benchmarks.blind.extras import extra_sections, table
 from benchmarks.blind.figures import draw_all
 from benchmarks.blind.score import CaseScore
 from benchmarks.blind.tally import (
-    COUNTED,
     Line,
+    asked_of,
     counted,
     grouped,
     line,
@@ -227,8 +227,7 @@ def _failures(scores: Sequence[CaseScore]) -> str:
 
 def _missed(scores: Sequence[CaseScore]) -> str:
     """Intervals that do not hold the truth, of those that count."""
-    own = [s for s in of_kind(scores, "single", COUNTED) if s.exact and s.suite != "sweep"]
-    every = [(s, p) for s in own for p in s.parameters]
+    every = [(s, p) for s in asked_of(scores) if s.exact for p in s.parameters]
     rows = [
         [
             s.id,

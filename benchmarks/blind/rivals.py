@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.blind.extras import save
+from benchmarks.blind.extras import key_folder, save
 from benchmarks.blind.nominal import Motion, along
 from benchmarks.blind.rival_models import LIBRARY, BlackBox, Friction, Rival, Sparse
 from benchmarks.blind.score import CaseScore, FitScore, squares
@@ -226,7 +226,7 @@ def _grid() -> str:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.blind.rivals")
-    parser.add_argument("folder", type=Path, help="folder of a key")
+    parser.add_argument("folder", type=key_folder, help="folder of a key")
     parser.add_argument("--tune", action="store_true", help="choose the settings here")
     parser.add_argument("--cases", type=int, help="the first so many of those with an effect")
     given = parser.parse_args()

@@ -42,6 +42,11 @@ def of_kind(scores: Sequence[CaseScore], kind: str, lowest: float = 0.0) -> list
     return [s for s in counted(scores) if s.kind == kind and s.severity >= lowest]
 
 
+def asked_of(scores: Sequence[CaseScore]) -> list[CaseScore]:
+    """Cases with one effect that the numbers asked for are of."""
+    return [s for s in of_kind(scores, "single", COUNTED) if s.suite != "sweep"]
+
+
 def shares(scores: Sequence[CaseScore], role: str, *, torque: bool = False) -> np.ndarray:
     """Improvement over the oracle's of cases with one effect or two; no answer improves nothing."""
     found = []
@@ -54,7 +59,7 @@ def shares(scores: Sequence[CaseScore], role: str, *, torque: bool = False) -> n
 
 def targets(scores: Sequence[CaseScore]) -> list[Target]:
     """The numbers asked for, from all counted cases."""
-    single = [s for s in of_kind(scores, "single", COUNTED) if s.suite != "sweep"]
+    single = asked_of(scores)
     none = of_kind(scores, "none")
     outside = of_kind(scores, "outside", COUNTED)
     improved = shares([*single, *of_kind(scores, "pair", COUNTED)], "test")

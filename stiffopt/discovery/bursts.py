@@ -36,9 +36,14 @@ class _Channel:
     followed: dict[str, np.ndarray]
 
     @property
+    def usual(self) -> float:
+        """Standard deviation, whatever bursts there are."""
+        return _NORMAL * float(np.median(np.abs(self.residual)))
+
+    @property
     def bursting(self) -> float:
-        usual = _NORMAL * float(np.median(np.abs(self.residual)))
-        return float(np.sqrt(np.mean(self.residual**2))) / max(usual, 1e-12)
+        """Root mean square over the usual size."""
+        return float(np.sqrt(np.mean(self.residual**2))) / max(self.usual, 1e-12)
 
 
 def bursts(
@@ -106,7 +111,7 @@ def _joined(parts: Sequence[_Channel]) -> _Channel:
 def _held(channel: _Channel, size: np.ndarray) -> tuple[float, float]:
     """Share of the excess that lies in the largest of some sizes, and the residual there."""
     square = channel.residual**2
-    usual = (_NORMAL * float(np.median(np.abs(channel.residual)))) ** 2
+    usual = channel.usual**2
     there = size >= np.quantile(size, 1.0 - _SHARE)
     share = float(np.sum(square[there] - usual)) / max(float(np.sum(square - usual)), 1e-12)
     return float(np.clip(share, 0.0, 1.0)), float(np.sqrt(np.mean(square[there])))

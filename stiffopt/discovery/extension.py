@@ -128,6 +128,8 @@ def added_inertia(
     """
     few = replace(run, signals=run.signals.thinned(every))
     q = few.signals.link_position
+    if not extensions:
+        return np.zeros((*q.shape, robot.n))
     rest = np.zeros_like(q)
 
     def link_torque(acceleration: np.ndarray) -> np.ndarray:

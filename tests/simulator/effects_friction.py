@@ -77,9 +77,7 @@ def position_friction(
     """A tight place: a raised cosine of the angle."""
     height = 0.9 * severity * spread(rng) * world.robot.coulomb[joint]
     # Where the joint comes by: between the quartiles of its angle in the training recordings.
-    train = np.concatenate(
-        [world.reference[r, :, joint] for r, p in enumerate(world.plans) if p.role == "train"]
-    )
+    train = np.concatenate([world.reference[r, :, joint] for r in world.training])
     place = float(np.quantile(train, rng.uniform(0.3, 0.7)))
     half = rng.uniform(0.25, 0.45)
 

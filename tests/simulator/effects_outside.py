@@ -96,8 +96,7 @@ def torque_sensor_drift(
 @effect("outside", outside=True)
 def slew_limit(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
     """The amplifier cannot change its torque fast; the recording holds what was asked."""
-    train = [r for r, plan in enumerate(world.plans) if plan.role == "train"]
-    asked = world.nominal_torque[train, :, joint]
+    asked = world.nominal_torque[world.training, :, joint]
     rate = np.abs(np.diff(asked, axis=1)) * world.spec.rate
     most = float(np.quantile(rate, 0.997)) * spread(rng) / (0.85 + 0.15 * severity)
     held: list[np.ndarray] = []

@@ -57,8 +57,7 @@ def encoder_zero_change(
 ) -> Outcome:
     """A link encoder that slipped for one recording, and was set right again."""
     off = sign(rng) * 1.5e-4 * severity * spread(rng)
-    training = [r for r, plan in enumerate(world.plans) if plan.role == "train"]
-    run = int(rng.choice(training))
+    run = int(rng.choice(world.training))
 
     def read(signals: Signals) -> None:
         signals.link[run, :, joint] += off
@@ -103,9 +102,8 @@ def encoder_skew(world: World, joint: int, severity: float, rng: np.random.Gener
 @effect("drive")
 def saturation(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
     """The amplifier gives no more than a limit, with a knee; the recording holds what was asked."""
-    train = [r for r, plan in enumerate(world.plans) if plan.role == "train"]
     # Just under what the training motions need for a hundredth of the time.
-    need = np.abs(world.nominal_torque[train, :, joint])
+    need = np.abs(world.nominal_torque[world.training, :, joint])
     share = min(0.01 * severity * spread(rng), 0.2)
     limit, knee = float(np.quantile(need, 1.0 - share)), 14.0
 

@@ -96,6 +96,11 @@ class World:
         return len(self.plans)
 
     @property
+    def training(self) -> list[int]:
+        """Places of the training runs."""
+        return [r for r, plan in enumerate(self.plans) if plan.role == "train"]
+
+    @property
     def tool_joint(self) -> int:
         return int(self.robot.joints)
 
