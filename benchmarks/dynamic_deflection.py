@@ -18,6 +18,7 @@ import numpy as np
 from common import HERE, Row, deflection_problem, loaded_ur10, main, numbers
 from standin import standin_robot
 
+from stiffopt.baseline.baselines import baselines
 from stiffopt.certificate.assess import assess
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.formulation import Scales, formulate
@@ -25,10 +26,9 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import Method, TrajectoryProblem
 from stiffopt.result.solution import Solution
 from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.guess import initial_guess
 from stiffopt.solver.ipopt import IpoptSolver
-from stiffopt.study.baselines import baselines
-from stiffopt.study.guess import initial_guess
-from stiffopt.study.optimise import solve
+from stiffopt.solver.solve import solve
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import uniform_mesh
 from stiffopt.transcription.ocp import Guess

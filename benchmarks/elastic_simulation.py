@@ -27,7 +27,7 @@ from stiffopt.problem.objectives import Objective
 from stiffopt.problem.trajectory import Method
 from stiffopt.result.assessment import Assessment
 from stiffopt.robot.robot import Robot
-from stiffopt.study.optimise import solve
+from stiffopt.solver.solve import solve
 
 TITLE = "Elastic simulation, UR10 with the stand-in stiffness"
 STEP = 1e-4

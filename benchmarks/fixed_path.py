@@ -11,7 +11,7 @@ from stiffopt.baseline.toppra_motion import toppra_baseline
 from stiffopt.problem.objectives import Objective
 from stiffopt.problem.trajectory import Method
 from stiffopt.result.joint_path import JointPath
-from stiffopt.study.optimise import solve
+from stiffopt.solver.solve import solve
 
 TITLE = "UR10, minimum time on the fixed path"
 ALLOWED = 1e-3

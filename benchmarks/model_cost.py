@@ -12,7 +12,7 @@ from common import Row, deflection_problem, loaded_ur10, main, torque_squared_pr
 from stiffopt.drivetrain.compact import CompactChain
 from stiffopt.dynamics.newton_euler import inverse_dynamics
 from stiffopt.problem.trajectory import Method
-from stiffopt.study.optimise import solve
+from stiffopt.solver.solve import solve
 
 TITLE = "Cost of the models"
 # Short batches, many rounds: the fastest one had the processor to itself.

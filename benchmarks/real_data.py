@@ -24,8 +24,8 @@ from real_peers import friction_lines, gaussian_process, motion
 
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.diagnosis import Diagnosis, channel_fits
-from stiffopt.discovery.proof import RunProof, nrmse, prove
-from stiffopt.discovery.static_stiffness import identify_stiffness
+from stiffopt.discovery.proof.proof import RunProof, nrmse, prove
+from stiffopt.identification.stiffness import identify_stiffness
 from stiffopt.recording.static_set import is_static, load_static_set
 
 HERE = Path(__file__).parent

@@ -13,7 +13,7 @@ from importlib import import_module
 
 from common import HERE, require_data, table
 
-from stiffopt.study.provenance import versions
+from stiffopt.result.provenance import versions
 
 BENCHMARKS = (
     "ur10_torque_squared",

@@ -17,8 +17,8 @@ from stiffopt.preload.study import preload_study
 from stiffopt.preload.values import named_values
 from stiffopt.problem.files import load_problem
 from stiffopt.result.status import SolveStatus
-from stiffopt.study.optimise import solve
-from stiffopt.study.staging import ProgressCallback
+from stiffopt.solver.solve import solve
+from stiffopt.solver.staging import ProgressCallback
 from stiffopt.units import convert
 
 KINDS = ("trajectory", "preload")

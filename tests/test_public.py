@@ -70,7 +70,7 @@ def test_no_public_name_is_hidden_by_a_package():
 
 def test_names_survive_the_import_of_everything():
     code = (
-        "import stiffopt.study.optimise, stiffopt.cli\n"
+        "import stiffopt.solver.solve, stiffopt.cli\n"
         "from stiffopt import solve, assess, Robot\n"
         "assert callable(solve) and callable(assess) and isinstance(Robot, type)"
     )
@@ -127,7 +127,7 @@ def test_diagnosis_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
 
 
 def test_own_effects_of_the_readme_are_read(tmp_path):
-    from stiffopt.discovery.user_effects import load_effects
+    from stiffopt.discovery.catalogue.user_effects import load_effects
 
     file = tmp_path / "my_effects.py"
     file.write_text(example_of_readme("stiffopt.discovery.effect"))
@@ -139,7 +139,7 @@ def test_file_and_python_give_the_same_problem(tmp_path):
     from dataclasses import replace
 
     from stiffopt import Objective, Target, TrajectoryProblem, load_robot
-    from stiffopt.study.provenance import inputs_hash
+    from stiffopt.result.provenance import inputs_hash
 
     read = load(tmp_path, method="intervals = 20")
     written = TrajectoryProblem(

@@ -32,7 +32,8 @@ def whole(_: str) -> Iterator[None]:
 @contextmanager
 def without_nuisance(_: str) -> Iterator[None]:
     """Nominal values are taken for exact: nothing is profiled out."""
-    from stiffopt.discovery import nuisance, training
+    from stiffopt.discovery import training
+    from stiffopt.discovery.comparison import nuisance
     from stiffopt.recording.nominal import Tolerance
 
     names = vars(nuisance.merged(Tolerance(), Tolerance()))
@@ -44,7 +45,7 @@ def without_nuisance(_: str) -> Iterator[None]:
 @contextmanager
 def without_cross_validation(_: str) -> Iterator[None]:
     """A candidate need not predict recordings left out."""
-    from stiffopt.discovery.candidates import Scorer
+    from stiffopt.discovery.search.candidates import Scorer
 
     judge = Scorer.score
 
@@ -59,7 +60,8 @@ def without_cross_validation(_: str) -> Iterator[None]:
 @contextmanager
 def without_abstention(_: str) -> Iterator[None]:
     """Whatever fits best is named, however little it is worth; nothing is outside."""
-    from stiffopt.discovery import diagnose, search
+    from stiffopt.discovery import diagnose
+    from stiffopt.discovery.search import search
 
     with ExitStack() as stack:
         for bar in ("EVIDENCE", "CHI", "EXPLAINED"):
@@ -152,8 +154,8 @@ def main() -> None:
     parser.add_argument("effect", nargs="?", default="")
     parser.add_argument("--model", type=Path)
     given = parser.parse_args()
-    from stiffopt.discovery.answer_store import write_diagnosis
     from stiffopt.discovery.diagnose import diagnose
+    from stiffopt.discovery.store import write_diagnosis
 
     with VARIANTS[given.variant](given.effect):
         found = diagnose(given.case, model=given.model, experiment=False)

@@ -42,16 +42,16 @@ def solve(
     """
     from stiffopt.certificate.assess import assess
     from stiffopt.problem.files import load_problem
-    from stiffopt.report.page import write_solve_report
-    from stiffopt.report.terminal import print_solution
+    from stiffopt.report.solve.page import write_solve_report
+    from stiffopt.report.solve.terminal import print_solution
     from stiffopt.result.store import export_times, write_result, write_trajectory
-    from stiffopt.study.optimise import solve as optimise
+    from stiffopt.solver.solve import solve as optimise
 
     loaded = load_problem(problem)
     stated = loaded.problem
     found = None
     if model is not None:
-        from stiffopt.discovery.planner_solve import read_model, solve_extended
+        from stiffopt.discovery.extended.planner_solve import read_model, solve_extended
 
         found = read_model(model, effects)
     with output_folder(out or Path("out") / problem.stem) as folder:
@@ -89,8 +89,8 @@ def preload(study: Path, *, out: Out | None = None, quiet: bool = False) -> int:
     from stiffopt.preload.files import load_study
     from stiffopt.preload.store import write_curves, write_study
     from stiffopt.preload.study import preload_study
-    from stiffopt.report.preload_page import write_preload_report
-    from stiffopt.report.terminal import print_study
+    from stiffopt.report.preload.page import write_preload_report
+    from stiffopt.report.solve.terminal import print_study
 
     loaded = load_study(study)
     with output_folder(out or Path("out") / study.stem) as folder:
@@ -121,7 +121,7 @@ def verify(problems: Path, *, quiet: bool = False) -> int:
         No progress display.
     """
     from stiffopt import verify as verification
-    from stiffopt.report.terminal import print_checks
+    from stiffopt.report.solve.terminal import print_checks
 
     checks: list[verification.Check] = []
     paths = verification.problem_files(problems)
@@ -152,9 +152,9 @@ def stiffness(robot: str, *, out: Out | None = None, drivetrain: Path | None = N
     drivetrain
         Robot TOML beside a URDF.
     """
-    from stiffopt.report.stiffness_page import write_stiffness_report
+    from stiffopt.report.stiffness.page import write_stiffness_report
     from stiffopt.robot.files import load_robot
-    from stiffopt.study.stiffness import stiffness_study, write_stiffness_csv
+    from stiffopt.robot.stiffness_study import stiffness_study, write_stiffness_csv
 
     arm = load_robot(robot, drivetrain)
     with output_folder(out or Path("out") / f"stiffness_{arm.name}") as folder:
@@ -183,12 +183,12 @@ def _progress(problem: Any, quiet: bool) -> Any:
 
 def _study_progress(display: Any) -> Any:
     """Callback of a preload study; `display` is None where nothing is to be shown."""
-    from stiffopt.report.progress import StudyProgress
+    from stiffopt.report.common.progress import StudyProgress
 
     return None if display is None else StudyProgress(display)
 
 
 def _named_progress(title: str, quiet: bool, unit: str = "") -> Any:
-    from stiffopt.report.progress import ProgressDisplay
+    from stiffopt.report.common.progress import ProgressDisplay
 
     return nullcontext() if quiet else ProgressDisplay(title, unit)

@@ -52,11 +52,11 @@ def diagnose(
     quiet
         No progress display.
     """
-    from stiffopt.discovery.answer_store import ANSWER_FILE, write_diagnosis
     from stiffopt.discovery.diagnose import diagnose as find
-    from stiffopt.discovery.experiment import EXPERIMENT_FILE
+    from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
+    from stiffopt.discovery.store import ANSWER_FILE, write_diagnosis
     from stiffopt.recording.recording_set import load_recordings
-    from stiffopt.report.diagnosis_terminal import Sentences, print_diagnosis
+    from stiffopt.report.diagnosis.terminal import Sentences, print_diagnosis
 
     loaded = load_recordings(recordings)
     home = loaded.path.parent.resolve()
@@ -74,7 +74,7 @@ def diagnose(
         (folder / EXPERIMENT_FILE).unlink(missing_ok=True)
         with staged(folder, last=ANSWER_FILE) as stage:
             if report:
-                from stiffopt.report.diagnosis_page import write_diagnosis_report
+                from stiffopt.report.diagnosis.page import write_diagnosis_report
 
                 write_diagnosis_report(found, stage, png=png)
             write_diagnosis(found, stage)
@@ -101,7 +101,7 @@ def check(recordings: Path, *, json: bool = False) -> int:
     from stiffopt.recording.check import check_recordings
     from stiffopt.recording.recording_set import load_recordings, require_usable
     from stiffopt.recording.static_set import is_static, load_static_set
-    from stiffopt.report import recording_terminal as terminal
+    from stiffopt.report import recording_check as terminal
 
     if is_static(recordings):
         facts = terminal.static_facts(load_static_set(recordings))
@@ -133,11 +133,11 @@ def identify_stiffness(recordings: Path, *, out: Out | None = None) -> int:
     out
         Default: out/NAME of the folder.
     """
-    from stiffopt.discovery.static_stiffness import identify_stiffness as identify
-    from stiffopt.discovery.static_store import write_static
+    from stiffopt.identification.stiffness import identify_stiffness as identify
+    from stiffopt.identification.store import write_static
     from stiffopt.recording.static_set import load_static_set
-    from stiffopt.report.static_page import write_static_report
-    from stiffopt.report.static_terminal import print_static
+    from stiffopt.report.identification.page import write_static_report
+    from stiffopt.report.identification.terminal import print_static
 
     recorded = load_static_set(recordings)
     with output_folder(out or Path("out") / recorded.path.resolve().parent.name) as folder:

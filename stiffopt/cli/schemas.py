@@ -20,7 +20,7 @@ def schema(
     kind
         Which file.
     """
-    from stiffopt.discovery.extended_schema import ExtendedFile
+    from stiffopt.discovery.extended.schema import ExtendedFile
     from stiffopt.files import Section
     from stiffopt.preload.schema import PreloadFile
     from stiffopt.problem.schema import ProblemFile

@@ -6,12 +6,10 @@ import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from stiffopt.discovery.bursts import bursts
-from stiffopt.discovery.candidates import Scorer
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.comparison import Comparison
-from stiffopt.discovery.credit import variance_explained
-from stiffopt.discovery.detection import detection_limits
+from stiffopt.discovery.catalogue.user_effects import load_effects
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.diagnosis import (
     Diagnosis,
     Finding,
@@ -20,18 +18,20 @@ from stiffopt.discovery.diagnosis import (
     rivals_of,
 )
 from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.experiment import ExperimentPlan, leading_pair, plan_experiment
-from stiffopt.discovery.extended_model import ExtendedModel, load_extended
-from stiffopt.discovery.extension import Extension
-from stiffopt.discovery.outside import Outside, channel_name, judged
-from stiffopt.discovery.predict import Predictor
-from stiffopt.discovery.proof import RunProof, prove
-from stiffopt.discovery.search import Selected, search
+from stiffopt.discovery.experiment.design import ExperimentPlan, leading_pair, plan_experiment
+from stiffopt.discovery.extended.model import ExtendedModel, load_extended
+from stiffopt.discovery.judging.bursts import bursts
+from stiffopt.discovery.judging.detection import detection_limits
+from stiffopt.discovery.judging.unexplained import Outside, channel_name, judged
+from stiffopt.discovery.judging.variance_explained import variance_explained
+from stiffopt.discovery.proof.predict import Predictor
+from stiffopt.discovery.proof.proof import RunProof, prove
+from stiffopt.discovery.search.candidates import Scorer
+from stiffopt.discovery.search.search import Selected, search
+from stiffopt.discovery.search.uncertainty import Estimate, estimate
+from stiffopt.discovery.search.unstated import silent_effects, without_bounds
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.silent import silent_effects, without_bounds
 from stiffopt.discovery.training import Training, train
-from stiffopt.discovery.uncertainty import Estimate, estimate
-from stiffopt.discovery.user_effects import load_effects
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
 
 Say = Callable[[str], object]

@@ -7,13 +7,13 @@ from typing import Literal
 
 import numpy as np
 
-from stiffopt.discovery.detection import DetectionLimit
-from stiffopt.discovery.experiment import ExperimentPlan
-from stiffopt.discovery.extension import Extension, SizedEffect
-from stiffopt.discovery.outside import Outside
-from stiffopt.discovery.placed import PlacedEffect
-from stiffopt.discovery.proof import RunProof, nrmse
-from stiffopt.discovery.search import SearchResult, Selected
+from stiffopt.discovery.comparison.extension import Extension, SizedEffect
+from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.experiment.design import ExperimentPlan
+from stiffopt.discovery.judging.detection import DetectionLimit
+from stiffopt.discovery.judging.unexplained import Outside
+from stiffopt.discovery.proof.proof import RunProof, nrmse
+from stiffopt.discovery.search.search import SearchResult, Selected
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
 from stiffopt.recording.recording_set import RecordingSet

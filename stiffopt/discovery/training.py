@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from stiffopt.discovery.channel_noise import KnownNoise, known_noise
-from stiffopt.discovery.comparison import FEW_RUNS, Comparison
-from stiffopt.discovery.extended_model import ExtendedModel, check_extended
-from stiffopt.discovery.extension import extended
-from stiffopt.discovery.nuisance import merged
-from stiffopt.discovery.prepare import PreparedRun, prepare
-from stiffopt.discovery.robot import RobotModel
+from stiffopt.discovery.comparison.channel_noise import KnownNoise, known_noise
+from stiffopt.discovery.comparison.comparison import FEW_RUNS, Comparison
+from stiffopt.discovery.comparison.extension import extended
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison.nuisance import merged
+from stiffopt.discovery.comparison.prepare import PreparedRun, prepare
+from stiffopt.discovery.comparison.signals import RobotConstants
+from stiffopt.discovery.extended.model import ExtendedModel, check_extended
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.signals import RobotConstants
 from stiffopt.errors import InputFileError
 from stiffopt.recording.nominal import Tolerance
 from stiffopt.recording.recording_set import RecordingSet

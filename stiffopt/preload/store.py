@@ -23,8 +23,8 @@ from stiffopt.preload.problem import OBJECTIVES
 from stiffopt.preload.solution import PreloadSolution
 from stiffopt.preload.study import PreloadStudy
 from stiffopt.preload.values import named_values
+from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.store import plain
-from stiffopt.study.provenance import inputs_hash
 
 SCHEMA = 1
 STUDY_FILE = "study.json"

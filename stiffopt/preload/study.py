@@ -17,8 +17,8 @@ from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.sensitivity import Sensitivity, sensitivity
 from stiffopt.preload.solution import PreloadSolution
 from stiffopt.preload.trajectory_study import MotionStudy, motion_study
+from stiffopt.result.provenance import versions
 from stiffopt.result.status import SolveStatus
-from stiffopt.study.provenance import versions
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem

@@ -25,13 +25,13 @@ from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.solution import PreloadSolution
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.solution import Solution
 from stiffopt.result.status import SolveStatus
+from stiffopt.solver.guess import guess_along
 from stiffopt.solver.monitor import Progress
-from stiffopt.study.guess import guess_along
-from stiffopt.study.optimise import solve
-from stiffopt.study.provenance import inputs_hash
-from stiffopt.study.staging import SolveProgress
+from stiffopt.solver.solve import solve
+from stiffopt.solver.staging import SolveProgress
 
 __all__ = ["MotionRound", "MotionStudy", "motion_study"]
 

@@ -1,1 +1,1 @@
-"""Solvers of transcribed problems."""
+"""From a problem to a certified solution: start, stages, IPOPT, refinement."""

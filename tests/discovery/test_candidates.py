@@ -8,11 +8,11 @@ from answered import COULOMB
 from simulated import simulated
 from simulator import write_case
 
-from stiffopt.discovery.candidates import Scorer
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.placed import places
+from stiffopt.discovery.comparison.located_effect import places
+from stiffopt.discovery.search.candidates import Scorer
+from stiffopt.discovery.search.unstated import without_bounds
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.silent import without_bounds
 from stiffopt.discovery.training import train
 from stiffopt.recording.recording_set import load_recordings
 

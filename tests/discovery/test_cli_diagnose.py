@@ -13,7 +13,7 @@ from answered import COULOMB, columns_of, contents, copied, written
 from simulated import diagnosed
 
 from stiffopt.cli import run
-from tests.discovery.static_arms import THREE, BentArm, measure
+from tests.identification.static_arms import THREE, BentArm, measure
 
 
 def edited(source, before, after, count=-1):
@@ -92,7 +92,7 @@ def test_results_are_not_written_into_the_set(tmp_path, capsys):
 def test_interrupted_while_it_writes(tmp_path, monkeypatch, capsys):
     """Half of the files are there when the interruption comes; earlier results stay whole."""
     import stiffopt.discovery.diagnose
-    from stiffopt.discovery import answer_store
+    from stiffopt.discovery import store as answer_store
 
     plain, calls = answer_store.atomic_write, []
 

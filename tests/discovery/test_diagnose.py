@@ -8,10 +8,10 @@ from answered import COULOMB, answered, columns_of, command, copied
 from simulated import diagnosed, said
 from test_answer_store import conforms
 
-from stiffopt.discovery.answer_store import answer
 from stiffopt.discovery.diagnose import diagnose
+from stiffopt.discovery.store import answer
 from stiffopt.recording.recording_set import RecordingSet, load_recordings
-from stiffopt.report.diagnosis_words import outside_sentence
+from stiffopt.report.diagnosis.words import outside_sentence
 
 pytestmark = pytest.mark.slow
 

@@ -21,7 +21,7 @@ from stiffopt.discovery.catalogue.soundness import (
     stacked,
     symbolic_values,
 )
-from stiffopt.discovery.signals import JointConstants
+from stiffopt.discovery.comparison.signals import JointConstants
 from stiffopt.errors import InputError
 
 REPORTED = {

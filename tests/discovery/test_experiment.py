@@ -12,13 +12,13 @@ import pytest
 from simulator import CaseSpec, simulate, write_case
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.comparison import Comparison
-from stiffopt.discovery.experiment import ExperimentPlan, leading_pair, plan_experiment
-from stiffopt.discovery.experiment_collocation import improved
-from stiffopt.discovery.experiment_motion import limits_of, prepared_motion, random_motion
-from stiffopt.discovery.placed import PlacedEffect
-from stiffopt.discovery.search import SearchResult, Selected
-from stiffopt.discovery.separation import Separation
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.experiment.collocation import improved
+from stiffopt.discovery.experiment.design import ExperimentPlan, leading_pair, plan_experiment
+from stiffopt.discovery.experiment.motion import limits_of, prepared_motion, random_motion
+from stiffopt.discovery.experiment.separation import Separation
+from stiffopt.discovery.search.search import SearchResult, Selected
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training, train
 from stiffopt.recording.recording_set import load_recordings

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from answered import COULOMB, answered, columns_of, command, copied
 
-from stiffopt.discovery.extended_model import load_extended
+from stiffopt.discovery.extended.model import load_extended
 from stiffopt.errors import InputFileError
 
 pytestmark = pytest.mark.slow
@@ -105,7 +105,7 @@ def test_an_effect_of_a_users_own_is_found_and_kept(tmp_path):
     model = result.out / "extended.toml"
     with pytest.raises(InputFileError, match="An effect of your own needs its file"):
         load_extended(model)
-    from stiffopt.discovery.user_effects import load_effects
+    from stiffopt.discovery.catalogue.user_effects import load_effects
 
     kept = load_extended(model, load_effects(effects)).extension.effects
     assert "rail_wave" in [each.placed.effect.name for each in kept]

@@ -13,11 +13,11 @@ import pytest
 
 from stiffopt.cli import run as command
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.extended_model import ExtendedModel, load_extended
-from stiffopt.discovery.extension import Extension, SizedEffect
-from stiffopt.discovery.placed import PlacedEffect
-from stiffopt.discovery.planner_elastic import ADDED
-from stiffopt.discovery.planner_model import joint_constants, planner_model
+from stiffopt.discovery.comparison.extension import Extension, SizedEffect
+from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.extended.model import ExtendedModel, load_extended
+from stiffopt.discovery.extended.planner_elastic import ADDED
+from stiffopt.discovery.extended.planner_model import joint_constants, planner_model
 from stiffopt.errors import InputFileError
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.robot import Robot

@@ -14,10 +14,10 @@ from simulated import diagnosed, diagnosis_of, said, simulated
 from simulator import CaseSpec, write_case
 
 from stiffopt.discovery.catalogue import CATALOGUE
+from stiffopt.discovery.comparison.located_effect import places
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison.prepare import prepare
 from stiffopt.discovery.diagnosis import Diagnosis
-from stiffopt.discovery.placed import places
-from stiffopt.discovery.prepare import prepare
-from stiffopt.discovery.robot import RobotModel
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import train
 from stiffopt.recording.recording_set import load_recordings

@@ -11,11 +11,11 @@ from simulated import simulated
 from simulator import CaseSpec, write_case
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.extension import Extension, SizedEffect, added_inertia
-from stiffopt.discovery.placed import PlacedEffect
-from stiffopt.discovery.predict import Predictor
-from stiffopt.discovery.prepare import prepare
-from stiffopt.discovery.robot import RobotModel
+from stiffopt.discovery.comparison.extension import Extension, SizedEffect, added_inertia
+from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison.prepare import prepare
+from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.settings import Settings
 from stiffopt.recording.recording_set import load_recordings
 

@@ -14,7 +14,7 @@ from er3a_tables import table_chain
 
 from stiffopt.connection import ClampingPins
 from stiffopt.robot.files import load_robot
-from stiffopt.study.stiffness import with_flanks
+from stiffopt.robot.stiffness_study import with_flanks
 
 RATIOS = np.array([0.001, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0])
 

@@ -14,7 +14,7 @@ from stiffopt.preload.files import load_study
 from stiffopt.preload.store import study_document
 from stiffopt.preload.study import preload_study
 from stiffopt.preload.values import named_values, value_units
-from stiffopt.report.progress import StudyProgress
+from stiffopt.report.common.progress import StudyProgress
 
 MORE = """[pareto]
 points = 3

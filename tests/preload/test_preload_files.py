@@ -14,8 +14,8 @@ from stiffopt.preload.files import load_study
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.problem import Choice, PreloadProblem, Requirements
 from stiffopt.preload.values import value_units
+from stiffopt.result.provenance import inputs_hash
 from stiffopt.robot.files import load_robot
-from stiffopt.study.provenance import inputs_hash
 
 # With every key that a study of one flange may have, and an er3a beside it.
 COMPLETE = """

@@ -8,18 +8,19 @@ import numpy as np
 import pytest
 
 from stiffopt.discovery.diagnosis import Rival
-from stiffopt.discovery.outside import Outside
-from stiffopt.report.diagnosis_motion import trace, worst_windows
-from stiffopt.report.diagnosis_page import write_diagnosis_report
-from stiffopt.report.diagnosis_residuals import (
+from stiffopt.discovery.judging.unexplained import Outside
+from stiffopt.report.common.quantities import significant
+from stiffopt.report.diagnosis.motion import trace, worst_windows
+from stiffopt.report.diagnosis.page import write_diagnosis_report
+from stiffopt.report.diagnosis.residuals import (
     binned,
     channel_rows,
     contribution,
     direction,
     regimes,
 )
-from stiffopt.report.diagnosis_tables import candidates_table, channels_table, limits_table
-from stiffopt.report.diagnosis_words import (
+from stiffopt.report.diagnosis.tables import candidates_table, channels_table, limits_table
+from stiffopt.report.diagnosis.words import (
     channels_in_words,
     headline,
     lead,
@@ -28,7 +29,6 @@ from stiffopt.report.diagnosis_words import (
     proof_sentence,
     with_deviation,
 )
-from stiffopt.report.quantities import significant
 from tests.discovery.simulated import diagnosed
 from tests.simulator import CaseSpec
 

@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 from synthetic_solution import assessment, problem, robot, solution
 
-from stiffopt.report.figures import (
+from stiffopt.report.common.motions import compared_motions, robot_joint_units
+from stiffopt.report.common.svg import line_style, thin, to_png, to_svg
+from stiffopt.report.solve.figures import (
     deflection_figure,
     motion_figure,
     stiffness_figure,
     torque_figure,
 )
-from stiffopt.report.motions import compared_motions, robot_joint_units
-from stiffopt.report.space_figures import exaggeration, path_figure, windup_figure
-from stiffopt.report.stiffness_figures import (
+from stiffopt.report.solve.space_figures import exaggeration, path_figure, windup_figure
+from stiffopt.report.stiffness.figures import (
     relative_figure,
     shares_figure,
     stiffness_curves,
     tangent_figure,
 )
-from stiffopt.report.svg import line_style, thin, to_png, to_svg
 
 
 @functools.cache

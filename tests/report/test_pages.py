@@ -8,14 +8,14 @@ from test_figures import stiffness_rows
 
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.problem.objectives import Objective
-from stiffopt.report.citations import cited, references
-from stiffopt.report.page import write_solve_report
-from stiffopt.report.stiffness_page import write_stiffness_report
-from stiffopt.report.wording import amount, comparison
+from stiffopt.report.common.citations import cited, references
+from stiffopt.report.solve.page import write_solve_report
+from stiffopt.report.solve.wording import amount, comparison
+from stiffopt.report.stiffness.page import write_stiffness_report
 from stiffopt.result.assessment import Violation
+from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.solution import ObjectiveValue
 from stiffopt.result.status import SolveStatus
-from stiffopt.study.provenance import inputs_hash
 
 VOID = {"meta", "br", "link", "img", "hr", "input"}
 

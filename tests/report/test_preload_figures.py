@@ -7,10 +7,10 @@ from matplotlib.text import Annotation
 from preload_report_studies import cannot, flange, several, stiff
 
 from stiffopt.preload.model import PreloadModel
-from stiffopt.report.motions import robot_joint_units
-from stiffopt.report.preload_curves_figure import curves_figure, preload_view
-from stiffopt.report.preload_figures import front_figure, loosening_figure, shares_figure
-from stiffopt.report.preload_tables import shares_by_joint
+from stiffopt.report.common.motions import robot_joint_units
+from stiffopt.report.preload.curves_figure import curves_figure, preload_view
+from stiffopt.report.preload.figures import front_figure, loosening_figure, shares_figure
+from stiffopt.report.preload.tables import shares_by_joint
 
 
 def view_of(study):

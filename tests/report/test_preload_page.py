@@ -6,12 +6,12 @@ import pytest
 from preload_report_studies import cannot, flange, several, stiff, with_motion
 from test_pages import Page
 
-from stiffopt.report.preload_bars import utilisation_bars, utilisation_matrix
-from stiffopt.report.preload_extras import choice_section, motion_section
-from stiffopt.report.preload_names import change, fastener_words, listed, prose, spoken
-from stiffopt.report.preload_page import write_preload_report
-from stiffopt.report.preload_tables import loosening_table, recommended_table
-from stiffopt.report.preload_wording import stiffness_sentence, weakest_sentence, what_binds
+from stiffopt.report.preload.bars import utilisation_bars, utilisation_matrix
+from stiffopt.report.preload.extras import choice_section, motion_section
+from stiffopt.report.preload.names import change, fastener_words, listed, prose, spoken
+from stiffopt.report.preload.page import write_preload_report
+from stiffopt.report.preload.tables import loosening_table, recommended_table
+from stiffopt.report.preload.wording import stiffness_sentence, weakest_sentence, what_binds
 
 FIGURES = ("preload_curves", "preload_front", "preload_loosening", "preload_shares")
 

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from stiffopt.report.progress import ProgressDisplay
-from stiffopt.report.quantities import engineering, percent, significant
+from stiffopt.report.common.progress import ProgressDisplay
+from stiffopt.report.common.quantities import engineering, percent, significant
 
 
 def event(**changes):

@@ -8,10 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from stiffopt.discovery.catalogue.history import Step, scan
+from stiffopt.discovery.comparison.signals import JointConstants
 from stiffopt.discovery.effect import Amplitude
-from stiffopt.discovery.history import Step, scan
 from stiffopt.discovery.settings import SIGN_SPEED
-from stiffopt.discovery.signals import JointConstants
 from stiffopt.symbolic import Quantity, is_symbolic
 
 # A term that no parameter enters linearly is scaled as a whole by this one. It is 1 where the

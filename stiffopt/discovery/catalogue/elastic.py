@@ -21,8 +21,8 @@ from stiffopt.discovery.catalogue.common import (
     winds_up,
     working_compliance,
 )
+from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
-from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity
 
 

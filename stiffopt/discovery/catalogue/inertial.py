@@ -7,8 +7,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import Constants, motor_inertia, part, ratio_or_zero
+from stiffopt.discovery.comparison.signals import (
+    JointConstants,
+    JointSignals,
+    RobotConstants,
+    RobotSignals,
+)
 from stiffopt.discovery.effect import Amplitude, Effect, Term
-from stiffopt.discovery.signals import JointConstants, JointSignals, RobotConstants, RobotSignals
 from stiffopt.symbolic import Quantity
 
 # Inertial parameters of a body in a regressor: mass, three first moments, six of the inertia.

@@ -8,8 +8,13 @@ from itertools import product
 import casadi as ca
 import numpy as np
 
+from stiffopt.discovery.comparison.signals import (
+    JointConstants,
+    JointSignals,
+    RobotConstants,
+    RobotSignals,
+)
 from stiffopt.discovery.effect import Effect, Term
-from stiffopt.discovery.signals import JointConstants, JointSignals, RobotConstants, RobotSignals
 from stiffopt.symbolic import is_symbolic
 
 PARTS = ("drive_torque", "link_torque", "deflection", "previous_torque")

@@ -1,0 +1,1 @@
+"""What recordings say and what the nominal model says of the same motion."""

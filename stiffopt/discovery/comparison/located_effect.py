@@ -1,0 +1,185 @@
+"""An effect at a place: which joint, link or run, with which shapes; and what it adds there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.comparison.signals import JointConstants, RobotConstants
+from stiffopt.discovery.effect import Effect
+
+# Units of angle and torque, and what they are at a joint that slides.
+_OF_SLIDES = {
+    "rad": "m",
+    "rad/s": "m/s",
+    "N m": "N",
+    "N m s/rad": "N s/m",
+    "N m/rad": "N/m",
+    "N m/rad^3": "N/m^3",
+    "rad/(N m)": "m/N",
+    "kg m^2": "kg",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Contribution:
+    """What an effect adds to the channels of one run, (K, n) each or None.
+
+    Parameters
+    ----------
+    torque : array
+        To the drive torque [N m]; the link torque is in it.
+    link_torque : array
+        To the spring torque [N m].
+    deflection : array
+        Beside the wind-up under the link torque [rad].
+    """
+
+    torque: np.ndarray | None
+    link_torque: np.ndarray | None
+    deflection: np.ndarray | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacedEffect:
+    """An effect somewhere.
+
+    Parameters
+    ----------
+    effect : Effect
+    joint : int or None
+        0-based.
+    link : int or None
+        0-based, of effects of a link.
+    run : str or None
+        Of effects of a run.
+    shapes : tuple of float
+    """
+
+    effect: Effect
+    joint: int | None = None
+    link: int | None = None
+    run: str | None = None
+    shapes: tuple[float, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """Effect and place, for messages."""
+        place = ""
+        if self.joint is not None:
+            place = f" of joint {self.joint + 1}"
+        elif self.link is not None:
+            place = f" of link {self.link + 1}"
+        return f"{self.effect.name}{place}" + (f" in {self.run}" if self.run else "")
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What tells it from others: name, place and shapes."""
+        return (self.effect.name, self.joint, self.link, self.run, self.shapes)
+
+    def near(self, other: PlacedEffect) -> bool:
+        """Whether it could stand in the other's place: at its joint or next to it, or nowhere."""
+        if self.joint is None or other.joint is None:
+            return True
+        return abs(self.joint - other.joint) <= 1
+
+    def same_place(self, other: PlacedEffect) -> bool:
+        """Whether both are the same effect at the same place, whatever the shapes."""
+        return self.key[:-1] == other.key[:-1]
+
+    def constants(self, robot: RobotConstants) -> JointConstants | RobotConstants:
+        """Constants that sizes and reports are taken from."""
+        return robot if self.joint is None else robot.joints[self.joint]
+
+    def unit_of(self, parameter: str, robot: RobotConstants) -> str:
+        """Unit of a reported parameter; of force and length where the joint slides."""
+        unit = self.effect.unit_of(parameter)
+        slides = self.joint is not None and robot.joints[self.joint].prismatic
+        return _OF_SLIDES.get(unit, unit) if slides else unit
+
+    def sizes(self, robot: RobotConstants) -> np.ndarray:
+        """Typical size of every amplitude."""
+        own = self.constants(robot)
+        return np.array([a.size(own) for a in self.effect.amplitudes])
+
+    def contribution(self, run: PreparedRun, amplitudes: Sequence[float]) -> Contribution:
+        """What it adds to a run, not filtered."""
+        signals = run.signals
+        if self.run is not None and run.name != self.run:
+            return Contribution(None, None, None)
+        if self.joint is None:
+            seen = signals if self.link is None else replace(signals, link=self.link)
+            term = self.effect.term(seen, amplitudes, self.shapes)
+            link = _whole(term.link_torque, signals.motor_position)
+            drive = _whole(term.drive_torque, signals.motor_position)
+            return Contribution(
+                _sum(drive, link), link, _whole(term.deflection, signals.motor_position)
+            )
+        term = self.effect.term(signals.of_joint(self.joint), amplitudes, self.shapes)
+        like = signals.motor_position
+        link = _column(term.link_torque, like, self.joint)
+        drive = _column(term.drive_torque, like, self.joint)
+        before = _column(term.previous_torque, like, self.joint - 1) if self.joint else None
+        return Contribution(
+            _sum(_sum(drive, link), before), link, _column(term.deflection, like, self.joint)
+        )
+
+    def columns(
+        self, run: PreparedRun, robot: RobotModel
+    ) -> Iterator[tuple[np.ndarray | None, np.ndarray | None]]:
+        """Change of torque and deflection for a unit of each amplitude."""
+        count = len(self.effect.amplitudes)
+        for i in range(count):
+            unit = [1.0 if k == i else 0.0 for k in range(count)]
+            added = self.contribution(run, unit)
+            deflection = added.deflection
+            if added.link_torque is not None:
+                slope = robot.compliance(run.signals.spring_torque)
+                deflection = _sum(deflection, slope * added.link_torque)
+            yield added.torque, deflection
+
+
+def places(effect: Effect, robot: RobotConstants, runs: Sequence[str]) -> Iterator[PlacedEffect]:
+    """Every place that an effect can have, with every start of its shapes."""
+    grids: list[PlacedEffect] = []
+    n = len(robot.joints)
+    if effect.scope == "joint":
+        grids = [PlacedEffect(effect=effect, joint=j) for j in range(n)]
+    elif effect.scope == "link":
+        # What is fixed to the last link counts as payload.
+        grids = [PlacedEffect(effect=effect, link=j) for j in range(n - 1)]
+    elif effect.scope == "run":
+        grids = [PlacedEffect(effect=effect, joint=j, run=run) for j in range(n) for run in runs]
+    else:
+        grids = [PlacedEffect(effect=effect)]
+    for place in grids:
+        own = place.constants(robot)
+        if effect.applies is not None and not effect.applies(own):
+            continue
+        for shapes in product(*(shape.grid(own) for shape in effect.shapes)):
+            yield replace(place, shapes=shapes)
+
+
+def _sum(a: np.ndarray | None, b: np.ndarray | None) -> np.ndarray | None:
+    if a is None or b is None:
+        return b if a is None else a
+    return np.asarray(a + b)
+
+
+def _whole(values: object, like: np.ndarray) -> np.ndarray | None:
+    array = np.asarray(values, dtype=float)
+    return np.broadcast_to(array, like.shape) if array.any() else None
+
+
+def _column(values: object, like: np.ndarray, joint: int) -> np.ndarray | None:
+    array = np.asarray(values, dtype=float)
+    if not array.any():
+        return None
+    out = np.zeros_like(like)
+    out[:, joint] = array
+    return out

@@ -1,0 +1,235 @@
+"""The nominal model of a recording set along a motion: torques, wind-up, friction, regressors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+
+from stiffopt.discovery.comparison.signals import JointConstants, RobotConstants
+from stiffopt.discovery.settings import SIGN_SPEED, filled
+from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.run import Run
+
+
+class RobotModel:
+    """Nominal dynamics in the order of the set's joints.
+
+    Parameters
+    ----------
+    recordings : RecordingSet
+
+    Attributes
+    ----------
+    n : int
+        Joints.
+    rotor_inertia, coulomb, viscous : array (n,)
+        Zero where the set is silent.
+    """
+
+    def __init__(self, recordings: RecordingSet) -> None:
+        self.recordings = recordings
+        self.model = recordings.model
+        self._data = self.model.createData()
+        self.order = np.asarray(recordings.order)
+        self.n = len(recordings.joints)
+        nominal = recordings.nominal
+        zero = np.zeros(self.n)
+        self.rotor_inertia = filled(nominal.rotor_inertia, zero)
+        self.coulomb = filled(nominal.coulomb, zero)
+        self.viscous = filled(nominal.viscous, zero)
+        self._balance = nominal.counterbalance
+        self._tool = self._tool_frame()
+
+    # ---- constants
+
+    @cached_property
+    def constants(self) -> RobotConstants:
+        """Constants without any range met."""
+        nominal, connections = self.recordings.nominal, self.recordings.nominal.connections
+        stiff = np.full(self.n, np.inf)
+        torque_max = filled(nominal.torque_max, np.abs(self.model.effortLimit[self.order]))
+        torque_max = np.where((torque_max > 0.0) & np.isfinite(torque_max), torque_max, np.nan)
+        rated = filled(nominal.torque_rated, torque_max / 3.0)
+        ratio = filled(nominal.gear_ratio, np.ones(self.n))
+        contact = filled(nominal.contact_stiffness, stiff)
+        prismatic = [
+            self.model.joints[int(j) + 1].nq == 1 and self._slides(int(j)) for j in self.order
+        ]
+        joints = tuple(
+            JointConstants(
+                joint=j + 1,
+                ratio=float(ratio[j]),
+                coulomb=float(self.coulomb[j]),
+                viscous=float(self.viscous[j]),
+                torque_rated=float(rated[j]),
+                torque_max=float(torque_max[j]),
+                rotor_inertia=float(self.rotor_inertia[j]),
+                contact_stiffness=float(contact[j]),
+                pole_pairs=nominal.pole_pairs,
+                prismatic=prismatic[j],
+                belt=None if connections is None else "belt" in connections[j],
+                slopes=self._slopes(j),
+                torques=self._knees(j),
+            )
+            for j in range(self.n)
+        )
+        inertias = [self.model.inertias[int(j) + 1] for j in self.order]
+        return RobotConstants(
+            joints=joints,
+            links=tuple(self._link_name(int(j) + 1) for j in self.order),
+            masses=np.array([i.mass for i in inertias]),
+            centres=np.array([i.lever for i in inertias]),
+            tool_range=np.array([[-1.0] * 3, [1.0] * 3]),
+        )
+
+    def ranged(self, signals: Sequence[object]) -> RobotConstants:
+        """Constants with the ranges that some runs meet; unknown torques from what they carry."""
+        base = self.constants
+
+        def stack(name: str) -> np.ndarray:
+            return np.vstack([getattr(s, name) for s in signals])
+
+        motor, speed = stack("motor_position"), np.abs(stack("motor_velocity"))
+        spring, drive = np.abs(stack("spring_torque")), np.abs(stack("drive_torque"))
+        tool = stack("tool_position")
+        joints = []
+        for j, own in enumerate(base.joints):
+            largest = float(drive[:, j].max())
+            known = np.isfinite(own.torque_max)
+            joints.append(
+                replace(
+                    own,
+                    torque_max=own.torque_max if known else max(largest, 1e-6),
+                    torque_rated=own.torque_rated if known else max(largest / 2.0, 1e-6),
+                    stroke=(float(motor[:, j].min()), float(motor[:, j].max())),
+                    fastest=max(float(speed[:, j].max()), 1e-6),
+                    largest_torque=max(float(spring[:, j].max()), 1e-9),
+                )
+            )
+        span = np.array([tool.min(axis=0), tool.max(axis=0)])
+        return replace(base, joints=tuple(joints), tool_range=span)
+
+    def _slopes(self, j: int) -> tuple[float, float, float] | None:
+        reducer = self.recordings.nominal.reducer
+        if reducer is None:
+            return None
+        slopes = (float(reducer.K1[j]), float(reducer.K2[j]), float(reducer.K3[j]))
+        return slopes if np.isfinite(slopes).all() else None
+
+    def _knees(self, j: int) -> tuple[float, float] | None:
+        reducer = self.recordings.nominal.reducer
+        if reducer is None or self._slopes(j) is None:
+            return None
+        return float(reducer.T1[j]), float(reducer.T2[j])
+
+    def _slides(self, joint: int) -> bool:
+        return str(self.model.joints[joint + 1].shortname()).startswith("JointModelP")
+
+    def _link_name(self, joint: int) -> str:
+        for frame in self.model.frames:
+            if frame.type == pin.FrameType.BODY and frame.parentJoint == joint:
+                return str(frame.name)
+        return str(self.model.names[joint])
+
+    def _tool_frame(self) -> int:
+        name = self.recordings.tool_frame
+        if name is not None and self.model.existFrame(name):
+            return int(self.model.getFrameId(name))
+        return int(self.model.nframes - 1)
+
+    # ---- along a motion, (K, n) each, in the set's order
+
+    @property
+    def elastic(self) -> bool:
+        """Whether any nominal joint winds up."""
+        return any(joint.elastic for joint in self.constants.joints)
+
+    def windup(self, torque: np.ndarray) -> np.ndarray:
+        """Nominal wind-up under spring torques [rad]."""
+        return np.column_stack(
+            [joint.windup(torque[:, j]) for j, joint in enumerate(self.constants.joints)]
+        )
+
+    def compliance(self, torque: np.ndarray) -> np.ndarray:
+        """Slope of the nominal wind-up [rad/(N m)]."""
+        return np.column_stack(
+            [joint.compliance(torque[:, j]) for j, joint in enumerate(self.constants.joints)]
+        )
+
+    def friction(self, velocity: np.ndarray) -> np.ndarray:
+        """Nominal friction torque with a smooth sign [N m]."""
+        return np.asarray(self.coulomb * np.tanh(velocity / SIGN_SPEED) + self.viscous * velocity)
+
+    def spring_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Torque in the springs, of rigid bodies and counterbalances [N m]."""
+        model, data, order = self.model, self._data, self.order
+        q, v, a = (self._in_model(x) for x in (q, v, a))
+        out = np.array([pin.rnea(model, data, *each) for each in zip(q, v, a, strict=True)])
+        torque = out[:, order]
+        for balance in self._balance:
+            j = balance.joint
+            torque[:, j] -= balance.at(q[:, order[j]])
+        return torque
+
+    def inertia(self, q: np.ndarray) -> np.ndarray:
+        """Inertia matrices of the rigid bodies (K, n, n) [kg m^2]."""
+        full = (pin.crba(self.model, self._data, each) for each in self._in_model(q))
+        return np.array([matrix[np.ix_(self.order, self.order)] for matrix in full])
+
+    def body_regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Spring torques for the inertial parameters of every body (K, n, 10 n)."""
+        model, data, order = self.model, self._data, self.order
+        columns = np.concatenate([np.arange(10 * j, 10 * j + 10) for j in order])
+        shape = (model.nv, 10 * model.nv)
+        out = np.empty((len(q), self.n, 10 * self.n))
+        for k, each in enumerate(zip(*(self._in_model(x) for x in (q, v, a)), strict=True)):
+            full = np.reshape(pin.computeJointTorqueRegressor(model, data, *each), shape)
+            out[k] = full[np.ix_(order, columns)]
+        return out
+
+    def tilt(self, q: np.ndarray) -> np.ndarray:
+        """Change of the gravity torques for a turn of the base about x and y (K, n, 2)."""
+        model, data = self.model, self._data
+        gravity = np.array(model.gravity.linear)
+        # Gravity turns the other way in the base's axes.
+        turned = [-np.cross(axis, gravity) for axis in np.eye(3)[:2]]
+        out = np.empty((len(q), self.n, 2))
+        try:
+            for i, direction in enumerate(turned):
+                model.gravity.linear = direction
+                for k, each in enumerate(self._in_model(q)):
+                    out[k, :, i] = pin.computeGeneralizedGravity(model, data, each)[self.order]
+        finally:
+            model.gravity.linear = gravity
+        return out
+
+    def tool(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Tool position (K, 3), velocity (K, 3) and position Jacobian (K, 3, n)."""
+        model, data, frame = self.model, self._data, self._tool
+        position = np.empty((len(q), 3))
+        jacobian = np.empty((len(q), 3, self.n))
+        for k, each in enumerate(self._in_model(q)):
+            full = pin.computeFrameJacobian(
+                model, data, each, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+            )
+            # One joint comes back as a vector.
+            jacobian[k] = np.reshape(full, (6, model.nv))[:3, self.order]
+            position[k] = pin.updateFramePlacement(model, data, frame).translation
+        return position, np.einsum("kij,kj->ki", jacobian, v), jacobian
+
+    def temperature_rise(self, run: Run, count: int) -> np.ndarray:
+        """Housing temperature above that at which friction was identified (K, n) [K]."""
+        reference = self.recordings.nominal.friction_temperature
+        if run.temperature is None or reference is None:
+            return np.zeros((count, self.n))
+        return np.tile(np.asarray(run.temperature, dtype=float) - reference, (count, 1))
+
+    def _in_model(self, values: np.ndarray) -> np.ndarray:
+        """Columns in the model's order; joints that the set leaves out stand at zero."""
+        full = np.zeros((len(values), self.model.nv))
+        full[:, self.order] = values
+        return full

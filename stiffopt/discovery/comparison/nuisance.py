@@ -1,0 +1,126 @@
+"""Nominal values within their tolerances: what a finding gets no credit for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison.prepare import PreparedRun, sign
+from stiffopt.recording.nominal import Tolerance
+
+# Relative standard deviation of the torques at which a reducer's slope changes, and the width over
+# which it does.
+_KNEE = 0.08
+
+
+@dataclass(frozen=True)
+class NuisanceColumn:
+    """How one nominal value moves the channels.
+
+    Parameters
+    ----------
+    name : str
+        Such as "coulomb 3".
+    sd : float
+        Its tolerance.
+    torque, deflection : array (K, n) or None
+        Change of the predicted drive torque [N m] and deflection [rad] for a unit of the value.
+    """
+
+    name: str
+    sd: float
+    torque: np.ndarray | None
+    deflection: np.ndarray | None
+
+
+def nuisance_columns(
+    run: PreparedRun, robot: RobotModel, tolerance: Tolerance
+) -> Iterator[NuisanceColumn]:
+    """Columns of all nominal values along a run; the same order for every run."""
+    yield from _bodies(run, robot, tolerance)
+    signals = run.signals
+    compliance_free = np.zeros_like(signals.spring_torque)
+
+    def single(j: int, values: np.ndarray) -> np.ndarray:
+        column = compliance_free.copy()
+        column[:, j] = values
+        return np.asarray(column)
+
+    for j in range(robot.n):
+        speed = signals.motor_velocity[:, j]
+        relative = (
+            ("rotor_inertia", robot.rotor_inertia[j] * signals.motor_acceleration[:, j]),
+            ("coulomb", robot.coulomb[j] * sign(speed)),
+            ("viscous", robot.viscous[j] * speed),
+            ("torque_constant", signals.drive_torque[:, j]),
+        )
+        for name, values in relative:
+            sd = getattr(tolerance, name)
+            if sd and np.any(values):
+                yield NuisanceColumn(f"{name} {j + 1}", sd, single(j, values), None)
+        if tolerance.stiffness and np.any(signals.windup[:, j]):
+            values = signals.windup[:, j]
+            yield NuisanceColumn(f"stiffness {j + 1}", tolerance.stiffness, None, single(j, values))
+            yield from _knees(run, j, single)
+        if tolerance.encoder_zero:
+            values = np.ones(len(signals.time))
+            yield NuisanceColumn(
+                f"encoder_zero {j + 1}", tolerance.encoder_zero, None, single(j, values)
+            )
+
+
+def _knees(
+    run: PreparedRun, j: int, single: Callable[[int, np.ndarray], np.ndarray]
+) -> Iterator[NuisanceColumn]:
+    """Where the reducer's slope changes, and how roundly: catalogues idealise it as kinks."""
+    constants = run.signals.constants.joints[j]
+    if constants.slopes is None or constants.torques is None:
+        return
+    spring = run.signals.spring_torque[:, j]
+    (k1, k2, k3), (t1, t2) = constants.slopes, constants.torques
+    for name, knee, before, after in (("T1", t1, k1, k2), ("T2", t2, k2, k3)):
+        fall = 1.0 / before - 1.0 / after
+        beyond = np.sign(spring) * np.clip((np.abs(spring) - knee) / (_KNEE * knee), 0.0, 1.0)
+        column = single(j, fall * knee * beyond)
+        yield NuisanceColumn(f"{name} {j + 1}", _KNEE, None, column)
+        width = _KNEE * knee
+        rounded = np.sign(spring) * fall * width * np.exp(-np.abs(np.abs(spring) - knee) / width)
+        yield NuisanceColumn(f"rounding {name} {j + 1}", 1.0, None, single(j, rounded))
+
+
+def _bodies(run: PreparedRun, robot: RobotModel, tolerance: Tolerance) -> Iterator[NuisanceColumn]:
+    """Mass and centre of mass of every body."""
+    compliance = robot.compliance(run.signals.spring_torque)
+    for position, joint in enumerate(robot.order):
+        inertia = robot.model.inertias[int(joint) + 1]
+        regressor = run.signals.body_regressor[:, :, 10 * position : 10 * position + 10]
+        now = inertia.toDynamicParameters()
+        if tolerance.mass:
+            torque = regressor @ now
+            yield NuisanceColumn(
+                f"mass {position + 1}", tolerance.mass, torque, compliance * torque
+            )
+        if not tolerance.com:
+            continue
+        for axis in range(3):
+            shift = np.zeros(3)
+            shift[axis] = 1e-5
+            moved = pin.Inertia(inertia.mass, inertia.lever + shift, inertia.inertia)
+            torque = regressor @ ((moved.toDynamicParameters() - now) / 1e-5)
+            name = f"com {position + 1} {'xyz'[axis]}"
+            yield NuisanceColumn(name, tolerance.com, torque, compliance * torque)
+
+
+def merged(tolerance: Tolerance, default: Tolerance) -> Tolerance:
+    """Tolerances of the set, the defaults where it is silent."""
+    names = vars(default)
+    return Tolerance(
+        **{
+            name: own if (own := getattr(tolerance, name)) is not None else default_value
+            for name, default_value in names.items()
+        }
+    )

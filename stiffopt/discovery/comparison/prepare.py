@@ -1,0 +1,229 @@
+"""From a recorded run to filtered signals, nominal predictions and what is left of the channels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, derivative
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison.signals import RobotConstants, RobotSignals
+from stiffopt.discovery.settings import SIGN_SPEED, Settings
+from stiffopt.recording.run import Run
+
+# Rounds of link motion = motor motion - wind-up; each shrinks the error by (f/resonance)^2.
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PreparedRun:
+    """One run, ready to be compared.
+
+    Parameters
+    ----------
+    name, role : str
+    index : int
+        Among the runs that are compared.
+    time : array (K,)
+        Uniform clock [s].
+    signals : RobotSignals
+        Motion, filtered, and nominal torques.
+    torque, deflection : array (K, n)
+        Measured drive torque, and motor minus link angle; not filtered; nan where missing.
+    torque_used, deflection_used : array (K, n) of bool
+        Samples that a fit uses.
+    moving : array (K, n) of bool
+        The joint is faster than `settings.slow`.
+    low_pass : ZeroPhaseFilter
+    settling : int
+        Samples at either end of the links' motion that its filter makes up in part.
+    """
+
+    name: str
+    role: str
+    index: int
+    time: np.ndarray
+    signals: RobotSignals
+    torque: np.ndarray
+    deflection: np.ndarray
+    torque_used: np.ndarray
+    deflection_used: np.ndarray
+    moving: np.ndarray
+    low_pass: ZeroPhaseFilter
+    settling: int
+
+
+def prepare(
+    robot: RobotModel,
+    run: Run,
+    index: int,
+    constants: RobotConstants | None,
+    settings: Settings,
+    *,
+    links: float = np.inf,
+) -> PreparedRun:
+    """Filter a run and evaluate the nominal model along it.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    run : Run
+    index : int
+    constants : RobotConstants or None
+        Of the training runs; None takes the ranges met from this run alone.
+    settings : Settings
+    links : float
+        Of the links' motion where it is to be slower than the motors' [Hz].
+    """
+    time, position, link, torque = _uniform(run)
+    dt = float(time[1] - time[0])
+    low_pass = ZeroPhaseFilter(1.0 / dt, min(settings.cutoff, 0.2 / dt))
+    followed = _filled(position)
+    motor = low_pass.motion(followed)
+    velocity = derivative(motor, dt)
+    acceleration = derivative(velocity, dt)
+    slow = low_pass if links >= low_pass.cutoff else ZeroPhaseFilter(1.0 / dt, links)
+    q, v, a, spring = _link_motion(robot, slow.motion(followed), dt, slow)
+    windup = robot.windup(spring)
+    friction = robot.friction(velocity)
+    drive = robot.rotor_inertia * acceleration + spring + friction
+    tool = robot.tool(q, v)
+    signals = RobotSignals(
+        time=time,
+        dt=dt,
+        session_time=time + (run.session_time or 0.0),
+        temperature_rise=robot.temperature_rise(run, len(time)),
+        motor_position=motor,
+        motor_velocity=velocity,
+        motor_acceleration=acceleration,
+        link_position=q,
+        link_velocity=v,
+        link_acceleration=a,
+        spring_torque=spring,
+        windup=windup,
+        drive_torque=drive,
+        drive_torque_rate=derivative(low_pass(drive), dt),
+        tool_position=tool[0],
+        tool_velocity=tool[1],
+        tool_jacobian=tool[2],
+        body_regressor=robot.body_regressor(q, v, a),
+        tilt=robot.tilt(q),
+        last_link=robot.n - 1,
+        link=robot.n - 1,
+        constants=constants or robot.constants,
+    )
+    moving = np.abs(velocity) >= settings.slow
+    inside = np.zeros(len(time), dtype=bool)
+    inside[low_pass.settling : max(len(time) - low_pass.settling, 0)] = True
+    gap = _near_gaps(run, time, low_pass.settling)
+    used = inside & ~gap
+    deflection = position - link
+    standing = _widened(~moving, int(1.0 / (low_pass.cutoff * dt)))
+    return PreparedRun(
+        name=run.name,
+        role=run.role,
+        index=index,
+        time=time,
+        signals=signals,
+        torque=torque,
+        deflection=deflection,
+        torque_used=used[:, None] & ~standing & np.isfinite(torque),
+        deflection_used=used[:, None] & np.isfinite(deflection),
+        moving=moving,
+        low_pass=low_pass,
+        settling=slow.settling,
+    )
+
+
+def with_link_torque(prepared: PreparedRun, robot: RobotModel, added: np.ndarray) -> PreparedRun:
+    """Prepared run whose nominal spring torque has a found link torque (K, n) added."""
+    signals = prepared.signals
+    spring = signals.spring_torque + added
+    return replace(
+        prepared,
+        signals=replace(
+            signals,
+            spring_torque=spring,
+            # What an extended model adds to the springs' own law stays.
+            windup=signals.windup + robot.windup(spring) - robot.windup(signals.spring_torque),
+            drive_torque=signals.drive_torque + added,
+        ),
+    )
+
+
+def _uniform(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Channels on an even clock; linear between the stamps, which lie closer than any motion."""
+    step = run.step
+    count = int(np.floor((run.time[-1] - run.time[0]) / step + 1e-6)) + 1
+    time = run.time[0] + step * np.arange(count)
+    empty = np.full_like(run.position, np.nan)
+    channels = (
+        run.position,
+        empty if run.link_position is None else run.link_position,
+        run.torque,
+    )
+    if count == len(run.time) and np.allclose(time, run.time, rtol=0.0, atol=1e-3 * step):
+        return (time, *(np.array(c, dtype=float) for c in channels))
+    return (time, *(_resampled(run.time, c, time) for c in channels))
+
+
+def _resampled(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.ndarray:
+    columns = []
+    for column in samples.T:
+        known = np.isfinite(column)
+        if not known.any():
+            columns.append(np.full(len(time), np.nan))
+            continue
+        columns.append(np.interp(time, stamps[known], column[known]))
+    return np.column_stack(columns)
+
+
+def _filled(samples: np.ndarray) -> np.ndarray:
+    """Single missing samples bridged, so that the filter can pass."""
+    out = samples.copy()
+    for column in out.T:
+        missing = ~np.isfinite(column)
+        if missing.any() and not missing.all():
+            places = np.arange(len(column))
+            column[missing] = np.interp(places[missing], places[~missing], column[~missing])
+    return out
+
+
+def _link_motion(
+    robot: RobotModel, motor: np.ndarray, dt: float, low_pass: ZeroPhaseFilter
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Link motion and spring torque that agree with each other and with the motors' motion."""
+    q = motor
+    for _ in range(_ROUNDS if robot.elastic else 0):
+        v = derivative(q, dt)
+        spring = low_pass.motion(robot.spring_torque(q, v, derivative(v, dt)))
+        q = low_pass.motion(motor - robot.windup(spring))
+    v = derivative(q, dt)
+    a = derivative(v, dt)
+    return q, v, a, robot.spring_torque(q, v, a)
+
+
+def _widened(flags: np.ndarray, reach: int) -> np.ndarray:
+    """Flags (K, n) spread to `reach` samples on either side."""
+    padded = np.cumsum(np.vstack([np.zeros((1, flags.shape[1])), flags.astype(float)]), axis=0)
+    places = np.arange(len(flags))
+    low, high = np.maximum(places - reach, 0), np.minimum(places + reach + 1, len(flags))
+    return np.asarray(padded[high] - padded[low] > 0.0)
+
+
+def _near_gaps(run: Run, time: np.ndarray, reach: int) -> np.ndarray:
+    """Samples of the clock that no measurement is near."""
+    steps = np.diff(run.time)
+    gaps = np.flatnonzero(steps > 5.0 * run.step)
+    near = np.zeros(len(time), dtype=bool)
+    margin = reach * run.step
+    for k in gaps:
+        near |= (time > run.time[k] - margin) & (time < run.time[k + 1] + margin)
+    return near
+
+
+def sign(velocity: Any) -> Any:
+    """Smooth sign of a speed."""
+    return np.tanh(velocity / SIGN_SPEED)

@@ -1,0 +1,129 @@
+"""Rows of a fit: filtered, thinned, masked and divided by their noise, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.discovery.comparison.prepare import PreparedRun
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelNoise:
+    """One standard deviation of each unfiltered channel.
+
+    Parameters
+    ----------
+    torque, deflection : array (n,)
+        [N m], [rad]
+    """
+
+    torque: np.ndarray
+    deflection: np.ndarray
+
+
+class Rows:
+    """Rows of one or more runs.
+
+    Channels are numbered: torque of joint 1 to n, then deflection of joint 1 to n.
+
+    Parameters
+    ----------
+    runs : sequence of PreparedRun
+    noise : ChannelNoise
+    blocks : int
+        Blocks that a run is cut into for cross-validation; 1 takes each run as a whole.
+
+    Attributes
+    ----------
+    channel, block : array (m,) of int
+        Of every row.
+    """
+
+    def __init__(self, runs: Sequence[PreparedRun], noise: ChannelNoise, blocks: int = 1) -> None:
+        self.runs, self.noise = tuple(runs), noise
+        self.n = self.runs[0].torque.shape[1]
+        self._places = [self._of_run(run, blocks) for run in self.runs]
+        self.channel = np.concatenate([p.channel for p in self._places])
+        self.block = np.concatenate(
+            [p.block + k * blocks for k, p in enumerate(self._places)]
+        ).astype(int)
+        self.size = len(self.channel)
+        counts = np.bincount(self.channel, minlength=2 * self.n)
+        self.channels = np.flatnonzero(counts > 0)
+        self.counts = counts
+
+    def _of_run(self, run: PreparedRun, blocks: int) -> _Places:
+        """Samples that become rows, channel by channel."""
+        step = run.low_pass.step
+        grid = np.arange(0, len(run.time), step)
+        sizes, samples, channels, block_ids = [], [], [], []
+        # Samples about a border belong to no block, so that none leaks into another.
+        edges = np.linspace(0, len(run.time), blocks + 1)
+        own = np.clip(np.searchsorted(edges, grid, "right") - 1, 0, blocks - 1)
+        inner = edges[1:-1]
+        near = (
+            np.min(np.abs(grid[:, None] - inner), axis=1) < run.low_pass.settling
+            if inner.size
+            else np.zeros(len(grid), dtype=bool)
+        )
+        for kind, used in enumerate((run.torque_used, run.deflection_used)):
+            for j in range(self.n):
+                kept = used[grid, j] & ~near
+                sizes.append(int(kept.sum()))
+                samples.append(grid[kept])
+                channels.append(np.full(sizes[-1], kind * self.n + j))
+                block_ids.append(own[kept])
+        return _Places(
+            samples=tuple(samples),
+            channel=np.concatenate(channels),
+            block=np.concatenate(block_ids),
+        )
+
+    def flatten(
+        self,
+        torque: Sequence[np.ndarray | None],
+        deflection: Sequence[np.ndarray | None],
+        *,
+        filtered: bool = False,
+    ) -> np.ndarray:
+        """One column of rows from what it adds to the channels of every run.
+
+        Parameters
+        ----------
+        torque, deflection : sequence of array (K, n) or None, one a run
+        filtered : bool
+            Already passed the filter.
+        """
+        out = np.zeros(self.size)
+        begin = 0
+        for run, places, *both in zip(self.runs, self._places, torque, deflection, strict=True):
+            for kind, values in enumerate(both):
+                scale = (self.noise.torque, self.noise.deflection)[kind]
+                for j in range(self.n):
+                    where = places.samples[kind * self.n + j]
+                    end = begin + len(where)
+                    if values is not None and len(where):
+                        column = values[:, j]
+                        if np.any(column):
+                            passed = column[where] if filtered else run.low_pass.at(column, where)
+                            out[begin:end] = passed / (scale[j] * run.low_pass.noise_gain)
+                    begin = end
+        return out
+
+    def sampled(self, signal: Callable[[PreparedRun], np.ndarray]) -> np.ndarray:
+        """Values of a signal (K, ...) of each run at every row (m, ...)."""
+        parts = []
+        for run, places in zip(self.runs, self._places, strict=True):
+            values = np.asarray(signal(run))
+            parts += [values[where] for where in places.samples]
+        return np.concatenate(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Places:
+    samples: tuple[np.ndarray, ...]
+    channel: np.ndarray
+    block: np.ndarray

@@ -1,0 +1,1 @@
+"""The next motion: the one that separates the two leading explanations best."""

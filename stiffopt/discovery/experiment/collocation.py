@@ -1,0 +1,290 @@
+"""A motion that separates two explanations, improved by direct collocation within the limits."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.discovery.catalogue.common import compliance, smooth_sign
+from stiffopt.discovery.catalogue.elastic import reducer_windup
+from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
+from stiffopt.discovery.experiment.motion import MotionLimits
+from stiffopt.discovery.experiment.separation import Separation
+from stiffopt.dynamics.newton_euler import newton_euler
+from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.ipopt import IpoptSolver
+from stiffopt.solver.options import IpoptOptions
+from stiffopt.symbolic import Quantity
+from stiffopt.transcription import (
+    Guess,
+    OptimalControlProblem,
+    Rows,
+    transcribe,
+    uniform_mesh,
+)
+
+_INTERVALS_A_SECOND = 6.0
+_ITERATIONS = 60
+# Share of a term's size by which its formula of the instant may differ from the term along a run.
+_INSTANT = 1e-2
+_KEPT = 1e-3  # worst row of a design that is used, over its limit
+
+
+def improved(
+    separation: Separation,
+    run: PreparedRun,
+    motion: Trajectory,
+    limits: MotionLimits,
+    *,
+    seconds: float,
+) -> Trajectory | None:
+    """Move a motion towards more separation; None where that cannot be done.
+
+    Parameters
+    ----------
+    separation : Separation
+    run : PreparedRun
+        Of the motion.
+    motion : Trajectory
+        To start from.
+    limits : MotionLimits
+    seconds : float
+        That the solver may take.
+
+    Notes
+    -----
+    The rival and the friction, stiffness, gain and encoder zeros of the joints concerned follow the
+    first explanation on the motion so far as well as the training runs let them; the squared
+    remainder over noise, integrated over the motion, is then maximised with these values held.
+    """
+    model = _Instant(separation, run)
+    if not model.holds(run):
+        return None
+    ocp = _problem(model, motion, limits)
+    intervals = max(12, int(motion.duration * _INTERVALS_A_SECOND))
+    made = transcribe(ocp, "piecewise_linear", uniform_mesh(intervals))
+    options = IpoptOptions(tol=1e-4, max_iterations=_ITERATIONS, max_seconds=seconds)
+    solver = IpoptSolver(made.nlp, options)
+    whole = motion.duration
+    guess = Guess(
+        states=lambda s: np.hstack([motion(s * whole), motion(s * whole, 1)]),
+        controls=lambda s: motion(s * whole, 2),
+        duration=whole,
+    )
+    raw = solver.solve(made.pack(guess), np.zeros(0))
+    if raw.violation > _KEPT:
+        return None
+    return Trajectory.from_acceleration(*made.acceleration_polynomials(raw.x))
+
+
+class _Instant:
+    """Difference of two explanations as a formula of q, v, a."""
+
+    def __init__(self, separation: Separation, run: PreparedRun) -> None:
+        comparison = separation.comparison
+        self.robot: RobotModel = comparison.robot
+        self.constants = comparison.constants
+        n = self.robot.n
+        self.effects = (separation.first.effects[0], separation.second.effects[0])
+        self.q, self.v, self.a = (ca.SX.sym(name, n) for name in "qva")
+        self.spring = newton_euler(self.robot.model, *self._in_model())[self.robot.order.tolist()]
+        for balance in self.robot.recordings.nominal.counterbalance:
+            self.spring[balance.joint] -= _balance(balance, self.q[balance.joint])
+        inertia, coulomb, viscous = (
+            ca.DM(x) for x in (self.robot.rotor_inertia, self.robot.coulomb, self.robot.viscous)
+        )
+        friction = coulomb * smooth_sign(self.v) + viscous * self.v
+        self.drive = inertia * self.a + self.spring + friction
+        noise, gain = comparison.noise, comparison.inflation
+        seen = np.isin(np.arange(2 * n), comparison.rows.channels)
+        sigma = np.concatenate([noise.torque, noise.deflection]) * gain
+        self.weight = np.where(seen, 1.0 / sigma, 0.0)
+        self.joints = sorted({e.joint for e in self.effects if e.joint is not None})
+        self.usable = all(e.joint is not None for e in self.effects)
+        self.difference: Quantity = None
+        if self.usable:
+            self._fit(separation, run)
+
+    def holds(self, run: PreparedRun) -> bool:
+        """Whether both terms along the run are what their formulas of the instant say."""
+        if not self.usable:
+            return False
+        for placed in self.effects:
+            for unit, size in zip(
+                np.eye(len(placed.effect.amplitudes)), placed.sizes(self.constants), strict=True
+            ):
+                torque, deflection = self._channels(placed, unit * size)
+                own = placed.contribution(run, unit * size)
+                extra = 0.0
+                if own.link_torque is not None:
+                    extra = self.robot.compliance(run.signals.spring_torque) * own.link_torque
+                for formula, term in (
+                    (torque, own.torque),
+                    (deflection, _with(own.deflection, extra)),
+                ):
+                    along = self._along(formula, run)
+                    told = np.zeros_like(along) if term is None else term
+                    scale = float(np.sqrt(np.mean(told**2)))
+                    if float(np.sqrt(np.mean((along - told) ** 2))) > _INSTANT * scale + 1e-12:
+                        return False
+        return True
+
+    def _fit(self, separation: Separation, run: PreparedRun) -> None:
+        """Hold what the rival can follow the first with where it does so best, and no further."""
+        first, second = separation.first, separation.second
+        names, columns = self._free(first.names)
+        index = {name: i for i, name in enumerate(first.names)}
+        places = [index[name] for name in names]
+        rival = self.effects[1]
+        count, own = len(first.names), len(rival.effect.amplitudes)
+        for unit, size in zip(np.eye(own), rival.sizes(self.constants), strict=True):
+            columns.append(self._weighted(self._channels(rival, unit * size)))
+        moved = first.fit.posterior.mean[places] - second.fit.posterior.mean[places]
+        shift = np.concatenate([moved, -second.fit.posterior.mean[count : count + own]])
+        begin = self._weighted(self._channels(self.effects[0], separation.amplitudes[0]))
+        begin += sum(float(x) * c for x, c in zip(shift, columns, strict=True))
+        values = np.stack([self._along(c, run).ravel() for c in (begin, *columns)], axis=1)
+        # As many rows as would be recorded: noise is of one recorded sample.
+        values *= np.sqrt(run.signals.dt / separation.comparison.runs[0].signals.dt)
+        kept = [*places, *range(count, count + own)]
+        spread = second.fit.posterior.covariance[np.ix_(kept, kept)]
+        inner = values[:, 1:].T @ values[:, 1:] + np.linalg.inv(spread)
+        theta = np.linalg.solve(inner, values[:, 1:].T @ values[:, 0])
+        self.difference = begin - sum(float(t) * c for t, c in zip(theta, columns, strict=True))
+
+    def _free(self, names: list[str]) -> tuple[list[str], list[Quantity]]:
+        """Nominal values of the joints concerned that are formulas of the instant."""
+        n, zero = self.robot.n, ca.SX.zeros(self.robot.n)
+        found: dict[str, Quantity] = {}
+        for j in self.joints:
+            unit = ca.SX.zeros(n)
+            unit[j] = 1.0
+            dry, wet = float(self.robot.coulomb[j]), float(self.robot.viscous[j])
+            for name, channels in (
+                ("coulomb", (unit * (dry * smooth_sign(self.v[j])), zero)),
+                ("viscous", (unit * (wet * self.v[j]), zero)),
+                ("torque_constant", (unit * self.drive[j], zero)),
+                ("stiffness", (zero, unit * self._windup(j))),
+                ("encoder_zero", (zero, unit)),
+            ):
+                found[f"{name} {j + 1}"] = self._weighted(channels)
+        kept = [name for name in found if name in names]
+        return kept, [found[name] for name in kept]
+
+    def _channels(self, placed: PlacedEffect, amplitudes: np.ndarray) -> tuple[Quantity, Quantity]:
+        n, j = self.robot.n, placed.joint
+        assert j is not None
+        constants = self.constants.joints[j]
+        signals = JointSignals(
+            time=0.0 * self.q[j],
+            dt=1.0,
+            session_time=0.0 * self.q[j],
+            temperature_rise=0.0 * self.q[j],
+            motor_position=self.q[j],
+            motor_velocity=self.v[j],
+            motor_acceleration=self.a[j],
+            link_position=self.q[j],
+            link_velocity=self.v[j],
+            link_acceleration=self.a[j],
+            spring_torque=self.spring[j],
+            windup=self._windup(j),
+            drive_torque=self.drive[j],
+            # Of the third order in time: terms that need it are told by `holds`.
+            drive_torque_rate=0.0 * self.q[j],
+            previous_position=self.q[j - 1] if j else 0.0 * self.q[j],
+            constants=constants,
+        )
+        term = placed.effect.term(signals, [float(x) for x in amplitudes], placed.shapes)
+        torque, deflection = ca.SX.zeros(n), ca.SX.zeros(n)
+        torque[j] = term.drive_torque + term.link_torque
+        if j:
+            torque[j - 1] += term.previous_torque
+        slope = compliance(constants, self.spring[j])
+        deflection[j] = term.deflection + slope * term.link_torque
+        return torque, deflection
+
+    def _windup(self, j: int) -> Quantity:
+        own: JointConstants = self.constants.joints[j]
+        torque = self.spring[j]
+        return reducer_windup(own, torque, 1.0, 1.0) + torque / own.contact_stiffness
+
+    def _weighted(self, channels: tuple[Quantity, Quantity]) -> Quantity:
+        return ca.vertcat(*channels) * ca.DM(self.weight)
+
+    def _along(self, formula: Quantity, run: PreparedRun) -> np.ndarray:
+        s = run.signals
+        function = ca.Function("along", [self.q, self.v, self.a], [ca.densify(formula)])
+        points = (s.motor_position.T, s.motor_velocity.T, s.motor_acceleration.T)
+        return np.asarray(function.map(len(run.time))(*points).full().T)
+
+    def _in_model(self) -> tuple[Any, Any, Any]:
+        full = []
+        for own in (self.q, self.v, self.a):
+            values = ca.SX.zeros(self.robot.model.nv)
+            values[self.robot.order.tolist()] = own
+            full.append(values)
+        return full[0], full[1], full[2]
+
+
+def _balance(balance: Any, angle: Quantity) -> Quantity:
+    if balance.angle is None:
+        return balance.at(angle)
+    table = ca.interpolant("balance", "linear", [list(balance.angle)], list(balance.torque))
+    return table(angle)
+
+
+def _with(values: np.ndarray | None, extra: Any) -> np.ndarray | None:
+    return values if np.isscalar(extra) else extra + (0.0 if values is None else values)
+
+
+def _between(name: str, labels: list[str], most: np.ndarray, unit: str) -> Rows:
+    """Rows of a limit either way that also hold between the nodes."""
+    return Rows.make(name, labels, -most, most, most, unit, midpoints=True)
+
+
+def _problem(model: _Instant, motion: Trajectory, limits: MotionLimits) -> OptimalControlProblem:
+    n = model.robot.n
+    x, u = ca.vertcat(model.q, model.v), model.a
+    z, p = ca.SX.sym("z", 0), ca.SX.sym("p", 0)
+    names = [f"joint {j + 1}" for j in range(n)]
+    integrand = ca.sumsqr(model.difference)
+    total, length = ca.SX.sym("I", 1), ca.SX.sym("T")
+    first, last = ca.SX.sym("x0", 2 * n), ca.SX.sym("xf", 2 * n)
+    lower = np.concatenate([limits.lower, -limits.velocity])
+    upper = np.concatenate([limits.upper, limits.velocity])
+    start = np.concatenate([motion(0.0), np.zeros(n)])
+    free = np.concatenate([limits.lower, np.zeros(n)])
+    end = np.concatenate([limits.upper, np.zeros(n)])
+    times = np.linspace(0.0, motion.duration, 200)
+    function = ca.Function("size", [model.q, model.v, model.a], [integrand])
+    along = function.map(len(times))(*(motion(times, k).T for k in range(3))).full()
+    return OptimalControlProblem(
+        name="next experiment",
+        states=(*(f"{j} position" for j in names), *(f"{j} velocity" for j in names)),
+        controls=tuple(f"{j} acceleration" for j in names),
+        dynamics=ca.Function("dynamics", [x, u, p], [ca.vertcat(model.v, u)]),
+        stage=ca.Function("stage", [x, u, z, p], [integrand, ca.vertcat(model.drive, model.v)]),
+        objective=ca.Function("objective", [total, length, z, first, last, p], [-total]),
+        duration=(motion.duration, motion.duration),
+        path_rows=(
+            _between("torque", names, limits.torque, "N m"),
+            _between("velocity", names, limits.velocity, "rad/s"),
+        ),
+        state_lower=lower,
+        state_upper=upper,
+        control_lower=-limits.acceleration,
+        control_upper=limits.acceleration,
+        initial_lower=start,
+        initial_upper=start,
+        final_lower=free,
+        final_upper=end,
+        second_order=tuple((j, n + j, j) for j in range(n)),
+        state_scale=np.maximum(np.abs(lower), np.abs(upper)),
+        control_scale=limits.acceleration,
+        objective_scale=max(float(np.mean(along)) * motion.duration, 1e-12),
+    )

@@ -1,0 +1,218 @@
+"""The next experiment: a motion on which the two leading explanations differ most."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.experiment.collocation import improved
+from stiffopt.discovery.experiment.motion import (
+    USED,
+    MotionLimits,
+    limits_of,
+    prepared_motion,
+    random_motion,
+    repeated_motion,
+)
+from stiffopt.discovery.experiment.separation import Separation
+from stiffopt.discovery.search.search import SearchResult, Selected
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import Training
+from stiffopt.result.trajectory import Trajectory
+
+Say = Callable[[str], object]
+
+EXPERIMENT_FILE = "next_experiment.csv"
+_LONGEST = 10.0  # [s], of a designed motion
+_RATE = 100.0  # [Hz], of the exported motion
+_MOTIONS = 24
+# Of separation, below which collocation is not repeated.
+_GAIN = 0.02
+_SEED = 1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExperimentPlan:
+    """A motion that tells two explanations apart.
+
+    Parameters
+    ----------
+    joints : tuple of str (n,)
+    motion : Trajectory
+        Callable `motion(t, order)` [rad], [rad/s], [rad/s^2].
+    first, second : PlacedEffect
+        The explanations.
+    separation : float
+        Predicted on the motion [sigma].
+    reference : float
+        On the training run that separates them best, as long as the motion [sigma].
+    reference_run : str
+    method : str
+        How the motion was found.
+    """
+
+    joints: tuple[str, ...]
+    motion: Trajectory
+    first: PlacedEffect
+    second: PlacedEffect
+    separation: float
+    reference: float
+    reference_run: str
+    method: str
+
+    @property
+    def sentence(self) -> str:
+        """What to do and what it promises."""
+        return (
+            f"Record {EXPERIMENT_FILE} ({self.motion.duration:.1f} s): it is predicted to separate"
+            f" {self.first.label} from {self.second.label} by {self.separation:.1f} sigma, where"
+            f" another run like {self.reference_run} would by {self.reference:.1f}. It keeps the"
+            " arm's limits, but nobody has checked it for collisions."
+            f" ({self.method}) {self.first.effect.separate}"
+        )
+
+    def csv(self) -> str:
+        """Columns t, q1.., qd1.., SI, 100 a second."""
+        times = np.append(np.arange(0.0, self.motion.duration, 1.0 / _RATE), self.motion.duration)
+        n = len(self.joints)
+        names = ["t", *(f"q{j + 1}" for j in range(n)), *(f"qd{j + 1}" for j in range(n))]
+        table = np.column_stack([times, self.motion(times), self.motion(times, 1)])
+        stream = io.StringIO()
+        np.savetxt(stream, table, fmt="%.9g", delimiter=",", header=",".join(names), comments="")
+        return stream.getvalue()
+
+
+def leading_pair(selected: Sequence[Selected]) -> tuple[PlacedEffect, PlacedEffect] | None:
+    """The strongest finding that has rivals, and the strongest of them; None without rivals."""
+    for each in selected:
+        for rival, _ in each.rivals:
+            # What is of one run only cannot be met in another.
+            if each.placed.run is None and rival.run is None:
+                return each.placed, rival
+    return None
+
+
+def plan_experiment(
+    training: Training,
+    result: SearchResult,
+    settings: Settings,
+    pair: tuple[PlacedEffect, PlacedEffect],
+    *,
+    seconds: float = 18.0,
+    say: Say = lambda _: None,
+) -> ExperimentPlan | None:
+    """Design the motion that separates two explanations best.
+
+    Parameters
+    ----------
+    training : Training
+    result : SearchResult
+        Of these training runs.
+    settings : Settings
+    pair : (PlacedEffect, PlacedEffect)
+        The explanations, such as a finding and its strongest rival.
+    seconds : float
+        That the design may take.
+    say : callable
+        Called with a sentence at every step.
+
+    Returns
+    -------
+    ExperimentPlan or None
+        None where no motion beats the training runs.
+
+    Notes
+    -----
+    A search over Fourier series within the limits, judged by `Separation` with everything that a
+    refit could absorb; its best motion, and the best recorded one, are improved by collocation
+    where both effects are formulas of the instant (no memory). Whatever is better by the full
+    criterion is kept.
+    """
+    begin = time.perf_counter()
+    first, second = pair
+    say(f"design the motion that separates {first.label} from {second.label}")
+    others = tuple(e for e in result.effects if e.key not in (first.key, second.key))
+    separation = Separation(result.comparison, first, second, others)
+    limits = limits_of(training)
+    durations = [float(run.time[-1] - run.time[0]) for run in training.runs]
+    duration = min(_LONGEST, float(np.median(durations)))
+    step = float(np.median([run.signals.dt for run in training.runs]))
+    known = [
+        (separation.of(run) * float(np.sqrt(duration / own)), run.name)
+        for run, own in zip(training.runs, durations, strict=True)
+    ]
+    reference, name = max(known)
+
+    def judged(motion: Trajectory) -> float:
+        run = prepared_motion(training, training.constants, motion, settings)
+        return separation.of(run, step=step)
+
+    def left() -> float:
+        return seconds - (time.perf_counter() - begin)
+
+    best, value = _searched(training, limits, duration, judged, lambda: left() > 0.6 * seconds)
+    method = f"best of {_MOTIONS} Fourier motions"
+    # A recorded motion may be the better one to start from.
+    best_run = next(run for run in training.runs if run.name == name)
+    starts = [repeated_motion(best_run, duration), *([] if best is None else [best])]
+    if value > reference:
+        starts.reverse()
+    for k, start in enumerate(starts):
+        motion, worth = start, 0.0
+        while left() > 1.0:
+            share = 0.5 if k + 1 < len(starts) else 0.8
+            better = improved(
+                separation,
+                prepared_motion(training, training.constants, motion, settings),
+                motion,
+                limits,
+                seconds=share * left(),
+            )
+            if better is None or limits.excess(training.robot, better) > 1.0 / USED:
+                break
+            reached = judged(better)
+            if reached > value:
+                best, value, method = better, reached, "by direct collocation"
+            if reached <= worth * (1.0 + _GAIN):
+                break
+            motion, worth = better, reached
+    if best is None:
+        return None
+    if value <= reference:
+        return None
+    return ExperimentPlan(
+        joints=training.robot.recordings.joints,
+        motion=best,
+        first=first,
+        second=second,
+        separation=value,
+        reference=reference,
+        reference_run=name,
+        method=method,
+    )
+
+
+def _searched(
+    training: Training,
+    limits: MotionLimits,
+    duration: float,
+    judged: Callable[[Trajectory], float],
+    more: Callable[[], bool],
+) -> tuple[Trajectory | None, float]:
+    """The best of some motions of the family."""
+    random = np.random.default_rng(_SEED)
+    best, value = None, 0.0
+    for _ in range(_MOTIONS):
+        motion = random_motion(limits, training.robot, duration, random)
+        if motion is not None:
+            reached = judged(motion)
+            if best is None or reached > value:
+                best, value = motion, reached
+        if not more():
+            break
+    return best, value

@@ -1,0 +1,174 @@
+"""Motions that an arm may make in an experiment: limits, and a family to search in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison.prepare import PreparedRun, prepare
+from stiffopt.discovery.comparison.signals import RobotConstants
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import Training
+from stiffopt.recording.run import Run
+from stiffopt.result.trajectory import Trajectory
+
+# Of the limits that a design uses, so that it keeps them between its nodes and on the real arm.
+USED = 0.95
+# How far beyond the angles met a joint may go, as a share of that range.
+_BEYOND = 0.25
+_HARMONICS = 4
+_KNOT = 0.1  # [s]
+# Share of the duration in which a motion starts from rest, and comes to it.
+_RAMP = 0.12
+_SHRINK = 0.8
+_SAMPLE = 0.01  # [s]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotionLimits:
+    """What a designed motion keeps to, (n,) each.
+
+    Parameters
+    ----------
+    lower, upper : array
+        [rad]
+    velocity, acceleration, torque : array
+        Magnitudes [rad/s], [rad/s^2], [N m].
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    torque: np.ndarray
+
+    def excess(self, robot: RobotModel, motion: Trajectory) -> float:
+        """Largest use of a limit along a motion, over the limit; 1 is just kept."""
+        times = motion.sample(_SAMPLE)
+        q, v, a = (motion(times, order) for order in range(3))
+        middle, half = 0.5 * (self.lower + self.upper), 0.5 * (self.upper - self.lower)
+        torque = robot.rotor_inertia * a + robot.spring_torque(q, v, a) + robot.friction(v)
+        used = (
+            np.abs(q - middle) / half,
+            np.abs(v) / self.velocity,
+            np.abs(a) / self.acceleration,
+            np.abs(torque) / self.torque,
+        )
+        return float(max(u.max() for u in used))
+
+
+def limits_of(training: Training) -> MotionLimits:
+    """Limits of the arm; where it states none, what the training runs went to."""
+    robot, constants = training.robot, training.constants
+    model, order = robot.model, robot.order
+    met = np.array([j.stroke for j in constants.joints])
+    wider = _BEYOND * (met[:, 1] - met[:, 0]) + 0.05
+    # Farther than recordings went nobody knows what stands in the way.
+    lower = np.maximum(np.asarray(model.lowerPositionLimit)[order], met[:, 0] - wider)
+    upper = np.minimum(np.asarray(model.upperPositionLimit)[order], met[:, 1] + wider)
+    middle, half = 0.5 * (lower + upper), 0.5 * USED * (upper - lower)
+    own = np.asarray(model.velocityLimit)[order]
+    fastest = np.array([j.fastest for j in constants.joints])
+    velocity = np.where((own > 0.0) & np.isfinite(own), own, fastest)
+    hardest = np.max(
+        [np.abs(run.signals.motor_acceleration).max(axis=0) for run in training.runs], axis=0
+    )
+    return MotionLimits(
+        lower=middle - half,
+        upper=middle + half,
+        velocity=USED * velocity,
+        acceleration=USED * np.maximum(hardest, 1e-3),
+        torque=USED * np.array([j.torque_max for j in constants.joints]),
+    )
+
+
+def random_motion(
+    limits: MotionLimits, robot: RobotModel, duration: float, random: np.random.Generator
+) -> Trajectory | None:
+    """A Fourier series in every joint, from rest to rest, shrunk until it keeps the limits.
+
+    Returns
+    -------
+    Trajectory or None
+        None where even a small motion about the drawn pose does not keep them.
+    """
+    from scipy.interpolate import CubicSpline
+
+    n = robot.n
+    knots = np.linspace(0.0, duration, int(np.ceil(duration / _KNOT)) + 1)
+    # From once in the whole motion up to often: what separates may be slow or fast.
+    slowest = np.exp(random.uniform(np.log(1.0 / duration), np.log(0.6), size=n))
+    order = np.arange(1, _HARMONICS + 1)
+    weights = random.normal(size=(n, _HARMONICS, 2)) / order[:, None]
+    phase = 2.0 * np.pi * slowest[:, None, None] * order[:, None] * knots
+    wave = (weights[..., :1] * np.sin(phase) + weights[..., 1:] * np.cos(phase)).sum(axis=1).T
+    ramp = np.clip(np.minimum(knots, duration - knots) / (_RAMP * duration), 0.0, 1.0)
+    wave *= (ramp**3 * (10.0 - 15.0 * ramp + 6.0 * ramp**2))[:, None]
+    wave /= np.maximum(np.abs(wave).max(axis=0), 1e-9)
+    half = 0.5 * (limits.upper - limits.lower)
+    size = half * random.uniform(0.2, 0.95, size=n)
+    room = half - size
+    centre = 0.5 * (limits.lower + limits.upper) + room * random.uniform(-0.9, 0.9, size=n)
+    spline = CubicSpline(knots, wave, bc_type="clamped")
+    fine = np.arange(0.0, duration, _SAMPLE)
+    size = np.minimum(size, 0.99 * limits.velocity / np.abs(spline(fine, 1)).max(axis=0))
+    size = np.minimum(size, 0.99 * limits.acceleration / np.abs(spline(knots, 2)).max(axis=0))
+    for _ in range(12):
+        motion = Trajectory.piecewise_linear_acceleration(
+            knots, size * spline(knots, 2), centre + size * spline(0.0), np.zeros(n)
+        )
+        if limits.excess(robot, motion) <= 1.0:
+            return motion
+        size = _SHRINK * size
+    return None
+
+
+def repeated_motion(run: PreparedRun, duration: float) -> Trajectory:
+    """The begin of a recorded motion, as smooth as a designed one, from rest."""
+    from scipy.interpolate import CubicSpline
+
+    signals = run.signals
+    knots = np.linspace(0.0, duration, int(np.ceil(duration / _KNOT)) + 1)
+    places = np.clip(np.rint(knots / signals.dt).astype(int), 0, len(run.time) - 1)
+    spline = CubicSpline(knots, signals.motor_position[places], bc_type="clamped")
+    return Trajectory.piecewise_linear_acceleration(
+        knots, spline(knots, 2), spline(0.0), np.zeros(spline(0.0).shape)
+    )
+
+
+def prepared_motion(
+    training: Training, constants: RobotConstants, motion: Trajectory, settings: Settings
+) -> PreparedRun:
+    """A motion as a run of which every channel of the training runs would be recorded."""
+    times = np.arange(0.0, motion.duration, _SAMPLE)
+    position = motion(times)
+    like = training.recorded[0]
+    has_torque = np.any([np.isfinite(r.torque).any(axis=0) for r in training.recorded], axis=0)
+    link = None
+    if any(r.link_position is not None for r in training.recorded):
+        seen = np.any(
+            [
+                np.isfinite(r.link_position).any(axis=0)
+                for r in training.recorded
+                if r.link_position is not None
+            ],
+            axis=0,
+        )
+        link = np.where(seen, position, np.nan)
+    run = Run(
+        name="next_experiment",
+        file="",
+        role="train",
+        session_time=like.session_time,
+        temperature=like.temperature,
+        stamps=times,
+        time=times,
+        position=position,
+        velocity=None,
+        link_position=link,
+        torque=np.where(has_torque, np.zeros_like(position), np.nan),
+        health=(),
+    )
+    return prepare(training.robot, run, 0, constants, settings)

@@ -1,0 +1,117 @@
+"""How far apart two explanations would be on a motion: what neither could absorb, in sigma."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stiffopt.discovery.comparison.comparison import Comparison, Fit
+from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.comparison.rows import ChannelNoise
+
+
+@dataclass(frozen=True, eq=False)
+class _Explanation:
+    """One explanation of the training runs, as it was fitted to them."""
+
+    names: list[str]
+    effects: tuple[PlacedEffect, ...]
+    fit: Fit
+
+
+class Separation:
+    """Predicted separation of two explanations of the same training runs.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Of the training runs.
+    first, second : PlacedEffect
+    others : sequence of PlacedEffect
+        That both explanations have beside.
+
+    Notes
+    -----
+    Both predict the channels of a motion with the values that fit the training runs. The second
+    may then move its amplitudes, and all nominal values theirs, as far as the training runs leave
+    them open (the posterior of its fit); what is left is the separation, and the lesser of both
+    ways round counts. This is the criterion of Box and Hill (1967) for a linear Gaussian model.
+    """
+
+    def __init__(
+        self,
+        comparison: Comparison,
+        first: PlacedEffect,
+        second: PlacedEffect,
+        others: Sequence[PlacedEffect] = (),
+    ) -> None:
+        self.comparison = comparison
+        names = comparison.nuisance[0]
+        self.first, self.second = (
+            _Explanation(names, effects, comparison.fit(effects))
+            for effects in ((first, *others), (second, *others))
+        )
+
+    @property
+    def amplitudes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Fitted amplitudes of the two effects, in their own units."""
+        constants = self.comparison.constants
+        out = []
+        for each in (self.first, self.second):
+            sizes = each.effects[0].sizes(constants)
+            out.append(each.fit.amplitudes()[: len(sizes)] * sizes)
+        return out[0], out[1]
+
+    def of(self, run: PreparedRun, *, step: float | None = None) -> float:
+        """Separation on a motion [sigma].
+
+        Parameters
+        ----------
+        run : PreparedRun
+        step : float, optional
+            Of the samples that would be recorded [s]; default: those of the run.
+        """
+        here = self._along(run, step)
+        parts = [self._columns(here, each) for each in (self.first, self.second)]
+        means = [each.fit.posterior.mean for each in (self.first, self.second)]
+        difference = parts[0] @ means[0] - parts[1] @ means[1]
+        left = [
+            _not_absorbed(difference, columns, each.fit.posterior.covariance)
+            for columns, each in zip(parts, (self.first, self.second), strict=True)
+        ]
+        return float(np.sqrt(max(min(left), 0.0)))
+
+    def _along(self, run: PreparedRun, step: float | None) -> Comparison:
+        base = self.comparison
+        # More samples of the same motion: the noise that passes the filter falls.
+        finer = 1.0 if step is None else float(np.sqrt(step / run.signals.dt))
+        noise = ChannelNoise(base.noise.torque * finer, base.noise.deflection * finer)
+        signals = replace(run.signals, constants=base.constants)
+        return Comparison(
+            base.robot,
+            [replace(run, signals=signals)],
+            noise,
+            base.tolerance,
+            inflation=base.inflation,
+        )
+
+    def _columns(self, here: Comparison, each: _Explanation) -> np.ndarray:
+        names, _, matrix = here.nuisance
+        own = dict(zip(names, matrix.T, strict=True))
+        silent = np.zeros(here.rows.size)
+        # A joint that stands shows nothing of its friction.
+        nuisance = [own.get(name, silent) for name in each.names]
+        effects = [here.effect_columns(placed) for placed in each.effects]
+        return np.column_stack([*nuisance, *effects])
+
+
+def _not_absorbed(difference: np.ndarray, columns: np.ndarray, spread: np.ndarray) -> float:
+    """Chi-square of a difference that parameters with this covariance cannot follow."""
+    root = np.linalg.cholesky(spread + 1e-14 * np.diag(np.diag(spread)))
+    reach = columns @ root
+    inner = np.eye(len(spread)) + reach.T @ reach
+    along = reach.T @ difference
+    return float(difference @ difference - along @ np.linalg.solve(inner, along))

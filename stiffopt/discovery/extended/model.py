@@ -1,0 +1,245 @@
+"""extended.toml: the nominal model of a recording set with what a diagnosis found.
+
+.. code-block:: toml
+
+    schema = 1
+    kind = "extended"
+    name = "cell_3"                  # of the recording set
+    joints = ["joint1", "joint2"]
+    links = ["link1", "link2"]       # behind each joint
+
+    [nominal]                        # as in recordings.toml, unchanged
+
+    [scales]                         # what the terms of effects are measured against, a number
+    torque_rated = [67.0, 40.0]      # a joint: torques [N m] and the fastest speed met [rad/s]
+    torque_max = [201.0, 120.0]
+    fastest = [1.9, 2.4]
+
+    [calibration]                    # nominal values moved within their tolerances: relative, or
+    "coulomb 2" = 0.012              # [m] for "com", [rad] for "encoder_zero"
+
+    [[effect]]
+    name = "coulomb"                 # of the catalogue or of a user's file
+    joint = 2                        # from 1; left out where it is the whole robot
+    link = "link3"                   # of inertial_error
+    run = "train_2"                  # of encoder_zero_change
+    [effect.term]                    # amplitudes and shapes that the term is evaluated with
+    dFc = 1.31
+    [effect.parameters]              # what the catalogue reports of them; must agree with them
+    dFc = { value = 1.31, sd = 0.04, unit = "N m" }
+
+Numbers are SI at the output side. `stiffopt diagnose --model extended.toml` starts from this model
+in place of the nominal one. A planner finds friction, stiffness, payload and preload in the
+parameters, by the names of the catalogue.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stiffopt.discovery.catalogue import CATALOGUE
+from stiffopt.discovery.comparison.extension import Extension, SizedEffect
+from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.signals import RobotConstants
+from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.extended.schema import EffectSection, ExtendedFile
+from stiffopt.errors import InputFileError, nearest
+from stiffopt.files import check_header, load_toml, validate
+from stiffopt.recording.nominal import Nominal
+from stiffopt.recording.nominal_files import as_nominal
+from stiffopt.recording.recording_set import RecordingSet
+
+# Relative difference up to which reported values agree with the terms they come from.
+_AGREE = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExtendedModel:
+    """A nominal model with what was found.
+
+    Parameters
+    ----------
+    source : str
+        Of the file, for messages.
+    name : str
+        Of the recording set that it comes from.
+    joints : tuple of str (n,)
+    nominal : Nominal
+    scales : dict of str to tuple of float (n,)
+        torque_rated, torque_max [N m], fastest [rad/s].
+    extension : Extension
+    parameters : tuple of dict of str to float
+        Reported values of every effect of the extension that the file states.
+    """
+
+    source: str
+    name: str
+    joints: tuple[str, ...]
+    nominal: Nominal
+    scales: dict[str, tuple[float, ...]]
+    extension: Extension
+    parameters: tuple[dict[str, float], ...]
+
+    def applied_to(self, recordings: RecordingSet) -> RecordingSet:
+        """The set with this model's nominal values.
+
+        Raises
+        ------
+        InputFileError
+            The joints are others.
+        """
+        if recordings.joints != self.joints:
+            raise InputFileError(
+                self.source,
+                "joints",
+                f"this model is of {', '.join(self.joints)}, the recordings of"
+                f" {', '.join(recordings.joints)}. Give the model of the same robot.",
+            )
+        return replace(recordings, nominal=self.nominal)
+
+    def scaled(self, constants: RobotConstants) -> RobotConstants:
+        """Constants with the scales that the effects were fitted with."""
+        joints = tuple(
+            replace(
+                own,
+                torque_rated=self.scales["torque_rated"][j],
+                torque_max=self.scales["torque_max"][j],
+                fastest=self.scales["fastest"][j],
+            )
+            for j, own in enumerate(constants.joints)
+        )
+        return replace(constants, joints=joints)
+
+
+def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) -> ExtendedModel:
+    """Read an extended.toml.
+
+    Parameters
+    ----------
+    path : path
+    effects : sequence of Effect
+        Of a user's own file, beside those of the catalogue.
+
+    Raises
+    ------
+    InputFileError
+        What is wrong, where, and what is allowed.
+    """
+    data = load_toml(path)
+    check_header(data, path, "extended")
+    document = validate(ExtendedFile, data, path)
+    n = len(document.joints)
+    nominal = as_nominal(document.nominal, document.joints, Path(path))
+    scales = {
+        name: _per_joint(values, n, path, f"scales.{name}")
+        for name, values in document.scales.model_dump().items()
+    }
+    known = {entry.name: entry for entry in (*CATALOGUE, *effects)}
+    read = [
+        _effect(section, known, document, path, f"effect[{number}]")
+        for number, section in enumerate(document.effect, start=1)
+    ]
+    return ExtendedModel(
+        source=str(path),
+        name=document.name,
+        joints=document.joints,
+        nominal=nominal,
+        scales=scales,
+        extension=Extension(calibration=document.calibration, effects=tuple(read)),
+        parameters=tuple(
+            {name: entry.value for name, entry in section.parameters.items()}
+            for section in document.effect
+        ),
+    )
+
+
+def check_extended(model: ExtendedModel, constants: RobotConstants) -> None:
+    """Raise `InputFileError` where reported values disagree with the terms they belong to."""
+    pairs = zip(model.extension.effects, model.parameters, strict=True)
+    for number, (sized, stated) in enumerate(pairs, start=1):
+        placed = sized.placed
+        own = placed.effect.values(sized.amplitudes, placed.shapes, placed.constants(constants))
+        for name, value in stated.items():
+            if name not in own:
+                raise InputFileError(
+                    model.source,
+                    f"effect[{number}].parameters.{name}",
+                    f"{placed.effect.name} has no such parameter. {nearest(name, own)}",
+                )
+            if not np.isclose(value, own[name], rtol=_AGREE, atol=0.0):
+                raise InputFileError(
+                    model.source,
+                    f"effect[{number}].parameters.{name}",
+                    f"is {value:g}, but effect.term makes it {own[name]:g}. Change effect.term,"
+                    " which is what is computed with, and leave the parameter out.",
+                )
+
+
+def _per_joint(values: Sequence[float], n: int, path: object, where: str) -> tuple[float, ...]:
+    if len(values) != n:
+        raise InputFileError(path, where, f"needs one number a joint ({n}), got {len(values)}.")
+    return tuple(values)
+
+
+def _effect(
+    section: EffectSection,
+    known: dict[str, Effect],
+    document: ExtendedFile,
+    path: object,
+    where: str,
+) -> SizedEffect:
+    effect = known.get(section.name)
+    if effect is None:
+        raise InputFileError(
+            path,
+            f"{where}.name",
+            f"no effect {section.name!r}. {nearest(section.name, known)} An effect of your own"
+            " needs its file beside.",
+        )
+    place = _place(section, effect, document, path, where)
+    names = [a.name for a in effect.amplitudes] + [s.name for s in effect.shapes]
+    if sorted(names) != sorted(section.term):
+        raise InputFileError(
+            path, f"{where}.term", f"{effect.name} needs exactly {', '.join(names)}."
+        )
+    shapes = tuple(section.term[s.name] for s in effect.shapes)
+    for shape, value in zip(effect.shapes, shapes, strict=True):
+        if not shape.lower <= value <= shape.upper:
+            raise InputFileError(
+                path,
+                f"{where}.term.{shape.name}",
+                f"is {value:g}, allowed are {shape.lower:g} to {shape.upper:g} {shape.unit}.",
+            )
+    return SizedEffect(
+        placed=PlacedEffect(effect=effect, shapes=shapes, **place),
+        amplitudes=tuple(section.term[a.name] for a in effect.amplitudes),
+    )
+
+
+def _place(
+    section: EffectSection, effect: Effect, document: ExtendedFile, path: object, where: str
+) -> dict[str, Any]:
+    needed = {"joint": ("joint",), "robot": (), "link": ("link",), "run": ("joint", "run")}
+    for key in ("joint", "link", "run"):
+        given, wanted = getattr(section, key) is not None, key in needed[effect.scope]
+        if given != wanted:
+            reason = f"{effect.name} needs a {key}." if wanted else f"{effect.name} has no {key}."
+            raise InputFileError(path, f"{where}.{key}", reason)
+    place: dict[str, Any] = {"run": section.run}
+    if section.joint is not None:
+        if not 1 <= section.joint <= len(document.joints):
+            raise InputFileError(
+                path, f"{where}.joint", f"is {section.joint}, there are {len(document.joints)}."
+            )
+        place["joint"] = section.joint - 1
+    if section.link is not None:
+        if section.link not in document.links:
+            raise InputFileError(path, f"{where}.link", nearest(section.link, document.links))
+        place["link"] = document.links.index(section.link)
+    return place

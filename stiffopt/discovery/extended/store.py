@@ -1,0 +1,129 @@
+"""Text of extended.toml, the format of `stiffopt.discovery.extended.model`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from stiffopt.discovery.comparison.extension import SizedEffect
+from stiffopt.discovery.comparison.signals import RobotConstants
+from stiffopt.discovery.diagnosis import Diagnosis
+from stiffopt.recording.nominal import Counterbalance, Nominal
+
+_REDUCER = ("K1", "K2", "K3", "T1", "T2")
+
+
+def extended_text(diagnosis: Diagnosis) -> str:
+    """Content of extended.toml."""
+    recordings, constants = diagnosis.recordings, diagnosis.training.constants
+    joints = constants.joints
+    spread = {
+        id(finding.sized): {p.name: p.sd for p in finding.parameters}
+        for finding in diagnosis.findings
+    }
+    likely = {id(finding.sized): finding.probability for finding in diagnosis.findings}
+    parts = [
+        _table(
+            "",
+            {
+                "schema": 1,
+                "kind": "extended",
+                "name": recordings.name,
+                "joints": list(recordings.joints),
+                "links": list(constants.links),
+            },
+        ),
+        *_nominal(recordings.nominal),
+        _table(
+            "scales",
+            {
+                name: [float(getattr(joint, name)) for joint in joints]
+                for name in ("torque_rated", "torque_max", "fastest")
+            },
+        ),
+        _table("calibration", {k: v for k, v in diagnosis.extension.calibration.items() if v}),
+    ]
+    for each in diagnosis.extension.effects:
+        parts.append(_effect(each, constants, spread.get(id(each), {}), likely.get(id(each))))
+    return "\n".join(parts)
+
+
+def _nominal(nominal: Nominal) -> Iterable[str]:
+    entries = {
+        name: value
+        for name, value in vars(nominal).items()
+        if value is not None and name not in ("reducer", "counterbalance")
+    }
+    yield _table("nominal", entries)
+    if nominal.reducer is not None:
+        yield _table("nominal.reducer", {k: getattr(nominal.reducer, k) for k in _REDUCER})
+    for balance in nominal.counterbalance:
+        yield _table("[nominal.counterbalance]", _counterbalance(balance))
+
+
+def _counterbalance(balance: Counterbalance) -> dict[str, Any]:
+    place = {"joint": balance.joint + 1}
+    if balance.angle is not None:
+        return place | {"type": "table", "angle": balance.angle, "torque": balance.torque}
+    return place | {
+        "type": "spring",
+        "stiffness": balance.stiffness or 0.0,
+        "offset": balance.offset or 0.0,
+    }
+
+
+def _effect(
+    each: SizedEffect,
+    constants: RobotConstants,
+    spread: Mapping[str, float],
+    probability: float | None,
+) -> str:
+    placed, effect = each.placed, each.placed.effect
+    head: dict[str, Any] = {"name": effect.name}
+    if placed.joint is not None:
+        head["joint"] = placed.joint + 1
+    if placed.link is not None:
+        head["link"] = constants.links[placed.link]
+    if placed.run is not None:
+        head["run"] = placed.run
+    if probability is not None:
+        head["probability"] = probability
+    names = [a.name for a in effect.amplitudes] + [s.name for s in effect.shapes]
+    term = dict(zip(names, (*each.amplitudes, *placed.shapes), strict=True))
+    reported = effect.values(each.amplitudes, placed.shapes, placed.constants(constants))
+    parameters = {}
+    for name, value in reported.items():
+        sd = f", sd = {_value(spread[name])}" if np.isfinite(spread.get(name, np.nan)) else ""
+        unit = json.dumps(placed.unit_of(name, constants))
+        parameters[name] = f"{{ value = {_value(value)}{sd}, unit = {unit} }}"
+    lines = [f"{_key(name)} = {text}" for name, text in parameters.items()]
+    return (
+        _table("[effect]", head)
+        + _table("effect.term", term)
+        + "\n".join(["[effect.parameters]", *lines])
+        + "\n"
+    )
+
+
+def _table(name: str, entries: Mapping[str, Any]) -> str:
+    head = [f"[{name}]"] if name else []
+    return "\n".join(head + [f"{_key(k)} = {_value(v)}" for k, v in entries.items()]) + "\n"
+
+
+def _key(name: str) -> str:
+    return name if name.replace("_", "").isalnum() and name.isascii() else json.dumps(name)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_value(each) for each in value) + "]"
+    if isinstance(value, int):
+        return str(value)
+    return repr(float(value))

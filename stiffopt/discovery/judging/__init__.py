@@ -1,0 +1,1 @@
+"""What was found, judged: how much it explains, what remains, what would have been seen."""

@@ -1,0 +1,117 @@
+"""What is left of torques above the filter's band: bursts that no slow law explains.
+
+A fit follows recordings up to its filter's cutoff. An amplifier that cannot follow, or that gives
+less than it is asked for, leaves the slow motion alone and shows for milliseconds. Where the links'
+swing is predicted, so is the torque above the cutoff, up to short errors at reversals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.judging.unexplained import Outside
+from stiffopt.discovery.proof.predict import Predictor
+from stiffopt.discovery.proof.proof import MOVING
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import Training
+
+# Root mean square of a channel's residual over its usual size, from which it has bursts: dry
+# friction at reversals alone comes to 1.03 to 1.09, and to 1.7 times the noise where they lie.
+_BURSTING, _BURST = 1.10, 1.8
+# A normal variable's standard deviation over the median of its size.
+_NORMAL = 1.4826
+# Share of the samples that bursts are sought in.
+_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """Samples of one joint in motion: residual over noise, and what bursts may follow."""
+
+    residual: np.ndarray
+    followed: dict[str, np.ndarray]
+
+    @property
+    def usual(self) -> float:
+        """Standard deviation, whatever bursts there are."""
+        return _NORMAL * float(np.median(np.abs(self.residual)))
+
+    @property
+    def bursting(self) -> float:
+        """Root mean square over the usual size."""
+        return float(np.sqrt(np.mean(self.residual**2))) / max(self.usual, 1e-12)
+
+
+def bursts(
+    training: Training, extensions: Sequence[Extension], settings: Settings
+) -> Outside | None:
+    """Joint whose torque has bursts that the model does not predict.
+
+    Parameters
+    ----------
+    training : Training
+    extensions : sequence of Extension
+        What the nominal model is extended with.
+    settings : Settings
+
+    Returns
+    -------
+    Outside or None
+        None without bursts, and where the links' swing cannot be predicted. `ratio` is that of the
+        samples with bursts, `gain` the share of all that remains that lies in them.
+    """
+    parts: list[list[_Channel]] = [[] for _ in range(training.robot.n)]
+    for run in training.recorded:
+        predictor = Predictor(training.robot, run, training.constants, settings)
+        if not predictor.swinging:
+            return None
+        places = np.searchsorted(run.stamps, run.time)
+        predicted = predictor.predict(*extensions).torque[places]
+        left = (run.torque - predicted) / training.noise.channels.torque
+        rate = np.gradient(predicted, run.time, axis=0)
+        used = np.isfinite(left) & (np.abs(predictor.velocity) >= MOVING)
+        for j, own in enumerate(parts):
+            kept = used[:, j]
+            followed = {
+                f"torque_{j + 1}": np.abs(predicted[kept, j]),
+                f"dtorque_{j + 1}": np.abs(rate[kept, j]),
+            }
+            own.append(_Channel(left[kept, j], followed))
+    channels = [_joined(own) for own in parts]
+    ratios = [c.bursting if c.residual.size else 0.0 for c in channels]
+    worst = int(np.argmax(ratios))
+    if ratios[worst] < _BURSTING:
+        return None
+    held = {name: _held(channels[worst], size) for name, size in channels[worst].followed.items()}
+    name = max(held, key=lambda each: held[each][0])
+    if held[name][1] < _BURST:
+        return None
+    return Outside(
+        channels=(f"torque_{worst + 1}",),
+        regressors=(name,),
+        period=None,
+        gain=held[name][0],
+        ratio=held[name][1],
+        brief=True,
+    )
+
+
+def _joined(parts: Sequence[_Channel]) -> _Channel:
+    names = parts[0].followed
+    return _Channel(
+        np.concatenate([p.residual for p in parts]),
+        {name: np.concatenate([p.followed[name] for p in parts]) for name in names},
+    )
+
+
+def _held(channel: _Channel, size: np.ndarray) -> tuple[float, float]:
+    """Share of the excess that lies in the largest of some sizes, and the residual there."""
+    square = channel.residual**2
+    usual = channel.usual**2
+    there = size >= np.quantile(size, 1.0 - _SHARE)
+    share = float(np.sum(square[there] - usual)) / max(float(np.sum(square - usual)), 1e-12)
+    return float(np.clip(share, 0.0, 1.0)), float(np.sqrt(np.mean(square[there])))

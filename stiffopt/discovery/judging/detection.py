@@ -1,0 +1,111 @@
+"""How large an effect would have had to be to be seen in these recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.discovery.comparison.located_effect import PlacedEffect, places
+from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.search.candidates import Scorer
+from stiffopt.discovery.search.search import CHI, EVIDENCE
+
+
+@dataclass(frozen=True)
+class DetectionLimit:
+    """Least value of a parameter that would have been named.
+
+    Parameters
+    ----------
+    effect : str
+    joint : int or None
+        1-based.
+    parameter, unit : str
+    value : float
+    relative : float or None
+        Over the nominal value that it changes, where there is one.
+    """
+
+    effect: str
+    joint: int | None
+    parameter: str
+    value: float
+    unit: str
+    relative: float | None = None
+
+    def __str__(self) -> str:
+        place = f" on joint {self.joint}" if self.joint else ""
+        share = f" ({100 * self.relative:.2g} %)" if self.relative is not None else ""
+        unit = f" {self.unit}" if self.unit else ""
+        return (
+            f"{self.effect.replace('_', ' ')}{place}: {self.parameter} above "
+            f"{self.value:.3g}{unit}{share} would have been seen"
+        )
+
+
+# What the value of an amplitude is compared with, by effect and parameter.
+_NOMINAL = {
+    ("coulomb", "dFc"): "coulomb",
+    ("viscous", "dFv"): "viscous",
+    ("rotor_inertia", "dJ"): "rotor_inertia",
+}
+
+
+def detection_limits(scorer: Scorer, catalogue: Sequence[Effect]) -> tuple[DetectionLimit, ...]:
+    """Limits of every effect with a single amplitude, at every place.
+
+    Parameters
+    ----------
+    scorer : Scorer
+        Beside what was found.
+    catalogue : sequence of Effect
+
+    Notes
+    -----
+    An effect of amplitude a gathers the log evidence a^2/(2 sd^2) less what its prior and its
+    shapes cost; sd is its standard deviation with the nominal values profiled out.
+    """
+    found = []
+    for effect in catalogue:
+        if len(effect.amplitudes) == 1 and effect.amplitudes[0].name != "weight":
+            found += list(_of_effect(scorer, effect))
+    return tuple(found)
+
+
+def _of_effect(scorer: Scorer, effect: Effect) -> Iterator[DetectionLimit]:
+    constants = scorer.comparison.constants
+    runs = [run.name for run in scorer.comparison.runs]
+    by_place: dict[tuple[int | None, str | None], list[PlacedEffect]] = {}
+    for placed in places(effect, constants, runs):
+        if not any(placed.same_place(other) for other in scorer.base):
+            by_place.setdefault((placed.joint, placed.run), []).append(placed)
+    for (joint, run), tried in by_place.items():
+        if run is not None:
+            continue
+        middle = tried[len(tried) // 2]
+        sd = scorer.deviation(middle)
+        if sd is None or not sd < 1.0:
+            continue
+        size = float(middle.sizes(constants)[0])
+        price = np.log(len(tried)) - np.log(sd)
+        least = size * sd * max(CHI, float(np.sqrt(2.0 * (EVIDENCE + price))))
+        amplitude = effect.amplitudes[0]
+        nominal = _NOMINAL.get((effect.name, amplitude.name))
+        base = None
+        if nominal is not None and joint is not None:
+            base = getattr(constants.joints[joint], nominal) or None
+        name, value = amplitude.name, least
+        if effect.report is not None:
+            values = effect.values([least], middle.shapes, middle.constants(constants))
+            name = next(iter(values))
+            value = values[name]
+        yield DetectionLimit(
+            effect=effect.name,
+            joint=None if joint is None else joint + 1,
+            parameter=name,
+            value=float(value),
+            unit=middle.unit_of(name, constants),
+            relative=None if base is None else least / base,
+        )

@@ -1,0 +1,240 @@
+"""Something is missing that no entry of the catalogue explains: where, and what it depends on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from stiffopt.discovery.comparison.channel_noise import above_cutoff
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.search.search import SearchResult, Selected
+
+# Residual over noise from which a channel counts as not explained, beyond what formulas that
+# differ a little leave.
+UNEXPLAINED = 1.3
+# Findings that take away less than this share of a channel's excess do not explain it.
+EXPLAINED = 0.6
+# A remainder is outside the catalogue from this ratio on, or if that share of it can be predicted.
+_PLAIN = 1.8
+# Nearer to the noise than that, it is outside if what it depends on takes away this share of its
+# square in runs left out.
+_FAINT = 1.05
+_TAKEN = 0.1
+# Left beside findings that explain the most of it, this ratio is still something else.
+_LARGE = 5.0
+_LEAST_SHARE = 0.25
+_KNOTS = 8
+_MOST = 3
+_LEAST_GAIN = 0.03
+_RIDGE = 1.0
+
+
+@dataclass(frozen=True)
+class Outside:
+    """What remains beyond the catalogue.
+
+    Parameters
+    ----------
+    channels : tuple of str
+        "torque_3", "link_position_3"; the worst first.
+    regressors : tuple of str
+        What the remainder of the worst channel depends on: "q_5", "sign(qd_3)", "time".
+    period : float or None
+        Of a remainder that repeats in time, whatever the motion [s].
+    gain : float
+        Share of the remainder's excess that a flexible model of these explains in blocks that it
+        was not fitted to.
+    ratio : float
+        Residual over noise in the worst channel.
+    brief : bool
+        In bursts, faster than a fit's filter: `ratio` is that where they lie, `gain` their share.
+    """
+
+    channels: tuple[str, ...]
+    regressors: tuple[str, ...]
+    period: float | None
+    gain: float
+    ratio: float
+    brief: bool = False
+
+
+def judged(result: SearchResult) -> tuple[tuple[Selected, ...], Outside | None]:
+    """Findings that explain what they are about, and what is outside the catalogue.
+
+    Parameters
+    ----------
+    result : SearchResult
+
+    Returns
+    -------
+    findings : tuple of Selected
+    outside : Outside or None
+        None where nothing significant remains.
+    """
+    after = np.nan_to_num(result.after, nan=0.0)
+    before = np.nan_to_num(result.calibrated, nan=0.0)
+    remaining = [c for c in np.argsort(-after) if after[c] > UNEXPLAINED]
+    if not remaining:
+        return result.selected, None if result.selected else _faint(result, after)
+    excess = np.maximum(before**2 - 1.0, 1e-9)
+    share = 1.0 - (after**2 - 1.0) / excess
+    poor = {int(c) for c in remaining if share[c] < EXPLAINED}
+    kept = tuple(s for s in result.selected if s.channel not in poor)
+    if not poor and kept and after[remaining[0]] < _LARGE:
+        # What formulas that differ from nature leave behind, small against what they explain.
+        return kept, None
+    found = _describe(result, [int(c) for c in remaining])
+    if not kept and found.gain < _LEAST_SHARE and found.ratio < _PLAIN * _noisier(result):
+        # Neither large nor depending on anything: noise that is larger than stated.
+        return result.selected, None
+    return kept, found
+
+
+def _faint(result: SearchResult, after: np.ndarray) -> Outside | None:
+    """A remainder near the noise, where runs left out bear out what it depends on."""
+    best, most = None, _TAKEN
+    for channel in [int(c) for c in np.argsort(-after)[:_MOST] if after[c] > _FAINT]:
+        found = _describe(result, [channel])
+        taken = found.gain * (1.0 - 1.0 / found.ratio**2)
+        if taken > most:
+            best, most = found, taken
+    return best
+
+
+def _noisier(result: SearchResult) -> float:
+    """Noise of the worst channel above the filter's cutoff, over what is stated; 1 at least."""
+    comparison = result.comparison
+    worst = int(np.nanargmax(result.after))
+    stated = np.concatenate([comparison.noise.torque, comparison.noise.deflection])
+    held = above_cutoff(comparison.nominal_runs)
+    return float(np.nanmax([1.0, held[worst] / stated[worst]]))
+
+
+def channel_name(channel: int, joints: int) -> str:
+    """Name of a channel in answers."""
+    kind = "torque" if channel < joints else "link_position"
+    return f"{kind}_{channel % joints + 1}"
+
+
+def _describe(result: SearchResult, channels: Sequence[int]) -> Outside:
+    comparison = result.comparison
+    rows = comparison.rows
+    worst = channels[0]
+    own = np.flatnonzero(rows.channel == worst)
+    residual, block = result.fit.residual[own], rows.block[own]
+    time = rows.sampled(lambda run: run.time)[own]
+    period = _period(residual, block, time)
+    bases = dict(_bases(comparison, own, worst % comparison.robot.n))
+    chosen, fitted = _forward(residual, block, bases)
+    excess = max(float(np.sum(residual**2)) - len(residual), 1e-9)
+    gain = float((np.sum(residual**2) - np.sum((residual - fitted) ** 2)) / excess)
+    if period is not None and period[1] > gain:
+        chosen, gain = ("time",), period[1]
+    return Outside(
+        channels=tuple(channel_name(c, comparison.robot.n) for c in channels),
+        regressors=tuple(chosen),
+        period=None if period is None or chosen != ("time",) else period[0],
+        gain=float(np.clip(gain, 0.0, 1.0)),
+        ratio=float(result.after[worst]),
+    )
+
+
+def _bases(comparison: Comparison, own: np.ndarray, joint: int) -> Iterator[tuple[str, np.ndarray]]:
+    """Spline bases of what a remainder may depend on, (m, k) each."""
+    rows = comparison.rows
+    n = comparison.robot.n
+
+    def samples(name: str) -> np.ndarray:
+        return np.asarray(rows.sampled(lambda run: getattr(run.signals, name))[own])
+
+    velocity = samples("motor_velocity")
+    side = np.sign(velocity[:, joint])
+    yield "session_time", _spline(samples("session_time"))
+    for name, label in (
+        ("motor_position", "q"),
+        ("motor_velocity", "qd"),
+        ("spring_torque", "torque"),
+        ("motor_acceleration", "qdd"),
+    ):
+        values = samples(name)
+        for j in range(n):
+            basis = _spline(values[:, j])
+            yield f"{label}_{j + 1}", basis
+            yield f"{label}_{j + 1} x sign(qd_{joint + 1})", basis * side[:, None]
+
+
+def _spline(values: np.ndarray) -> np.ndarray:
+    """Cubic B-splines over the range of the values, knots at their quantiles."""
+    inner = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _KNOTS - 2)))
+    if len(inner) < 2 or not inner[-1] > inner[0]:
+        return np.ones((len(values), 1))
+    knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
+    inside = np.clip(values, inner[0], np.nextafter(inner[-1], inner[0]))
+    return np.asarray(BSpline.design_matrix(inside, knots, 3).toarray())
+
+
+def _forward(
+    residual: np.ndarray, block: np.ndarray, bases: dict[str, np.ndarray]
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """Regressors that predict blocks left out, and those predictions."""
+    chosen: list[str] = []
+    prediction = np.zeros_like(residual)
+    left = float(np.sum(residual**2))
+    while len(chosen) < _MOST:
+        tries = {}
+        for name in bases:
+            if name in chosen:
+                continue
+            columns = np.hstack([bases[c] for c in (*chosen, name)])
+            tries[name] = _left_out(columns, residual, block)
+        best = min(tries, key=lambda name: float(np.sum((residual - tries[name]) ** 2)))
+        now = float(np.sum((residual - tries[best]) ** 2))
+        if now > (1.0 - _LEAST_GAIN) * left:
+            break
+        chosen.append(best)
+        prediction, left = tries[best], now
+    return tuple(chosen), prediction
+
+
+def _left_out(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """Prediction of every block from a ridge fit to the others."""
+    out = np.zeros_like(target)
+    ridge = _RIDGE * np.eye(columns.shape[1])
+    gram, moment = columns.T @ columns, columns.T @ target
+    for b in np.unique(block):
+        own = block == b
+        part = columns[own]
+        rest = np.linalg.solve(gram - part.T @ part + ridge, moment - part.T @ target[own])
+        out[own] = part @ rest
+    return out
+
+
+def _period(
+    residual: np.ndarray, block: np.ndarray, time: np.ndarray
+) -> tuple[float, float] | None:
+    """Period in time that all blocks share, and the share of the excess that it explains.
+
+    Phases are free from block to block: what comes from outside knows no run's begin.
+    """
+    span = min(float(np.ptp(time[block == b])) for b in np.unique(block))
+    step = float(np.median(np.diff(np.unique(time))))
+    if span <= 0.0 or step <= 0.0:
+        return None
+    frequencies = np.arange(2.0 / span, 0.35 / step, 0.2 / span)
+    power = np.zeros(len(frequencies))
+    for b in np.unique(block):
+        own = block == b
+        y, t = residual[own], time[own]
+        for i, f in enumerate(frequencies):
+            wave = np.column_stack([np.sin(2 * np.pi * f * t), np.cos(2 * np.pi * f * t)])
+            power[i] += float((wave.T @ y) @ np.linalg.solve(wave.T @ wave, wave.T @ y))
+    best = int(np.argmax(power))
+    excess = float(np.sum(residual**2)) - len(residual)
+    blocks = len(np.unique(block))
+    # Chance alone gives each block about ln(frequencies) at its own best place, shared far less.
+    if power[best] < 12.0 * blocks + 4.0 * np.log(len(frequencies)) or excess <= 0.0:
+        return None
+    return 1.0 / float(frequencies[best]), float(min(power[best] / excess, 1.0))

@@ -1,0 +1,1 @@
+"""Predictions of runs that no fit has seen, before and after."""

@@ -1,0 +1,236 @@
+"""Score every effect at every place beside what is already found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize
+
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.located_effect import PlacedEffect, places
+from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.search.evidence import BlockSums, Posterior, posterior
+
+# Steps of the search that refines shapes.
+_REFINEMENTS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An effect at a place, judged beside what is already found.
+
+    Parameters
+    ----------
+    placed : PlacedEffect
+    amplitudes : array (k,)
+        Over their sizes.
+    covariance : array (k, k)
+    gain : float
+        Log predictive density of blocks left out, over that without it.
+    evidence : float
+        Log evidence over that without it, less the price of the shapes tried.
+    chi : float
+        Square root of the amplitudes' chi-square: how many standard deviations from nothing.
+    explained : float
+        Share of the squared residual that it takes away in the channel that it changes most.
+    channel : int
+        That channel.
+    """
+
+    placed: PlacedEffect
+    amplitudes: np.ndarray
+    covariance: np.ndarray
+    gain: float
+    evidence: float
+    chi: float
+    explained: float
+    channel: int
+
+
+class Scorer:
+    """Candidates beside a base model.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    base : sequence of PlacedEffect
+        Already found.
+    """
+
+    def __init__(self, comparison: Comparison, base: Sequence[PlacedEffect] = ()) -> None:
+        self.comparison, self.base = comparison, tuple(base)
+        _, sd, nuisance = comparison.nuisance
+        parts = [nuisance, *(comparison.effect_columns(e) for e in base)]
+        self._columns = np.column_stack(parts)
+        self._prior = np.concatenate([sd, np.ones(self._columns.shape[1] - len(sd))])
+        self._sums = BlockSums(
+            self._columns, comparison.target, comparison.rows.block, comparison.blocks
+        )
+        self.start = posterior(self._sums.own, self._prior)
+        self._residual = comparison.target - self._columns @ self.start.mean
+
+    def score(self, placed: PlacedEffect, price: float = 0.0) -> Candidate | None:
+        """Judge one candidate; None where it changes nothing or leaves its bounds.
+
+        Parameters
+        ----------
+        placed : PlacedEffect
+        price : float
+            Log of the number of shapes tried.
+        """
+        added = self.comparison.effect_columns(placed)
+        size = np.sum(added**2, axis=0)
+        if not np.isfinite(size).all() or not np.any(size > 1e-12):
+            return None
+        found, kept = self._bounded(placed, added)
+        if found is None:
+            return None
+        p = self._columns.shape[1]
+        mean = np.zeros(added.shape[1])
+        covariance = np.zeros((added.shape[1],) * 2)
+        mean[kept], covariance[np.ix_(kept, kept)] = found.mean[p:], found.covariance[p:, p:]
+        residual = self.comparison.target - self._columns @ found.mean[:p] - added @ mean
+        channel, explained = self._explained(residual, np.sum(added**2, axis=1))
+        inner = covariance[np.ix_(kept, kept)]
+        return Candidate(
+            placed=placed,
+            amplitudes=mean,
+            covariance=covariance,
+            gain=found.log_predictive - self.start.log_predictive,
+            evidence=found.log_evidence - self.start.log_evidence - price,
+            chi=float(np.sqrt(max(mean[kept] @ np.linalg.solve(inner, mean[kept]), 0.0))),
+            explained=explained,
+            channel=channel,
+        )
+
+    def deviation(self, placed: PlacedEffect) -> float | None:
+        """Standard deviation of a single amplitude over its size; None if unseen."""
+        added = self.comparison.effect_columns(placed)
+        if not np.isfinite(added).all() or not np.any(added):
+            return None
+        beside = self._columns
+        inner = self.start.covariance @ (beside.T @ added)
+        seen = float(np.sum(added**2) - np.sum((beside.T @ added) * inner))
+        return 1.0 / float(np.sqrt(seen)) if seen > 0.0 else None
+
+    def nuisance_beside(self, placed: PlacedEffect) -> np.ndarray:
+        """Nominal values as they are fitted beside an effect."""
+        _, sd, _ = self.comparison.nuisance
+        found, _ = self._bounded(placed, self.comparison.effect_columns(placed))
+        return self.start.mean[: len(sd)] if found is None else found.mean[: len(sd)]
+
+    def _bounded(
+        self, placed: PlacedEffect, added: np.ndarray
+    ) -> tuple[Posterior | None, np.ndarray]:
+        """Posterior with amplitudes outside their bounds left out one after another."""
+        kept = np.arange(added.shape[1])
+        bounds = np.array([(a.lower, a.upper) for a in placed.effect.amplitudes])
+        p = self._columns.shape[1]
+        whole = self._sums.extended(added)
+        while kept.size:
+            sums = whole.part(np.concatenate([np.arange(p), p + kept]))
+            prior = np.concatenate([self._prior, np.ones(kept.size)])
+            found = posterior(sums, prior)
+            mean = found.mean[p:]
+            spread = np.sqrt(np.diag(found.covariance)[p:])
+            lower, upper = bounds[kept].T
+            beyond = np.maximum(lower - mean, mean - upper) / spread
+            worst = int(np.argmax(beyond))
+            if beyond[worst] <= 1.0:
+                return found, kept
+            kept = np.delete(kept, worst)
+        return None, kept
+
+    def _explained(self, residual: np.ndarray, acted_on: np.ndarray) -> tuple[int, float]:
+        """Channel of those acted on whose squares fall most, and the share that falls.
+
+        Other channels fall as well, where nominal values no longer stand in for the effect.
+        """
+        rows = self.comparison.rows
+        size = 2 * self.comparison.robot.n
+        before = np.bincount(rows.channel, self._residual**2, minlength=size)
+        after = np.bincount(rows.channel, residual**2, minlength=size)
+        own = np.bincount(rows.channel, acted_on, minlength=size) > 0.0
+        fall = np.where(own, before - after, -np.inf)
+        channel = int(np.argmax(fall))
+        return channel, float(fall[channel] / before[channel]) if before[channel] > 0.0 else 0.0
+
+    def refine(self, candidate: Candidate, price: float = 0.0) -> Candidate:
+        """Fit the shapes of a candidate, from where it stands and within their bounds."""
+        shapes = candidate.placed.effect.shapes
+        if not shapes:
+            return candidate
+        start = np.array(candidate.placed.shapes)
+        scale = np.where(start != 0.0, np.abs(start), 1.0)
+        best = candidate
+
+        def cost(scaled: np.ndarray) -> float:
+            nonlocal best
+            values = np.clip(scaled * scale, [s.lower for s in shapes], [s.upper for s in shapes])
+            moved = replace(candidate.placed, shapes=tuple(float(v) for v in values))
+            found = self.score(moved, price)
+            if found is None:
+                return 1e12
+            if found.evidence > best.evidence:
+                best = found
+            outside = float(np.sum((scaled * scale - values) ** 2 / scale**2))
+            return -found.evidence + 1e3 * outside
+
+        simplex = [start / scale]
+        for i in range(len(start)):
+            corner = start / scale
+            corner[i] *= 1.25
+            simplex.append(corner)
+        minimize(
+            cost,
+            start / scale,
+            method="Nelder-Mead",
+            options={
+                "maxfev": _REFINEMENTS * len(shapes),
+                "initial_simplex": np.array(simplex),
+                "xatol": 1e-3,
+                "fatol": 1e-2,
+            },
+        )
+        return best
+
+
+def scan(
+    scorer: Scorer,
+    catalogue: Sequence[Effect],
+    *,
+    refined: int = 6,
+    about: PlacedEffect | None = None,
+) -> list[Candidate]:
+    """Judge the whole catalogue; the best first, each place once.
+
+    Parameters
+    ----------
+    scorer : Scorer
+    catalogue : sequence of Effect
+    refined : int
+        How many of the best have their shapes fitted.
+    about : PlacedEffect, optional
+        Only what could stand in its place is tried.
+    """
+    constants = scorer.comparison.constants
+    runs = [run.name for run in scorer.comparison.runs]
+    best: list[tuple[Candidate, float]] = []
+    for effect in catalogue:
+        by_place: dict[tuple[int | None, int | None, str | None], list[PlacedEffect]] = {}
+        for placed in places(effect, constants, runs):
+            if about is not None and not placed.near(about):
+                continue
+            by_place.setdefault((placed.joint, placed.link, placed.run), []).append(placed)
+        for tried in by_place.values():
+            if any(tried[0].same_place(other) for other in scorer.base):
+                continue
+            price = float(np.log(len(tried)))
+            found = [c for p in tried if (c := scorer.score(p, price)) is not None]
+            if found:
+                best.append((max(found, key=lambda c: c.evidence), price))
+    best.sort(key=lambda pair: -pair[0].evidence)
+    head = [scorer.refine(c, price) for c, price in best[:refined]]
+    return sorted([*head, *(c for c, _ in best[refined:])], key=lambda c: -c.evidence)

@@ -1,0 +1,211 @@
+"""How sure the parameters of what was found are: all of them fitted together, shapes included."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.extension import SizedEffect, sized
+from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.prepare import PreparedRun
+
+# Length of the stretches that a jackknife leaves out [s]: longer than anything in a residual
+# remembers.
+BLOCK_SECONDS = 2.0
+# Relative step of numerical slopes.
+_STEP = 1e-4
+# Prior of a shape over its own size: wide, so that only the data count.
+_SHAPE_PRIOR = 10.0
+# Stretches below which a jackknife says nothing.
+_FEWEST = 5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate:
+    """Posterior of nominal values and effects together.
+
+    Parameters
+    ----------
+    nuisance : tuple of str
+        Names of the nominal values.
+    values : array (p,)
+        Nominal values, then amplitudes over their sizes.
+    effects : tuple of SizedEffect
+    covariance : array (r, r)
+        Of nominal values, amplitudes over sizes, then shapes over theirs; by the linear model.
+    spread : array (r, r)
+        The same by a jackknife over stretches of the runs.
+    """
+
+    nuisance: tuple[str, ...]
+    values: np.ndarray
+    effects: tuple[SizedEffect, ...]
+    covariance: np.ndarray
+    spread: np.ndarray
+    sizes: tuple[np.ndarray, ...]
+    shape_sizes: tuple[np.ndarray, ...]
+
+    def calibration(self) -> dict[str, float]:
+        """Change of the nominal values by name."""
+        values = self.values[: len(self.nuisance)]
+        return {name: float(v) for name, v in zip(self.nuisance, values, strict=True)}
+
+    def parameters(self, index: int, constants: object) -> dict[str, tuple[float, float]]:
+        """Reported values of one effect with their standard deviations.
+
+        The larger of both estimates of the covariance counts, carried over by the slopes of the
+        reported values.
+        """
+        found = self.effects[index]
+        effect = found.placed.effect
+        rows, steps = self._places(index)
+        inputs = np.array([*found.amplitudes, *found.placed.shapes])
+        count = len(found.amplitudes)
+
+        def report(at: np.ndarray) -> np.ndarray:
+            values = effect.values(tuple(at[:count]), tuple(at[count:]), constants)
+            return np.array(list(values.values()), dtype=float)
+
+        names = list(effect.values(found.amplitudes, found.placed.shapes, constants))
+        slopes = np.column_stack(
+            [
+                (report(inputs + _STEP * step) - report(inputs - _STEP * step)) / (2.0 * _STEP)
+                for step in np.diag(steps)
+            ]
+        )
+        variances = [
+            np.einsum("ij,jk,ik->i", slopes, matrix[np.ix_(rows, rows)], slopes)
+            for matrix in (self.covariance, self.spread)
+        ]
+        sd = np.sqrt(np.maximum(*variances))
+        return {
+            name: (float(v), float(s)) for name, v, s in zip(names, report(inputs), sd, strict=True)
+        }
+
+    def _places(self, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """Where the amplitudes and shapes of an effect stand, and the units they have there."""
+        lengths = [len(s) for s in self.sizes]
+        first = len(self.nuisance) + sum(lengths[:index])
+        own = np.arange(first, first + lengths[index])
+        shapes = [len(s) for s in self.shape_sizes]
+        after = len(self.values) + sum(shapes[:index])
+        rows = np.concatenate([own, np.arange(after, after + shapes[index])])
+        return rows, np.concatenate([self.sizes[index], self.shape_sizes[index]])
+
+
+def estimate(comparison: Comparison, effects: Sequence[PlacedEffect]) -> Estimate:
+    """Fit nominal values and effects together, and say how sure each is.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        With the noise that the effects leave.
+    effects : sequence of PlacedEffect
+        With their shapes as found.
+
+    Notes
+    -----
+    Shapes enter through the numerical slopes of their columns at what was found.
+    """
+    fit = comparison.fit(effects)
+    names, prior_sd, nuisance = comparison.nuisance
+    columns = [comparison.effect_columns(e) for e in effects]
+    sizes = tuple(e.sizes(comparison.constants) for e in effects)
+    scaled = fit.amplitudes()
+    shape_sizes = tuple(_shape_sizes(e) for e in effects)
+    slopes, begin = [], 0
+    for placed, own, steps in zip(effects, columns, shape_sizes, strict=True):
+        amplitudes = scaled[begin : begin + own.shape[1]]
+        begin += own.shape[1]
+        for i, step in enumerate(steps):
+            slopes.append(_shape_slope(comparison, placed, amplitudes, i, step))
+    matrix = np.column_stack([nuisance, *columns, *slopes])
+    prior = np.concatenate([prior_sd, np.ones(len(scaled)), np.full(len(slopes), _SHAPE_PRIOR)])
+    covariance, spread = _jackknife(comparison, matrix, prior)
+    return Estimate(
+        nuisance=tuple(names),
+        values=fit.posterior.mean,
+        effects=sized(effects, scaled, sizes),
+        covariance=covariance,
+        spread=spread,
+        sizes=sizes,
+        shape_sizes=shape_sizes,
+    )
+
+
+def significance(comparison: Comparison, effects: Sequence[PlacedEffect]) -> np.ndarray:
+    """Jackknife deviations from nothing of every effect's amplitudes (e,), shapes held."""
+    fit = comparison.fit(effects)
+    _, prior_sd, nuisance = comparison.nuisance
+    columns = [comparison.effect_columns(e) for e in effects]
+    amplitudes = fit.amplitudes()
+    prior = np.concatenate([prior_sd, np.ones(len(amplitudes))])
+    _, spread = _jackknife(comparison, np.column_stack([nuisance, *columns]), prior)
+    found, begin = [], 0
+    for own in columns:
+        values = amplitudes[begin : begin + own.shape[1]]
+        rows = slice(len(prior_sd) + begin, len(prior_sd) + begin + own.shape[1])
+        begin += own.shape[1]
+        square = values @ np.linalg.lstsq(spread[rows, rows], values)[0]
+        found.append(float(np.sqrt(max(square, 0.0))))
+    return np.array(found)
+
+
+def _shape_sizes(placed: PlacedEffect) -> np.ndarray:
+    return np.array([abs(v) if v else 1.0 for v in placed.shapes])
+
+
+def _shape_slope(
+    comparison: Comparison, placed: PlacedEffect, amplitudes: np.ndarray, i: int, size: float
+) -> np.ndarray:
+    """Slope of an effect's sum of columns along one shape over its size."""
+    shape = placed.effect.shapes[i]
+    now = placed.shapes[i]
+    low = max(now - _STEP * size, shape.lower)
+    high = min(now + _STEP * size, shape.upper)
+    ends = []
+    for value in (low, high):
+        moved = (*placed.shapes[:i], value, *placed.shapes[i + 1 :])
+        ends.append(comparison.effect_columns(replace(placed, shapes=moved)) @ amplitudes)
+    return np.asarray((ends[1] - ends[0]) * size / (high - low))
+
+
+def _jackknife(
+    comparison: Comparison, matrix: np.ndarray, prior: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance by the linear model, and by leaving stretches out one after another."""
+    block = stretches(comparison)
+    scaled = matrix * prior
+    parts = [block == b for b in range(int(block.max()) + 1)]
+    grams = np.array([scaled[p].T @ scaled[p] for p in parts])
+    moments = np.array([scaled[p].T @ comparison.target[p] for p in parts])
+    gram, moment = grams.sum(axis=0) + np.eye(len(prior)), moments.sum(axis=0)
+    units = np.outer(prior, prior)
+    covariance = np.linalg.inv(gram) * units
+    if len(parts) < _FEWEST:
+        return covariance, covariance
+    left_out = np.array(
+        [np.linalg.solve(gram - g, moment - m) for g, m in zip(grams, moments, strict=True)]
+    )
+    away = left_out - left_out.mean(axis=0)
+    return covariance, (len(parts) - 1) / len(parts) * away.T @ away * units
+
+
+def stretches(comparison: Comparison) -> np.ndarray:
+    """Number of the stretch of about `BLOCK_SECONDS` that every row (m,) is of."""
+    counts = [max(1, round(_span(run) / BLOCK_SECONDS)) for run in comparison.runs]
+    first = np.concatenate([[0], np.cumsum(counts)])
+
+    def number(run: PreparedRun) -> np.ndarray:
+        k = comparison.runs.index(run)
+        place = (run.time - run.time[0]) / _span(run) * counts[k]
+        return np.asarray(first[k] + np.minimum(place.astype(int), counts[k] - 1))
+
+    return np.unique(comparison.rows.sampled(number), return_inverse=True)[1]
+
+
+def _span(run: PreparedRun) -> float:
+    return float(run.time[-1] - run.time[0])

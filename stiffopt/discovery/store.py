@@ -1,0 +1,174 @@
+"""What a diagnosis leaves behind: diagnosis.json, extended.toml, predictions of held-out runs."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.signals import RobotConstants
+from stiffopt.discovery.diagnosis import Diagnosis, Finding, Rival
+from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
+from stiffopt.discovery.extended.store import extended_text
+from stiffopt.discovery.judging.unexplained import Outside
+from stiffopt.discovery.proof.predict import Prediction
+from stiffopt.files import atomic_write
+from stiffopt.recording.signals import Signals
+
+SCHEMA = 1
+ANSWER_FILE = "diagnosis.json"
+MODEL_FILE = "extended.toml"
+
+
+def write_diagnosis(diagnosis: Diagnosis, directory: str | Path) -> Path:
+    """Write diagnosis.json, extended.toml and the predictions; return the path of the first.
+
+    Every file is written whole or not at all, diagnosis.json last: where it is, all others are.
+    """
+    folder = Path(directory)
+    signals = diagnosis.recordings.signals
+    files: dict[str, str | bytes] = {}
+    for proof in diagnosis.held_out:
+        for when, prediction in (("before", proof.before), ("after", proof.after)):
+            files[f"pred_{when}_{proof.run.name}.npz"] = _arrays(prediction, signals)
+    files[MODEL_FILE] = extended_text(diagnosis)
+    if diagnosis.experiment is not None:
+        files[EXPERIMENT_FILE] = diagnosis.experiment.csv()
+    text = json.dumps(answer(diagnosis), indent=1, ensure_ascii=False, allow_nan=False)
+    files[ANSWER_FILE] = text + "\n"
+    # An earlier answer must not stand beside files that are not its own.
+    for name in (ANSWER_FILE, EXPERIMENT_FILE):
+        (folder / name).unlink(missing_ok=True)
+    for name, content in files.items():
+        atomic_write(folder / name, content)
+    return folder / ANSWER_FILE
+
+
+def answer(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Content of diagnosis.json: plain numbers, strings, lists and dicts."""
+    constants = diagnosis.training.constants
+    document = {
+        "schema": SCHEMA,
+        "verdict": diagnosis.verdict,
+        "findings": [_finding(f, constants) for f in diagnosis.findings],
+        "fit": {
+            "channels": [vars(channel) for channel in diagnosis.channels],
+            **{role: _fit(diagnosis, role) for role in ("test", "extrapolate")},
+        },
+        "detection_limits": [
+            {
+                "effect": limit.effect,
+                "joint": limit.joint,
+                "parameter": limit.parameter,
+                "value": limit.value,
+                "unit": limit.unit,
+            }
+            for limit in diagnosis.detection_limits
+        ],
+        "outside": None if diagnosis.outside is None else _outside(diagnosis.outside),
+        "next_experiment": diagnosis.next_experiment,
+        "assumptions": list(diagnosis.assumptions),
+        "runs": [
+            {
+                "run": proof.run.name,
+                "role": proof.run.role,
+                "nrmse_before": proof.nrmse_before,
+                "nrmse_after": proof.nrmse_after,
+            }
+            for proof in diagnosis.held_out
+        ],
+        "faults": [
+            {
+                "run": run,
+                "signal": fault.signal,
+                "joint": fault.joint,
+                "kind": fault.kind,
+                "detail": fault.detail,
+                "left_out": fault.left_out,
+            }
+            for run, fault in diagnosis.faults
+        ],
+    }
+    plain: dict[str, Any] = _plain(document)
+    return plain
+
+
+def _finding(finding: Finding, constants: RobotConstants) -> dict[str, Any]:
+    return {
+        "effect": finding.placed.effect.name,
+        "joint": finding.joint,
+        "probability": finding.probability,
+        "equation": finding.placed.effect.equation,
+        "parameters": {
+            p.name: {"value": p.value, "sd": p.sd, "unit": p.unit} for p in finding.parameters
+        },
+        "where": finding.where,
+        "link": finding.link,
+        "run": finding.placed.run,
+        "variance_explained": finding.variance_explained,
+        "channel": finding.channel,
+        "log_evidence": finding.log_evidence,
+        "significance": finding.significance,
+        "confused_with": [_rival(rival, constants) for rival in finding.rivals],
+    }
+
+
+def _rival(rival: Rival, constants: RobotConstants) -> dict[str, Any]:
+    placed: PlacedEffect = rival.placed
+    return {
+        "effect": placed.effect.name,
+        "joint": None if placed.joint is None else placed.joint + 1,
+        "link": None if placed.link is None else constants.links[placed.link],
+        "run": placed.run,
+        "probability": rival.probability,
+    }
+
+
+def _fit(diagnosis: Diagnosis, role: str) -> dict[str, float] | None:
+    if not diagnosis.proofs(role):
+        return None
+    before, after = diagnosis.nrmse(role)
+    return {"nrmse_before": before, "nrmse_after": after}
+
+
+def _outside(outside: Outside) -> dict[str, Any]:
+    return {
+        "channels": list(outside.channels),
+        "regressors": list(outside.regressors),
+        "gain_heldout": outside.gain,
+        "period": outside.period,
+        "ratio": outside.ratio,
+        "brief": outside.brief,
+    }
+
+
+def _plain(value: Any) -> Any:
+    """NumPy's numbers as Python's, what is not finite as null."""
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_plain(each) for each in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return int(value) if isinstance(value, np.integer) else value
+
+
+def _arrays(prediction: Prediction, signals: Signals) -> bytes:
+    """An .npz of the predicted channels under the set's own names, with the stamps."""
+    columns: dict[str, np.ndarray] = {}
+    for kind, values in (
+        ("torque", prediction.torque),
+        ("link_position", prediction.link_position),
+    ):
+        names = signals.torque if kind == "torque" else signals.link_position or ()
+        columns |= {name: values[:, j] for j, name in enumerate(names) if name}
+    if signals.time:
+        columns[signals.time] = prediction.stamps
+    stream = io.BytesIO()
+    np.savez_compressed(stream, allow_pickle=False, **columns)
+    return stream.getvalue()

@@ -1,0 +1,1 @@
+"""Joint stiffness from deflections that were measured under known forces."""

@@ -1,0 +1,271 @@
+"""Joint stiffness of an arm from deflections under known forces: `identify_stiffness`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stiffopt.errors import InputFileError
+from stiffopt.identification.identifiable import WEAK, Identifiable, identifiable
+from stiffopt.identification.result import Errors, JointStiffness, StaticStiffness, Status
+from stiffopt.identification.robust_compliance import (
+    Fit,
+    bootstrap,
+    bootstrap_interval,
+    fit,
+    jackknife_deviation,
+    model_covariance,
+    without_each,
+)
+from stiffopt.identification.rows import StaticRows, static_rows
+from stiffopt.identification.torque_dependence import UNTESTED, torque_dependence
+from stiffopt.recording.static_set import StaticSet
+
+CONFIDENCE = 0.95
+DRAWS = 400
+# A pose this many standard deviations of one component off is named as an outlier.
+OUTLYING = 5.0
+# A weakly loaded joint must stand out of the noise this far to be given a number.
+_WEAK_RATIO = 5.0
+
+
+def identify_stiffness(
+    recorded: StaticSet, *, torque: bool = True, draws: int = DRAWS, seed: int = 1
+) -> StaticStiffness:
+    """Joint stiffness with standard deviations, and whether it depends on torque.
+
+    Parameters
+    ----------
+    recorded : StaticSet
+    torque : bool
+        Also test whether compliance depends on torque, which takes most of the time.
+    draws : int
+        Of the bootstrap.
+    seed : int
+        Of the bootstrap.
+
+    Raises
+    ------
+    InputFileError
+        Too few poses, no joint that they load, weight in the displacements and no masses.
+    """
+    rows = static_rows(recorded)
+    columns, measured = rows.compliance_columns(), rows.displacement
+    can = identifiable(columns)
+    kept = can.kept
+    if not kept.size:
+        raise InputFileError(
+            recorded.path, "force", "the forces load no joint: they pass through every axis. "
+            "Check the order of the columns and the tool frame."
+        )  # fmt: skip
+    used = columns[:, :, kept]
+    fitted, plain = fit(used, measured), fit(used, measured, robust=False)
+    folds = [fit(used[k], measured[k], start=fitted) for k in without_each(len(measured))]
+    plain_folds = [fit(used[k], measured[k], robust=False) for k in without_each(len(measured))]
+    drawn = bootstrap(used, measured, fitted, draws, seed)
+    dependence = torque_dependence(rows, kept) if torque else UNTESTED
+    left_out = _predict_left_out(used, folds)
+    norm = np.linalg.norm(fitted.residual, axis=1)
+    # Rounding alone must not make outliers of data without error.
+    outlying = max(OUTLYING * fitted.scale, 1e-6 * rms(measured))
+    return StaticStiffness(
+        source=recorded,
+        rows=rows,
+        joints=_joints(recorded, rows, can, fitted, plain, folds, drawn),
+        errors=Errors(
+            displacement=rms(measured),
+            fit=rms(fitted.residual),
+            left_out=rms(measured - left_out),
+            least_squares=rms(plain.residual),
+            least_squares_left_out=rms(measured - _predict_left_out(used, plain_folds)),
+            nominal=None
+            if recorded.stiffness is None
+            else rms(measured - columns @ (1.0 / recorded.stiffness)),
+        ),
+        predicted=measured - fitted.residual,
+        left_out=left_out,
+        weight=fitted.weight,
+        scale=fitted.scale,
+        outliers=tuple(int(k) + 1 for k in np.flatnonzero(norm > outlying)),
+        correlation=_correlation(used, fitted, can, recorded.n),
+        torque_dependence=dependence,
+        assumptions=_assumptions(recorded, rows),
+    )
+
+
+def rms(error: np.ndarray) -> float:
+    """Root mean square of all components."""
+    return float(np.sqrt(np.mean(np.square(error))))
+
+
+def _predict_left_out(columns: np.ndarray, folds: list[Fit]) -> np.ndarray:
+    return np.array([columns[k] @ fold.value for k, fold in enumerate(folds)])
+
+
+def _joints(
+    recorded: StaticSet,
+    rows: StaticRows,
+    can: Identifiable,
+    fitted: Fit,
+    plain: Fit,
+    folds: list[Fit],
+    drawn: np.ndarray,
+) -> tuple[JointStiffness, ...]:
+    from scipy.stats import t
+
+    columns = rows.compliance_columns()[:, :, can.kept]
+    alike = np.sqrt(np.diag(model_covariance(columns, fitted)))
+    jackknife = jackknife_deviation(np.array([fold.value for fold in folds]))
+    factor = float(t.ppf(0.5 + 0.5 * CONFIDENCE, len(folds) - 1))
+    torque = np.quantile(np.abs(rows.load), [0.05, 0.5, 0.95], axis=0).T
+    place = {int(j): k for k, j in enumerate(can.kept)}
+    joints = []
+    for j, name in enumerate(recorded.joints):
+        status, reason = _structure(can, j)
+        nominal = None if recorded.stiffness is None else float(recorded.stiffness[j])
+        estimate: dict[str, float | None] = dict.fromkeys(_ESTIMATED)
+        if status == "identified":
+            k = place[j]
+            value, deviation = float(fitted.value[k]), float(max(alike[k], jackknife[k]))
+            status, reason = _significance(value, deviation, factor, float(can.leverage[j]))
+            if status != "not_loaded":
+                estimate = _estimate(
+                    value,
+                    deviation,
+                    factor,
+                    nominal,
+                    float(plain.value[k]),
+                    bootstrap_interval(drawn[:, k], len(folds), CONFIDENCE),
+                    float(np.std(drawn[:, k], ddof=1)),
+                )
+                estimate["compliance_sd_alike"] = float(alike[k])
+                estimate["compliance_sd"] = float(jackknife[k])
+        low, middle, high = (float(each) for each in torque[j])
+        joints.append(
+            JointStiffness(
+                joint=j + 1,
+                name=name,
+                unit="N/m" if recorded.arm.prismatic[j] else "N m/rad",
+                status=status,
+                reason=reason,
+                nominal=nominal,
+                torque=(low, middle, high),
+                leverage=float(can.leverage[j]),
+                **estimate,
+            )
+        )
+    return tuple(joints)
+
+
+_ESTIMATED = (
+    "stiffness",
+    "sd",
+    "lower",
+    "upper",
+    "least_squares",
+    "compliance",
+    "compliance_sd",
+    "compliance_sd_alike",
+    "compliance_sd_bootstrap",
+    "bootstrap_lower",
+    "bootstrap_upper",
+    "z_nominal",
+)
+
+
+def _structure(can: Identifiable, j: int) -> tuple[Status, str]:
+    """What the geometry of the poses alone says of joint j (from 0)."""
+    if not can.loaded[j]:
+        return "not_loaded", (
+            "not identifiable: no pose loads this joint. Pull where the force passes beside its "
+            "axis."
+        )
+    if can.group[j]:
+        others = [str(k + 1) for k in np.flatnonzero(can.group == can.group[j]) if k != j]
+        return "confounded", (
+            f"not identifiable: in these poses it moves the tool as joint {', '.join(others)} "
+            "does. Change the joint angles between them."
+        )
+    return "identified", ""
+
+
+def _significance(
+    value: float, deviation: float, factor: float, leverage: float
+) -> tuple[Status, str]:
+    """Whether a compliance stands out of the errors."""
+    if leverage < WEAK and value < _WEAK_RATIO * deviation:
+        return "not_loaded", (
+            "not identifiable: the poses load this joint so little that its deflection drowns in "
+            "the errors. Pull with a longer lever about its axis."
+        )
+    if value > factor * deviation:
+        return "identified", ""
+    if value > deviation:
+        return "lower_bound", (
+            "poorly determined: within 95 % a rigid joint is not excluded. The lower end of the "
+            "interval holds, the estimate is a guess."
+        )
+    return "lower_bound", "too stiff for these poses: only a lower bound can be given."
+
+
+def _estimate(
+    value: float,
+    deviation: float,
+    factor: float,
+    nominal: float | None,
+    plain: float,
+    drawn: tuple[float, float],
+    spread: float,
+) -> dict[str, float | None]:
+    """Stiffness with its interval from a compliance; nothing is divided by zero."""
+    guess = value > deviation
+    return {
+        "stiffness": 1.0 / value if guess else None,
+        "sd": deviation / value**2 if guess else None,
+        "lower": _inverse(value + factor * deviation),
+        "upper": _inverse(value - factor * deviation),
+        "least_squares": _inverse(plain),
+        "compliance": value,
+        "compliance_sd_bootstrap": spread,
+        "bootstrap_lower": _inverse(drawn[1]),
+        "bootstrap_upper": _inverse(drawn[0]),
+        "z_nominal": (value - 1.0 / nominal) / deviation if nominal and deviation else None,
+    }
+
+
+def _inverse(compliance: float) -> float | None:
+    return 1.0 / compliance if compliance > 0.0 else None
+
+
+def _correlation(columns: np.ndarray, fitted: Fit, can: Identifiable, n: int) -> np.ndarray:
+    covariance = model_covariance(columns, fitted)
+    deviation = np.sqrt(np.diag(covariance))
+    full = np.full((n, n), np.nan)
+    alone = can.group[can.kept] == 0
+    inner = covariance / np.outer(deviation, deviation) if deviation.all() else np.eye(len(alone))
+    full[np.ix_(can.kept[alone], can.kept[alone])] = inner[np.ix_(alone, alone)]
+    return full
+
+
+def _assumptions(recorded: StaticSet, rows: StaticRows) -> tuple[str, ...]:
+    said = [
+        "Links, base and bearings are rigid: all compliance is about the joint axes.",
+        "Joint angles and forces are exact; all error is in the displacements.",
+        "Deflections are small: the lever arms are those of the undeflected arm.",
+    ]
+    if recorded.difference:
+        said.append("Each displacement is a difference of two load states, so weight is out of it.")
+    else:
+        said.append("Displacements include the deflection under the weight of the links.")
+    if recorded.difference and rows.weight is not None:
+        said.append(
+            "Torque dependence about the weight that a joint already carries is tested with the "
+            "masses of the robot file, without counterbalances."
+        )
+    if recorded.difference and rows.weight is None:
+        said.append(
+            "No link has a mass: the torque that the joints already carried is unknown, and a "
+            "torque-dependent compliance is tested as if it were none."
+        )
+    if recorded.arm.locked:
+        said.append(f"Held at zero and rigid: {', '.join(recorded.arm.locked)}.")
+    return tuple(said)

@@ -1,0 +1,256 @@
+"""Do static deflections say that joint compliance depends on torque? Tested on poses left out.
+
+Contacts under small load are soft, so a joint with contacts winds up as c s + b |s|^q with q < 1,
+or c s + b tanh(s / s0). Both only ever lower the error of the poses they were fitted to. What
+counts is whether they predict a pose that was left out better than constant compliance does, and
+better than a constant error of the displacement sensor, which can look alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from stiffopt.identification.models import Family, Shape, families
+from stiffopt.identification.robust_compliance import Fit, fit, loss, without_each
+from stiffopt.identification.rows import StaticRows
+
+Verdict = Literal["supported", "weak", "not supported", "not tested"]
+
+# Supported: adjusted probability of chance below this, and error at least this share lower.
+CHANCE = 0.01
+SMALLEST_GAIN = 0.02
+# Fewer poses cannot carry a paired test at this level.
+FEWEST_POSES = 8
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Compared:
+    """One model beside constant compliance.
+
+    Parameters
+    ----------
+    name : str
+    formula : str
+    candidate : bool
+        Depends on torque; else a rival that explains without it.
+    shape : str
+        Form chosen on all poses.
+    parameters : int
+    fit, left_out : float
+        Root mean square of one component on its own poses, on poses left out [m].
+    gain : float
+        Share by which the error on poses left out is below that of constant compliance; negative
+        if above.
+    chance : float
+        Probability of so much gain by chance, one-sided signed-rank test over poses, adjusted for
+        the number of models tried; 1 for rivals.
+    value : array (p,)
+        Parameters on all poses.
+    error : array (m, 3)
+        Of the poses left out [m].
+    """
+
+    name: str
+    formula: str
+    candidate: bool
+    shape: str
+    parameters: int
+    fit: float
+    left_out: float
+    gain: float
+    chance: float
+    value: np.ndarray
+    error: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TorqueDependence:
+    """Verdict on torque-dependent compliance.
+
+    Parameters
+    ----------
+    verdict : str
+        "supported", "weak" (predicts better, not decisively), "not supported", "not tested".
+    sentence : str
+    models : tuple of Compared
+        Constant compliance first.
+    best : str
+        Name of the torque-dependent model that predicts best; empty if none was tried.
+    secant : dict
+        Of the supported model: joint (from 1) -> stiffness [N m/rad] at the torques that 5, 50
+        and 95 % of the poses do not exceed.
+    """
+
+    verdict: Verdict
+    sentence: str
+    models: tuple[Compared, ...]
+    best: str
+    secant: dict[int, tuple[float, float, float]]
+
+
+UNTESTED = TorqueDependence(
+    verdict="not tested", sentence="not tested.", models=(), best="", secant={}
+)
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    error: np.ndarray
+    whole: Fit
+    shape: Shape
+
+
+def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> TorqueDependence:
+    """Compare nested models of the joints' wind-up by predicting poses left out.
+
+    Parameters
+    ----------
+    rows : StaticRows
+    kept : sequence of int (k,)
+        Joints (from 0) whose compliances can be told apart.
+
+    Returns
+    -------
+    TorqueDependence
+    """
+    kept = np.asarray(kept)
+    m = len(rows.displacement)
+    if m < FEWEST_POSES:
+        return TorqueDependence(
+            verdict="not tested",
+            sentence=f"{m} poses are too few to test it; at least {FEWEST_POSES}, better 20, with "
+            "small and large forces in the same pose.",
+            models=(),
+            best="",
+            secant={},
+        )
+    tried = [f for f in families(rows, kept) if f.shapes[0].columns.shape[2] < 3 * (m - 1)]
+    measured = rows.displacement
+    runs = [_left_out(family, measured) for family in tried]
+    constant = runs[0]
+    # Data without error have no scale of their own.
+    scale = max(constant.whole.scale, 1e-9 * _rms(measured))
+    losses = [loss(run.error, scale) for run in runs]
+    # The strongest rival without torque: a model must beat that, not the weakest.
+    plain = [k for k, family in enumerate(tried) if not family.candidate]
+    rival = min(plain, key=lambda k: float(np.sum(losses[k])))
+    candidates = len(tried) - len(plain)
+    models = tuple(
+        Compared(
+            name=family.name,
+            formula=family.formula,
+            candidate=family.candidate,
+            shape=run.shape.label,
+            parameters=run.shape.columns.shape[2],
+            fit=_rms(run.whole.residual),
+            left_out=_rms(run.error),
+            gain=1.0 - _rms(run.error) / (_rms(constant.error) or 1.0),
+            chance=min(1.0, candidates * _paired(losses[rival] - losses[k]))
+            if family.candidate
+            else 1.0,
+            value=run.whole.value,
+            error=run.error,
+        )
+        for k, (family, run) in enumerate(zip(tried, runs, strict=True))
+    )
+    best = min(
+        (k for k in range(len(models)) if models[k].candidate),
+        key=lambda k: (models[k].chance, -models[k].gain),
+        default=None,
+    )
+    if best is None:
+        return TorqueDependence(
+            verdict="not tested",
+            sentence=f"{m} poses are too few for the parameters of a torque-dependent compliance.",
+            models=models,
+            best="",
+            secant={},
+        )
+    verdict, sentence, chosen = _conclude(models, models[rival])
+    secant = {}
+    if verdict == "supported":
+        secant = _secant(rows, kept, models[best], runs[best].shape)
+    return TorqueDependence(
+        verdict=verdict, sentence=sentence, models=models, best=chosen.name, secant=secant
+    )
+
+
+def _left_out(family: Family, measured: np.ndarray) -> _Run:
+    """Errors of poses left out; the form is chosen anew without each pose."""
+    whole = [fit(shape.columns, measured) for shape in family.shapes]
+    error = np.empty_like(measured)
+    for k, keep in enumerate(without_each(len(measured))):
+        folds = [
+            fit(shape.columns[keep], measured[keep], start=start)
+            for shape, start in zip(family.shapes, whole, strict=True)
+        ]
+        best = _best(folds)
+        error[k] = measured[k] - family.shapes[best].columns[k] @ folds[best].value
+    best = _best(whole)
+    return _Run(error, whole[best], family.shapes[best])
+
+
+def _best(fits: list[Fit]) -> int:
+    if len(fits) == 1:
+        return 0
+    scale = max(fits[0].scale, 1e-300)
+    return int(np.argmin([np.sum(loss(each.residual, scale)) for each in fits]))
+
+
+def _paired(drop: np.ndarray) -> float:
+    """Probability that the loss drops in so many poses by chance (Wilcoxon's signed ranks).
+
+    Ranks, as a few poses with large loads would drown all others in a test of the mean.
+    """
+    from scipy.stats import wilcoxon
+
+    if not drop.any():
+        return 1.0
+    return float(wilcoxon(drop, alternative="greater").pvalue)
+
+
+def _rms(error: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(error))))
+
+
+def _conclude(models: tuple[Compared, ...], rival: Compared) -> tuple[Verdict, str, Compared]:
+    """Verdict, sentence, and the torque-dependent model that they are about."""
+    candidates = [model for model in models if model.candidate]
+    sure = min(candidates, key=lambda model: (model.chance, -model.gain))
+    if sure.chance < CHANCE and sure.gain >= SMALLEST_GAIN:
+        return "supported", f"supported by these poses: {_numbers(sure, len(candidates))}.", sure
+    best = max(candidates, key=lambda model: model.gain)
+    numbers = _numbers(best, len(candidates))
+    if best.left_out < rival.left_out:
+        return "weak", f"weak: {numbers}; not decisive.", best
+    than = "constant compliance" if rival is models[0] else "constant compliance with an offset"
+    return (
+        "not supported",
+        f"not supported: {than} predicts poses left out better; {numbers}.",
+        best,
+    )
+
+
+def _numbers(model: Compared, tried: int) -> str:
+    return (
+        f"{-100 * model.gain:+.1f} % error on poses left out (model: {model.name}), probability "
+        f"of chance {model.chance:.2g} with {tried} models tried"
+    )
+
+
+def _secant(
+    rows: StaticRows, kept: np.ndarray, best: Compared, shape: Shape
+) -> dict[int, tuple[float, float, float]]:
+    torque = np.quantile(np.abs(rows.load), [0.05, 0.5, 0.95], axis=0)
+    added = torque if shape.windup is None else shape.windup(torque)
+    result = {}
+    for place, j in enumerate(kept):
+        windup = best.value[place] * torque[:, j] + best.value[len(kept) + place] * added[:, j]
+        if (windup > 0.0).all():
+            low, middle, high = torque[:, j] / windup
+            result[int(j) + 1] = (float(low), float(middle), float(high))
+    return result

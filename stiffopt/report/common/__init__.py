@@ -1,0 +1,1 @@
+"""What the reports share: page frame, figures as SVG, quantities, citations, progress."""

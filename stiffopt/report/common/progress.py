@@ -1,0 +1,189 @@
+"""Live progress of a solve in the terminal; plain lines where the output is no terminal.
+
+An event has the attributes `stage` (text such as "homotopy 2 of 3, 60 intervals"), `iteration`,
+`objective` (SI), `violation` (relative), `row` (name of the worst row) and `elapsed` [s]. Only the
+last event counts, so that drawing never slows the solver down.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from types import SimpleNamespace, TracebackType
+from typing import Any, Protocol
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from stiffopt.report.common.quantities import engineering
+
+PLAIN_INTERVAL = 1.0
+DRAWS_PER_SECOND = 8
+# Relative violations below this are not worth a reader's attention.
+NEGLIGIBLE = 1e-6
+
+
+class ProgressEvent(Protocol):
+    """What the display reads of an event."""
+
+    @property
+    def stage(self) -> str: ...  # noqa: D102
+    @property
+    def iteration(self) -> int: ...  # noqa: D102
+    @property
+    def objective(self) -> float: ...  # noqa: D102
+    @property
+    def violation(self) -> float: ...  # noqa: D102
+    @property
+    def row(self) -> str: ...  # noqa: D102
+    @property
+    def elapsed(self) -> float: ...  # noqa: D102
+
+
+class ProgressDisplay:
+    """Context manager that is called with each event.
+
+    Parameters
+    ----------
+    title : str
+        Of the problem.
+    unit : str
+        SI unit of the objective; shown in a size that reads well (mm, ms, ...).
+    console : rich.console.Console or None
+        None: standard error, so that standard output stays free for results.
+    clock : callable
+        Seconds; replaced in tests.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace
+    >>> from rich.console import Console
+    >>> event = SimpleNamespace(stage="homotopy 1 of 2", iteration=7, objective=2.97e-4,
+    ...                         violation=0.012, row="torque, joint 2", elapsed=0.8)
+    >>> with ProgressDisplay("demo", "m", Console(width=120, force_terminal=False)) as progress:
+    ...     progress(event)
+    0.8 s  homotopy 1 of 2  iteration 7  objective 0.297 mm  violation 1.2 % torque, joint 2
+    """
+
+    def __init__(
+        self,
+        title: str = "",
+        unit: str = "",
+        console: Console | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.title, self.unit = title, unit
+        self._console = Console(stderr=True) if console is None else console
+        self._clock = clock
+        self._live: Live | None = None
+        self._event: ProgressEvent | None = None
+        self._stage = ""
+        self._printed_at = -math.inf
+        self._pending = False
+
+    def __enter__(self) -> ProgressDisplay:
+        if self._console.is_terminal:
+            self._live = Live(
+                get_renderable=self._table,
+                console=self._console,
+                refresh_per_second=DRAWS_PER_SECOND,
+                transient=True,
+            )
+            self._live.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._live is not None:
+            self._live.__exit__(kind, error, traceback)
+            self._live = None
+        if self._pending:
+            self._print()
+
+    def __call__(self, event: ProgressEvent) -> None:
+        """Show the event; a line at most once a second where there is no terminal."""
+        self._event = event
+        self._pending = True
+        if self._live is not None:
+            return
+        now = self._clock()
+        if event.stage != self._stage or now - self._printed_at >= PLAIN_INTERVAL:
+            self._stage, self._printed_at = event.stage, now
+            self._print()
+
+    def _print(self) -> None:
+        assert self._event is not None
+        self._pending = False
+        line = "  ".join(
+            f"{label} {value}".strip() for label, value in _fields(self._event, self.unit)
+        )
+        self._console.print(Text(line), soft_wrap=True)
+
+    def _table(self) -> Table:
+        table = Table.grid(padding=(0, 2))
+        table.add_row(Text(self.title or "solving", style="bold"))
+        if self._event is not None:
+            grid = Table.grid(padding=(0, 1))
+            for label, value in _fields(self._event, self.unit):
+                grid.add_row(Text(label or "", style="dim"), Text(value))
+            table.add_row(grid)
+        return table
+
+
+class StudyProgress:
+    """Events of a preload study for a display: quiet while it is quick, with the time of it all.
+
+    Events of the many short solves have no stage and begin at zero seconds each; those of motions
+    have both and go through as they are.
+
+    Parameters
+    ----------
+    display : callable
+        Called with events that have a stage.
+    stage : str
+        Of events that have none.
+    after : float
+        Nothing is shown before [s].
+    clock : callable
+        Seconds; replaced in tests.
+    """
+
+    def __init__(
+        self,
+        display: Callable[[ProgressEvent], object],
+        stage: str = "preloads",
+        after: float = 2.0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._display, self._stage, self._after, self._clock = display, stage, after, clock
+        self._begin = clock()
+
+    def __call__(self, event: Any) -> None:
+        """Pass an event on."""
+        if hasattr(event, "stage"):
+            self._display(event)
+            return
+        elapsed = self._clock() - self._begin
+        if elapsed >= self._after:
+            fields = {**vars(event), "stage": self._stage, "elapsed": elapsed}
+            self._display(SimpleNamespace(**fields))
+
+
+def _fields(event: ProgressEvent, unit: str) -> list[tuple[str, str]]:
+    worst = "none"
+    if event.violation > NEGLIGIBLE:
+        worst = f"{100 * event.violation:.2g} % {event.row}".strip()
+    return [
+        ("", f"{event.elapsed:.1f} s"),
+        ("", event.stage),
+        ("iteration", str(event.iteration)),
+        ("objective", engineering(event.objective, unit)),
+        ("violation", worst),
+    ]

@@ -1,0 +1,225 @@
+"""Figures of one channel: its residual by regime, and against what a finding adds to it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from stiffopt.report.common.svg import (
+    BLUE,
+    GREY,
+    INK,
+    PALE,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    WIDTH,
+    house_style,
+)
+from stiffopt.report.diagnosis.residuals import (
+    ChannelRows,
+    Regime,
+    binned,
+    contribution,
+    direction,
+    regimes,
+)
+from stiffopt.report.diagnosis.words import scaled_unit
+
+if TYPE_CHECKING:
+    from stiffopt.discovery.diagnosis import Diagnosis, Finding
+
+_BINS, _CELLS = 28, 14
+# Points of a cloud that a page can carry.
+_POINTS = 1500
+_SIDES = ((1, VERMILLION, "positive direction"), (-1, BLUE, "negative direction"))
+
+
+def regime_figure(diagnosis: Diagnosis, rows: ChannelRows, finding: Finding | None) -> Figure:
+    """Mean residual over speed, load, position, acceleration, session time and rotor angle.
+
+    With a finding: the residual that is left with everything else explained, and the finding's
+    model as a line; without one, what is left of the channel.
+    """
+    added = np.zeros(len(rows.after)) if finding is None else contribution(diagnosis, finding, rows)
+    residual = rows.after + added
+    factor, unit = scaled_unit(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
+    sides = direction(diagnosis, rows)
+    electrical = finding is not None and finding.placed.effect.name == "torque_ripple"
+    shown = list(regimes(diagnosis, rows, electrical))
+    noise = factor * float(np.median(rows.noise))
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 5.0))
+        grid = figure.subplots(2, 3, sharey=True)
+        for axes, regime in zip(grid.flat, shown, strict=True):
+            axes.axhspan(-noise, noise, color=PALE, alpha=0.55, zorder=0, linewidth=0)
+            for side, colour, _ in _SIDES:
+                own = sides == side
+                if own.sum() > 1:
+                    _one_side(
+                        axes, regime, own, factor * residual, factor * added, rows.run, colour
+                    )
+            axes.set_xlabel(regime.label)
+        for line in grid:
+            line[0].set_ylabel(f"mean residual [{unit}]")
+        handles = [grid[0, 0].plot([], [], "o", color=colour, ms=4)[0] for _, colour, _ in _SIDES]
+        labels = [words for _, _, words in _SIDES]
+        if finding is not None:
+            handles.append(grid[0, 0].plot([], [], color=GREY, linewidth=1.4)[0])
+            labels.append("model of the finding")
+        handles.append(grid[0, 0].fill_between([], [], color=PALE))
+        labels.append("noise of one sample, ±1 standard deviation")
+        figure.legend(handles, labels, loc="upper left", ncols=4, bbox_to_anchor=(0.05, 0.03))
+        figure.subplots_adjust(left=0.065, right=0.99, wspace=0.08, hspace=0.3)
+        return figure
+
+
+def _one_side(
+    axes: Axes,
+    regime: Regime,
+    own: np.ndarray,
+    residual: np.ndarray,
+    added: np.ndarray,
+    run: np.ndarray,
+    colour: str,
+) -> None:
+    x = regime.values[own]
+    groups = [run[own] == r for r in np.unique(run)] if regime.apart else [np.ones(len(x), bool)]
+    for group in groups:
+        if group.sum() < 2:
+            continue
+        low, high = np.quantile(x[group], (0.002, 0.998))
+        edges = np.linspace(low, high, 6 if regime.apart else _BINS)
+        centre, mean, sd = binned(x[group], residual[own][group], edges)
+        if not len(centre):
+            continue
+        axes.errorbar(centre, mean, yerr=2.0 * sd, fmt="o", color=colour, ms=3.2, elinewidth=0.9)
+        if added.any():
+            centre, model, _ = binned(x[group], added[own][group], edges)
+            axes.plot(centre, model, color=colour, linewidth=1.4, alpha=0.75)
+
+
+def map_figure(diagnosis: Diagnosis, rows: ChannelRows, finding: Finding | None) -> Figure:
+    """Mean residual over noise in the planes of speed with load and position, without and with."""
+    by_name = {regime.name: regime for regime in regimes(diagnosis, rows)}
+    stages = (
+        [("without it", contribution(diagnosis, finding, rows) + rows.after)] if finding else []
+    )
+    stages.append(("with it" if finding else "what is left", rows.after))
+    ratios = [values / rows.noise for _, values in stages]
+    panels = [(other, number) for other in ("load", "position") for number in range(len(stages))]
+    maps = [
+        _cells(by_name["speed"].values, by_name[other].values, ratios[number])
+        for other, number in panels
+    ]
+    filled = np.concatenate([np.abs(m[2][np.isfinite(m[2])]) for m in maps])
+    top = max(2.0, float(np.quantile(filled, 0.98))) if filled.size else 2.0
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 2.9))
+        grid = figure.subplots(1, len(panels), squeeze=False)[0]
+        for axes, (other, number), (x, y, values) in zip(grid, panels, maps, strict=True):
+            image = axes.pcolormesh(x, y, values.T, cmap="RdBu_r", vmin=-top, vmax=top)
+            image.set_edgecolor("face")
+            axes.set_title(f"{other} and speed, {stages[number][0]}", size=8.5)
+            axes.set_xlabel(by_name["speed"].label)
+            if number == 0:
+                axes.set_ylabel(by_name[other].label)
+            axes.grid(visible=False)
+        figure.subplots_adjust(left=0.065, right=0.91, wspace=0.3)
+        bar = figure.colorbar(image, cax=figure.add_axes((0.93, 0.15, 0.012, 0.7)))
+        bar.set_label("mean residual over noise")
+        bar.outline.set_visible(False)
+        return figure
+
+
+def _cells(
+    x: np.ndarray, y: np.ndarray, z: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Edges and means of z over a grid in x and y; nan in cells with too few samples."""
+    ends = [np.quantile(v, (0.002, 0.998)) for v in (x, y)]
+    edges = [np.linspace(low, high, _CELLS + 1) for low, high in ends]
+    if not all(np.all(np.diff(e) > 0.0) for e in edges):
+        edges = [np.linspace(v.min() - 1e-9, v.max() + 1e-9, _CELLS + 1) for v in (x, y)]
+    count, total = (np.histogram2d(x, y, bins=edges, weights=weights)[0] for weights in (None, z))
+    means = np.where(count >= 4, total / np.maximum(count, 1.0), np.nan)
+    return edges[0], edges[1], means
+
+
+def regressor_figure(diagnosis: Diagnosis, rows: ChannelRows, finding: Finding) -> Figure:
+    """Residual with everything else explained, against what the finding's model says."""
+    added = contribution(diagnosis, finding, rows)
+    residual = rows.after + added
+    factor, unit = scaled_unit(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
+    x, y = factor * added, factor * residual
+    step = max(1, len(x) // _POINTS)
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 3.4))
+        left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
+        left.plot(x[::step], y[::step], ".", color=SKY, ms=3, alpha=0.5, label="samples, filtered")
+        edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, 25)))
+        if len(edges) > 2:
+            centre, mean, sd = binned(x, y, edges)
+            left.errorbar(
+                centre,
+                mean,
+                yerr=2.0 * sd,
+                fmt="o",
+                color=INK,
+                ms=4,
+                elinewidth=1.0,
+                label="means, ±2 standard deviations",
+            )
+        ends = np.array([x.min(), x.max()])
+        left.plot(ends, ends, color=VERMILLION, linewidth=1.6, label="model: measured = predicted")
+        left.set_xlabel(f"what the finding adds by its model [{unit}]")
+        left.set_ylabel(f"residual without it [{unit}]")
+        left.legend(loc="upper left")
+        _histogram(right, rows, residual)
+        figure.subplots_adjust(left=0.065, right=0.99, wspace=0.2)
+        return figure
+
+
+def _histogram(axes: Axes, rows: ChannelRows, residual: np.ndarray) -> None:
+    """Distribution of the residual over noise, without and with the finding, beside the normal."""
+    without, with_it = residual / rows.noise, rows.after / rows.noise
+    reach = float(np.clip(np.quantile(np.abs(without), 0.99), 4.0, 40.0))
+    bins = np.linspace(-reach, reach, 61).tolist()
+    for values, colour, label in (
+        (without, VERMILLION, "without the finding"),
+        (with_it, BLUE, "with it"),
+    ):
+        shown = np.clip(values, -reach, reach)
+        axes.hist(shown, bins, density=True, histtype="step", color=colour, lw=1.4, label=label)
+    place = np.linspace(-4.0, 4.0, 81)
+    density = np.exp(-0.5 * place**2) / np.sqrt(2.0 * np.pi)
+    axes.plot(place, density, color=GREY, linewidth=1.0, linestyle=(0, (4, 2)), label="noise alone")
+    axes.set_xlabel("residual over noise")
+    axes.set_ylabel("share of samples per unit")
+    axes.legend(loc="upper left")
+
+
+def spectrum_figure(rows: ChannelRows, time: np.ndarray, period: float) -> Figure:
+    """Wave in time that best fits each run by frequency, as a share of the residual's squares."""
+    runs = [rows.run == r for r in np.unique(rows.run)]
+    span = min(float(np.ptp(time[own])) for own in runs)
+    frequencies = np.arange(1.5 / span, max(4.0 / period, 20.0 / span), 0.2 / span)
+    share = np.zeros(len(frequencies))
+    total = float(np.sum(rows.after**2))
+    for own in runs:
+        y, t = rows.after[own], time[own]
+        for i, f in enumerate(frequencies):
+            waves = np.column_stack([np.sin(2 * np.pi * f * t), np.cos(2 * np.pi * f * t)])
+            share[i] += float((waves.T @ y) @ np.linalg.solve(waves.T @ waves, waves.T @ y))
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 2.6))
+        axes = figure.subplots()
+        axes.plot(frequencies, 100.0 * share / total, color=BLUE)
+        axes.axvline(1.0 / period, color=PURPLE, linewidth=1.0, linestyle=(0, (4, 2)))
+        axes.set_xlabel("frequency [Hz]")
+        axes.set_ylabel("share of the squared residual [%]")
+        axes.set_ylim(0.0)
+        figure.subplots_adjust(left=0.065, right=0.99, bottom=0.2)
+        return figure

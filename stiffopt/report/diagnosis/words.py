@@ -1,0 +1,353 @@
+"""Sentences of a diagnosis: what is missing, where, how sure, and the proof in one line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.report.common.quantities import significant
+
+if TYPE_CHECKING:
+    from stiffopt.discovery.comparison.located_effect import PlacedEffect
+    from stiffopt.discovery.diagnosis import Diagnosis, Finding
+
+VERDICTS = {
+    "named": "missing effect named",
+    "nothing_missing": "nothing missing",
+    "outside_catalogue": "outside the catalogue",
+}
+# Of effects with a sign: when the first amplitude is above and below zero.
+_SIGNED = {
+    "coulomb": ("more dry friction than nominal", "less dry friction than nominal"),
+    "viscous": ("more viscous friction than nominal", "less viscous friction than nominal"),
+    "rotor_inertia": ("more rotor inertia than nominal", "less rotor inertia than nominal"),
+    "stiffness_linear": ("softer than nominal", "stiffer than nominal"),
+    "payload": ("payload heavier than nominal", "payload lighter than nominal"),
+}
+_PHRASES = {
+    "stribeck": "friction that depends on low speed",
+    "load_friction": "friction that grows with the load",
+    "asym_friction": "friction that differs by direction",
+    "position_friction": "a tight place in the stroke",
+    "thermal_friction": "friction that falls with warmth",
+    "backlash": "backlash",
+    "hysteresis": "hysteresis of the wind-up",
+    "k1_softening": "lost stiffness near zero torque",
+    "preload_loss": "a connection that lost preload",
+    "belt_creep": "a belt that creeps",
+    "transmission_error": "transmission error",
+    "torque_ripple": "torque ripple of the motor",
+    "base_tilt": "a base that is not level",
+    "inertial_error": "wrong mass properties",
+    "gravity_spring": "a counterbalance other than nominal",
+    "cable_spring": "cables that pull like a spring",
+    "torque_gain": "torque reading off by a factor",
+    "torque_offset": "torque reading off by a constant",
+    "encoder_offset": "link encoder off by a constant",
+    "time_delay": "torque recorded late",
+    "saturation": "a drive that saturates",
+    "encoder_skew": "link encoders read late",
+    "encoder_zero_change": "encoder zero moved",
+    "wrist_coupling": "coupling with the joint before",
+    "external_contact": "contact with the surroundings",
+}
+# Names that read badly with their underscores replaced by spaces.
+_NAMES = {
+    "coulomb": "Coulomb friction",
+    "viscous": "viscous friction",
+    "stribeck": "Stribeck friction",
+    "asym_friction": "asymmetric friction",
+    "stiffness_linear": "stiffness",
+    "k1_softening": "K1 softening",
+}
+# What nominal values that a set does not give are called when they are found.
+_VALUES = {
+    "coulomb": "dry friction",
+    "viscous": "viscous friction",
+    "rotor_inertia": "rotor inertia",
+}
+_SLIDING = {
+    "N m": "N",
+    "N m s/rad": "N s/m",
+    "kg m^2": "kg",
+    "rad": "m",
+    "rad/s": "m/s",
+    "rad/(N m)": "m/N",
+    "N m/rad": "N/m",
+    "N m/rad^3": "N/m^3",
+}
+_SCALES = {
+    "rad": ((1.0, "rad"), (1e-3, "mrad"), (1e-6, "µrad")),
+    "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm")),
+    "s": ((1.0, "s"), (1e-3, "ms")),
+    "rad/(N m)": ((1.0, "rad/(N m)"), (1e-3, "mrad/(N m)"), (1e-6, "µrad/(N m)")),
+    "m/N": ((1.0, "m/N"), (1e-3, "mm/N"), (1e-6, "µm/N")),
+}
+# From here on more or fewer decimals say nothing to a reader.
+_SURE = 0.995
+# Residual over noise of held-out runs from which a reader is told that much is left.
+_MUCH_LEFT = 2.0
+
+
+def effect_words(name: str) -> str:
+    """Name of a catalogue effect as people write it."""
+    return _NAMES.get(name, name.replace("_", " "))
+
+
+def own_unit(unit: str, prismatic: bool) -> str:
+    """Unit of a joint that turns, or what stands for it where the joint slides."""
+    return _SLIDING.get(unit, unit) if prismatic else unit
+
+
+def scaled_unit(largest: float, unit: str) -> tuple[float, str]:
+    """Factor from SI and unit in which a value of this size is read easily."""
+    for scale, name in _SCALES.get(unit, ()):
+        if abs(largest) >= 0.5 * scale or (scale, name) == _SCALES[unit][-1]:
+            return 1.0 / scale, name
+    return 1.0, unit
+
+
+def with_deviation(value: float, sd: float, unit: str) -> str:
+    """Value and standard deviation in one unit, rounded alike.
+
+    >>> with_deviation(6.2134, 0.1312, "N m"), with_deviation(3.2e-4, 2e-6, "rad")
+    ('6.21 ± 0.13 N m', '320 ± 2 µrad')
+    """
+    factor, name = scaled_unit(value, unit)
+    value, sd = factor * value, factor * sd
+    if not (math.isfinite(sd) and sd > 0.0):
+        return f"{significant(value, 3)} {name}".strip()
+    digits = 2 if f"{sd:.1e}"[0] == "1" else 1
+    places = digits - 1 - math.floor(math.log10(sd))
+    if not -3 <= places <= 6:
+        return f"{significant(value, 3)} ± {significant(sd, 2)} {name}".strip()
+    # Plus zero: no minus before a value that rounds to zero.
+    shown = [f"{round(v, places) + 0.0:.{max(places, 0)}f}" for v in (value, sd)]
+    return f"{shown[0]} ± {shown[1]} {name}".strip()
+
+
+def place(diagnosis: Diagnosis, placed: PlacedEffect) -> str:
+    """Where an effect is: a joint, a link, the robot; and the run, if it has only one."""
+    if placed.link is not None:
+        return f"link {diagnosis.training.constants.links[placed.link]}"
+    if placed.joint is None:
+        return "robot"
+    return f"joint {placed.joint + 1}" + (f", {placed.run}" if placed.run else "")
+
+
+def prismatic(diagnosis: Diagnosis, placed: PlacedEffect) -> bool:
+    """Whether an effect's joint slides."""
+    joints = diagnosis.training.constants.joints
+    return placed.joint is not None and joints[placed.joint].prismatic
+
+
+def is_silent(diagnosis: Diagnosis, finding: Finding) -> bool:
+    """Whether a finding stands for a value that the nominal model does not give at all."""
+    name = finding.placed.effect.name
+    return name in _VALUES and getattr(diagnosis.recordings.nominal, name) is None
+
+
+def told(diagnosis: Diagnosis) -> tuple[list[Finding], list[Finding]]:
+    """Findings that say something new, and values that the nominal model did not give."""
+    silent = [f for f in diagnosis.findings if is_silent(diagnosis, f)]
+    return [f for f in diagnosis.findings if f not in silent], silent
+
+
+def phrase(finding: Finding, silent: bool = False) -> str:
+    """What is missing, in plain words."""
+    name = finding.placed.effect.name
+    if name in _VALUES and silent:
+        return f"{_VALUES[name]}, for which there is no nominal value"
+    if name in _SIGNED:
+        return _SIGNED[name][finding.sized.amplitudes[0] < 0.0]
+    return _PHRASES.get(name, effect_words(name))
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """What is missing and where, or that nothing is."""
+    if diagnosis.verdict == "nothing_missing":
+        return "Nothing is missing within the tolerances"
+    if diagnosis.verdict == "outside_catalogue":
+        where = channels_in_words(diagnosis.outside.channels[:1]) if diagnosis.outside else ""
+        return f"Something outside the catalogue acts on {where}"
+    new, silent = told(diagnosis)
+    if not new:
+        return f"Found what the nominal model does not give: {_silent_words(silent)}"
+    by_place: dict[str, list[str]] = {}
+    for finding in new:
+        by_place.setdefault(place(diagnosis, finding.placed), []).append(phrase(finding))
+    text = "; ".join(f"{where}: {listed(what)}" for where, what in by_place.items())
+    return text[0].upper() + text[1:]
+
+
+def lead(diagnosis: Diagnosis) -> str:
+    """How sure, and what it rests on."""
+    if diagnosis.verdict == "nothing_missing":
+        most = worst_ratio(diagnosis.search.after)
+        text = (
+            "No effect of the catalogue is needed. With nominal values moved within their "
+            f"tolerances, the worst channel of the training runs is at {most:.2g} times its noise."
+        )
+    elif diagnosis.verdict == "outside_catalogue":
+        text = outside_sentence(diagnosis)
+    else:
+        new, silent = told(diagnosis)
+        parts = [how_sure(finding) for finding in new]
+        parts += [fall_sentence(diagnosis, c) for c in dict.fromkeys(f.channel for f in new)]
+        if new and silent:
+            parts.append(f"Also found, not given by the nominal model: {_silent_words(silent)}.")
+        elif silent:
+            parts.append("Beyond these, no effect of the catalogue is needed.")
+        text = " ".join(parts)
+        if diagnosis.outside is not None:
+            text += f" {outside_sentence(diagnosis)}"
+    return text
+
+
+def how_sure(finding: Finding) -> str:
+    """Probability against rivals and deviations from nothing, in a sentence."""
+    if finding.rivals:
+        rival = finding.rivals[0]
+        other = effect_words(rival.placed.effect.name)
+        sure = f"{percent_sure(finding.probability)} sure; the nearest rival is {other}"
+        if rival.placed.joint not in (None, finding.placed.joint):
+            sure += f" of joint {rival.placed.joint + 1}"
+    else:
+        sure = "no rival comes near"
+    name = effect_words(finding.placed.effect.name)
+    return (
+        f"{name[0].upper()}{name[1:]}: {sure}; {finding.significance:.0f} standard deviations from "
+        "nothing."
+    )
+
+
+def fall_sentence(diagnosis: Diagnosis, channel: str) -> str:
+    """How far the residual of a channel falls in the training runs."""
+    within, after = fall(diagnosis, channel)
+    words = channels_in_words([channel])
+    return (
+        f"{words[0].upper()}{words[1:]} is left at {significant(within, 2)} times its noise by "
+        f"nominal values within tolerance, at {significant(after, 2)} with what was found."
+    )
+
+
+def fall(diagnosis: Diagnosis, channel: str) -> tuple[float, float]:
+    """Residual over noise in training: nominal values within tolerance, then with findings."""
+    kind, _, joint = channel.rpartition("_")
+    number = int(joint) - 1 + (0 if kind == "torque" else diagnosis.recordings.n)
+    return float(diagnosis.search.calibrated[number]), float(diagnosis.search.after[number])
+
+
+def outside_sentence(diagnosis: Diagnosis) -> str:
+    """What remains beyond the catalogue and what it follows."""
+    outside = diagnosis.outside
+    if outside is None:
+        return ""
+    channels = channels_in_words(outside.channels)
+    if outside.brief:
+        return (
+            f"In bursts, {channels} leaves {outside.ratio:.2g} times the noise:"
+            f" {100 * outside.gain:.0f} % of what remains lies where"
+            f" {regressor_words(outside.regressors[0])} is largest, as with a drive that"
+            f" {_DRIVES[outside.regressors[0].partition('_')[0]]}."
+        )
+    text = f"In {channels} up to {outside.ratio:.2g} times the noise remains unexplained"
+    if outside.period is not None:
+        text += f"; it repeats every {significant(outside.period, 3)} s, whatever the motion"
+        return f"{text}: a wave of that period explains {100 * outside.gain:.0f} % of it."
+    elif outside.regressors:
+        text += f"; it follows {listed(regressor_words(r) for r in outside.regressors)}"
+    else:
+        return f"{text}; it follows nothing that was recorded."
+    return f"{text}, which predicts {100 * outside.gain:.0f} % of it in data left out."
+
+
+def proof_sentence(diagnosis: Diagnosis) -> str:
+    """Residual over noise on runs that were never fitted to."""
+    parts = []
+    for role, words in (("test", "test runs"), ("extrapolate", "extrapolation runs")):
+        if diagnosis.proofs(role):
+            before, after = diagnosis.nrmse(role)
+            parts.append(f"from {significant(before, 3)} to {significant(after, 3)} on {words}")
+    if not parts:
+        return ""
+    text = (
+        f"On recordings that no fit has seen, the residual goes {' and '.join(parts)}, in units "
+        "of the sensor noise."
+    )
+    left = [diagnosis.nrmse(role)[1] for role in ("test", "extrapolate") if diagnosis.proofs(role)]
+    if max(left) > _MUCH_LEFT and diagnosis.verdict == "named":
+        ratios = diagnosis.search.after
+        number, n = int(np.nanargmax(ratios)), diagnosis.recordings.n
+        worst = f"{'torque' if number < n else 'link_position'}_{number % n + 1}"
+        text += (
+            f" So not all is explained: most is left in {channels_in_words([worst])}, at "
+            f"{significant(float(ratios[number]), 2)} times its noise in the training runs."
+        )
+    return text
+
+
+def percent_sure(probability: float) -> str:
+    """Probability in percent that never claims certainty."""
+    return "above 99 %" if probability > _SURE else f"{100 * probability:.0f} %"
+
+
+def worst_ratio(ratios: np.ndarray) -> float:
+    """Largest residual over noise of any channel; nan without one."""
+    known = ratios[np.isfinite(ratios)]
+    return float(known.max()) if known.size else math.nan
+
+
+# What bursts look like, by what they follow.
+_DRIVES = {"torque": "gives no more than a limit", "dtorque": "changes its torque too slowly"}
+
+
+def channels_in_words(channels: Iterable[str]) -> str:
+    """Channels such as "torque_3", read aloud.
+
+    >>> channels_in_words(["torque_3", "link_position_1"])
+    'the torque of joint 3 and the link encoder of joint 1'
+    """
+    kinds = {"torque": "torque", "link_position": "link encoder"}
+    split = (name.rpartition("_") for name in channels)
+    return listed(f"the {kinds[kind]} of joint {joint}" for kind, _, joint in split)
+
+
+def regressor_words(name: str) -> str:
+    """Name of a signal that a remainder depends on, in words."""
+    names = {
+        "q": "position of joint",
+        "qd": "speed of joint",
+        "qdd": "acceleration of joint",
+        "torque": "load of joint",
+        "dtorque": "rate of the load of joint",
+    }
+    first, _, by = name.partition(" x ")
+    kind, _, joint = first.rpartition("_")
+    text = f"the {names[kind]} {joint}" if kind in names else f"the {effect_words(first)}"
+    return f"{text} and the direction of motion" if by else text
+
+
+def listed(items: Iterable[str]) -> str:
+    """Items as a list in a sentence."""
+    every = list(items)
+    return every[0] if len(every) == 1 else f"{', '.join(every[:-1])} and {every[-1]}"
+
+
+def _silent_words(silent: Sequence[Finding]) -> str:
+    joints: dict[str, list[int]] = {}
+    for finding in silent:
+        if finding.joint is not None:
+            joints.setdefault(finding.placed.effect.name, []).append(finding.joint)
+    return listed(f"{_VALUES[name]} of {_joints(sorted(own))}" for name, own in joints.items())
+
+
+def _joints(numbers: list[int]) -> str:
+    if len(numbers) == 1:
+        return f"joint {numbers[0]}"
+    if len(numbers) > 2 and numbers == list(range(numbers[0], numbers[-1] + 1)):
+        return f"joints {numbers[0]} to {numbers[-1]}"
+    return f"joints {listed(map(str, numbers))}"

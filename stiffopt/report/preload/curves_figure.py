@@ -1,0 +1,250 @@
+"""Stiffness over the preload that a bolt or pin has, with what bounds it and how it scatters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from stiffopt.report.common.motions import JointUnits
+from stiffopt.report.common.svg import (
+    BLACK,
+    BLUE,
+    GREY,
+    INK,
+    PALE,
+    SKY,
+    VERMILLION,
+    WIDTH,
+    house_style,
+)
+from stiffopt.report.preload.names import present_preload, spoken
+
+if TYPE_CHECKING:
+    from stiffopt.preload.curves import PreloadCurve
+    from stiffopt.preload.problem import FreeElement, PreloadProblem
+    from stiffopt.preload.solution import PreloadSolution
+
+# Requirements on the preload from below; all others bound it from above.
+_FLOORS = ("slip safety", "least preload")
+# Of the width of a panel: lines closer than this share one label.
+_MERGE = 0.055
+_LABEL = 7.0
+# Inches: room above the panels, below them with the legend, and between two rows.
+_TOP, _BOTTOM, _BETWEEN = 0.3, 0.85, 0.5
+
+
+@dataclass(frozen=True)
+class PreloadView:
+    """An element over the preload that it really has, with what tightening may leave of it.
+
+    Parameters
+    ----------
+    preload : array (K,)
+        Of one bolt or pin, ascending [N].
+    stiffness : array (K,)
+        Of its joint [N m/rad]; 0 where the element slips.
+    least, largest : float
+        [N]
+    present_least, present_largest : float
+        With the robot's own preload [N].
+    bounds : mapping of limit name to float
+        On the least preload where the limit is one from below, else on the largest [N].
+    """
+
+    preload: np.ndarray
+    stiffness: np.ndarray
+    least: float
+    largest: float
+    present_least: float
+    present_largest: float
+    bounds: Mapping[str, float]
+
+
+def preload_view(
+    problem: PreloadProblem, solution: PreloadSolution, element: FreeElement, curve: PreloadCurve
+) -> PreloadView:
+    """View of an element, limits from below as they act on the least preload."""
+    alpha = problem.tightening.alpha
+
+    def least(largest: float) -> float:
+        return max(float(element.least(largest, alpha)), 0.0)
+
+    # Both ends of the scatter are points of one law.
+    preload = np.concatenate([element.least(curve.preload, alpha), curve.preload])
+    stiffness = np.concatenate([curve.stiffness, curve.stiffness_high])
+    order = np.argsort(preload)
+    present = present_preload(element)
+    floors = {name: least(curve.limits[name]) for name in _FLOORS}
+    floor = max(floors, key=lambda name: floors[name])
+    # "slip" is where the curve falls to nothing anyway.
+    ceilings = {n: f for n, f in curve.limits.items() if n not in (*_FLOORS, "slip")}
+    return PreloadView(
+        preload=preload[order],
+        stiffness=stiffness[order],
+        least=least(solution.preloads[element.key]),
+        largest=solution.preloads[element.key],
+        present_least=least(present),
+        present_largest=present,
+        bounds={floor: floors[floor], **ceilings},
+    )
+
+
+def curves_figure(
+    problem: PreloadProblem,
+    solution: PreloadSolution,
+    curves: Sequence[PreloadCurve],
+    units: Sequence[JointUnits],
+) -> Figure:
+    """Joint stiffness over the preload of each element, all other preloads as recommended.
+
+    The load case of the largest torque is drawn in full, others thinly.
+
+    Parameters
+    ----------
+    problem : PreloadProblem
+    solution : PreloadSolution
+    curves : sequence of PreloadCurve
+    units : sequence of JointUnits
+    """
+    count = len(problem.elements)
+    columns = min(2 if count in (2, 4) else 3, count)
+    rows = -(-count // columns)
+    panel = 1.75 if columns == 3 else 2.3 if columns == 2 else 2.6
+    height = _TOP + rows * panel + (rows - 1) * _BETWEEN + _BOTTOM
+    with house_style():
+        figure = Figure(figsize=(WIDTH, height))
+        grid = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes in grid[count:]:
+            axes.set_visible(False)
+        for place, element in enumerate(problem.elements):
+            axes = grid[place]
+            own = [curve for curve in curves if curve.key == element.key]
+            own.sort(key=lambda curve: -abs(curve.torque))
+            _panel(axes, [preload_view(problem, solution, element, curve) for curve in own])
+            axes.set_title(f"{spoken(element.key).capitalize()} [{_unit(units, element)}]")
+            if place + columns >= count:
+                axes.set_xlabel("preload of one bolt or pin [kN]")
+        handles, labels = grid[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="lower left", ncols=4, bbox_to_anchor=(0.05, 0.0))
+        figure.subplots_adjust(
+            left=0.07,
+            right=0.995,
+            bottom=_BOTTOM / height,
+            top=1 - _TOP / height,
+            wspace=0.24,
+            hspace=_BETWEEN / panel,
+        )
+        return figure
+
+
+def _unit(units: Sequence[JointUnits], element: FreeElement) -> str:
+    return units[element.joint - 1].stiffness
+
+
+def _panel(axes: Axes, views: Sequence[PreloadView]) -> None:
+    main = views[0]
+    least, largest = main.least / 1e3, main.largest / 1e3
+    axes.axvspan(
+        least, largest, color=SKY, alpha=0.3, linewidth=0, zorder=0, label="preload as tightened"
+    )
+    for view in views[1:]:
+        axes.plot(view.preload / 1e3, view.stiffness, color=GREY, linewidth=0.9, zorder=2)
+    axes.plot(
+        main.preload / 1e3,
+        main.stiffness,
+        color=BLUE,
+        linewidth=1.9,
+        label="stiffness of the joint",
+        zorder=3,
+    )
+    ends = np.interp([main.least, main.largest], main.preload, main.stiffness)
+    axes.plot(
+        [least, largest],
+        ends,
+        "o",
+        color=BLACK,
+        markersize=4.5,
+        label="least and largest",
+        zorder=4,
+    )
+    bottom, top = _stiffness_range(main.stiffness, ends)
+    # Room above for the names of limits from below, and at the foot for the present preload.
+    room = top - bottom
+    axes.set_ylim(bottom - 0.2 * room, top + 0.5 * room)
+    axes.plot(
+        [main.present_least / 1e3, main.present_largest / 1e3],
+        [bottom - 0.1 * room] * 2,
+        color=INK,
+        linewidth=1.2,
+        marker="|",
+        markersize=7,
+        linestyle=(0, (1.5, 1.2)),
+        label="present preload, least to largest",
+    )
+    axes.set_xlim(0.0, 1.03 * max(main.preload[-1], main.largest) / 1e3)
+    _draw_bounds(axes, {name: force / 1e3 for name, force in main.bounds.items()})
+    axes.locator_params(axis="x", nbins=7)
+    axes.locator_params(axis="y", nbins=5)
+
+
+def _stiffness_range(stiffness: np.ndarray, ends: np.ndarray) -> tuple[float, float]:
+    """Range to show: without the collapse at slip, and no change below 1 % enlarged."""
+    top = max(float(stiffness.max()), float(ends.max()))
+    if top <= 0.0:  # another connection of the joint slips, whatever this one's preload
+        return 0.0, 1.0
+    held = stiffness[stiffness > 0.97 * top]
+    bottom = min(float(held.min()), float(ends[-1])) if held.size else 0.0
+    return min(bottom, 0.99 * top), top
+
+
+def _draw_bounds(axes: Axes, bounds: Mapping[str, float]) -> None:
+    """Vertical lines at the limits, the forbidden side shaded, names on that side."""
+    left, right = axes.get_xlim()
+    for name, force in bounds.items():
+        if name in _FLOORS and force > left:
+            axes.axvspan(left, min(force, right), color=PALE, alpha=0.5, linewidth=0, zorder=0)
+    ceilings = [force for name, force in bounds.items() if name not in _FLOORS]
+    if ceilings and min(ceilings) < right:
+        axes.axvspan(min(ceilings), right, color=PALE, alpha=0.5, linewidth=0, zorder=0)
+    groups: list[tuple[float, list[str]]] = []
+    for name, force in sorted(bounds.items(), key=lambda each: each[1]):
+        if not left <= force <= right:
+            continue
+        colour = VERMILLION if name in _FLOORS else GREY
+        axes.axvline(force, color=colour, linewidth=1.0, linestyle=(0, (4, 2)), zorder=1)
+        near = groups and force - groups[-1][0] < _MERGE * (right - left)
+        if near and name not in _FLOORS and groups[-1][1][0] not in _FLOORS:
+            groups[-1][1].append(name)
+        else:
+            groups.append((force, [name]))
+    for force, names in groups:
+        _label(axes, force, names, beside_left=names[0] in _FLOORS)
+
+
+def _label(axes: Axes, force: float, names: Sequence[str], beside_left: bool) -> None:
+    """Names along a line: at the top of limits from below, at the foot of those from above."""
+    left, right = axes.get_xlim()
+    floor = names[0] in _FLOORS
+    room = _MERGE * (right - left) * len(names)
+    if beside_left and force - left < room:
+        beside_left = False
+    elif not beside_left and right - force < room:
+        beside_left = True
+    axes.annotate(
+        "\n".join(names),
+        (force, 1.0 if floor else 0.0),
+        xycoords=("data", "axes fraction"),
+        xytext=(-2 if beside_left else 2, -1 if floor else 3),
+        textcoords="offset points",
+        rotation=90,
+        ha="right" if beside_left else "left",
+        va="top" if floor else "bottom",
+        fontsize=_LABEL,
+        linespacing=1.1,
+        color=VERMILLION if floor else GREY,
+    )

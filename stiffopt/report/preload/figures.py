@@ -1,0 +1,178 @@
+"""Figures of a preload study: Pareto front, shares of the wind-up, loosening.
+
+Each function returns a figure in the house style. Preloads in kN, stiffness in N m/rad (prismatic
+joints: N/m), shares in percent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from stiffopt.report.common.elements import ELEMENT_COLOURS
+from stiffopt.report.common.motions import JointUnits
+from stiffopt.report.common.quantities import significant
+from stiffopt.report.common.svg import BLUE, GREEN, GREY, ORANGE, VERMILLION, WIDTH, house_style
+from stiffopt.report.preload.names import spoken
+
+if TYPE_CHECKING:
+    from stiffopt.preload.pareto import ParetoFront
+    from stiffopt.preload.sensitivity import WindupShare
+
+
+def front_figure(front: ParetoFront, units: Sequence[JointUnits], joints: Sequence[int]) -> Figure:
+    """Pareto front between total preload and stiffness, its knee marked.
+
+    Parameters
+    ----------
+    front : ParetoFront
+    units : sequence of JointUnits
+    joints : sequence of int
+        One joint: its stiffness is drawn; several: the least relative stiffness.
+    """
+    total = np.array([point.total_preload for point in front.points]) / 1e3
+    if len(joints) == 1:
+        value = np.array([point.stiffness[0] for point in front.points])
+        label = f"least stiffness of joint {joints[0]} [{units[joints[0] - 1].stiffness}]"
+    else:
+        value = 100 * np.array([point.level for point in front.points])
+        label = "least relative stiffness of any joint [%]"
+    with house_style():
+        figure = Figure(figsize=(WIDTH * 0.62, 3.2))
+        axes = figure.subplots()
+        axes.plot(total, value, "o-", color=BLUE, markersize=3.5)
+        knee = front.knee
+        axes.plot(total[knee], value[knee], "o", color=VERMILLION, markersize=7)
+        axes.annotate(
+            f"knee: {significant(total[knee], 3)} kN",
+            (total[knee], value[knee]),
+            xytext=(10, -14),
+            textcoords="offset points",
+            color=VERMILLION,
+            fontsize=8.5,
+        )
+        _level_if_flat(axes)
+        axes.set_xlabel("total preload of all bolts and pins [kN]")
+        axes.set_ylabel(label)
+        beside = axes.secondary_yaxis("right", functions=_relative(float(value[0])))
+        beside.set_ylabel("more than with the least preload [%]")
+        beside.spines["right"].set_visible(True)
+        figure.subplots_adjust(left=0.12, right=0.9)
+        return figure
+
+
+def _relative(first: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+    """To per cent above a value, and back."""
+
+    def above(value: Any) -> Any:
+        return 100 * (value / first - 1)
+
+    def back(percent: Any) -> Any:
+        return first * (1 + percent / 100)
+
+    return above, back
+
+
+def _level_if_flat(axes: Axes) -> None:
+    """Show a front that hardly rises as level, not as magnified rounding."""
+    low, high = axes.get_ylim()
+    middle = 0.5 * (low + high)
+    if high - low < 1e-3 * abs(middle):
+        axes.set_ylim(middle * (1 - 1e-3), middle * (1 + 1e-3))
+
+
+def shares_figure(shares: Mapping[int, Sequence[WindupShare]], free: Sequence[str]) -> Figure:
+    """Share of every element in the wind-up of its joint, the weakest spring first.
+
+    Parameters
+    ----------
+    shares : mapping of joint number to shares
+        Of one load case each.
+    free : sequence of str
+        Names of the elements that the study tightens; written in bold.
+    """
+    columns = min(3, len(shares))
+    rows = -(-len(shares) // columns)
+    most = max(len(each) for each in shares.values())
+    with house_style():
+        height = 0.5 + rows * _tall(most)
+        figure = Figure(figsize=(WIDTH if columns > 1 else WIDTH * 0.62, height))
+        grid = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes in grid[len(shares) :]:
+            axes.set_visible(False)
+        for place, (joint, own) in enumerate(shares.items()):
+            axes = grid[place]
+            ordered = sorted(own, key=lambda each: -each.share)
+            for row, each in enumerate(ordered):
+                colour = ELEMENT_COLOURS.get(each.kind, GREY)
+                axes.barh(row, 100 * each.share, height=0.7, color=colour)
+                axes.annotate(
+                    f"{significant(100 * each.share, 2)} %",
+                    (100 * each.share, row),
+                    xytext=(4, 0),
+                    textcoords="offset points",
+                    va="center",
+                    fontsize=8,
+                )
+            axes.set_yticks(range(len(ordered)), [spoken(each.element) for each in ordered])
+            for label, each in zip(axes.get_yticklabels(), ordered, strict=True):
+                label.set_fontweight("bold" if each.element in free else "normal")
+            axes.set_ylim(most - 0.4, -0.6)
+            axes.set_xlim(0.0, 118.0)
+            axes.set_xticks([0, 25, 50, 75, 100])
+            axes.grid(visible=False, axis="y")
+            axes.tick_params(axis="y", length=0)
+            axes.set_title(f"Joint {joint}, {own[0].case}")
+            if place + columns >= len(shares):
+                axes.set_xlabel("share of the wind-up [%]")
+        figure.subplots_adjust(
+            left=0.13 if columns > 1 else 0.25,
+            right=0.99,
+            bottom=0.45 / height,
+            top=1 - 0.3 / height,
+            wspace=0.62,
+            hspace=0.5 / (_tall(most) - 0.5),
+        )
+        return figure
+
+
+def _tall(bars: int) -> float:
+    return 0.62 + 0.23 * bars
+
+
+def loosening_figure(first_slip: Mapping[str, float], slip: Mapping[str, float]) -> Figure:
+    """How far each connection may loosen before its rim and then all of it slips.
+
+    Parameters
+    ----------
+    first_slip, slip : mapping of element key to float
+        Share of the least preload that is left then.
+    """
+    keys = list(slip)
+    with house_style():
+        height = 0.75 + 0.3 * len(keys)
+        figure = Figure(figsize=(WIDTH * 0.8, height))
+        axes = figure.subplots()
+        for row, key in enumerate(keys):
+            whole, rim = (100 * min(max(each[key], 0.0), 1.0) for each in (slip, first_slip))
+            rim = max(rim, whole)
+            axes.barh(row, whole, color=VERMILLION, height=0.62)
+            axes.barh(row, rim - whole, left=whole, color=ORANGE, height=0.62)
+            axes.barh(row, 100 - rim, left=rim, color=GREEN, height=0.62, alpha=0.75)
+        for colour, name in ((VERMILLION, "slips"), (ORANGE, "rim slips"), (GREEN, "holds")):
+            axes.barh(0, 0, color=colour, label=name)
+        axes.set_yticks(range(len(keys)), [spoken(key) for key in keys])
+        axes.set_ylim(len(keys) - 0.4, -0.6)
+        axes.set_xlim(0.0, 100.0)
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g} %"))
+        axes.set_xlabel("preload left, of the least that tightening leaves")
+        axes.grid(visible=False, axis="y")
+        axes.tick_params(axis="y", length=0)
+        figure.legend(loc="lower left", bbox_to_anchor=(0.24, 0.0), ncols=3, borderaxespad=0.0)
+        figure.subplots_adjust(left=0.24, right=0.97, bottom=0.68 / height, top=1 - 0.05 / height)
+        return figure

@@ -1,0 +1,110 @@
+"""What `stiffopt recording check` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.text import Text
+
+from stiffopt.identification.identifiable import WEAK, Identifiable, identifiable
+from stiffopt.identification.rows import static_rows
+from stiffopt.recording.check import RecordingReport
+from stiffopt.recording.check_text import report_lines
+from stiffopt.recording.static_set import StaticSet
+
+
+def print_check(report: RecordingReport) -> None:
+    """A recording set: runs with their faults, what is missing, what can be identified."""
+    _print(report_lines(report))
+
+
+def print_static_check(facts: dict[str, Any]) -> None:
+    """A static set, from `static_facts`."""
+    _print(_static_lines(facts))
+
+
+def static_facts(recorded: StaticSet) -> dict[str, Any]:
+    """What a static set holds and what can be identified with it, as plain data for JSON.
+
+    Raises
+    ------
+    InputFileError
+        Too few poses, weight in the displacements and no masses.
+    """
+    can = identifiable(static_rows(recorded).compliance_columns())
+    force = np.linalg.norm(recorded.force, axis=1)
+    moved = np.linalg.norm(recorded.displacement, axis=1)
+    return {
+        "name": recorded.name,
+        "title": recorded.title,
+        "poses": len(recorded.position),
+        "force": [float(force.min()), float(force.max())],
+        "displacement": [float(moved.min()), float(moved.max())],
+        "difference": recorded.difference,
+        "nominal_stiffness": recorded.stiffness is not None,
+        "joints": [
+            {
+                "joint": j + 1,
+                "name": name,
+                "lowest": float(recorded.position[:, j].min()),
+                "highest": float(recorded.position[:, j].max()),
+                "unit": "m" if recorded.arm.prismatic[j] else "rad",
+                "leverage": float(can.leverage[j]),
+                "confounded_with": _confounded(can, j),
+                "identifiable": bool(can.loaded[j] and not can.group[j]),
+            }
+            for j, name in enumerate(recorded.joints)
+        ],
+    }
+
+
+def _confounded(can: Identifiable, j: int) -> list[int]:
+    if not can.group[j]:
+        return []
+    return [int(k) + 1 for k in np.flatnonzero(can.group == can.group[j]) if k != j]
+
+
+def _static_lines(facts: dict[str, Any]) -> Iterator[str]:
+    low, high = facts["force"]
+    least, most = facts["displacement"]
+    yield f"{facts['title']}: static set, {len(facts['joints'])} joints, {facts['poses']} poses"
+    yield f"  force {low:.4g} to {high:.4g} N, displacement {least:.3g} to {most:.3g} m"
+    yield (
+        "  displacements are differences of two load states: weight is out"
+        if facts["difference"]
+        else "  displacements include what the weight of the links adds"
+    )
+    yield ""
+    yield "Joint stiffness that can be identified"
+    for joint in facts["joints"]:
+        yield (
+            f"  joint {joint['joint']} ({joint['name']}, {joint['lowest']:.3g} to"
+            f" {joint['highest']:.3g} {joint['unit']}): {_static_word(joint)}"
+        )
+    if not facts["nominal_stiffness"]:
+        yield ""
+        yield "Missing"
+        yield "  No nominal stiffness: what is found is compared with nothing."
+
+
+def _static_word(joint: dict[str, Any]) -> str:
+    if joint["confounded_with"]:
+        others = ", ".join(map(str, joint["confounded_with"]))
+        return f"no, moves the tool as joint {others} does in these poses"
+    if not joint["identifiable"]:
+        return "no, no pose loads it"
+    if joint["leverage"] < WEAK:
+        return "hardly, the poses load it little"
+    return f"yes, load {joint['leverage']:.2g} of that of the most loaded joint"
+
+
+def _print(lines: Iterable[str]) -> None:
+    """Headings bold, faults yellow; whole lines also where the output is narrow or a file."""
+    console = Console(highlight=False, soft_wrap=True)
+    for line in lines:
+        faulty = line.startswith("  ! ") or line == "  cannot be used"
+        style = "yellow" if faulty else "bold" if line and not line.startswith(" ") else ""
+        console.print(Text(line, style=style))

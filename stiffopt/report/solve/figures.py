@@ -1,0 +1,233 @@
+"""Figures of a solve over time: deflection, joint motion, torque, stiffness.
+
+Each function returns one SVG. Time in s, angles in deg, deflection in mm or µm, stiffness in
+N m/rad (prismatic joints: mm and N/m); bounds are drawn where they are near the curves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from stiffopt.report.common.motions import PARTS, JointUnits, Motion, common_unit, joint_units
+from stiffopt.report.common.quantities import length_scale, significant
+from stiffopt.report.common.svg import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    VERMILLION,
+    WIDTH,
+    house_style,
+    line_style,
+    shade_beyond,
+    thin,
+    to_svg,
+)
+from stiffopt.result.assessment import Assessment
+
+if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
+
+_SMALL_POINTS = 240
+_MOTION_STYLES: tuple[dict[str, Any], ...] = (
+    {"color": BLUE, "linestyle": "-", "linewidth": 2.2},
+    {"color": VERMILLION, "linestyle": (0, (5, 1.5))},
+    {"color": GREEN, "linestyle": (0, (1.5, 1.2))},
+)
+_PART_STYLES: dict[str, dict[str, Any]] = {
+    "total": {"color": BLACK, "linestyle": "-"},
+    "static": {"color": GREY, "linestyle": (0, (1.5, 1.2))},
+    "dynamic": {"color": BLUE, "linestyle": "-", "linewidth": 2.2},
+    "process": {"color": VERMILLION, "linestyle": (0, (5, 1.5))},
+}
+
+
+def motion_style(index: int) -> dict[str, Any]:
+    """Line style of a compared motion: the optimised one is number 0."""
+    return dict(_MOTION_STYLES[index % len(_MOTION_STYLES)])
+
+
+def deflection_figure(motions: Sequence[Motion], part: str = "dynamic") -> str:
+    """Deflection of the tool over time: one part of all motions, and all parts of the first.
+
+    Parameters
+    ----------
+    motions : sequence of Motion
+        The optimised one first.
+    part : str
+        Key of `Assessment.deflection` that is compared.
+    """
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 3.7))
+        left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+        factor, unit = length_scale(max(float(m.magnitude(part).max()) for m in motions))
+        for index, motion in enumerate(motions):
+            _peak_curve(left, motion, part, factor, unit, motion.label, motion_style(index))
+        left.set_title(f"{part.capitalize()} deflection of the tool, magnitude")
+        first = motions[0]
+        parts = [p for p in reversed(PARTS) if np.any(first.magnitude(p) > 0)]
+        largest = max((float(first.magnitude(p).max()) for p in parts), default=0.0)
+        factor_all, unit_all = length_scale(largest)
+        for name in parts:
+            _peak_curve(right, first, name, factor_all, unit_all, name, dict(_PART_STYLES[name]))
+        right.set_title(f"Parts of the deflection, {first.name} motion")
+        for axes, name in ((left, unit), (right, unit_all)):
+            axes.set_xlabel("time [s]")
+            axes.set_ylabel(f"deflection [{name}]")
+            axes.set_ylim(bottom=0.0)
+            axes.margins(x=0.01)
+            if axes.get_legend_handles_labels()[0]:
+                axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.17), borderaxespad=0.0)
+        figure.subplots_adjust(left=0.06, right=0.995, wspace=0.2)
+        return to_svg(figure, "deflection", f"Tool deflection over time, {part} part and all parts")
+
+
+def _peak_curve(
+    axes: Axes,
+    motion: Motion,
+    part: str,
+    factor: float,
+    unit: str,
+    label: str,
+    style: dict[str, Any],
+) -> None:
+    time, values = motion.assessment.time, motion.magnitude(part) * factor
+    at = int(np.argmax(values))
+    text = f"{label}: peak {significant(values[at], 3)} {unit} at {time[at]:.3f} s"
+    axes.plot(*thin(time, values), label=text, **style)
+    axes.plot(time[at], values[at], "o", color=style["color"], markersize=4.5)
+
+
+def motion_figure(problem: TrajectoryProblem, motion: Assessment, other: Motion | None) -> str:
+    """Position, velocity, acceleration and jerk of every joint with the bounds.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+        Its limits are drawn.
+    motion : Assessment
+    other : Motion or None
+        A baseline drawn thinly beside it; its jerk is left out.
+    """
+    limits, units = problem.active_limits, joint_units(problem)
+    upper = (limits.position_upper, limits.velocity, limits.acceleration, limits.jerk)
+    lower = (limits.position_lower, -limits.velocity, -limits.acceleration, -limits.jerk)
+    with house_style():
+        count = len(units)
+        figure = Figure(figsize=(WIDTH, 0.55 + 1.08 * count))
+        grid = figure.subplots(count, 4, sharex=True, squeeze=False)
+        for j, unit in enumerate(units):
+            for column, quantity in enumerate(("position", "velocity", "acceleration", "jerk")):
+                axes = grid[j, column]
+                factor = unit.position[0] if column < 2 else 1.0
+                if other is not None and quantity != "jerk":
+                    theirs = getattr(other.assessment, quantity)[:, j] * factor
+                    curve = thin(other.assessment.time, theirs, _SMALL_POINTS)
+                    axes.plot(*curve, color=VERMILLION, linewidth=0.9, linestyle=(0, (4, 1.5)))
+                values = getattr(motion, quantity)[:, j] * factor
+                axes.plot(*thin(motion.time, values, _SMALL_POINTS), color=BLUE, linewidth=1.5)
+                _level_if_flat(axes)
+                shade_beyond(axes, lower[column][j] * factor, upper[column][j] * factor)
+                axes.margins(x=0.0)
+                axes.locator_params(axis="y", nbins=4)
+                if j == count - 1:
+                    axes.set_xlabel("time [s]")
+            grid[j, 0].set_ylabel(unit.label, rotation=0, ha="right", va="center", weight="bold")
+        for column, title in enumerate(_motion_titles(units)):
+            grid[0, column].set_title(title)
+        figure.subplots_adjust(left=0.08, right=0.995, wspace=0.26, hspace=0.2)
+        return to_svg(figure, "motion", "Joint positions, velocities, accelerations and jerks")
+
+
+def _motion_titles(units: Sequence[JointUnits]) -> list[str]:
+    position = common_unit([u.position[1] for u in units])
+    speed = common_unit([f"{u.position[1]}/s" for u in units])
+    acceleration = common_unit([f"{u.rate}/s²" for u in units])
+    jerk = common_unit([f"{u.rate}/s³" for u in units])
+    return [
+        f"position [{position}]",
+        f"velocity [{speed}]",
+        f"acceleration [{acceleration}]",
+        f"jerk [{jerk}]",
+    ]
+
+
+def _level_if_flat(axes: Axes) -> None:
+    """Show a joint that stands still as a level line, not as magnified rounding."""
+    low, high = axes.get_ylim()
+    least = 0.02 * max(abs(low), abs(high), 0.05)
+    if high - low < least:
+        middle = 0.5 * (low + high)
+        axes.set_ylim(middle - least, middle + least)
+
+
+def torque_figure(problem: TrajectoryProblem, motion: Assessment) -> str:
+    """Drive torque of every joint with its bounds, and the torque in its spring."""
+    limit, units = problem.active_limits.torque, joint_units(problem)
+    columns = min(3, len(units))
+    rows = -(-len(units) // columns)
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 0.7 + 1.55 * rows))
+        grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
+        for j, axes in enumerate(grid.flat):
+            if j >= len(units):
+                axes.set_visible(False)
+                continue
+            spring = thin(motion.time, motion.spring_torque[:, j], _SMALL_POINTS)
+            drive = thin(motion.time, motion.torque[:, j], _SMALL_POINTS)
+            axes.plot(*spring, color=VERMILLION, linewidth=1.1, linestyle=(0, (5, 1.5)))
+            axes.plot(*drive, color=BLUE, linewidth=1.6)
+            _level_if_flat(axes)
+            shade_beyond(axes, -limit[j], limit[j])
+            axes.set_title(f"{units[j].label} [{units[j].torque}]")
+            axes.margins(x=0.0)
+            axes.locator_params(axis="y", nbins=5)
+            if j + columns >= len(units):
+                axes.set_xlabel("time [s]")
+                axes.tick_params(labelbottom=True)
+        figure.subplots_adjust(left=0.06, right=0.995, wspace=0.16, hspace=0.34)
+        return to_svg(figure, "torque", "Drive torque of each joint with its bounds")
+
+
+def stiffness_figure(problem: TrajectoryProblem, motion: Assessment) -> str:
+    """Tangent stiffness of every joint over time, lowest values marked, floors drawn."""
+    units = joint_units(problem)
+    floors = problem.active_limits.joint_stiffness
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 3.9))
+        axes = figure.subplots()
+        for j, unit in enumerate(units):
+            values = motion.stiffness[:, j]
+            if not np.all(np.isfinite(values)):
+                continue
+            style = line_style(j)
+            low = motion.lowest_stiffness[j]
+            lowest = f"{significant(low.value)} {unit.stiffness}"
+            text = f"{unit.label}: lowest {lowest} at {low.time:.3f} s"
+            axes.plot(*thin(motion.time, values), label=text, **style)
+            axes.plot(low.time, low.value, "o", color=style["color"], markersize=5)
+            if j + 1 in floors:
+                axes.axhline(floors[j + 1], color=style["color"], linewidth=0.8, linestyle="--")
+        axes.set_yscale("log")
+        for ticks in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
+            ticks(FuncFormatter(_leading_digit))
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel(f"tangent stiffness [{common_unit([u.stiffness for u in units])}]")
+        axes.margins(x=0.01)
+        figure.subplots_adjust(left=0.07, right=0.995)
+        if axes.get_legend_handles_labels()[0]:
+            place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (0.0, -0.16)}
+            axes.legend(ncols=2 if len(units) < 4 else 3, **place)
+        return to_svg(figure, "stiffness", "Tangent stiffness of each joint over time")
+
+
+def _leading_digit(value: float, _: int) -> str:
+    """Label 1, 2, 3 and 5 of every decade of a logarithmic axis in plain figures."""
+    digit = value / 10 ** np.floor(np.log10(value) + 1e-9)
+    return f"{value:g}" if round(digit) in (1, 2, 3, 5) else ""

@@ -1,0 +1,111 @@
+"""Sentences of a report: what was minimised, and how much better it is than the baselines."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from stiffopt.certificate.objective_value import is_maximised
+from stiffopt.report.common.motions import better_baseline
+from stiffopt.report.common.quantities import engineering, significant
+from stiffopt.result.assessment import Violation
+from stiffopt.result.solution import ObjectiveValue, Solution
+
+if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
+
+_PHRASES = {
+    "dynamic_deflection": "dynamic tool deflection",
+    "total_deflection": "total tool deflection",
+    "process_deflection": "tool deflection under the process force",
+    "joint_stiffness": "lowest weighted joint stiffness",
+    "mean_compliance": "mean joint compliance",
+    "duration": "duration",
+    "torque_squared": "integral of the squared torque ratios",
+    "acceleration_squared": "integral of the squared accelerations",
+}
+# Below this ratio a gain reads better as "3.4 times less" than as a percentage.
+_TIMES_BELOW = 0.6
+_EQUAL_WITHIN = 5e-4
+# An excess or margin below this is neither.
+_AT_LIMIT = 1e-5
+
+
+def objective_phrase(name: str, measure: str) -> str:
+    """Name of an objective as people say it.
+
+    >>> objective_phrase("dynamic_deflection", "peak"), objective_phrase("duration", "")
+    ('peak dynamic tool deflection', 'duration')
+    """
+    phrase = _PHRASES.get(name, name.replace("_", " "))
+    return f"{measure} {phrase}" if name.endswith("_deflection") and measure else phrase
+
+
+def objective_text(objective: ObjectiveValue) -> str:
+    """Phrase and value: "peak dynamic tool deflection 0.297 mm"."""
+    phrase = objective_phrase(objective.name, objective.measure)
+    return f"{phrase} {engineering(objective.value, objective.unit, 3)}"
+
+
+def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
+    """Sentence on the better feasible baseline; says so where there is none."""
+    maximised = is_maximised(problem)
+    better = better_baseline(solution, maximised)
+    ratio = solution.ratio_to_better_baseline
+    if solution.objective is None or solution.assessment is None:
+        return "There is no motion to compare with the baselines."
+    if better is not None and ratio is None and solution.status.usable:
+        return "Values of this objective have no ratio; the table of baselines shows them."
+    if better is not None and ratio is None:
+        return "This motion does not meet all limits, so it is not compared with the baselines."
+    if better is None or ratio is None:
+        return "No baseline meets all limits, so none is counted."
+    other = solution.baselines[better].assessment
+    motion = f"{better}'s motion" if better == "toppra" else f"the {better} motion"
+    if other is not None and abs(other.duration - solution.assessment.duration) < 1e-6:
+        motion += " of the same duration"
+    name = problem.objectives[0].name if len(problem.objectives) == 1 else ""
+    return f"{amount(ratio, name, maximised)} {motion}."
+
+
+def amount(ratio: float, name: str = "", maximised: bool = False) -> str:
+    """How an objective compares with a baseline's, as the start of a sentence.
+
+    Parameters
+    ----------
+    ratio : float
+        Below one is better, for maximised objectives too.
+    name : str
+        Of the objective.
+    maximised : bool
+
+    Returns
+    -------
+    str
+
+    >>> amount(0.25), amount(0.9), amount(1.1), amount(0.5, "joint_stiffness", True)
+    ('4 times less than', '10 % less than', '10 % more than', '2 times as much as')
+    """
+    value = 1.0 / ratio if maximised else ratio
+    if abs(value - 1.0) < _EQUAL_WITHIN:
+        return "The same as"
+    if name != "duration" and value < _TIMES_BELOW:
+        return f"{significant(1.0 / value, 2)} times less than"
+    if name != "duration" and value > 1.0 / _TIMES_BELOW:
+        return f"{significant(value, 2)} times as much as"
+    less, more = ("shorter", "longer") if name == "duration" else ("less", "more")
+    change = 100.0 * abs(value - 1.0)
+    return f"{significant(change, 2)} % {less if value < 1 else more} than"
+
+
+def limit_text(violation: Violation) -> str:
+    """Name of a limit with its joint: "velocity, joint 1"."""
+    name = violation.limit.replace("_", " ")
+    return f"{name}, joint {violation.joint}" if violation.joint else name
+
+
+def violation_text(violation: Violation) -> str:
+    """Excess or margin of a limit in words: "exceeded by 0.12 %", "margin 8.5 %"."""
+    if abs(violation.value) < _AT_LIMIT:
+        return "at the limit"
+    size = f"{significant(100 * abs(violation.value), 2)} %"
+    return f"exceeded by {size}" if violation.value > 0 else f"margin {size}"

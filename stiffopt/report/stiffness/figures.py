@@ -1,0 +1,180 @@
+"""Figures of a robot's joint stiffness over the torque ratio, with and without contacts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from stiffopt.report.common.elements import ELEMENT_COLOURS, compliance_by_kind
+from stiffopt.report.common.motions import JointUnits
+from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, house_style, line_style
+
+SHARE_RATIOS = (0.001, 0.01, 0.1, 1.0)
+
+
+@dataclass(frozen=True)
+class StiffnessCurve:
+    """Stiffness of one joint over the torque ratio, for one reading of the key flanks.
+
+    Parameters
+    ----------
+    joint : int
+        From 1.
+    flanks : str
+    ratio : array (K,)
+        Torque over the largest torque.
+    tangent, reducer_only, relative : array (K,)
+        With contacts and without [N m/rad], and their ratio.
+    windup : array (K,) [rad]
+    """
+
+    joint: int
+    flanks: str
+    ratio: np.ndarray
+    tangent: np.ndarray
+    reducer_only: np.ndarray
+    relative: np.ndarray
+    windup: np.ndarray
+
+    def at(self, ratio: float, values: np.ndarray) -> float:
+        """Value of one of the curve's arrays at a torque ratio, interpolated."""
+        return float(np.interp(np.log(ratio), np.log(self.ratio), values))
+
+
+def stiffness_curves(rows: Iterable[Any]) -> dict[int, list[StiffnessCurve]]:
+    """Curves by joint; the robot's own reading of the flanks first.
+
+    Parameters
+    ----------
+    rows : iterable of mapping or object
+        With the columns of stiffness.csv.
+    """
+    groups: dict[tuple[int, str], list[list[float]]] = {}
+    names = (
+        "torque_ratio",
+        "tangent_stiffness",
+        "reducer_only_tangent_stiffness",
+        "ratio_to_reducer_only",
+        "windup",
+    )
+    for row in rows:
+        cells = row if isinstance(row, Mapping) else vars(row)
+        key = (int(cells["joint"]), str(cells["flanks"]))
+        groups.setdefault(key, []).append([float(cells[name]) for name in names])
+    curves: dict[int, list[StiffnessCurve]] = {}
+    for (joint, flanks), cells_of in groups.items():
+        table = np.array(sorted(cells_of)).T
+        curves.setdefault(joint, []).append(StiffnessCurve(joint, flanks, *table))
+    return curves
+
+
+def tangent_figure(
+    curves: Mapping[int, Sequence[StiffnessCurve]], units: Sequence[JointUnits], low_torque: bool
+) -> Figure:
+    """Tangent stiffness of every joint: with contacts, and the reducer alone.
+
+    Parameters
+    ----------
+    curves : mapping joint number -> curves
+    units : sequence of JointUnits
+    low_torque : bool
+        Logarithmic torque axis, which opens the region near zero torque.
+    """
+    with house_style():
+        columns = min(3, len(curves))
+        rows = -(-len(curves) // columns)
+        figure = Figure(figsize=(WIDTH, 0.9 + 2.0 * rows))
+        grid = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes in grid[len(curves) :]:
+            axes.set_visible(False)
+        for place, (joint, readings) in enumerate(curves.items()):
+            _tangent_panel(grid[place], readings, low_torque)
+            unit = units[joint - 1]
+            grid[place].set_title(f"{unit.label} [{unit.stiffness}]")
+            if place + columns >= len(curves):
+                grid[place].set_xlabel("torque over largest torque")
+        handles, labels = grid[0].get_legend_handles_labels()
+        below = -0.12 / figure.get_figheight()
+        figure.legend(handles, labels, loc="upper left", ncols=3, bbox_to_anchor=(0.05, below))
+        figure.subplots_adjust(left=0.07, right=0.995, wspace=0.24, hspace=0.34)
+        return figure
+
+
+def _tangent_panel(axes: Axes, readings: Sequence[StiffnessCurve], low_torque: bool) -> None:
+    own = readings[0]
+    for other in readings[1:]:
+        label = f"with contacts, flanks in {other.flanks}"
+        axes.plot(other.ratio, other.tangent, color=GREY, linewidth=1.0, label=label)
+    keys = f", flanks in {own.flanks} (this robot)" if own.flanks in ("series", "parallel") else ""
+    dashes = (0, (5, 1.5))
+    axes.plot(
+        own.ratio, own.reducer_only, color=VERMILLION, linestyle=dashes, label="reducer alone"
+    )
+    axes.plot(own.ratio, own.tangent, color=BLUE, linewidth=2.0, label=f"with contacts{keys}")
+    if low_torque:
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_ylim(bottom=0.0)
+    axes.margins(x=0.01)
+    axes.locator_params(axis="y", nbins=5)
+
+
+def relative_figure(
+    curves: Mapping[int, Sequence[StiffnessCurve]], units: Sequence[JointUnits]
+) -> Figure:
+    """Tangent stiffness with contacts over that of the reducer alone, all joints."""
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 3.8))
+        axes = figure.subplots()
+        for joint, readings in curves.items():
+            own = readings[0]
+            style = line_style(joint - 1)
+            axes.plot(own.ratio, own.relative, label=units[joint - 1].label, **style)
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.set_ylim(0.0, 1.03)
+        axes.set_xlabel("torque over largest torque")
+        axes.set_ylabel("stiffness with contacts over reducer alone")
+        axes.margins(x=0.01)
+        axes.legend(loc="lower right", ncols=2)
+        figure.subplots_adjust(left=0.07, right=0.995)
+        return figure
+
+
+def shares_figure(robot: Any, units: Sequence[JointUnits]) -> Figure:
+    """Share of every kind of element in the tangent compliance, at several torque ratios."""
+    jointed = [j for j, chain in enumerate(robot.chains) if chain is not None]
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 0.9 + max(0.34 * len(jointed), 1.0)))
+        grid = figure.subplots(1, len(SHARE_RATIOS), sharey=True)
+        named: dict[str, Any] = {}
+        for axes, ratio in zip(grid, SHARE_RATIOS, strict=True):
+            for row, j in enumerate(jointed):
+                left = 0.0
+                torque = ratio * float(robot.torque_max[j])
+                for kind, share in compliance_by_kind(robot.chains[j], torque).items():
+                    colour = ELEMENT_COLOURS.get(kind, GREY)
+                    bar = axes.barh(row, 100 * share, left=left, height=0.66, color=colour)
+                    named.setdefault(kind.replace("_", " "), bar)
+                    left += 100 * share
+            axes.set_xlim(0.0, 100.0)
+            axes.set_title(f"{100 * ratio:g} % of the largest torque")
+            axes.set_xlabel("compliance [%]")
+            axes.grid(visible=False, axis="y")
+        grid[0].set_yticks(range(len(jointed)), [units[j].label for j in jointed])
+        grid[0].invert_yaxis()
+        below = -0.3 / figure.get_figheight()
+        figure.legend(
+            list(named.values()),
+            list(named),
+            loc="upper left",
+            ncols=8,
+            bbox_to_anchor=(0.03, below),
+        )
+        figure.subplots_adjust(left=0.04, right=0.985, wspace=0.14)
+        return figure

@@ -1,0 +1,280 @@
+"""Solve a trajectory problem: baselines, staged collocation, certificate, refinement.
+
+The optimiser sees the smoothed model at nodes and midpoints; the certificate judges the motion with
+the exact model on a fine grid. Where it finds a limit exceeded, the mesh is refined, then the limit
+tightened by the excess, up to three times in all, or the solve ends as `certificate_failed`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from stiffopt.baseline.baselines import baselines, better_baseline
+from stiffopt.certificate.objective_value import (
+    improvement,
+    is_maximised,
+    objective_value,
+    term_value,
+)
+from stiffopt.errors import NoSolutionFound
+from stiffopt.problem.bounds import check_bounds, shortest_duration
+from stiffopt.problem.formulation import Scales
+from stiffopt.problem.resolve import resolve
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import Assessment
+from stiffopt.result.provenance import inputs_hash, versions
+from stiffopt.result.solution import Baseline, Solution, SolverRecord
+from stiffopt.result.status import SolveStatus
+from stiffopt.solver.guess import initial_guess
+from stiffopt.solver.stages import Stage, smoothing_widths, stages
+from stiffopt.solver.staging import Outcome, ProgressCallback, Run, run_stages
+from stiffopt.transcription.ocp import Guess
+from stiffopt.transcription.refine import refine_mesh
+
+# A limit exceeded by more than this share between nodes fails the certificate.
+CERTIFIED = 5e-3
+# An objective worse on the fine grid than at the nodes by more than this share asks for refinement,
+# and is never called optimal.
+TRUE_OBJECTIVE = 2e-2
+# Motions are tightened until the excess is below this, so that 0.5 % is never only just met.
+_AIM = 4e-3
+_REFINEMENTS = 3
+_GROWTH = 1.25
+
+
+def solve(
+    problem: TrajectoryProblem,
+    *,
+    progress: ProgressCallback | None = None,
+    guess: Guess | None = None,
+    throw: bool = True,
+) -> Solution:
+    """Optimise a motion and certify it.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+    progress : callable, optional
+        Called with a `SolveProgress` in every iteration.
+    guess : Guess, optional
+        Where to start; toppra's motion if left out.
+    throw : bool
+        Raise `NoSolutionFound` unless the status is optimal, acceptable or interrupted.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    ProblemError
+        The problem cannot be met or its objective is degenerate; said before solving.
+    NoSolutionFound
+        With the solution so far, where `throw` is set.
+    """
+    motion = resolve(problem)
+    notes = check_bounds(problem, motion)
+    beside = baselines(problem, motion)
+    run = Run(problem, motion, _scales(problem, beside), progress)
+    needed, why = shortest_duration(problem, motion)
+    if problem.duration[1] < needed:
+        solution = _hopeless(run, beside, notes, why)
+    else:
+        outcome = _best_of_starts(run, guess or initial_guess(problem, motion, beside))
+        solution = _conclude(run, outcome, beside, notes)
+    if throw and not (solution.status.usable or solution.status is SolveStatus.INTERRUPTED):
+        raise NoSolutionFound(solution.message, solution)
+    return solution
+
+
+def _scales(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> Scales:
+    """Typical values of the objectives: those of a baseline."""
+    for baseline in beside.values():
+        if baseline.assessment is not None:
+            motion = baseline.assessment
+            return Scales(
+                {o.name: term_value(o, motion, problem.joints) for o in problem.objectives}
+            )
+    return Scales()
+
+
+def _best_of_starts(run: Run, guess: Guess) -> Outcome:
+    """The best certified outcome of the problem's number of starts."""
+    problem = run.problem
+    random = np.random.default_rng(problem.method.seed)
+    best = _certified_solve(run, guess)
+    for _ in range(problem.method.starts - 1):
+        if best.raw.status in ("interrupted", "time_limit"):
+            break
+        other = _certified_solve(run, _perturbed(guess, problem, random))
+        best = min(best, other, key=lambda outcome: _rank(problem, outcome))
+    return best
+
+
+def _rank(problem: TrajectoryProblem, outcome: Outcome) -> tuple[bool, float]:
+    """Certified outcomes first, then by objective."""
+    value = objective_value(problem, outcome.assessment).value
+    feasible = outcome.assessment.feasible(CERTIFIED)
+    return not feasible, -value if is_maximised(problem) else value
+
+
+def _certified_solve(run: Run, guess: Guess) -> Outcome:
+    """Solve in stages; while the certificate finds excess, refine the mesh, then tighten limits."""
+    margins: dict[str, float] = {}
+    method = run.problem.method
+    outcome = run_stages(run, stages(run.problem, method.intervals), guess, margins)
+    final = smoothing_widths(run.problem)[-1]
+    for attempt in range(1, _REFINEMENTS + 1):
+        excess = _excess(outcome.assessment)
+        if not outcome.raw.converged or not (excess or outcome.objective_gap > TRUE_OBJECTIVE):
+            break
+        if attempt > 1:
+            for name, value in excess.items():
+                margins[name] = margins.get(name, 0.0) + value
+        intervals = int(np.ceil(method.intervals * _GROWTH**attempt))
+        refined = _refined(run, outcome, Stage(intervals, final), margins)
+        if not refined.raw.converged and refined.raw.status not in ("interrupted", "time_limit"):
+            break
+        outcome = refined
+    return outcome
+
+
+def _refined(run: Run, outcome: Outcome, stage: Stage, margins: dict[str, float]) -> Outcome:
+    """Solve again from an outcome, with short intervals where its controls change."""
+    mesh = refine_mesh(outcome.transcription, outcome.raw.x, stage.intervals)
+    guess = outcome.transcription.guess_from(outcome.raw.x)
+    return run_stages(run, (stage,), guess, margins, mesh)
+
+
+def _excess(assessment: Assessment) -> dict[str, float]:
+    """Limits exceeded by more than the aim, with the excess; targets cannot be tightened."""
+    fixed = ("start", "end", "via")
+    return {
+        v.limit: v.value
+        for v in assessment.violations
+        if v.value > _AIM and not v.limit.startswith(fixed)
+    }
+
+
+def _perturbed(guess: Guess, problem: TrajectoryProblem, random: np.random.Generator) -> Guess:
+    """The guess with a smooth random detour that vanishes at both ends."""
+    states: Any = guess.states
+    n = problem.joints if problem.path is None else 1
+    amplitude = random.normal(scale=0.2 if problem.path is None else 0.0, size=n)
+
+    def moved(s: np.ndarray) -> np.ndarray:
+        values = np.array(states(s))
+        bump = 16.0 * (np.asarray(s) * (1.0 - np.asarray(s))) ** 2
+        slope = 32.0 * np.asarray(s) * (1.0 - np.asarray(s)) * (1.0 - 2.0 * np.asarray(s))
+        values[:, :n] += bump[:, None] * amplitude
+        values[:, n:] += slope[:, None] * amplitude / guess.duration
+        return values
+
+    return Guess(
+        states=moved,
+        controls=guess.controls,
+        duration=guess.duration,
+        statics=guess.statics,
+        phase_fractions=guess.phase_fractions,
+    )
+
+
+def _conclude(
+    run: Run, outcome: Outcome, beside: dict[str, Baseline], notes: tuple[str, ...]
+) -> Solution:
+    problem, assessment = run.problem, outcome.assessment
+    status = _status(outcome)
+    value = objective_value(problem, assessment)
+    rival = better_baseline(problem, beside)
+    ratio = None
+    if rival is not None and rival.objective is not None and status is not SolveStatus.INFEASIBLE:
+        ratio = improvement(problem, value.value, rival.objective)
+    return Solution(
+        status=status,
+        message=_message(status, outcome),
+        trajectory=outcome.trajectory,
+        assessment=assessment,
+        objective=value,
+        baselines=beside,
+        ratio_to_better_baseline=ratio,
+        solver=_record(run, len(outcome.transcription.intervals)),
+        notes=notes,
+        inputs_hash=inputs_hash(problem),
+        versions=versions(),
+    )
+
+
+def _hopeless(run: Run, beside: dict[str, Baseline], notes: tuple[str, ...], why: str) -> Solution:
+    """No solve where the kinematics of one joint already rule every motion out."""
+    return Solution(
+        status=SolveStatus.INFEASIBLE,
+        message=f"No motion can be that fast. {why} Give a longer duration or raise that limit.",
+        trajectory=None,
+        assessment=None,
+        objective=None,
+        baselines=beside,
+        ratio_to_better_baseline=None,
+        solver=_record(run, 0),
+        notes=notes,
+        inputs_hash=inputs_hash(run.problem),
+        versions=versions(),
+    )
+
+
+def _record(run: Run, intervals: int) -> SolverRecord:
+    return SolverRecord(
+        iterations=run.iterations,
+        build_s=run.build_s,
+        solve_s=run.solve_s,
+        transcription=run.problem.method.transcription,
+        intervals=intervals,
+        homotopy=tuple(run.homotopy),
+    )
+
+
+def _status(outcome: Outcome) -> SolveStatus:
+    raw, certified = outcome.raw, outcome.assessment.feasible(CERTIFIED)
+    if raw.converged:
+        if not certified:
+            return SolveStatus.CERTIFICATE_FAILED
+        full = raw.status == "optimal" and outcome.objective_gap <= TRUE_OBJECTIVE
+        return SolveStatus.OPTIMAL if full else SolveStatus.ACCEPTABLE
+    if raw.status == "infeasible" or (raw.status == "stalled" and not certified):
+        return SolveStatus.INFEASIBLE
+    if raw.status in ("interrupted", "time_limit"):
+        return SolveStatus(raw.status)
+    return SolveStatus.ITERATION_LIMIT
+
+
+def _message(status: SolveStatus, outcome: Outcome) -> str:
+    raw, assessment = outcome.raw, outcome.assessment
+    worst = assessment.worst_violation.describe()
+    if status is SolveStatus.INFEASIBLE:
+        return f"{status.sentence} These conflict: {_listed(raw.conflicts or raw.worst_rows)}."
+    if not raw.converged:
+        state = f"It exceeds {worst}."
+        if assessment.feasible(CERTIFIED):
+            state = "It keeps all limits."
+        cause = f" Cause: {raw.reason}." if raw.status == "invalid_number" else ""
+        return f"{status.sentence}{cause} {state}"
+    if status is SolveStatus.CERTIFICATE_FAILED:
+        return f"{status.sentence} It exceeds {worst}."
+    if outcome.objective_gap > TRUE_OBJECTIVE:
+        return (
+            "Solved and certified: every limit holds on the fine grid. But between the nodes the "
+            f"objective is {outcome.objective_gap:.1%} worse than at them, so a finer mesh or "
+            "another transcription can still improve it; the value given is the true one."
+        )
+    return status.sentence
+
+
+def _listed(entries: Sequence[object]) -> str:
+    """Return limits by name first; the many boundary states count as one entry, the last."""
+    names = list(dict.fromkeys(str(entry) for entry in entries))
+    poses = [name for name in names if name.startswith(("state,", "start", "end"))]
+    limits = [name for name in names if name not in poses][:5]
+    ends = ["the given start and end"] if poses else []
+    return "; ".join(limits + ends) or "none that can be named"

@@ -1,1 +1,0 @@
-"""What people ask for as a whole: a solved trajectory, a stiffness study, a verification."""

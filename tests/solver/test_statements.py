@@ -1,0 +1,95 @@
+"""What a problem may ask for, and what is said when it asks for the impossible."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_arms import load
+
+from stiffopt import Limits, Method, Objective, ProblemError, Target, solve
+from stiffopt.certificate.assess import assess
+from stiffopt.certificate.objective_value import improvement
+from stiffopt.result.status import SolveStatus
+from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.solve import _listed
+
+
+def cubic(problem, duration):
+    """Motion with zero end velocities and an acceleration of 6 d/T^2 at both ends."""
+    way = problem.end.joints - problem.start.joints
+    slope = np.stack([6.0 * way / duration**2, -12.0 * way / duration**3])
+    return Trajectory.from_acceleration(
+        [0.0, duration], slope[None], problem.start.joints, np.zeros(len(way))
+    )
+
+
+def test_rest_means_zero_acceleration_in_the_certificate_too(tmp_path):
+    problem = load(tmp_path, "planar")
+    motion = cubic(problem, problem.duration[0])
+    assert not assess(problem, motion).feasible(5e-3)
+    free = replace(problem, boundary_acceleration="free")
+    assert assess(free, motion).feasible(5e-3)
+
+
+def test_boundary_velocities_are_certified(tmp_path):
+    problem = load(tmp_path, "planar")
+    still = assess(replace(problem, boundary_acceleration="free"), cubic(problem, 1.0))
+    moving = replace(
+        problem,
+        boundary_acceleration="free",
+        boundary_velocity=(np.array([0.6, 0.0]), np.zeros(2)),
+    )
+    worst = assess(moving, cubic(problem, 1.0)).worst_violation
+    assert still.worst_violation.value < 0.0
+    assert (worst.limit, worst.joint, worst.time) == ("start_velocity", 1, 0.0)
+    # 0.6 of a limit of 6 rad/s is a tenth: a hundred times the tolerance of a thousandth.
+    assert worst.value == pytest.approx(99.0)
+
+
+def test_objectives_that_nothing_can_change_are_refused(tmp_path):
+    problem = load(tmp_path, "planar")
+    with pytest.raises(ProblemError, match=r"tool\.process_force"):
+        replace(problem, objectives=(Objective(name="process_deflection", measure="rms"),))
+    with pytest.raises(ProblemError, match="is fixed at"):
+        replace(problem, objectives=(Objective(name="duration"),))
+
+
+def test_python_arguments_are_checked_like_files(tmp_path):
+    problem = load(tmp_path, "planar")
+    with pytest.raises(ProblemError, match="joint 7; allowed: 1 to 2"):
+        replace(problem, objectives=(Objective(name="torque_squared", joints=(7,)),))
+    with pytest.raises(ProblemError, match="'zero' or 'free'"):
+        replace(problem, boundary_acceleration="fre")
+    with pytest.raises(ProblemError, match="process_force"):
+        replace(problem, process_force=np.array([0.0, np.nan, 0.0]))
+    with pytest.raises(ProblemError, match="above zero"):
+        Method(starts=0)
+    with pytest.raises(ProblemError, match="joint_weights"):
+        Objective(name="joint_stiffness", joint_weights={1: 0.0})
+    assert Target(joints=[0.0, 0.1]).joints.shape == (2,)
+
+
+def test_too_short_a_duration_is_said_without_a_solve(tmp_path):
+    problem = load(tmp_path, "planar")
+    way = float(np.max(np.abs(problem.end.joints - problem.start.joints)))
+    limits = replace(Limits.of(problem.robot), acceleration=np.full(2, 60.0))
+    fast = replace(problem, limits=limits, duration=(0.01, 0.01))
+    solution = solve(fast, throw=False)
+    assert solution.status is SolveStatus.INFEASIBLE
+    assert solution.solver.iterations == 0
+    # 6 rad/s is reached after 0.1 s of 60 rad/s^2: way/6 + 0.1.
+    assert f"{way / 6.0 + 0.1:.4g} s" in solution.message
+
+
+def test_conflicts_name_limits_before_poses():
+    entries = [f"state, position of joint {j} (at 0 %)" for j in range(1, 13)]
+    assert _listed([*entries, "torque, joint 2 (at 40 %)"]) == (
+        "torque, joint 2 (at 40 %); the given start and end"
+    )
+
+
+def test_a_ratio_needs_positive_values(tmp_path):
+    problem = load(tmp_path, "planar")
+    assert improvement(problem, 0.2, 0.4) == pytest.approx(0.5)
+    assert improvement(problem, 0.2, 0.0) is None
+    assert improvement(problem, -0.2, 0.4) is None
