@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.simulator import Case, CaseSpec, simulate, truth_text, write_case
+from benchmarks.simulator import Case, CaseSpec, simulate, truth_text, write_case
 
 from .key import Key
 from .mix import RATE, SECONDS, SUBSTEPS, Plan, plan

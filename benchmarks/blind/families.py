@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-# The import fills the registry of effects.
-from tests.simulator import case  # noqa: F401
-from tests.simulator.effects import EFFECTS
+from benchmarks.simulator import EFFECTS
 
 
 def family(effect: str) -> str:

@@ -17,7 +17,7 @@ DIRTY = "-dirty"
 # What must be as it was committed: the tool, and what cases are made with.
 FROZEN = (
     "stiffopt",
-    "tests/simulator",
+    "benchmarks/simulator",
     *(
         f"benchmarks/blind/{name}.py"
         for name in ("cases", "key", "mix", "oracle", "sealed_tool", "severity", "tool")

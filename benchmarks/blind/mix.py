@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from tests.simulator import EFFECTS, ROBOTS
+from benchmarks.simulator import EFFECTS, ROBOTS
 
 from .key import Key
 

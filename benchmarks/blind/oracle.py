@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from tests.simulator import Case, build_world
-from tests.simulator.robots import Robot
-from tests.simulator.world import TOLERANCE, World
+from benchmarks.simulator import Case, build_world
+from benchmarks.simulator.robots import Robot
+from benchmarks.simulator.world import TOLERANCE, World
 
 EDGE = 5  # samples left out at both ends
 STRIDE = 4  # of the samples looked at; each stands for its neighbours

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tests.simulator import EFFECTS, CaseSpec, simulate
+from benchmarks.simulator import EFFECTS, CaseSpec, simulate
 
 from .oracle import balances
 

@@ -17,7 +17,7 @@ from benchmarks.blind.mix import CATALOGUE, KINDS, OUTSIDE, SEVERITIES, case_nam
 from benchmarks.blind.oracle import balances, held_out, without_effects
 from benchmarks.blind.severity import ALLOWED, START, sized
 from benchmarks.blind.store import Store, whole_folder
-from tests.simulator import ROBOTS, CaseSpec, simulate
+from benchmarks.simulator import ROBOTS, CaseSpec, simulate
 
 ROOT = Path(__file__).resolve().parents[2]
 KEY = Key("dev-test", "0" * 40)

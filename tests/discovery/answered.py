@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 from simulated import simulated
-from simulator import CaseSpec, write_case
 
+from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.cli import run
 
 # Two joints with link encoders; the second has more dry friction than its nominal model.

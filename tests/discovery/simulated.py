@@ -9,9 +9,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from simulator import CaseSpec, simulate, write_case
-from simulator.spec import Case
 
+from benchmarks.simulator import CaseSpec, simulate, write_case
+from benchmarks.simulator.spec import Case
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.diagnosis import Diagnosis, Finding
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from answered import COULOMB
 from simulated import simulated
-from simulator import write_case
 
+from benchmarks.simulator import write_case
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.located_effect import places
 from stiffopt.discovery.search.candidates import Scorer

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import pytest
 from simulated import agrees, diagnosed, placed_where, said, shared, simulated, truth_place
-from simulator import CaseSpec
 
+from benchmarks.simulator import CaseSpec
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.diagnosis import Finding
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulator import CaseSpec, simulate, write_case
 
+from benchmarks.simulator import CaseSpec, simulate, write_case
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import PlacedEffect

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from simulated import diagnosed, diagnosis_of, said, simulated
-from simulator import CaseSpec, write_case
 
+from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.located_effect import places
 from stiffopt.discovery.comparison.nominal_robot import RobotModel

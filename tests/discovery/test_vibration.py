@@ -8,8 +8,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from simulated import simulated
-from simulator import CaseSpec, write_case
 
+from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.extension import Extension, SizedEffect, added_inertia
 from stiffopt.discovery.comparison.located_effect import PlacedEffect

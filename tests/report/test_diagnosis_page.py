@@ -7,6 +7,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from benchmarks.simulator import CaseSpec
 from stiffopt.discovery.diagnosis import Rival
 from stiffopt.discovery.judging.unexplained import Outside
 from stiffopt.report.common.quantities import significant
@@ -30,7 +31,6 @@ from stiffopt.report.diagnosis.words import (
     with_deviation,
 )
 from tests.discovery.simulated import diagnosed
-from tests.simulator import CaseSpec
 
 # Two joints; the second has more dry friction than its nominal model.
 FRICTION = CaseSpec(

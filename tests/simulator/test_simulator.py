@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-import simulator
 from scipy.ndimage import gaussian_filter1d
-from simulator import ROBOTS, CaseSpec, build_world, simulate, write_case, write_truth
-from simulator.elasticity import Creep, Sliders, SpringTable, Windup, nominal_windups
-from simulator.integrator import integrate
 
+from benchmarks import simulator
+from benchmarks.simulator import ROBOTS, CaseSpec, build_world, simulate, write_case, write_truth
+from benchmarks.simulator.elasticity import Creep, Sliders, SpringTable, Windup, nominal_windups
+from benchmarks.simulator.integrator import integrate
 from stiffopt.recording.recording_set import load_recordings
 
 SHORT = CaseSpec(robot="planar2", seed=4, train=1, test=1, extrapolate=1, seconds=3.0)

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-from simulator import Case, build_world
-from simulator.elasticity import SpringTable
+
+from benchmarks.simulator import Case, build_world
+from benchmarks.simulator.elasticity import SpringTable
 
 EDGE = 5  # samples left out at both ends
 

@@ -5,7 +5,8 @@ from functools import cache
 import numpy as np
 import pytest
 from balances import excess
-from simulator import EFFECTS, CaseSpec, simulate
+
+from benchmarks.simulator import EFFECTS, CaseSpec, simulate
 
 BASE = CaseSpec(robot="planar2", seed=12, train=1, test=1, extrapolate=0, seconds=1.2)
 SILENT = 0.06  # of the sensor noise; what second-order integration leaves is below it
