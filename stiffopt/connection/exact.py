@@ -132,11 +132,3 @@ def gear_compliance(
     ratio = 4.0 * surface.contact_shear_modulus / surface.contact_modulus
     mesh = contact_ratio * normal * (base**2 + ratio * arm**2)
     return np.asarray(_invert(mesh) + 1.0 / (tooth_stiffness * width * base**2))
-
-
-def reducer_compliance(
-    torque: np.ndarray, stiffnesses: tuple[float, float, float], torques: tuple[float, float]
-) -> np.ndarray:
-    """Three slopes K1, K2, K3 [N m/rad], changing at T1 and T2 [N m]."""
-    zone = np.searchsorted(np.asarray(torques), np.abs(np.asarray(torque, dtype=float)), "right")
-    return np.asarray(1.0 / np.asarray(stiffnesses)[zone])

@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from stiffopt.connection.connection import Connection
-from stiffopt.connection.exact import reducer_compliance
 from stiffopt.contact.validate import require_ordered, require_positive
+from stiffopt.exact.reducer import reducer_compliance
 from stiffopt.symbolic import Quantity, softplus
 
 # Corner width as a share of the corner's torque: 2.1 % error in wind-up at most, 24 % in slope.
@@ -99,8 +99,10 @@ class Reducer(Connection):
         self, torque: np.ndarray, *, preload: float | None = None
     ) -> np.ndarray:
         """Piecewise constant compliance [rad/(N m)]."""
-        return reducer_compliance(
-            torque,
-            (self.stiffness_1, self.stiffness_2, self.stiffness_3),
-            (self.torque_1, self.torque_2),
+        return np.asarray(
+            reducer_compliance(
+                torque,
+                (self.stiffness_1, self.stiffness_2, self.stiffness_3),
+                (self.torque_1, self.torque_2),
+            )
         )

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.catalogue.elastic import reducer_windup
 from stiffopt.discovery.catalogue.soundness import sample_signals
 
 ROBOT = sample_signals()
@@ -68,19 +67,21 @@ def test_belt_that_carries_a_steady_load_has_crept_altogether():
     np.testing.assert_allclose(found, 12.0 * 5e-5, rtol=1e-12)
 
 
-def test_reducer_windup_agrees_with_the_nominal_one_and_with_its_slopes():
-    c = ROBOT.constants.joints[0]
+def test_worn_reducer_winds_up_with_its_own_first_slope_and_corner():
     torque = np.linspace(-60.0, 60.0, 4001)
-    contacts = torque / c.contact_stiffness
-    np.testing.assert_allclose(
-        reducer_windup(c, torque, 1.0, 1.0) + contacts, c.windup(torque), atol=1e-15
-    )
-    changed = reducer_windup(c, torque, 0.5, 2.0)
-    slopes = np.gradient(changed, torque)
+    signals = replace(ROBOT.of_joint(0), spring_torque=torque)
+    nominal = signals.constants.windup(torque) - torque / signals.constants.contact_stiffness
+
+    def worn(k1_factor: float, t1_factor: float) -> np.ndarray:
+        term = effect("k1_softening").term(signals, [1.0], [k1_factor, t1_factor])
+        return nominal + np.asarray(term.deflection)
+
+    np.testing.assert_allclose(worn(1.0, 1.0), nominal, atol=1e-15)
+    slopes = np.gradient(worn(0.5, 2.0), torque)
     for load, slope in ((5.0, 1 / 8e3), (13.0, 1 / 8e3), (20.0, 1 / 2.5e4), (40.0, 1 / 2.9e4)):
         assert np.interp(load, torque, slopes) == pytest.approx(slope, rel=1e-6)
     # A first corner beyond the second leaves no middle slope.
-    wide = np.gradient(reducer_windup(c, torque, 1.0, 5.0), torque)
+    wide = np.gradient(worn(1.0, 5.0), torque)
     assert np.interp(30.0, torque, wide) == pytest.approx(1 / 1.6e4, rel=1e-6)
     assert np.interp(45.0, torque, wide) == pytest.approx(1 / 2.9e4, rel=1e-6)
 

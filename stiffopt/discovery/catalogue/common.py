@@ -29,16 +29,6 @@ def part(signal: Quantity, index: int) -> Quantity:
     return signal[:, index] if is_symbolic(signal) else signal[..., index]
 
 
-def compliance(constants: JointConstants, torque: Quantity) -> Quantity:
-    """Slope of the nominal wind-up at a spring torque [N m] -> [rad/(N m)]; takes symbols."""
-    size = np.abs(torque)
-    slope = 1.0 / constants.contact_stiffness + 0.0 * size
-    if constants.slopes is None or constants.torques is None:
-        return slope
-    (k1, k2, k3), (t1, t2) = constants.slopes, constants.torques
-    return slope + np.where(size < t1, 1.0 / k1, np.where(size < t2, 1.0 / k2, 1.0 / k3))
-
-
 def remember(
     step: Step,
     inputs: Sequence[Quantity],

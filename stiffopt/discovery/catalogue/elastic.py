@@ -15,7 +15,6 @@ import numpy as np
 from stiffopt.discovery.catalogue.common import (
     WEIGHT,
     Constants,
-    compliance,
     contact_compliance,
     remember,
     winds_up,
@@ -23,6 +22,7 @@ from stiffopt.discovery.catalogue.common import (
 )
 from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.exact.reducer import reducer_windup
 from stiffopt.symbolic import Quantity
 
 
@@ -41,7 +41,7 @@ def hysteresis_term(
     """Wind-up -D'(s) h y: inner friction h y carries part of the torque and lags the wind-up."""
     d = signals.windup
     side = remember(dahl, [d], [0.0, d[0]], [shapes[0]])
-    slope = compliance(signals.constants, signals.spring_torque)
+    slope = signals.constants.compliance(signals.spring_torque)
     return Term(deflection=-amplitudes[0] * slope * side)
 
 
@@ -67,23 +67,15 @@ def k1_softening_term(
 ) -> Term:
     """Wind-up of a reducer with another first slope and corner, less the nominal one."""
     constants, s = signals.constants, signals.spring_torque
-    changed = reducer_windup(constants, s, shapes[0], shapes[1])
-    return Term(deflection=amplitudes[0] * (changed - reducer_windup(constants, s, 1.0, 1.0)))
-
-
-def reducer_windup(
-    constants: JointConstants, torque: Quantity, k1_factor: Quantity, t1_factor: Quantity
-) -> Quantity:
-    """Three-slope wind-up [rad] with K1 and T1 multiplied; T2 moves on only when T1 passes it."""
     if constants.slopes is None or constants.torques is None:
-        return 0.0 * torque
+        return Term(deflection=0.0 * s)
     (k1, k2, k3), (t1, t2) = constants.slopes, constants.torques
-    size, first = np.abs(torque), t1 * t1_factor
-    second = np.fmax(t2, first)
-    low = np.fmin(size, first)
-    middle = np.fmin(np.fmax(size - first, 0.0), second - first)
-    high = np.fmax(size - second, 0.0)
-    return np.sign(torque) * (low / (k1 * k1_factor) + middle / k2 + high / k3)
+    k1_factor, t1_factor = shapes
+    first = t1 * t1_factor
+    # The second corner moves on only when the first passes it.
+    worn = reducer_windup(s, (k1 * k1_factor, k2, k3), (first, np.fmax(t2, first)))
+    added = worn - reducer_windup(s, constants.slopes, constants.torques)
+    return Term(deflection=amplitudes[0] * added)
 
 
 def preload_loss_term(

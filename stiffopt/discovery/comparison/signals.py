@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt.exact.reducer import reducer_compliance, reducer_windup
 from stiffopt.symbolic import Quantity
 
 
@@ -66,29 +67,19 @@ class JointConstants:
         """Whether the nominal joint winds up at all."""
         return self.slopes is not None or np.isfinite(self.contact_stiffness)
 
-    def windup(self, torque: np.ndarray) -> np.ndarray:
-        """Nominal wind-up [rad] under a spring torque [N m]."""
-        torque = np.asarray(torque, dtype=float)
+    def windup(self, torque: Quantity) -> Quantity:
+        """Nominal wind-up [rad] under a spring torque [N m]; takes symbols."""
         angle = torque / self.contact_stiffness
         if self.slopes is None or self.torques is None:
-            return np.asarray(angle)
-        (k1, k2, k3), (t1, t2) = self.slopes, self.torques
-        size = np.abs(torque)
-        reducer = (
-            np.minimum(size, t1) / k1
-            + np.clip(size - t1, 0.0, t2 - t1) / k2
-            + np.maximum(size - t2, 0.0) / k3
-        )
-        return np.asarray(angle + np.sign(torque) * reducer)
+            return angle
+        return angle + reducer_windup(torque, self.slopes, self.torques)
 
-    def compliance(self, torque: np.ndarray) -> np.ndarray:
-        """Slope of the nominal wind-up [rad/(N m)]."""
-        size = np.abs(np.asarray(torque, dtype=float))
-        slope = np.full_like(size, 1.0 / self.contact_stiffness)
+    def compliance(self, torque: Quantity) -> Quantity:
+        """Slope of the nominal wind-up [rad/(N m)]; takes symbols."""
+        slope = 1.0 / self.contact_stiffness + 0.0 * torque
         if self.slopes is None or self.torques is None:
-            return np.asarray(slope)
-        zone = np.searchsorted(np.asarray(self.torques), size, "right")
-        return np.asarray(slope + 1.0 / np.asarray(self.slopes)[zone])
+            return slope
+        return slope + reducer_compliance(torque, self.slopes, self.torques)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,12 +7,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import compliance, smooth_sign
-from stiffopt.discovery.catalogue.elastic import reducer_windup
+from stiffopt.discovery.catalogue.common import smooth_sign
 from stiffopt.discovery.comparison.located_effect import PlacedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepare import PreparedRun
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
+from stiffopt.discovery.comparison.signals import JointSignals
 from stiffopt.discovery.experiment.motion import MotionLimits
 from stiffopt.discovery.experiment.separation import Separation
 from stiffopt.dynamics.newton_euler import newton_euler
@@ -169,7 +168,7 @@ class _Instant:
                 ("coulomb", (unit * (dry * smooth_sign(self.v[j])), zero)),
                 ("viscous", (unit * (wet * self.v[j]), zero)),
                 ("torque_constant", (unit * self.drive[j], zero)),
-                ("stiffness", (zero, unit * self._windup(j))),
+                ("stiffness", (zero, unit * self.constants.joints[j].windup(self.spring[j]))),
                 ("encoder_zero", (zero, unit)),
             ):
                 found[f"{name} {j + 1}"] = self._weighted(channels)
@@ -192,7 +191,7 @@ class _Instant:
             link_velocity=self.v[j],
             link_acceleration=self.a[j],
             spring_torque=self.spring[j],
-            windup=self._windup(j),
+            windup=constants.windup(self.spring[j]),
             drive_torque=self.drive[j],
             # Of the third order in time: terms that need it are told by `holds`.
             drive_torque_rate=0.0 * self.q[j],
@@ -204,14 +203,9 @@ class _Instant:
         torque[j] = term.drive_torque + term.link_torque
         if j:
             torque[j - 1] += term.previous_torque
-        slope = compliance(constants, self.spring[j])
+        slope = constants.compliance(self.spring[j])
         deflection[j] = term.deflection + slope * term.link_torque
         return torque, deflection
-
-    def _windup(self, j: int) -> Quantity:
-        own: JointConstants = self.constants.joints[j]
-        torque = self.spring[j]
-        return reducer_windup(own, torque, 1.0, 1.0) + torque / own.contact_stiffness
 
     def _weighted(self, channels: tuple[Quantity, Quantity]) -> Quantity:
         return ca.vertcat(*channels) * ca.DM(self.weight)
