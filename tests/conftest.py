@@ -1,1 +1,8 @@
 """Helpers shared by several test folders lie beside this file, which makes them importable."""
+
+from hypothesis import settings
+
+# The same commit gives the same answer; --hypothesis-profile explore draws examples of its own.
+settings.register_profile("default", derandomize=True, database=None)
+settings.register_profile("explore", derandomize=False, print_blob=True)
+settings.load_profile("default")

@@ -211,7 +211,7 @@ class _Trace:
     def _solve(self, model: PreloadModel, objective: str) -> Optimum | None:
         """An optimum with its proof; one without is counted."""
         found = optimum(model, objective, levels=self.levels, progress=self.progress)
-        if found.raw.converged:
+        if found.proved:
             return found
         self.interrupted = found.raw.status == "interrupted"
         self.unproved += 1

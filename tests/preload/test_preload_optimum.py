@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from preload_studies import JACOBIAN, Ring, case, er3a, study, with_elements
 
 from stiffopt.errors import NoSolutionFound
 from stiffopt.fastening.tightening import Tightening
+from stiffopt.preload import optimise
 from stiffopt.preload.load_case import LoadHistory
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.optimise import optimise_preloads
@@ -144,6 +145,21 @@ def test_requirements_of_the_grid_studies_bind():
 # ---- what binds
 
 
+# Limits that hold the least of the objective, where only the total preload is still open.
+@example(
+    joint=2,
+    load=0.3011975178750423,
+    objective="bolt_utilisation",
+    method="torque_wrench",
+    embedding=3e-6,
+)
+@example(
+    joint=3,
+    load=0.48823116096802227,
+    objective="bolt_utilisation",
+    method="angle",
+    embedding=3e-6,
+)
 @settings(max_examples=15, deadline=None)
 @given(
     joint=st.sampled_from([1, 2, 3, 5, 6]),
@@ -161,6 +177,7 @@ def test_an_optimum_touches_a_limit_and_says_which(joint, load, objective, metho
         tightening=Tightening(method=method, embedding=embedding),
     )
     solution = optimise_preloads(problem)
+    assert solution.status is SolveStatus.OPTIMAL
     assert solution.kkt_residual < KKT
     active = [row for row in solution.rows if row.active]
     assert active
@@ -312,6 +329,14 @@ def test_requirements_that_exclude_each_other_are_no_optimum():
     # The best reachable: every preload at its end.
     assert solution.vector == pytest.approx(upper_ends(study()), rel=1e-12)
     assert solution.tightening
+
+
+def test_end_without_small_residual_is_no_optimum(monkeypatch):
+    monkeypatch.setattr(optimise, "kkt_residual", lambda *_: 0.0346)
+    solution = optimise_preloads(study(case(j2=58.0)), throw=False)
+    assert solution.status is SolveStatus.ITERATION_LIMIT
+    with pytest.raises(NoSolutionFound, match="ended before the optimum"):
+        optimise_preloads(study(case(j2=58.0)))
 
 
 # ---- individual preloads and motions
