@@ -306,16 +306,12 @@ def test_meaning_of_a_gain():
     assert "before the deflection settled" in meaning(SolveStatus.ACCEPTABLE, 0.03)
 
 
-@pytest.mark.slow
 def test_the_er3a_gains_less_than_one_percent():
-    # Reducers yield far more than bolts, so preloads and motion hardly touch each other.
+    # Reducers yield far more than bolts, so preloads and motion hardly touch each other. What the
+    # file expects is solved anew by tests/test_problems.py.
     loaded = load_study(small_arms.ROOT / "problems" / "er3a_preload_with_motion.toml")
-    study = motion_study(loaded.problem, loaded.motion, rounds=loaded.rounds)
-    assert study.status.usable
-    for name in ("start", "separate", "joint"):
-        expected = loaded.expected[f"deflection_{name}"]
-        assert expected.unit == "mm"
-        assert 1e3 * getattr(study, name) == pytest.approx(expected.value, rel=expected.rtol)
-    assert study.joint <= study.separate < study.start
-    assert 0.0 <= study.gain < 0.01
-    assert "not worth it" in study.note
+    expected = [loaded.expected[f"deflection_{name}"] for name in ("start", "separate", "joint")]
+    assert {(each.unit, each.rtol) for each in expected} == {("mm", 1e-4)}
+    start, separate, joint = (each.value for each in expected)
+    assert joint <= separate < start
+    assert joint > 0.99 * separate
