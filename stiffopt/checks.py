@@ -7,13 +7,13 @@ large. Formulas are taken as plain functions of NumPy arrays.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from stiffopt.errors import StiffoptError
 
-Formula = Callable[[np.ndarray], Any]
+Formula = Callable[[np.ndarray], np.ndarray]
 
 
 class CheckFailed(StiffoptError, AssertionError):
@@ -36,9 +36,11 @@ class CheckFailed(StiffoptError, AssertionError):
 class Smoothed(Protocol):
     """What `check_smoothed_against_exact` needs of a connection."""
 
-    torque_max: Any
+    @property
+    def torque_max(self) -> float:
+        """Largest torque [N m]."""
 
-    def windup(self, torque: Any) -> Any:
+    def windup(self, torque: np.ndarray) -> np.ndarray:
         """Smooth wind-up [rad]."""
 
     def exact_tangent_compliance(self, torque: np.ndarray) -> np.ndarray:
@@ -121,10 +123,10 @@ def check_smoothed_against_exact(
     points : int
         Number of torques compared, up to torque_max.
     """
-    torque_max = float(connection.torque_max)
+    torque_max = connection.torque_max
     torques = np.geomspace(max(2.0 * from_torque, 1e-2 * torque_max), torque_max, points)
     exact = _exact_windup(connection, from_torque, torques)
-    start = float(connection.windup(from_torque))
+    start = float(_values(connection.windup, np.array([from_torque]))[0])
     smooth = _values(connection.windup, torques) - start
     error = np.abs(smooth / exact - 1)
     return _judge("smoothed wind-up against the exact one", torques, error, tolerance)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from cyclopts import App, Parameter
 
@@ -18,7 +18,7 @@ app = App(
 Out = Annotated[Path, Parameter(name="--out", help="Folder for the results; made if missing.")]
 
 
-def print_json(document: Any) -> None:
+def print_json(document: object) -> None:
     """Print plain data, indented."""
     import json
 

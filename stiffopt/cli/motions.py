@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from stiffopt.cli.base import Out, app
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.folders import output_folder
+
+if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.report.common.progress import ProgressDisplay, StudyProgress
+
+    Display = AbstractContextManager[ProgressDisplay | None]
 
 
 @app.command
@@ -176,19 +182,19 @@ def _about(path: Path) -> Iterator[None]:
         raise InputFileError(path, "", str(error)) from error
 
 
-def _progress(problem: Any, quiet: bool) -> Any:
+def _progress(problem: TrajectoryProblem, quiet: bool) -> Display:
     first = problem.objectives[0]
     return _named_progress(problem.title, quiet, first.unit if len(problem.objectives) == 1 else "")
 
 
-def _study_progress(display: Any) -> Any:
+def _study_progress(display: ProgressDisplay | None) -> StudyProgress | None:
     """Callback of a preload study; `display` is None where nothing is to be shown."""
     from stiffopt.report.common.progress import StudyProgress
 
     return None if display is None else StudyProgress(display)
 
 
-def _named_progress(title: str, quiet: bool, unit: str = "") -> Any:
+def _named_progress(title: str, quiet: bool, unit: str = "") -> Display:
     from stiffopt.report.common.progress import ProgressDisplay
 
     return nullcontext() if quiet else ProgressDisplay(title, unit)

@@ -18,13 +18,13 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: version(name) for name in packages}}
 
 
-def inputs_hash(problem: Any) -> str:
+def inputs_hash(problem: object) -> str:
     """SHA-256 over everything that the result depends on; equal inputs give equal hashes."""
     document = json.dumps(_plain(problem), sort_keys=True)
     return hashlib.sha256(document.encode()).hexdigest()
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """Nested plain data of dataclasses, arrays and rigid-body models."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = dataclasses.fields(value)
@@ -43,7 +43,7 @@ def _plain(value: Any) -> Any:
     return repr(value) if isinstance(value, float) else str(value)
 
 
-def _model(model: Any) -> Any:
+def _model(model: Any) -> object:
     """Placements and inertias; names and file paths do not matter."""
     if not hasattr(model, "jointPlacements"):
         return str(model)

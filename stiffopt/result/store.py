@@ -160,7 +160,7 @@ def _baseline(baseline: Baseline) -> dict[str, Any]:
     }
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """Value as JSON knows it: plain Python types, null for what is not finite."""
     if isinstance(value, Mapping):
         return {str(key): plain(each) for key, each in value.items()}
