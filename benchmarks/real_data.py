@@ -105,7 +105,7 @@ def one(path: Path) -> dict[str, Any]:
     return {
         "verdict": diagnosis.verdict,
         "findings": [_finding(diagnosis, k) for k in range(len(diagnosis.findings))],
-        "outside": None if diagnosis.outside is None else vars(diagnosis.outside),
+        "outside": None if diagnosis.unexplained is None else vars(diagnosis.unexplained),
         "assumptions": list(diagnosis.assumptions),
         "faults": sum(1 for _ in diagnosis.faults),
         "runs": [
@@ -148,10 +148,10 @@ def _finding(diagnosis: Diagnosis, k: int) -> list[str]:
     parameters = ", ".join(
         f"{p.name} = {p.value:.3g} ± {p.sd:.2g} {p.unit}".rstrip() for p in finding.parameters
     )
-    rivals = ", ".join(f"{r.placed.label} {r.probability:.2f}" for r in finding.rivals)
+    rivals = ", ".join(f"{r.located.label} {r.probability:.2f}" for r in finding.rivals)
     share = f"{100 * finding.variance_explained:.0f} % of {finding.channel}"
     return [
-        finding.placed.effect.name,
+        finding.effect.name,
         where,
         f"{finding.probability:.2f}",
         parameters,
@@ -218,7 +218,7 @@ def _section(name: str, found: dict[str, Any]) -> str:
         channels = ", ".join(found["outside"]["channels"])
         depends = ", ".join(found["outside"]["regressors"]) or "nothing that was recorded"
         parts.append(
-            f"Outside the catalogue: {channels}, depending on {depends}"
+            f"Unexplained the catalogue: {channels}, depending on {depends}"
             f" ({100 * found['outside']['gain']:.0f} % of it in recordings left out)."
         )
     rows = [

@@ -49,8 +49,8 @@ def without_cross_validation(_: str) -> Iterator[None]:
 
     judge = Scorer.score
 
-    def score(self: Any, placed: Any, price: float = 0.0) -> Any:
-        found = judge(self, placed, price)
+    def score(self: Any, located: Any, price: float = 0.0) -> Any:
+        found = judge(self, located, price)
         return None if found is None else replace(found, gain=math.inf)
 
     with mock.patch.object(Scorer, "score", score):
@@ -66,7 +66,9 @@ def without_abstention(_: str) -> Iterator[None]:
     with ExitStack() as stack:
         for bar in ("EVIDENCE", "CHI", "EXPLAINED"):
             stack.enter_context(mock.patch.object(search, bar, 0.0))
-        keep = mock.patch.object(diagnose, "judged", lambda result: (result.selected, None))
+        keep = mock.patch.object(
+            diagnose, "assess_findings", lambda result: (result.selected, None)
+        )
         stack.enter_context(keep)
         stack.enter_context(mock.patch.object(diagnose, "bursts", return_value=None))
         yield

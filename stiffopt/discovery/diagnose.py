@@ -22,14 +22,14 @@ from stiffopt.discovery.experiment.design import ExperimentPlan, leading_pair, p
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.judging.detection import detection_limits
-from stiffopt.discovery.judging.unexplained import Outside, channel_name, judged
+from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, channel_name
 from stiffopt.discovery.judging.variance_explained import variance_explained
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.proof.proof import RunProof, prove
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.search import Selected, search
 from stiffopt.discovery.search.uncertainty import Estimate, estimate
-from stiffopt.discovery.search.unstated import silent_effects, without_bounds
+from stiffopt.discovery.search.unstated import unstated_effects, without_bounds
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training, train
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
@@ -90,21 +90,21 @@ def diagnose(
     result = search(
         training.comparison(),
         without_bounds(catalogue, recordings),
-        start=silent_effects(recordings) if base is None else (),
+        start=unstated_effects(recordings) if base is None else (),
         most=settings.effects,
         report=say,
     )
-    selected, outside = judged(result)
+    selected, unexplained = assess_findings(result)
     say("estimate parameters")
-    placed = tuple(s.placed for s in selected)
-    parameters = estimate(result.comparison, placed)
+    located = tuple(s.located for s in selected)
+    parameters = estimate(result.comparison, located)
     findings = _findings(result.comparison, selected, parameters, training)
-    limits = detection_limits(Scorer(result.comparison, placed), catalogue)
+    limits = detection_limits(Scorer(result.comparison, located), catalogue)
     found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
     start = () if base is None else (base.extension,)
-    if outside is None and not findings:
+    if unexplained is None and not findings:
         say("look for bursts above the filter's band")
-        outside = bursts(training, (*start, found), settings)
+        unexplained = bursts(training, (*start, found), settings)
     pair = leading_pair(selected) if experiment else None
     plan = None if pair is None else plan_experiment(training, result, settings, pair, say=say)
     # The findings are fixed: from here on other runs may be opened, and change nothing above.
@@ -114,14 +114,14 @@ def diagnose(
         recordings=recordings,
         settings=settings,
         model=None if base is None else base.source,
-        verdict=_verdict(findings, outside),
+        verdict=_verdict(findings, unexplained),
         findings=findings,
         extension=found if base is None else base.extension.followed_by(found),
         training=training,
         search=result,
         held_out=proofs,
         detection_limits=limits,
-        outside=outside,
+        unexplained=unexplained,
         next_experiment=_next_experiment(findings, plan),
         assumptions=training.assumptions,
         faults=tuple((run.name, fault) for run in runs for fault in run.health),
@@ -135,10 +135,10 @@ def _given(effects: Sequence[Effect] | str | os.PathLike[str]) -> tuple[Effect, 
     return tuple(effects)
 
 
-def _verdict(findings: tuple[Finding, ...], outside: Outside | None) -> Verdict:
+def _verdict(findings: tuple[Finding, ...], unexplained: Unexplained | None) -> Verdict:
     if findings:
         return "named"
-    return "nothing_missing" if outside is None else "outside_catalogue"
+    return "nothing_missing" if unexplained is None else "outside_catalogue"
 
 
 def _findings(
@@ -149,20 +149,20 @@ def _findings(
 ) -> tuple[Finding, ...]:
     constants, n = training.constants, training.robot.n
     shares = variance_explained(
-        comparison, tuple(s.placed for s in kept), tuple(s.channel for s in kept)
+        comparison, tuple(s.located for s in kept), tuple(s.channel for s in kept)
     )
     findings = []
     for index, (selected, share) in enumerate(zip(kept, shares, strict=True)):
-        placed, effect = selected.placed, selected.placed.effect
-        values = parameters.parameters(index, placed.constants(constants))
+        located, effect = selected.located, selected.located.effect
+        values = parameters.parameters(index, located.constants(constants))
         findings.append(
             Finding(
-                sized=parameters.effects[index],
-                link=None if placed.link is None else constants.links[placed.link],
+                estimated=parameters.effects[index],
+                link=None if located.link is None else constants.links[located.link],
                 probability=selected.probability,
                 rivals=rivals_of(selected),
                 parameters=tuple(
-                    Parameter(name=name, value=value, sd=sd, unit=placed.unit_of(name, constants))
+                    Parameter(name=name, value=value, sd=sd, unit=located.unit_of(name, constants))
                     for name, (value, sd) in values.items()
                 ),
                 where=effect.signature,
@@ -201,5 +201,5 @@ def _next_experiment(findings: tuple[Finding, ...], plan: ExperimentPlan | None)
         return plan.sentence
     for finding in findings:
         if finding.rivals:
-            return finding.placed.effect.separate
-    return findings[0].placed.effect.separate if findings else ""
+            return finding.effect.separate
+    return findings[0].located.effect.separate if findings else ""

@@ -7,11 +7,12 @@ from typing import Literal
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import Extension, SizedEffect
-from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.detection import DetectionLimit
-from stiffopt.discovery.judging.unexplained import Outside
+from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.proof.proof import RunProof, nrmse
 from stiffopt.discovery.search.search import SearchResult, Selected
 from stiffopt.discovery.settings import Settings
@@ -46,11 +47,11 @@ class Rival:
 
     Parameters
     ----------
-    placed : PlacedEffect
+    located : LocatedEffect
     probability : float
     """
 
-    placed: PlacedEffect
+    located: LocatedEffect
     probability: float
 
 
@@ -60,7 +61,7 @@ class Finding:
 
     Parameters
     ----------
-    sized : SizedEffect
+    estimated : EstimatedEffect
         Effect, place, shapes and amplitudes.
     link : str or None
         Name of the link, of effects of a link.
@@ -81,7 +82,7 @@ class Finding:
         Standard deviations from nothing.
     """
 
-    sized: SizedEffect
+    estimated: EstimatedEffect
     link: str | None
     probability: float
     rivals: tuple[Rival, ...]
@@ -93,14 +94,24 @@ class Finding:
     significance: float
 
     @property
-    def placed(self) -> PlacedEffect:
-        """Effect and place."""
-        return self.sized.placed
+    def located(self) -> LocatedEffect:
+        """The effect with its place."""
+        return self.estimated.located
+
+    @property
+    def placed(self) -> LocatedEffect:
+        """Older name of `located`."""
+        return self.located
+
+    @property
+    def effect(self) -> Effect:
+        """Entry of the catalogue."""
+        return self.located.effect
 
     @property
     def joint(self) -> int | None:
         """From 1; None for effects of the whole robot or of a link."""
-        return None if self.placed.joint is None else self.placed.joint + 1
+        return None if self.located.joint is None else self.located.joint + 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,7 +159,7 @@ class Diagnosis:
         Test and extrapolation runs with their predictions before and after.
     detection_limits : tuple of DetectionLimit
         What would have been seen.
-    outside : Outside or None
+    unexplained : Unexplained or None
         What remains that no entry of the catalogue explains.
     next_experiment : str
         The motion that would separate the leading explanations best.
@@ -170,7 +181,7 @@ class Diagnosis:
     search: SearchResult
     held_out: tuple[RunProof, ...]
     detection_limits: tuple[DetectionLimit, ...]
-    outside: Outside | None
+    unexplained: Unexplained | None
     next_experiment: str
     assumptions: tuple[str, ...]
     faults: tuple[tuple[str, Fault], ...]
@@ -214,4 +225,4 @@ def channel_fits(proofs: tuple[RunProof, ...], prismatic: list[bool]) -> tuple[C
 
 def rivals_of(selected: Selected) -> tuple[Rival, ...]:
     """Rivals of a selected effect."""
-    return tuple(Rival(placed=placed, probability=share) for placed, share in selected.rivals)
+    return tuple(Rival(located=located, probability=share) for located, share in selected.rivals)

@@ -142,7 +142,7 @@ class Effect:
     separate: str = ""
     log_prior: Callable[[Any], float] | None = None
 
-    def values(
+    def parameters(
         self, amplitudes: Sequence[float], shapes: Sequence[float], constants: Any
     ) -> dict[str, float]:
         """Reported parameters by name."""

@@ -51,7 +51,7 @@ class Settings:
 
 
 def filled(own: np.ndarray | None, default: np.ndarray) -> np.ndarray:
-    """Values of the set, the default where it is silent (n,)."""
+    """Values of the set, the default where it states none (n,)."""
     if own is None:
         return default
     return np.where(np.isfinite(own), own, default)

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.diagnosis import Diagnosis, Finding, Rival
 from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
 from stiffopt.discovery.extended.store import extended_text
-from stiffopt.discovery.judging.unexplained import Outside
+from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.proof.predict import Prediction
 from stiffopt.files import atomic_write
 from stiffopt.recording.signals import Signals
@@ -70,7 +70,7 @@ def answer(diagnosis: Diagnosis) -> dict[str, Any]:
             }
             for limit in diagnosis.detection_limits
         ],
-        "outside": None if diagnosis.outside is None else _outside(diagnosis.outside),
+        "outside": None if diagnosis.unexplained is None else _unexplained(diagnosis.unexplained),
         "next_experiment": diagnosis.next_experiment,
         "assumptions": list(diagnosis.assumptions),
         "runs": [
@@ -100,16 +100,16 @@ def answer(diagnosis: Diagnosis) -> dict[str, Any]:
 
 def _finding(finding: Finding, constants: RobotConstants) -> dict[str, Any]:
     return {
-        "effect": finding.placed.effect.name,
+        "effect": finding.effect.name,
         "joint": finding.joint,
         "probability": finding.probability,
-        "equation": finding.placed.effect.equation,
+        "equation": finding.effect.equation,
         "parameters": {
             p.name: {"value": p.value, "sd": p.sd, "unit": p.unit} for p in finding.parameters
         },
         "where": finding.where,
         "link": finding.link,
-        "run": finding.placed.run,
+        "run": finding.located.run,
         "variance_explained": finding.variance_explained,
         "channel": finding.channel,
         "log_evidence": finding.log_evidence,
@@ -119,12 +119,12 @@ def _finding(finding: Finding, constants: RobotConstants) -> dict[str, Any]:
 
 
 def _rival(rival: Rival, constants: RobotConstants) -> dict[str, Any]:
-    placed: PlacedEffect = rival.placed
+    located: LocatedEffect = rival.located
     return {
-        "effect": placed.effect.name,
-        "joint": None if placed.joint is None else placed.joint + 1,
-        "link": None if placed.link is None else constants.links[placed.link],
-        "run": placed.run,
+        "effect": located.effect.name,
+        "joint": None if located.joint is None else located.joint + 1,
+        "link": None if located.link is None else constants.links[located.link],
+        "run": located.run,
         "probability": rival.probability,
     }
 
@@ -136,14 +136,14 @@ def _fit(diagnosis: Diagnosis, role: str) -> dict[str, float] | None:
     return {"nrmse_before": before, "nrmse_after": after}
 
 
-def _outside(outside: Outside) -> dict[str, Any]:
+def _unexplained(unexplained: Unexplained) -> dict[str, Any]:
     return {
-        "channels": list(outside.channels),
-        "regressors": list(outside.regressors),
-        "gain_heldout": outside.gain,
-        "period": outside.period,
-        "ratio": outside.ratio,
-        "brief": outside.brief,
+        "channels": list(unexplained.channels),
+        "regressors": list(unexplained.regressors),
+        "gain_heldout": unexplained.gain,
+        "period": unexplained.period,
+        "ratio": unexplained.ratio,
+        "brief": unexplained.brief,
     }
 
 

@@ -14,7 +14,7 @@ BENDS = (0.05, 0.1, 0.2, 0.5)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Shape:
+class WindupForm:
     """One form that a model can take, chosen by the poses that it is fitted to.
 
     Parameters
@@ -38,7 +38,7 @@ class Family:
     name: str
     formula: str
     candidate: bool
-    shapes: tuple[Shape, ...]
+    shapes: tuple[WindupForm, ...]
 
 
 def families(rows: StaticRows, kept: np.ndarray) -> list[Family]:
@@ -54,12 +54,12 @@ def families(rows: StaticRows, kept: np.ndarray) -> list[Family]:
     m = len(constant)
     both = np.broadcast_to(np.hstack([np.eye(3), -np.eye(3)]), (m, 3, 6))
     found = [
-        Family("constant", "c s", False, (Shape(label="", columns=constant),)),
+        Family("constant", "c s", False, (WindupForm(label="", columns=constant),)),
         Family(
             "constant, sensor offset",
             "c s, displacement + x0",
             False,
-            (Shape(label="", columns=np.concatenate([constant, both], axis=2)),),
+            (WindupForm(label="", columns=np.concatenate([constant, both], axis=2)),),
         ),
     ]
     size = np.sqrt(np.mean(np.square(rows.load), axis=0))
@@ -84,9 +84,9 @@ def _shape(
     label: str,
     law: Windup,
     on_weight: bool,
-) -> Shape:
+) -> WindupForm:
     added = rows.windup_columns(law, on_weight=on_weight)[:, :, kept]
-    return Shape(label=label, columns=np.concatenate([constant, added], axis=2), windup=law)
+    return WindupForm(label=label, columns=np.concatenate([constant, added], axis=2), windup=law)
 
 
 def _power(exponent: float) -> Windup:

@@ -19,7 +19,7 @@ _ITERATIONS = 60
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Fit:
+class RobustFit:
     """Compliances fitted to displacements.
 
     Parameters
@@ -41,8 +41,12 @@ class Fit:
 
 
 def fit(
-    columns: np.ndarray, displacement: np.ndarray, *, robust: bool = True, start: Fit | None = None
-) -> Fit:
+    columns: np.ndarray,
+    displacement: np.ndarray,
+    *,
+    robust: bool = True,
+    start: RobustFit | None = None,
+) -> RobustFit:
     """Non-negative least squares with Huber's weights by pose.
 
     Parameters
@@ -53,12 +57,12 @@ def fit(
         [m]
     robust : bool
         False: plain least squares, all weights one.
-    start : Fit, optional
+    start : RobustFit, optional
         Values to begin from.
 
     Returns
     -------
-    Fit
+    RobustFit
 
     Notes
     -----
@@ -85,7 +89,7 @@ def fit(
         # Far below any standard deviation; the last digits of weights are worth no time.
         if np.max(np.abs(value - before)) <= 1e-5 * np.max(value, initial=1e-300):
             break
-    return Fit(value=value / size, weight=weight, residual=residual, scale=scale)
+    return RobustFit(value=value / size, weight=weight, residual=residual, scale=scale)
 
 
 def loss(error: np.ndarray, scale: float) -> np.ndarray:
@@ -105,7 +109,7 @@ def without_each(count: int) -> Iterator[np.ndarray]:
         yield keep
 
 
-def model_covariance(columns: np.ndarray, fitted: Fit) -> np.ndarray:
+def model_covariance(columns: np.ndarray, fitted: RobustFit) -> np.ndarray:
     """Covariance of the values if all errors are alike and independent, (p, p).
 
     All columns count as free, also those that ended at zero: a bound is no knowledge of a value.
@@ -130,7 +134,7 @@ def jackknife_deviation(values: np.ndarray) -> np.ndarray:
 
 
 def bootstrap(
-    columns: np.ndarray, displacement: np.ndarray, fitted: Fit, draws: int, seed: int
+    columns: np.ndarray, displacement: np.ndarray, fitted: RobustFit, draws: int, seed: int
 ) -> np.ndarray:
     """Values fitted to poses drawn anew with replacement, (draws, p)."""
     random = np.random.default_rng(seed)

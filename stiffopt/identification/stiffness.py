@@ -8,7 +8,7 @@ from stiffopt.errors import InputFileError
 from stiffopt.identification.identifiable import WEAK, Identifiable, identifiable
 from stiffopt.identification.result import Errors, JointStiffness, StaticStiffness, Status
 from stiffopt.identification.robust_compliance import (
-    Fit,
+    RobustFit,
     bootstrap,
     bootstrap_interval,
     fit,
@@ -97,7 +97,7 @@ def rms(error: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(error))))
 
 
-def _predict_left_out(columns: np.ndarray, folds: list[Fit]) -> np.ndarray:
+def _predict_left_out(columns: np.ndarray, folds: list[RobustFit]) -> np.ndarray:
     return np.array([columns[k] @ fold.value for k, fold in enumerate(folds)])
 
 
@@ -105,9 +105,9 @@ def _joints(
     recorded: StaticSet,
     rows: StaticRows,
     can: Identifiable,
-    fitted: Fit,
-    plain: Fit,
-    folds: list[Fit],
+    fitted: RobustFit,
+    plain: RobustFit,
+    folds: list[RobustFit],
     drawn: np.ndarray,
 ) -> tuple[JointStiffness, ...]:
     from scipy.stats import t
@@ -236,7 +236,7 @@ def _inverse(compliance: float) -> float | None:
     return 1.0 / compliance if compliance > 0.0 else None
 
 
-def _correlation(columns: np.ndarray, fitted: Fit, can: Identifiable, n: int) -> np.ndarray:
+def _correlation(columns: np.ndarray, fitted: RobustFit, can: Identifiable, n: int) -> np.ndarray:
     covariance = model_covariance(columns, fitted)
     deviation = np.sqrt(np.diag(covariance))
     full = np.full((n, n), np.nan)

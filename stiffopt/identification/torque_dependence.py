@@ -14,8 +14,8 @@ from typing import Literal
 
 import numpy as np
 
-from stiffopt.identification.models import Family, Shape, families
-from stiffopt.identification.robust_compliance import Fit, fit, loss, without_each
+from stiffopt.identification.models import Family, WindupForm, families
+from stiffopt.identification.robust_compliance import RobustFit, fit, loss, without_each
 from stiffopt.identification.rows import StaticRows
 
 Verdict = Literal["supported", "weak", "not supported", "not tested"]
@@ -100,8 +100,8 @@ UNTESTED = TorqueDependence(
 @dataclass(frozen=True, eq=False)
 class _Run:
     error: np.ndarray
-    whole: Fit
-    shape: Shape
+    whole: RobustFit
+    shape: WindupForm
 
 
 def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> TorqueDependence:
@@ -194,7 +194,7 @@ def _left_out(family: Family, measured: np.ndarray) -> _Run:
     return _Run(error, whole[best], family.shapes[best])
 
 
-def _best(fits: list[Fit]) -> int:
+def _best(fits: list[RobustFit]) -> int:
     if len(fits) == 1:
         return 0
     scale = max(fits[0].scale, 1e-300)
@@ -243,7 +243,7 @@ def _numbers(model: Compared, tried: int) -> str:
 
 
 def _secant(
-    rows: StaticRows, kept: np.ndarray, best: Compared, shape: Shape
+    rows: StaticRows, kept: np.ndarray, best: Compared, shape: WindupForm
 ) -> dict[int, tuple[float, float, float]]:
     torque = np.quantile(np.abs(rows.load), [0.05, 0.5, 0.95], axis=0)
     added = torque if shape.windup is None else shape.windup(torque)

@@ -42,15 +42,15 @@ def diagnosis_of(case: Case, changed: Callable[[Path], None]) -> Diagnosis:
 def said(diagnosis: Diagnosis) -> str:
     """The answer in one line, for messages of failing tests."""
     findings = "; ".join(_line(finding) for finding in diagnosis.findings)
-    outside = diagnosis.outside
+    outside = diagnosis.unexplained
     beyond = "" if outside is None else f" [outside: {outside.channels} {outside.regressors}]"
     return f"{diagnosis.verdict}: {findings}{beyond}"
 
 
 def _line(finding: Finding) -> str:
     values = ", ".join(f"{p.name} = {p.value:.4g} ({p.sd:.2g})" for p in finding.parameters)
-    rivals = ", ".join(f"{r.placed.label} {r.probability:.2f}" for r in finding.rivals)
-    return f"{finding.placed.label} {finding.probability:.2f}: {values} <{rivals}>"
+    rivals = ", ".join(f"{r.located.label} {r.probability:.2f}" for r in finding.rivals)
+    return f"{finding.located.label} {finding.probability:.2f}: {values} <{rivals}>"
 
 
 def agrees(name: str, value: float, sd: float, truth: float) -> bool:
@@ -63,7 +63,7 @@ def agrees(name: str, value: float, sd: float, truth: float) -> bool:
 
 def placed_where(finding: Finding) -> tuple[int | None, str | None, str | None]:
     """Joint, link and run of a finding as a truth states them."""
-    return finding.joint, finding.link, finding.placed.run
+    return finding.joint, finding.link, finding.located.run
 
 
 def truth_place(line: dict[str, object]) -> tuple[object, object, object]:

@@ -31,11 +31,11 @@ def test_an_effect_of_a_joint_is_about_a_channel_of_its_joint(training):
     for effect in CATALOGUE:
         if effect.scope != "joint" or effect.name == "wrist_coupling":
             continue
-        for placed in places(effect, comparison.constants, [run.name for run in comparison.runs]):
-            found = scorer.score(placed)
+        for located in places(effect, comparison.constants, [run.name for run in comparison.runs]):
+            found = scorer.score(located)
             if found is not None:
                 tried += 1
-                assert found.channel in (placed.joint, n + placed.joint), placed.label
+                assert found.channel in (located.joint, n + located.joint), located.label
     assert tried > 20
 
 

@@ -112,7 +112,7 @@ def test_ripple_and_transmission_error_have_their_orders():
     term = error.term(signals, amplitudes, [])
     lines = np.abs(np.fft.rfft(term.deflection)) / 2048
     assert np.flatnonzero(lines > 1e-9).tolist() == [1, 2]
-    assert error.values(amplitudes, [], signals.constants) == pytest.approx(
+    assert error.parameters(amplitudes, [], signals.constants) == pytest.approx(
         {"A1": lines[1], "A2": lines[2], "A4": 0.0}
     )
     # Virtual work: what the drive gives less is the slope of the error.
@@ -145,7 +145,7 @@ def test_saturation_holds_a_reading_at_its_limit_and_asks_for_more_in_vain():
     more = entry.term(signals, [30.0], [0.5]).drive_torque
     assert np.abs(more[np.abs(asked) < 50.0]).max() < 0.05
     assert np.all(more[asked > 63.0] > 30.0)
-    assert entry.values([1.0], [0.5], signals.constants) == {"limit": 60.0}
+    assert entry.parameters([1.0], [0.5], signals.constants) == {"limit": 60.0}
 
 
 def test_contact_pushes_the_tool_up_and_only_where_it_is_low():
@@ -168,9 +168,9 @@ def test_payload_and_link_errors_sum_the_columns_of_their_bodies():
         columns = ROBOT.body_regressor[:, :, 10 * body : 10 * body + 4]
         found = effect(name).term(ROBOT, amplitudes, []).link_torque
         np.testing.assert_allclose(found, columns @ np.array(amplitudes), rtol=1e-12, atol=1e-14)
-    values = effect("payload").values([0.5, 0.01, 0.0, -0.02], [], ROBOT.constants)
+    values = effect("payload").parameters([0.5, 0.01, 0.0, -0.02], [], ROBOT.constants)
     assert values == pytest.approx({"dm": 0.5, "cx": 0.02, "cy": 0.0, "cz": -0.04})
-    link = effect("inertial_error").values([0.5, 0.03, 0.0, -0.04], [], ROBOT.constants)
+    link = effect("inertial_error").parameters([0.5, 0.03, 0.0, -0.04], [], ROBOT.constants)
     assert link["dmc"] == pytest.approx(0.05)
 
 
@@ -189,7 +189,7 @@ def test_balancer_is_reported_by_its_stiffness_at_the_angle_without_torque(bend:
     signals = ROBOT.of_joint(4)
     spring = effect("gravity_spring")
     amplitudes = [4.0, -3.0, 1.5]
-    found = spring.values(amplitudes, [bend], replace(signals.constants, stroke=(0.0, 1.0)))
+    found = spring.parameters(amplitudes, [bend], replace(signals.constants, stroke=(0.0, 1.0)))
     angles = found["offset"] + np.array([-1e-4, 0.0, 1e-4])
     at_rest = replace(signals, link_position=angles)
     torque = spring.term(at_rest, amplitudes, [bend]).link_torque
@@ -217,7 +217,7 @@ def test_a_weighted_shape_is_reported_by_its_slope():
         angle = entry.term(loaded, [weight], [0.4, 1.2]).deflection
         nominal = signals.constants.windup(torque) - torque / signals.constants.contact_stiffness
         slope = np.interp(1.0, torque, np.gradient(angle + nominal, torque))
-        slopes.append(entry.values([weight], [0.4, 1.2], signals.constants)["k1_factor"])
+        slopes.append(entry.parameters([weight], [0.4, 1.2], signals.constants)["k1_factor"])
         assert 1.0 / (slope * 1.6e4) == pytest.approx(slopes[-1], rel=1e-9)
     assert slopes[0] == pytest.approx(0.4)
     warm = effect("thermal_friction")
@@ -226,5 +226,5 @@ def test_a_weighted_shape_is_reported_by_its_slope():
         heated = replace(signals, temperature_rise=np.full(60, rise))
         values.append(warm.term(heated, [0.7, 0.0], [0.03]).drive_torque)
     lost = -(values[0] - values[1]) / 2e-3 / (3.0 * signals.motor_velocity)
-    reported = warm.values([0.7, 0.0], [0.03], signals.constants)["b"]
+    reported = warm.parameters([0.7, 0.0], [0.03], signals.constants)["b"]
     np.testing.assert_allclose(lost, reported, rtol=1e-6)

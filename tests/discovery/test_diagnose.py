@@ -11,7 +11,7 @@ from test_answer_store import conforms
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.store import answer
 from stiffopt.recording.recording_set import RecordingSet, load_recordings
-from stiffopt.report.diagnosis.words import outside_sentence
+from stiffopt.report.diagnosis.words import unexplained_sentence
 
 pytestmark = pytest.mark.slow
 
@@ -46,11 +46,11 @@ def test_what_no_entry_explains_is_said_to_be_outside():
 def test_a_drive_that_changes_its_torque_too_slowly_shows_in_bursts():
     diagnosis = diagnosed(SLOW_DRIVE)
     assert diagnosis.verdict == "outside_catalogue", said(diagnosis)
-    assert diagnosis.outside.brief
-    assert diagnosis.outside.channels == ("torque_2",)
-    assert diagnosis.outside.regressors == ("dtorque_2",)
-    assert diagnosis.outside.ratio > 1.5
-    assert "too slowly" in outside_sentence(diagnosis)
+    assert diagnosis.unexplained.brief
+    assert diagnosis.unexplained.channels == ("torque_2",)
+    assert diagnosis.unexplained.regressors == ("dtorque_2",)
+    assert diagnosis.unexplained.ratio > 1.5
+    assert "too slowly" in unexplained_sentence(diagnosis)
 
 
 @pytest.fixture(scope="module")

@@ -83,7 +83,7 @@ def test_names_units_and_parameters_are_those_of_the_answer_file():
     assert len(CATALOGUE) == len(REPORTED) == 30
     for entry in CATALOGUE:
         signals = signals_for(entry, ROBOT)
-        values = entry.values(
+        values = entry.parameters(
             list(sizes(entry, signals)), first_shapes(entry, signals), signals.constants
         )
         assert {name: entry.unit_of(name) for name in values} == REPORTED[entry.name], entry.name

@@ -104,7 +104,7 @@ def finding_of(trial: Trial) -> Finding:
     named = [
         finding
         for finding in diagnosis.findings
-        if finding.placed.effect.name == trial.name and placed_where(finding) == truth_place(line)
+        if finding.effect.name == trial.name and placed_where(finding) == truth_place(line)
     ]
     assert named, f"{trial.name} {truth_place(line)} is {said(diagnosis)}"
     return named[0]

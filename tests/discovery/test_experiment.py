@@ -13,7 +13,7 @@ import pytest
 from benchmarks.simulator import CaseSpec, simulate, write_case
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.experiment.collocation import improved
 from stiffopt.discovery.experiment.design import ExperimentPlan, leading_pair, plan_experiment
 from stiffopt.discovery.experiment.motion import limits_of, prepared_motion, random_motion
@@ -36,8 +36,8 @@ class Found:
     result: SearchResult
 
 
-def effect(name: str, joint: int | None = 0, shapes: tuple[float, ...] = ()) -> PlacedEffect:
-    return PlacedEffect(
+def effect(name: str, joint: int | None = 0, shapes: tuple[float, ...] = ()) -> LocatedEffect:
+    return LocatedEffect(
         effect=next(e for e in CATALOGUE if e.name == name), joint=joint, shapes=shapes
     )
 
@@ -197,9 +197,9 @@ def test_sentence_and_file_say_what_to_do() -> None:
 
 
 def test_leading_pair_is_the_first_finding_with_rivals() -> None:
-    def selected(placed: PlacedEffect, *rivals: PlacedEffect) -> Selected:
+    def selected(located: LocatedEffect, *rivals: LocatedEffect) -> Selected:
         shares = tuple((r, 0.2) for r in rivals)
-        return Selected(placed, 50.0, 10.0, 0.6, shares, 0)
+        return Selected(located, 50.0, 10.0, 0.6, shares, 0)
 
     of_a_run = replace(effect("encoder_zero_change"), run="train_1")
     assert leading_pair((selected(COULOMB),)) is None

@@ -57,7 +57,7 @@ def test_the_model_holds_the_finding_with_its_deviation():
     model = load_extended(answered(COULOMB).out / "extended.toml")
     found = answered(COULOMB).document["findings"][0]["parameters"]["dFc"]
     (effect,) = model.extension.effects
-    assert (effect.placed.effect.name, effect.placed.joint) == ("coulomb", 1)
+    assert (effect.located.effect.name, effect.located.joint) == ("coulomb", 1)
     assert model.parameters[0]["dFc"] == pytest.approx(found["value"])
     text = (answered(COULOMB).out / "extended.toml").read_text()
     assert "sd = " in text
@@ -108,4 +108,4 @@ def test_an_effect_of_a_users_own_is_found_and_kept(tmp_path):
     from stiffopt.discovery.catalogue.user_effects import load_effects
 
     kept = load_extended(model, load_effects(effects)).extension.effects
-    assert "rail_wave" in [each.placed.effect.name for each in kept]
+    assert "rail_wave" in [each.located.effect.name for each in kept]

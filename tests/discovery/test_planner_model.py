@@ -13,8 +13,8 @@ import pytest
 
 from stiffopt.cli import run as command
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.comparison.extension import Extension, SizedEffect
-from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.extended.planner_elastic import ADDED
 from stiffopt.discovery.extended.planner_model import joint_constants, planner_model
@@ -70,9 +70,9 @@ def found(
     **place: Any,
 ) -> ExtendedModel:
     effect = next(e for e in CATALOGUE if e.name == name)
-    placed = PlacedEffect(effect=effect, shapes=shapes, **place)
-    sized = SizedEffect(placed=placed, amplitudes=amplitudes)
-    effects = (*model.extension.effects, sized)
+    located = LocatedEffect(effect=effect, shapes=shapes, **place)
+    estimated = EstimatedEffect(located=located, amplitudes=amplitudes)
+    effects = (*model.extension.effects, estimated)
     return replace(model, extension=Extension(effects=effects))
 
 

@@ -34,12 +34,12 @@ def small(*effects: tuple[str, int | None, float], seed: int, **other: Any) -> C
 
 def families(diagnosis: Diagnosis) -> set[str]:
     """Of everything that is named."""
-    return {finding.placed.effect.family for finding in diagnosis.findings}
+    return {finding.effect.family for finding in diagnosis.findings}
 
 
 def names(diagnosis: Diagnosis) -> set[str]:
     """Of everything that is named."""
-    return {finding.placed.effect.name for finding in diagnosis.findings}
+    return {finding.effect.name for finding in diagnosis.findings}
 
 
 def columns_changed(
@@ -75,7 +75,7 @@ def test_noise_stated_wrongly_by_a_factor_of_two_is_no_physics(stated: float) ->
 @pytest.mark.parametrize("stated", [0.5, 2.0])
 def test_effect_is_named_also_with_noise_stated_wrongly(stated: float) -> None:
     diagnosis = diagnosed(small(("load_friction", 1, 1.0), seed=104, stated_noise=stated))
-    assert [f.placed.label for f in diagnosis.findings] == ["load_friction of joint 1"]
+    assert [f.located.label for f in diagnosis.findings] == ["load_friction of joint 1"]
 
 
 # ---- one thing taken for another
@@ -117,15 +117,15 @@ def test_no_term_sees_the_measured_torque(tmp_path: Path) -> None:
         )
         assert not np.array_equal(as_is.torque, other.torque)
         for effect in CATALOGUE:
-            placed = next(places(effect, constants, [run.name]), None)
-            if placed is None:
+            located = next(places(effect, constants, [run.name]), None)
+            if located is None:
                 continue
             for one, two in zip(
-                placed.columns(as_is, robot), placed.columns(other, robot), strict=True
+                located.columns(as_is, robot), located.columns(other, robot), strict=True
             ):
                 for a, b in zip(one, two, strict=True):
                     same = (a is None and b is None) if a is None or b is None else (a == b).all()
-                    assert same, placed.label
+                    assert same, located.label
 
 
 def test_noise_of_the_torque_sensor_does_not_explain_itself() -> None:
@@ -171,7 +171,7 @@ def test_zeros_in_an_unused_channel_do_not_hide_an_effect() -> None:
 
     case = simulated(small(("load_friction", 1, 1.0), seed=104))
     diagnosis = diagnosis_of(case, columns_changed(empty))
-    assert [f.placed.label for f in diagnosis.findings] == ["load_friction of joint 1"]
+    assert [f.located.label for f in diagnosis.findings] == ["load_friction of joint 1"]
 
 
 def backwards(folder: Path) -> None:
@@ -201,7 +201,7 @@ def test_joints_in_another_order_get_the_same_answers(effect: str, joint: int) -
     def answer(diagnosis: Diagnosis) -> list[tuple[str, str | None]]:
         joints = diagnosis.recordings.joints
         return [
-            (f.placed.effect.name, None if f.joint is None else joints[f.joint - 1])
+            (f.effect.name, None if f.joint is None else joints[f.joint - 1])
             for f in diagnosis.findings
         ]
 

@@ -11,8 +11,8 @@ from simulated import simulated
 
 from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.comparison.extension import Extension, SizedEffect, added_inertia
-from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension, added_inertia
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepare import prepare
 from stiffopt.discovery.proof.predict import Predictor
@@ -66,8 +66,10 @@ def _errors(spec, folder, *extensions, swinging=True):
 
 def _found(name, amplitudes, joint=None):
     effect = next(e for e in CATALOGUE if e.name == name)
-    sized = SizedEffect(placed=PlacedEffect(effect=effect, joint=joint), amplitudes=amplitudes)
-    return Extension(effects=(sized,))
+    estimated = EstimatedEffect(
+        located=LocatedEffect(effect=effect, joint=joint), amplitudes=amplitudes
+    )
+    return Extension(effects=(estimated,))
 
 
 def _block(spec):

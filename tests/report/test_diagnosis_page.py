@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.simulator import CaseSpec
 from stiffopt.discovery.diagnosis import Rival
-from stiffopt.discovery.judging.unexplained import Outside
+from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.report.common.quantities import significant
 from stiffopt.report.diagnosis.motion import trace, worst_windows
 from stiffopt.report.diagnosis.page import write_diagnosis_report
@@ -76,8 +76,8 @@ def page_of(diagnosis, folder):
     return text
 
 
-def outside_of(diagnosis, **changes):
-    outside = Outside(
+def unexplained_in(diagnosis, **changes):
+    unexplained = Unexplained(
         channels=("torque_2", "link_position_1"),
         regressors=("time",),
         period=0.5,
@@ -85,7 +85,10 @@ def outside_of(diagnosis, **changes):
         ratio=9.0,
     )
     return replace(
-        diagnosis, verdict="outside_catalogue", findings=(), outside=replace(outside, **changes)
+        diagnosis,
+        verdict="outside_catalogue",
+        findings=(),
+        unexplained=replace(unexplained, **changes),
     )
 
 
@@ -105,7 +108,7 @@ def test_page_says_what_was_found(friction, tmp_path):
 
 
 def test_page_of_what_the_catalogue_lacks(friction, tmp_path):
-    found = replace(outside_of(friction), held_out=friction.proofs("test"), faults=())
+    found = replace(unexplained_in(friction), held_out=friction.proofs("test"), faults=())
     text = page_of(found, tmp_path)
     assert "Something outside the catalogue acts on the torque of joint 2" in text
     assert "repeats every 0.5 s, whatever the motion" in text
@@ -187,17 +190,19 @@ def test_nothing_missing_in_words(friction):
 
 
 def test_what_a_remainder_follows_in_words(friction):
-    followed = outside_of(friction, period=None, regressors=("q_1 x sign(qd_2)", "session_time"))
+    followed = unexplained_in(
+        friction, period=None, regressors=("q_1 x sign(qd_2)", "session_time")
+    )
     text = lead(followed)
     assert "the position of joint 1 and the direction of motion" in text
     assert "the session time, which predicts 40 % of it in data left out" in text
-    assert "nothing that was recorded" in lead(outside_of(friction, period=None, regressors=()))
+    assert "nothing that was recorded" in lead(unexplained_in(friction, period=None, regressors=()))
 
 
 def test_rivals_are_ranked(friction):
     (finding,) = friction.findings
-    other = replace(finding.placed, joint=0)
-    shared = replace(finding, probability=0.4, rivals=(Rival(placed=other, probability=0.6),))
+    other = replace(finding.located, joint=0)
+    shared = replace(finding, probability=0.4, rivals=(Rival(located=other, probability=0.6),))
     table = candidates_table(friction, shared)
     assert [row[2:4] for row in table.rows] == [("joint 1", "60 %"), ("joint 2", "40 %")]
     assert "40 % sure" in lead(replace(friction, findings=(shared,)))

@@ -1,4 +1,4 @@
-"""Noise of the channels: as the set states it, from the recordings where it is silent."""
+"""Noise of the channels: as the set states it, from the recordings where it states none."""
 
 from __future__ import annotations
 

@@ -10,11 +10,11 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import NuisanceColumn, nuisance_columns
 from stiffopt.discovery.comparison.prepare import PreparedRun, with_link_torque
-from stiffopt.discovery.comparison.rows import ChannelNoise, Rows
+from stiffopt.discovery.comparison.rows import ChannelNoise, ChannelRows
 from stiffopt.discovery.search.evidence import BlockSums, Posterior, Sums, posterior
 from stiffopt.recording.nominal import Tolerance
 
@@ -32,14 +32,14 @@ class Fit:
 
     Parameters
     ----------
-    effects : tuple of PlacedEffect
+    effects : tuple of LocatedEffect
     posterior : Posterior
         Of the nuisance values, then the amplitudes over their sizes.
     residual : array (m,)
         Whitened by the stated noise.
     """
 
-    effects: tuple[PlacedEffect, ...]
+    effects: tuple[LocatedEffect, ...]
     posterior: Posterior
     residual: np.ndarray
     nuisance: int
@@ -50,8 +50,8 @@ class Fit:
         The density that prior and posterior give to the amplitude zero, one over the other.
         """
         lost, begin = [], self.nuisance
-        for placed in self.effects:
-            part = slice(begin, begin + len(placed.effect.amplitudes))
+        for located in self.effects:
+            part = slice(begin, begin + len(located.effect.amplitudes))
             mean, covariance = self.posterior.mean[part], self.posterior.covariance[part, part]
             chi = float(mean @ np.linalg.solve(covariance, mean))
             lost.append(0.5 * (chi + float(np.linalg.slogdet(covariance)[1])))
@@ -102,7 +102,7 @@ class Comparison:
         self.runs = tuple(runs)
         self.constants = self.runs[0].signals.constants
         self.whole_runs = len(self.runs) >= FEW_RUNS
-        self.rows = Rows(self.runs, noise, self._blocks())
+        self.rows = ChannelRows(self.runs, noise, self._blocks())
         self.blocks = int(self.rows.block.max()) + 1
         self._kept: dict[tuple[object, ...], np.ndarray] = {}
         self.inflation = np.ones(2 * robot.n) if inflation is None else inflation
@@ -149,18 +149,18 @@ class Comparison:
             deflection.append(_bridged(run.deflection) - windup)
         return self._column(torque, deflection)
 
-    def effect_columns(self, placed: PlacedEffect) -> np.ndarray:
+    def effect_columns(self, located: LocatedEffect) -> np.ndarray:
         """Columns (m, k) of an effect's amplitudes over their sizes."""
-        key = placed.key
+        key = located.key
         if key not in self._kept:
-            self._kept[key] = self._effect_columns(placed)
+            self._kept[key] = self._effect_columns(located)
             if len(self._kept) > _KEPT:
                 self._kept.pop(next(iter(self._kept)))
         return self._kept[key]
 
-    def _effect_columns(self, placed: PlacedEffect) -> np.ndarray:
-        per_run = [list(placed.columns(run, self.robot)) for run in self.runs]
-        sizes = placed.sizes(self.constants)
+    def _effect_columns(self, located: LocatedEffect) -> np.ndarray:
+        per_run = [list(located.columns(run, self.robot)) for run in self.runs]
+        sizes = located.sizes(self.constants)
         columns = [
             size * self._column([c[0] for c in each], [c[1] for c in each])
             for size, each in zip(sizes, zip(*per_run, strict=True), strict=True)
@@ -174,7 +174,7 @@ class Comparison:
 
     # ---- fits
 
-    def fit(self, effects: Sequence[PlacedEffect] = (), *, boxed: bool = True) -> Fit:
+    def fit(self, effects: Sequence[LocatedEffect] = (), *, boxed: bool = True) -> Fit:
         """Fit nuisance values, in their box unless told otherwise, and effects together."""
         _, sd, nuisance = self.nuisance
         parts = [nuisance, *(self.effect_columns(e) for e in effects)]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.filtering import derivative
-from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import nuisance_columns
 from stiffopt.discovery.comparison.prepare import PreparedRun, with_link_torque
@@ -28,17 +28,17 @@ _EVERY = Tolerance(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SizedEffect:
+class EstimatedEffect:
     """An effect at a place, with its amplitudes.
 
     Parameters
     ----------
-    placed : PlacedEffect
+    located : LocatedEffect
     amplitudes : tuple of float
         In the amplitudes' own units.
     """
 
-    placed: PlacedEffect
+    located: LocatedEffect
     amplitudes: tuple[float, ...]
 
 
@@ -50,11 +50,11 @@ class Extension:
     ----------
     calibration : mapping of str to float
         Change of nominal values by their names ("coulomb 3", "com 2 x"): relative, [m] or [rad].
-    effects : tuple of SizedEffect
+    effects : tuple of EstimatedEffect
     """
 
     calibration: Mapping[str, float] = field(default_factory=dict)
-    effects: tuple[SizedEffect, ...] = ()
+    effects: tuple[EstimatedEffect, ...] = ()
 
     def followed_by(self, later: Extension) -> Extension:
         """Both in one."""
@@ -167,8 +167,8 @@ def _change(run: PreparedRun, robot: RobotModel, extension: Extension) -> _Chang
     return change
 
 
-def _add(change: _Change, run: PreparedRun, each: SizedEffect) -> None:
-    added = each.placed.contribution(run, each.amplitudes)
+def _add(change: _Change, run: PreparedRun, each: EstimatedEffect) -> None:
+    added = each.located.contribution(run, each.amplitudes)
     for total, part in (
         (change.torque, added.torque),
         (change.link_torque, added.link_torque),
@@ -178,13 +178,13 @@ def _add(change: _Change, run: PreparedRun, each: SizedEffect) -> None:
             total += part
 
 
-def sized(
-    effects: Sequence[PlacedEffect], scaled: np.ndarray, sizes: Sequence[np.ndarray]
-) -> tuple[SizedEffect, ...]:
+def with_amplitudes(
+    effects: Sequence[LocatedEffect], scaled: np.ndarray, sizes: Sequence[np.ndarray]
+) -> tuple[EstimatedEffect, ...]:
     """Effects with amplitudes given over their sizes, one effect's after another's."""
     out, begin = [], 0
-    for placed, size in zip(effects, sizes, strict=True):
+    for located, size in zip(effects, sizes, strict=True):
         own = scaled[begin : begin + len(size)] * size
-        out.append(SizedEffect(placed=placed, amplitudes=tuple(float(v) for v in own)))
+        out.append(EstimatedEffect(located=located, amplitudes=tuple(float(v) for v in own)))
         begin += len(size)
     return tuple(out)

@@ -46,7 +46,7 @@ class Contribution:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlacedEffect:
+class LocatedEffect:
     """An effect somewhere.
 
     Parameters
@@ -82,13 +82,13 @@ class PlacedEffect:
         """What tells it from others: name, place and shapes."""
         return (self.effect.name, self.joint, self.link, self.run, self.shapes)
 
-    def near(self, other: PlacedEffect) -> bool:
+    def near(self, other: LocatedEffect) -> bool:
         """Whether it could stand in the other's place: at its joint or next to it, or nowhere."""
         if self.joint is None or other.joint is None:
             return True
         return abs(self.joint - other.joint) <= 1
 
-    def same_place(self, other: PlacedEffect) -> bool:
+    def same_place(self, other: LocatedEffect) -> bool:
         """Whether both are the same effect at the same place, whatever the shapes."""
         return self.key[:-1] == other.key[:-1]
 
@@ -144,19 +144,19 @@ class PlacedEffect:
             yield added.torque, deflection
 
 
-def places(effect: Effect, robot: RobotConstants, runs: Sequence[str]) -> Iterator[PlacedEffect]:
+def places(effect: Effect, robot: RobotConstants, runs: Sequence[str]) -> Iterator[LocatedEffect]:
     """Every place that an effect can have, with every start of its shapes."""
-    grids: list[PlacedEffect] = []
+    grids: list[LocatedEffect] = []
     n = len(robot.joints)
     if effect.scope == "joint":
-        grids = [PlacedEffect(effect=effect, joint=j) for j in range(n)]
+        grids = [LocatedEffect(effect=effect, joint=j) for j in range(n)]
     elif effect.scope == "link":
         # What is fixed to the last link counts as payload.
-        grids = [PlacedEffect(effect=effect, link=j) for j in range(n - 1)]
+        grids = [LocatedEffect(effect=effect, link=j) for j in range(n - 1)]
     elif effect.scope == "run":
-        grids = [PlacedEffect(effect=effect, joint=j, run=run) for j in range(n) for run in runs]
+        grids = [LocatedEffect(effect=effect, joint=j, run=run) for j in range(n) for run in runs]
     else:
-        grids = [PlacedEffect(effect=effect)]
+        grids = [LocatedEffect(effect=effect)]
     for place in grids:
         own = place.constants(robot)
         if effect.applies is not None and not effect.applies(own):

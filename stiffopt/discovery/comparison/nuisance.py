@@ -1,4 +1,4 @@
-"""Nominal values within their tolerances: what a finding gets no credit for."""
+"""Nominal values within their tolerances: moved before any effect counts."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def _bodies(run: PreparedRun, robot: RobotModel, tolerance: Tolerance) -> Iterat
 
 
 def merged(tolerance: Tolerance, default: Tolerance) -> Tolerance:
-    """Tolerances of the set, the defaults where it is silent."""
+    """Tolerances of the set, the defaults where it states none."""
     names = vars(default)
     return Tolerance(
         **{

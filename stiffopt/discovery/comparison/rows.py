@@ -24,7 +24,7 @@ class ChannelNoise:
     deflection: np.ndarray
 
 
-class Rows:
+class ChannelRows:
     """Rows of one or more runs.
 
     Channels are numbered: torque of joint 1 to n, then deflection of joint 1 to n.

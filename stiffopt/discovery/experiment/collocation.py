@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import smooth_sign
-from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.signals import JointSignals
@@ -113,12 +113,12 @@ class _Instant:
         """Whether both terms along the run are what their formulas of the instant say."""
         if not self.usable:
             return False
-        for placed in self.effects:
+        for located in self.effects:
             for unit, size in zip(
-                np.eye(len(placed.effect.amplitudes)), placed.sizes(self.constants), strict=True
+                np.eye(len(located.effect.amplitudes)), located.sizes(self.constants), strict=True
             ):
-                torque, deflection = self._channels(placed, unit * size)
-                own = placed.contribution(run, unit * size)
+                torque, deflection = self._channels(located, unit * size)
+                own = located.contribution(run, unit * size)
                 extra = 0.0
                 if own.link_torque is not None:
                     extra = self.robot.compliance(run.signals.spring_torque) * own.link_torque
@@ -127,9 +127,9 @@ class _Instant:
                     (deflection, _with(own.deflection, extra)),
                 ):
                     along = self._along(formula, run)
-                    told = np.zeros_like(along) if term is None else term
-                    scale = float(np.sqrt(np.mean(told**2)))
-                    if float(np.sqrt(np.mean((along - told) ** 2))) > _INSTANT * scale + 1e-12:
+                    pointwise = np.zeros_like(along) if term is None else term
+                    scale = float(np.sqrt(np.mean(pointwise**2)))
+                    if float(np.sqrt(np.mean((along - pointwise) ** 2))) > _INSTANT * scale + 1e-12:
                         return False
         return True
 
@@ -175,8 +175,10 @@ class _Instant:
         kept = [name for name in found if name in names]
         return kept, [found[name] for name in kept]
 
-    def _channels(self, placed: PlacedEffect, amplitudes: np.ndarray) -> tuple[Quantity, Quantity]:
-        n, j = self.robot.n, placed.joint
+    def _channels(
+        self, located: LocatedEffect, amplitudes: np.ndarray
+    ) -> tuple[Quantity, Quantity]:
+        n, j = self.robot.n, located.joint
         assert j is not None
         constants = self.constants.joints[j]
         signals = JointSignals(
@@ -193,12 +195,12 @@ class _Instant:
             spring_torque=self.spring[j],
             windup=constants.windup(self.spring[j]),
             drive_torque=self.drive[j],
-            # Of the third order in time: terms that need it are told by `holds`.
+            # Of the third order in time: terms that need it are noticed by `holds`.
             drive_torque_rate=0.0 * self.q[j],
             previous_position=self.q[j - 1] if j else 0.0 * self.q[j],
             constants=constants,
         )
-        term = placed.effect.term(signals, [float(x) for x in amplitudes], placed.shapes)
+        term = located.effect.term(signals, [float(x) for x in amplitudes], located.shapes)
         torque, deflection = ca.SX.zeros(n), ca.SX.zeros(n)
         torque[j] = term.drive_torque + term.link_torque
         if j:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.experiment.collocation import improved
 from stiffopt.discovery.experiment.motion import (
     USED,
@@ -45,7 +45,7 @@ class ExperimentPlan:
     joints : tuple of str (n,)
     motion : Trajectory
         Callable `motion(t, order)` [rad], [rad/s], [rad/s^2].
-    first, second : PlacedEffect
+    first, second : LocatedEffect
         The explanations.
     separation : float
         Predicted on the motion [sigma].
@@ -58,8 +58,8 @@ class ExperimentPlan:
 
     joints: tuple[str, ...]
     motion: Trajectory
-    first: PlacedEffect
-    second: PlacedEffect
+    first: LocatedEffect
+    second: LocatedEffect
     separation: float
     reference: float
     reference_run: str
@@ -87,13 +87,13 @@ class ExperimentPlan:
         return stream.getvalue()
 
 
-def leading_pair(selected: Sequence[Selected]) -> tuple[PlacedEffect, PlacedEffect] | None:
+def leading_pair(selected: Sequence[Selected]) -> tuple[LocatedEffect, LocatedEffect] | None:
     """The strongest finding that has rivals, and the strongest of them; None without rivals."""
     for each in selected:
         for rival, _ in each.rivals:
             # What is of one run only cannot be met in another.
-            if each.placed.run is None and rival.run is None:
-                return each.placed, rival
+            if each.located.run is None and rival.run is None:
+                return each.located, rival
     return None
 
 
@@ -101,7 +101,7 @@ def plan_experiment(
     training: Training,
     result: SearchResult,
     settings: Settings,
-    pair: tuple[PlacedEffect, PlacedEffect],
+    pair: tuple[LocatedEffect, LocatedEffect],
     *,
     seconds: float = 18.0,
     say: Say = lambda _: None,
@@ -114,7 +114,7 @@ def plan_experiment(
     result : SearchResult
         Of these training runs.
     settings : Settings
-    pair : (PlacedEffect, PlacedEffect)
+    pair : (LocatedEffect, LocatedEffect)
         The explanations, such as a finding and its strongest rival.
     seconds : float
         That the design may take.
@@ -128,7 +128,7 @@ def plan_experiment(
 
     Notes
     -----
-    A search over Fourier series within the limits, judged by `Separation` with everything that a
+    A search over Fourier series within the limits, rated by `Separation` with everything that a
     refit could absorb; its best motion, and the best recorded one, are improved by collocation
     where both effects are formulas of the instant (no memory). Whatever is better by the full
     criterion is kept.
@@ -148,14 +148,14 @@ def plan_experiment(
     ]
     reference, name = max(known)
 
-    def judged(motion: Trajectory) -> float:
+    def rated(motion: Trajectory) -> float:
         run = prepared_motion(training, training.constants, motion, settings)
         return separation.of(run, step=step)
 
     def left() -> float:
         return seconds - (time.perf_counter() - begin)
 
-    best, value = _searched(training, limits, duration, judged, lambda: left() > 0.6 * seconds)
+    best, value = _searched(training, limits, duration, rated, lambda: left() > 0.6 * seconds)
     method = f"best of {_MOTIONS} Fourier motions"
     # A recorded motion may be the better one to start from.
     best_run = next(run for run in training.runs if run.name == name)
@@ -175,7 +175,7 @@ def plan_experiment(
             )
             if better is None or limits.excess(training.robot, better) > 1.0 / USED:
                 break
-            reached = judged(better)
+            reached = rated(better)
             if reached > value:
                 best, value, method = better, reached, "by direct collocation"
             if reached <= worth * (1.0 + _GAIN):
@@ -201,7 +201,7 @@ def _searched(
     training: Training,
     limits: MotionLimits,
     duration: float,
-    judged: Callable[[Trajectory], float],
+    rated: Callable[[Trajectory], float],
     more: Callable[[], bool],
 ) -> tuple[Trajectory | None, float]:
     """The best of some motions of the family."""
@@ -210,7 +210,7 @@ def _searched(
     for _ in range(_MOTIONS):
         motion = random_motion(limits, training.robot, duration, random)
         if motion is not None:
-            reached = judged(motion)
+            reached = rated(motion)
             if best is None or reached > value:
                 best, value = motion, reached
         if not more():

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
-from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.rows import ChannelNoise
 
@@ -18,7 +18,7 @@ class _Explanation:
     """One explanation of the training runs, as it was fitted to them."""
 
     names: list[str]
-    effects: tuple[PlacedEffect, ...]
+    effects: tuple[LocatedEffect, ...]
     fit: Fit
 
 
@@ -29,8 +29,8 @@ class Separation:
     ----------
     comparison : Comparison
         Of the training runs.
-    first, second : PlacedEffect
-    others : sequence of PlacedEffect
+    first, second : LocatedEffect
+    others : sequence of LocatedEffect
         That both explanations have beside.
 
     Notes
@@ -44,9 +44,9 @@ class Separation:
     def __init__(
         self,
         comparison: Comparison,
-        first: PlacedEffect,
-        second: PlacedEffect,
-        others: Sequence[PlacedEffect] = (),
+        first: LocatedEffect,
+        second: LocatedEffect,
+        others: Sequence[LocatedEffect] = (),
     ) -> None:
         self.comparison = comparison
         names = comparison.nuisance[0]
@@ -101,10 +101,10 @@ class Separation:
     def _columns(self, here: Comparison, each: _Explanation) -> np.ndarray:
         names, _, matrix = here.nuisance
         own = dict(zip(names, matrix.T, strict=True))
-        silent = np.zeros(here.rows.size)
+        nothing = np.zeros(here.rows.size)
         # A joint that stands shows nothing of its friction.
-        nuisance = [own.get(name, silent) for name in each.names]
-        effects = [here.effect_columns(placed) for placed in each.effects]
+        nuisance = [own.get(name, nothing) for name in each.names]
+        effects = [here.effect_columns(located) for located in each.effects]
         return np.column_stack([*nuisance, *effects])
 
 

@@ -44,8 +44,8 @@ from typing import Any
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.comparison.extension import Extension, SizedEffect
-from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.schema import EffectSection, ExtendedFile
@@ -162,15 +162,17 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
 def check_extended(model: ExtendedModel, constants: RobotConstants) -> None:
     """Raise `InputFileError` where reported values disagree with the terms they belong to."""
     pairs = zip(model.extension.effects, model.parameters, strict=True)
-    for number, (sized, stated) in enumerate(pairs, start=1):
-        placed = sized.placed
-        own = placed.effect.values(sized.amplitudes, placed.shapes, placed.constants(constants))
+    for number, (estimated, stated) in enumerate(pairs, start=1):
+        located = estimated.located
+        own = located.effect.parameters(
+            estimated.amplitudes, located.shapes, located.constants(constants)
+        )
         for name, value in stated.items():
             if name not in own:
                 raise InputFileError(
                     model.source,
                     f"effect[{number}].parameters.{name}",
-                    f"{placed.effect.name} has no such parameter. {nearest(name, own)}",
+                    f"{located.effect.name} has no such parameter. {nearest(name, own)}",
                 )
             if not np.isclose(value, own[name], rtol=_AGREE, atol=0.0):
                 raise InputFileError(
@@ -193,7 +195,7 @@ def _effect(
     document: ExtendedFile,
     path: object,
     where: str,
-) -> SizedEffect:
+) -> EstimatedEffect:
     effect = known.get(section.name)
     if effect is None:
         raise InputFileError(
@@ -216,8 +218,8 @@ def _effect(
                 f"{where}.term.{shape.name}",
                 f"is {value:g}, allowed are {shape.lower:g} to {shape.upper:g} {shape.unit}.",
             )
-    return SizedEffect(
-        placed=PlacedEffect(effect=effect, shapes=shapes, **place),
+    return EstimatedEffect(
+        located=LocatedEffect(effect=effect, shapes=shapes, **place),
         amplitudes=tuple(section.term[a.name] for a in effect.amplitudes),
     )
 

@@ -11,7 +11,7 @@ from stiffopt.connection.connection import Connection
 from stiffopt.connection.constant import Constant
 from stiffopt.connection.reducer import Reducer
 from stiffopt.discovery.catalogue.elastic import preload_loss_term
-from stiffopt.discovery.comparison.extension import SizedEffect
+from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.stage import Stage
@@ -40,20 +40,22 @@ class Yielding:
     sentence: str
 
 
-def yielding(chain: Chain | None, sized: SizedEffect, constants: JointConstants) -> Yielding | None:
+def yielding(
+    chain: Chain | None, estimated: EstimatedEffect, constants: JointConstants
+) -> Yielding | None:
     """Put an elastic finding into a drivetrain; None where it has no place there.
 
     Parameters
     ----------
     chain : Chain or None
         Of the planner's robot; None is rigid.
-    sized : SizedEffect
+    estimated : EstimatedEffect
         One of `ELASTIC`.
     constants : JointConstants
         That the finding was fitted with.
     """
     own = Chain(()) if chain is None else chain
-    return ELASTIC[sized.placed.effect.name](own, sized, constants)
+    return ELASTIC[estimated.located.effect.name](own, estimated, constants)
 
 
 def _mean_windup(chain: Chain, torques: np.ndarray) -> float:
@@ -61,10 +63,10 @@ def _mean_windup(chain: Chain, torques: np.ndarray) -> float:
 
 
 def _stiffness_linear(
-    chain: Chain, sized: SizedEffect, constants: JointConstants
+    chain: Chain, estimated: EstimatedEffect, constants: JointConstants
 ) -> Yielding | None:
     """Scale the reducer so that the joint's mean wind-up changes by the factor."""
-    factor = 1.0 / (1.0 + sized.amplitudes[0])
+    factor = 1.0 / (1.0 + estimated.amplitudes[0])
     torques = _SHARES * constants.torque_rated
     whole = _mean_windup(chain, torques)
     if whole <= 0.0 or not np.isfinite(whole):
@@ -95,10 +97,12 @@ def _scaled(element: Reducer | Constant, factor: float) -> Connection:
     )
 
 
-def _k1_softening(chain: Chain, sized: SizedEffect, constants: JointConstants) -> Yielding | None:
+def _k1_softening(
+    chain: Chain, estimated: EstimatedEffect, constants: JointConstants
+) -> Yielding | None:
     """Another first slope and corner of the reducer."""
-    effect, shapes = sized.placed.effect, sized.placed.shapes
-    values = effect.values(sized.amplitudes, shapes, constants)
+    effect, shapes = estimated.located.effect, estimated.located.shapes
+    values = effect.parameters(estimated.amplitudes, shapes, constants)
     for position, stage in enumerate(chain.stages):
         element = stage.element
         if isinstance(element, Reducer):
@@ -117,10 +121,12 @@ def _k1_softening(chain: Chain, sized: SizedEffect, constants: JointConstants) -
     return None
 
 
-def _preload_loss(chain: Chain, sized: SizedEffect, constants: JointConstants) -> Yielding | None:
+def _preload_loss(
+    chain: Chain, estimated: EstimatedEffect, constants: JointConstants
+) -> Yielding | None:
     """Loosen the weakest preloaded connection until the joint winds up as found."""
     torques = _SHARES * constants.torque_rated
-    found = _found_windup(sized, constants, torques)
+    found = _found_windup(estimated, constants, torques)
     position = _weakest(chain, constants.torque_rated)
     if position is None:
         return _softened(chain, found, constants)
@@ -176,7 +182,9 @@ def _weakest(chain: Chain, torque: float) -> int | None:
     return max(candidates, key=lambda i: shares[chain.stages[i].element.name])
 
 
-def _found_windup(sized: SizedEffect, constants: JointConstants, torques: np.ndarray) -> float:
+def _found_windup(
+    estimated: EstimatedEffect, constants: JointConstants, torques: np.ndarray
+) -> float:
     """Mean of the wind-up that a loss of preload adds [rad]."""
     zero = np.zeros_like(torques)
     still = dict.fromkeys(
@@ -203,13 +211,15 @@ def _found_windup(sized: SizedEffect, constants: JointConstants, torques: np.nda
         constants=constants,
         **still,
     )
-    term = preload_loss_term(signals, sized.amplitudes, sized.placed.shapes)
+    term = preload_loss_term(signals, estimated.amplitudes, estimated.located.shapes)
     return float(np.mean(np.asarray(term.deflection)))
 
 
-def _belt_creep(chain: Chain, sized: SizedEffect, constants: JointConstants) -> Yielding | None:
+def _belt_creep(
+    chain: Chain, estimated: EstimatedEffect, constants: JointConstants
+) -> Yielding | None:
     """A spring in series as soft as the belt is once it has settled."""
-    compliance = float(sum(sized.amplitudes))
+    compliance = float(sum(estimated.amplitudes))
     if compliance <= 0.0:
         return None
     mean = compliance * float(np.mean(_SHARES)) * constants.torque_rated
@@ -240,7 +250,7 @@ def _with_element(chain: Chain, position: int, element: Connection) -> Chain:
 
 
 # By name of the effect; (chain, finding, constants) -> Yielding or None.
-ELASTIC: dict[str, Callable[[Chain, SizedEffect, JointConstants], Yielding | None]] = {
+ELASTIC: dict[str, Callable[[Chain, EstimatedEffect, JointConstants], Yielding | None]] = {
     "stiffness_linear": _stiffness_linear,
     "k1_softening": _k1_softening,
     "preload_loss": _preload_loss,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from stiffopt.discovery.comparison.extension import SizedEffect
+from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.signals import JointConstants
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.extended.planner_elastic import ELASTIC, yielding
@@ -70,8 +70,8 @@ def planner_model(robot: Robot, model: ExtendedModel) -> PlannerModel:
     """
     planner = _Planner(robot, model)
     planner.calibrate()
-    for sized in model.extension.effects:
-        planner.add(sized)
+    for estimated in model.extension.effects:
+        planner.add(estimated)
     return PlannerModel(
         robot=planner.robot, changes=tuple(planner.changes), left_out=tuple(planner.left_out)
     )
@@ -98,21 +98,21 @@ class _Planner:
             if moved:
                 self._set(name, values)
 
-    def add(self, sized: SizedEffect) -> None:
+    def add(self, estimated: EstimatedEffect) -> None:
         """Put one finding into the robot, or name it among those left out."""
-        placed = sized.placed
-        name, joint = placed.effect.name, placed.joint
+        located = estimated.located
+        name, joint = located.effect.name, located.joint
         if name in _ADDED and joint is not None:
             field, unit = _ADDED[name]
-            self._add_to(field, unit, joint, sized.amplitudes[0])
+            self._add_to(field, unit, joint, estimated.amplitudes[0])
         elif name in ELASTIC and joint is not None:
-            self._yield(joint, sized)
+            self._yield(joint, estimated)
         elif name == "payload":
-            self._weigh(len(self.place) - 1, sized, "payload")
-        elif name == "inertial_error" and placed.link is not None:
-            self._weigh(placed.link, sized, "masses")
+            self._weigh(len(self.place) - 1, estimated, "payload")
+        elif name == "inertial_error" and located.link is not None:
+            self._weigh(located.link, estimated, "masses")
         else:
-            self.left_out.append(placed.label)
+            self.left_out.append(located.label)
 
     def _add_to(self, field: str, unit: str, joint: int, change: float) -> None:
         values = np.array(getattr(self.robot, field), dtype=float)
@@ -130,26 +130,26 @@ class _Planner:
         changed: dict[str, Any] = {field: values}
         self.robot = replace(self.robot, **changed)
 
-    def _yield(self, joint: int, sized: SizedEffect) -> None:
+    def _yield(self, joint: int, estimated: EstimatedEffect) -> None:
         place = self.place[joint]
         chain = self.robot.chains[place]
-        changed = yielding(chain, sized, joint_constants(self.model, joint))
+        changed = yielding(chain, estimated, joint_constants(self.model, joint))
         if changed is None:
-            self.left_out.append(sized.placed.label)
+            self.left_out.append(estimated.located.label)
             return
         chains: list[Chain | None] = list(self.robot.chains)
         chains[place] = changed.chain
         self.robot = replace(self.robot, chains=tuple(chains))
         self.changes.append(f"Joint {place + 1}: {changed.sentence}")
 
-    def _weigh(self, link: int, sized: SizedEffect, what: str) -> None:
+    def _weigh(self, link: int, estimated: EstimatedEffect, what: str) -> None:
         joint = self.place[link] + 1
         model = self.robot.model.copy()
         before = model.inertias[joint]
-        values = before.toDynamicParameters() + np.asarray(sized.amplitudes)
+        values = before.toDynamicParameters() + np.asarray(estimated.amplitudes)
         body = _physical(values, before)
         if body is None:
-            self.left_out.append(f"{sized.placed.label} (it would leave no mass)")
+            self.left_out.append(f"{estimated.located.label} (it would leave no mass)")
             return
         model.inertias[joint] = body
         self.robot = replace(self.robot, model=model)

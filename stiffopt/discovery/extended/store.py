@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import SizedEffect
+from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.recording.nominal import Counterbalance, Nominal
@@ -21,10 +21,10 @@ def extended_text(diagnosis: Diagnosis) -> str:
     recordings, constants = diagnosis.recordings, diagnosis.training.constants
     joints = constants.joints
     spread = {
-        id(finding.sized): {p.name: p.sd for p in finding.parameters}
+        id(finding.estimated): {p.name: p.sd for p in finding.parameters}
         for finding in diagnosis.findings
     }
-    likely = {id(finding.sized): finding.probability for finding in diagnosis.findings}
+    likely = {id(finding.estimated): finding.probability for finding in diagnosis.findings}
     parts = [
         _table(
             "",
@@ -76,28 +76,28 @@ def _counterbalance(balance: Counterbalance) -> dict[str, Any]:
 
 
 def _effect(
-    each: SizedEffect,
+    each: EstimatedEffect,
     constants: RobotConstants,
     spread: Mapping[str, float],
     probability: float | None,
 ) -> str:
-    placed, effect = each.placed, each.placed.effect
+    located, effect = each.located, each.located.effect
     head: dict[str, Any] = {"name": effect.name}
-    if placed.joint is not None:
-        head["joint"] = placed.joint + 1
-    if placed.link is not None:
-        head["link"] = constants.links[placed.link]
-    if placed.run is not None:
-        head["run"] = placed.run
+    if located.joint is not None:
+        head["joint"] = located.joint + 1
+    if located.link is not None:
+        head["link"] = constants.links[located.link]
+    if located.run is not None:
+        head["run"] = located.run
     if probability is not None:
         head["probability"] = probability
     names = [a.name for a in effect.amplitudes] + [s.name for s in effect.shapes]
-    term = dict(zip(names, (*each.amplitudes, *placed.shapes), strict=True))
-    reported = effect.values(each.amplitudes, placed.shapes, placed.constants(constants))
+    term = dict(zip(names, (*each.amplitudes, *located.shapes), strict=True))
+    reported = effect.parameters(each.amplitudes, located.shapes, located.constants(constants))
     parameters = {}
     for name, value in reported.items():
         sd = f", sd = {_value(spread[name])}" if np.isfinite(spread.get(name, np.nan)) else ""
-        unit = json.dumps(placed.unit_of(name, constants))
+        unit = json.dumps(located.unit_of(name, constants))
         parameters[name] = f"{{ value = {_value(value)}{sd}, unit = {unit} }}"
     lines = [f"{_key(name)} = {text}" for name, text in parameters.items()]
     return (

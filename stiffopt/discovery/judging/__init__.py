@@ -1,1 +1,1 @@
-"""What was found, judged: how much it explains, what remains, what would have been seen."""
+"""What was found, assessed: how much it explains, what remains, what would have been seen."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.comparison.extension import Extension
-from stiffopt.discovery.judging.unexplained import Outside
+from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.proof.proof import MOVING
 from stiffopt.discovery.settings import Settings
@@ -48,7 +48,7 @@ class _Channel:
 
 def bursts(
     training: Training, extensions: Sequence[Extension], settings: Settings
-) -> Outside | None:
+) -> Unexplained | None:
     """Joint whose torque has bursts that the model does not predict.
 
     Parameters
@@ -60,7 +60,7 @@ def bursts(
 
     Returns
     -------
-    Outside or None
+    Unexplained or None
         None without bursts, and where the links' swing cannot be predicted. `ratio` is that of the
         samples with bursts, `gain` the share of all that remains that lies in them.
     """
@@ -90,7 +90,7 @@ def bursts(
     name = max(held, key=lambda each: held[each][0])
     if held[name][1] < _BURST:
         return None
-    return Outside(
+    return Unexplained(
         channels=(f"torque_{worst + 1}",),
         regressors=(name,),
         period=None,

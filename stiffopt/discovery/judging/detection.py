@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.discovery.comparison.located_effect import PlacedEffect, places
+from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.search import CHI, EVIDENCE
@@ -77,10 +77,10 @@ def detection_limits(scorer: Scorer, catalogue: Sequence[Effect]) -> tuple[Detec
 def _of_effect(scorer: Scorer, effect: Effect) -> Iterator[DetectionLimit]:
     constants = scorer.comparison.constants
     runs = [run.name for run in scorer.comparison.runs]
-    by_place: dict[tuple[int | None, str | None], list[PlacedEffect]] = {}
-    for placed in places(effect, constants, runs):
-        if not any(placed.same_place(other) for other in scorer.base):
-            by_place.setdefault((placed.joint, placed.run), []).append(placed)
+    by_place: dict[tuple[int | None, str | None], list[LocatedEffect]] = {}
+    for located in places(effect, constants, runs):
+        if not any(located.same_place(other) for other in scorer.base):
+            by_place.setdefault((located.joint, located.run), []).append(located)
     for (joint, run), tried in by_place.items():
         if run is not None:
             continue
@@ -98,7 +98,7 @@ def _of_effect(scorer: Scorer, effect: Effect) -> Iterator[DetectionLimit]:
             base = getattr(constants.joints[joint], nominal) or None
         name, value = amplitude.name, least
         if effect.report is not None:
-            values = effect.values([least], middle.shapes, middle.constants(constants))
+            values = effect.parameters([least], middle.shapes, middle.constants(constants))
             name = next(iter(values))
             value = values[name]
         yield DetectionLimit(

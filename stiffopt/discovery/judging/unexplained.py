@@ -19,8 +19,8 @@ UNEXPLAINED = 1.3
 EXPLAINED = 0.6
 # A remainder is outside the catalogue from this ratio on, or if that share of it can be predicted.
 _PLAIN = 1.8
-# Nearer to the noise than that, it is outside if what it depends on takes away this share of its
-# square in runs left out.
+# Nearer to the noise than that, something is missing if what it depends on
+# takes away this share of its square in runs left out.
 _FAINT = 1.05
 _TAKEN = 0.1
 # Left beside findings that explain the most of it, this ratio is still something else.
@@ -33,7 +33,7 @@ _RIDGE = 1.0
 
 
 @dataclass(frozen=True)
-class Outside:
+class Unexplained:
     """What remains beyond the catalogue.
 
     Parameters
@@ -61,7 +61,7 @@ class Outside:
     brief: bool = False
 
 
-def judged(result: SearchResult) -> tuple[tuple[Selected, ...], Outside | None]:
+def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexplained | None]:
     """Findings that explain what they are about, and what is outside the catalogue.
 
     Parameters
@@ -71,7 +71,7 @@ def judged(result: SearchResult) -> tuple[tuple[Selected, ...], Outside | None]:
     Returns
     -------
     findings : tuple of Selected
-    outside : Outside or None
+    unexplained : Unexplained or None
         None where nothing significant remains.
     """
     after = np.nan_to_num(result.after, nan=0.0)
@@ -93,7 +93,7 @@ def judged(result: SearchResult) -> tuple[tuple[Selected, ...], Outside | None]:
     return kept, found
 
 
-def _faint(result: SearchResult, after: np.ndarray) -> Outside | None:
+def _faint(result: SearchResult, after: np.ndarray) -> Unexplained | None:
     """A remainder near the noise, where runs left out bear out what it depends on."""
     best, most = None, _TAKEN
     for channel in [int(c) for c in np.argsort(-after)[:_MOST] if after[c] > _FAINT]:
@@ -119,7 +119,7 @@ def channel_name(channel: int, joints: int) -> str:
     return f"{kind}_{channel % joints + 1}"
 
 
-def _describe(result: SearchResult, channels: Sequence[int]) -> Outside:
+def _describe(result: SearchResult, channels: Sequence[int]) -> Unexplained:
     comparison = result.comparison
     rows = comparison.rows
     worst = channels[0]
@@ -133,7 +133,7 @@ def _describe(result: SearchResult, channels: Sequence[int]) -> Outside:
     gain = float((np.sum(residual**2) - np.sum((residual - fitted) ** 2)) / excess)
     if period is not None and period[1] > gain:
         chosen, gain = ("time",), period[1]
-    return Outside(
+    return Unexplained(
         channels=tuple(channel_name(c, comparison.robot.n) for c in channels),
         regressors=tuple(chosen),
         period=None if period is None or chosen != ("time",) else period[0],

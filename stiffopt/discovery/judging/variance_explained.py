@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.search.evidence import BlockSums, Sums, posterior
 from stiffopt.discovery.search.uncertainty import stretches
 
 
 def variance_explained(
-    comparison: Comparison, effects: tuple[PlacedEffect, ...], channels: tuple[int, ...]
+    comparison: Comparison, effects: tuple[LocatedEffect, ...], channels: tuple[int, ...]
 ) -> tuple[float, ...]:
     """Share of the squared residual above noise that each effect takes away.
 
     Parameters
     ----------
     comparison : Comparison
-    effects : tuple of PlacedEffect
+    effects : tuple of LocatedEffect
     channels : tuple of int
         The channel that is looked at for each effect.
 
@@ -47,7 +47,7 @@ def variance_explained(
 
 
 def _left_out(
-    comparison: Comparison, effects: tuple[PlacedEffect, ...]
+    comparison: Comparison, effects: tuple[LocatedEffect, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residual (m,) of blocks that the fit did not see, and what each effect adds to them (e, m).
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.located_effect import PlacedEffect, places
+from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.evidence import BlockSums, Posterior, posterior
 
@@ -19,11 +19,11 @@ _REFINEMENTS = 40
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An effect at a place, judged beside what is already found.
+    """An effect at a place, scored beside what is already found.
 
     Parameters
     ----------
-    placed : PlacedEffect
+    located : LocatedEffect
     amplitudes : array (k,)
         Over their sizes.
     covariance : array (k, k)
@@ -39,7 +39,7 @@ class Candidate:
         That channel.
     """
 
-    placed: PlacedEffect
+    located: LocatedEffect
     amplitudes: np.ndarray
     covariance: np.ndarray
     gain: float
@@ -55,11 +55,11 @@ class Scorer:
     Parameters
     ----------
     comparison : Comparison
-    base : sequence of PlacedEffect
+    base : sequence of LocatedEffect
         Already found.
     """
 
-    def __init__(self, comparison: Comparison, base: Sequence[PlacedEffect] = ()) -> None:
+    def __init__(self, comparison: Comparison, base: Sequence[LocatedEffect] = ()) -> None:
         self.comparison, self.base = comparison, tuple(base)
         _, sd, nuisance = comparison.nuisance
         parts = [nuisance, *(comparison.effect_columns(e) for e in base)]
@@ -71,20 +71,20 @@ class Scorer:
         self.start = posterior(self._sums.own, self._prior)
         self._residual = comparison.target - self._columns @ self.start.mean
 
-    def score(self, placed: PlacedEffect, price: float = 0.0) -> Candidate | None:
+    def score(self, located: LocatedEffect, price: float = 0.0) -> Candidate | None:
         """Judge one candidate; None where it changes nothing or leaves its bounds.
 
         Parameters
         ----------
-        placed : PlacedEffect
+        located : LocatedEffect
         price : float
             Log of the number of shapes tried.
         """
-        added = self.comparison.effect_columns(placed)
+        added = self.comparison.effect_columns(located)
         size = np.sum(added**2, axis=0)
         if not np.isfinite(size).all() or not np.any(size > 1e-12):
             return None
-        found, kept = self._bounded(placed, added)
+        found, kept = self._bounded(located, added)
         if found is None:
             return None
         p = self._columns.shape[1]
@@ -95,7 +95,7 @@ class Scorer:
         channel, explained = self._explained(residual, np.sum(added**2, axis=1))
         inner = covariance[np.ix_(kept, kept)]
         return Candidate(
-            placed=placed,
+            located=located,
             amplitudes=mean,
             covariance=covariance,
             gain=found.log_predictive - self.start.log_predictive,
@@ -105,9 +105,9 @@ class Scorer:
             channel=channel,
         )
 
-    def deviation(self, placed: PlacedEffect) -> float | None:
+    def deviation(self, located: LocatedEffect) -> float | None:
         """Standard deviation of a single amplitude over its size; None if unseen."""
-        added = self.comparison.effect_columns(placed)
+        added = self.comparison.effect_columns(located)
         if not np.isfinite(added).all() or not np.any(added):
             return None
         beside = self._columns
@@ -115,18 +115,18 @@ class Scorer:
         seen = float(np.sum(added**2) - np.sum((beside.T @ added) * inner))
         return 1.0 / float(np.sqrt(seen)) if seen > 0.0 else None
 
-    def nuisance_beside(self, placed: PlacedEffect) -> np.ndarray:
+    def nuisance_beside(self, located: LocatedEffect) -> np.ndarray:
         """Nominal values as they are fitted beside an effect."""
         _, sd, _ = self.comparison.nuisance
-        found, _ = self._bounded(placed, self.comparison.effect_columns(placed))
+        found, _ = self._bounded(located, self.comparison.effect_columns(located))
         return self.start.mean[: len(sd)] if found is None else found.mean[: len(sd)]
 
     def _bounded(
-        self, placed: PlacedEffect, added: np.ndarray
+        self, located: LocatedEffect, added: np.ndarray
     ) -> tuple[Posterior | None, np.ndarray]:
         """Posterior with amplitudes outside their bounds left out one after another."""
         kept = np.arange(added.shape[1])
-        bounds = np.array([(a.lower, a.upper) for a in placed.effect.amplitudes])
+        bounds = np.array([(a.lower, a.upper) for a in located.effect.amplitudes])
         p = self._columns.shape[1]
         whole = self._sums.extended(added)
         while kept.size:
@@ -159,17 +159,17 @@ class Scorer:
 
     def refine(self, candidate: Candidate, price: float = 0.0) -> Candidate:
         """Fit the shapes of a candidate, from where it stands and within their bounds."""
-        shapes = candidate.placed.effect.shapes
+        shapes = candidate.located.effect.shapes
         if not shapes:
             return candidate
-        start = np.array(candidate.placed.shapes)
+        start = np.array(candidate.located.shapes)
         scale = np.where(start != 0.0, np.abs(start), 1.0)
         best = candidate
 
         def cost(scaled: np.ndarray) -> float:
             nonlocal best
             values = np.clip(scaled * scale, [s.lower for s in shapes], [s.upper for s in shapes])
-            moved = replace(candidate.placed, shapes=tuple(float(v) for v in values))
+            moved = replace(candidate.located, shapes=tuple(float(v) for v in values))
             found = self.score(moved, price)
             if found is None:
                 return 1e12
@@ -202,7 +202,7 @@ def scan(
     catalogue: Sequence[Effect],
     *,
     refined: int = 6,
-    about: PlacedEffect | None = None,
+    about: LocatedEffect | None = None,
 ) -> list[Candidate]:
     """Judge the whole catalogue; the best first, each place once.
 
@@ -212,18 +212,18 @@ def scan(
     catalogue : sequence of Effect
     refined : int
         How many of the best have their shapes fitted.
-    about : PlacedEffect, optional
+    about : LocatedEffect, optional
         Only what could stand in its place is tried.
     """
     constants = scorer.comparison.constants
     runs = [run.name for run in scorer.comparison.runs]
     best: list[tuple[Candidate, float]] = []
     for effect in catalogue:
-        by_place: dict[tuple[int | None, int | None, str | None], list[PlacedEffect]] = {}
-        for placed in places(effect, constants, runs):
-            if about is not None and not placed.near(about):
+        by_place: dict[tuple[int | None, int | None, str | None], list[LocatedEffect]] = {}
+        for located in places(effect, constants, runs):
+            if about is not None and not located.near(about):
                 continue
-            by_place.setdefault((placed.joint, placed.link, placed.run), []).append(placed)
+            by_place.setdefault((located.joint, located.link, located.run), []).append(located)
         for tried in by_place.values():
             if any(tried[0].same_place(other) for other in scorer.base):
                 continue

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
-from stiffopt.discovery.comparison.extension import sized
-from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.extension import with_amplitudes
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
@@ -44,23 +44,23 @@ class Selected:
 
     Parameters
     ----------
-    placed : PlacedEffect
+    located : LocatedEffect
     loss : float
         Log evidence that is lost without it.
     chi : float
     probability : float
         Against its rivals.
-    rivals : tuple of (PlacedEffect, float)
+    rivals : tuple of (LocatedEffect, float)
         What the data cannot tell apart from it, with probabilities.
     channel : int
         The channel that it changes most.
     """
 
-    placed: PlacedEffect
+    located: LocatedEffect
     loss: float
     chi: float
     probability: float
-    rivals: tuple[tuple[PlacedEffect, float], ...]
+    rivals: tuple[tuple[LocatedEffect, float], ...]
     channel: int
 
 
@@ -88,16 +88,16 @@ class SearchResult:
     after: np.ndarray
 
     @property
-    def effects(self) -> tuple[PlacedEffect, ...]:
+    def effects(self) -> tuple[LocatedEffect, ...]:
         """The effects found."""
-        return tuple(s.placed for s in self.selected)
+        return tuple(s.located for s in self.selected)
 
 
 def search(
     comparison: Comparison,
     catalogue: Sequence[Effect],
     *,
-    start: Sequence[PlacedEffect] = (),
+    start: Sequence[LocatedEffect] = (),
     most: int = 3,
     report: Report | None = None,
 ) -> SearchResult:
@@ -108,8 +108,8 @@ def search(
     comparison : Comparison
         With the nominal model.
     catalogue : sequence of Effect
-    start : sequence of PlacedEffect
-        Tried together before anything else: what the nominal model is silent about.
+    start : sequence of LocatedEffect
+        Tried together before anything else: what the nominal model does not state.
     most : int
         Effects at most beside those.
     report : callable, optional
@@ -119,12 +119,12 @@ def search(
     before = comparison.channel_ratio(comparison.target)
     calibrated = comparison.channel_ratio(comparison.fit().residual)
     current = _about(comparison, comparison.fit(boxed=False))
-    effects: list[PlacedEffect] = []
+    effects: list[LocatedEffect] = []
     if start:
-        say(f"fit what the nominal model is silent about ({len(start)} values)")
-        current, effects = _settled(comparison, list(start))
+        say(f"fit what the nominal model does not state ({len(start)} values)")
+        current, effects = _fitted_jointly(comparison, list(start))
         effects = _pruned(current, effects)
-        current, effects = _settled(comparison, effects)
+        current, effects = _fitted_jointly(comparison, effects)
     most += len(effects)
     while len(effects) < most:
         scorer = Scorer(current, effects)
@@ -132,33 +132,33 @@ def search(
         best = next((c for c in found if _passes(c, scorer)), None)
         if best is None:
             break
-        say(f"found {best.placed.label} (log evidence {best.evidence:.0f})")
-        effects.append(best.placed)
-        current, effects = _settled(comparison, effects)
+        say(f"found {best.located.label} (log evidence {best.evidence:.0f})")
+        effects.append(best.located)
+        current, effects = _fitted_jointly(comparison, effects)
         kept = _pruned(current, effects)
-        if best.placed.label not in [e.label for e in kept]:
+        if best.located.label not in [e.label for e in kept]:
             effects = kept
             break
         effects = kept
-    current, effects = _settled(comparison, effects)
+    current, effects = _fitted_jointly(comparison, effects)
     confirmed = _confirmed(current, effects)
     if len(confirmed) < len(effects):
-        current, effects = _settled(comparison, confirmed)
-    judged = [_judged(current, effects, e, catalogue) for e in effects]
+        current, effects = _fitted_jointly(comparison, confirmed)
+    ranked = [_ranked(current, effects, e, catalogue) for e in effects]
     for _ in range(_EXCHANGES):
-        likelier = _distinct([j.likeliest for j in judged])
+        likelier = _distinct([j.likeliest for j in ranked])
         if likelier == effects:
             break
-        current, effects = _settled(comparison, likelier)
-        judged = [_judged(current, effects, e, catalogue) for e in effects]
+        current, effects = _fitted_jointly(comparison, likelier)
+        ranked = [_ranked(current, effects, e, catalogue) for e in effects]
     else:
         # Explanations that go on taking each other's place explain nothing.
-        kept = [j.selected.placed for j in judged if j.likeliest is j.selected.placed]
+        kept = [j.selected.located for j in ranked if j.likeliest is j.selected.located]
         if len(kept) < len(effects):
-            current, effects = _settled(comparison, kept)
-            judged = [_judged(current, effects, e, catalogue) for e in effects]
-    selected = sorted((j.selected for j in judged), key=lambda s: -s.loss)
-    fit = current.fit(tuple(s.placed for s in selected))
+            current, effects = _fitted_jointly(comparison, kept)
+            ranked = [_ranked(current, effects, e, catalogue) for e in effects]
+    selected = sorted((j.selected for j in ranked), key=lambda s: -s.loss)
+    fit = current.fit(tuple(s.located for s in selected))
     return SearchResult(
         tuple(selected), current, fit, before, calibrated, current.channel_ratio(fit.residual)
     )
@@ -177,7 +177,7 @@ def _relief(candidate: Candidate, scorer: Scorer) -> float:
     _, sd, _ = scorer.comparison.nuisance
     count = len(sd)
     without = scorer.start.mean[:count] / sd
-    within = scorer.nuisance_beside(candidate.placed) / sd
+    within = scorer.nuisance_beside(candidate.located) / sd
     return 0.5 * float(without @ without - within @ within)
 
 
@@ -197,10 +197,10 @@ def _about(comparison: Comparison, fit: Fit) -> Comparison:
 
 def _link_torque(comparison: Comparison, fit: Fit) -> list[np.ndarray] | None:
     """Torque (K, n) that the effects of a fit put into the joints of every run."""
-    sizes = [placed.sizes(comparison.constants) for placed in fit.effects]
-    effects = sized(fit.effects, fit.amplitudes(), sizes)
+    sizes = [located.sizes(comparison.constants) for located in fit.effects]
+    effects = with_amplitudes(fit.effects, fit.amplitudes(), sizes)
     per_run = [
-        [each.placed.contribution(run, each.amplitudes).link_torque for each in effects]
+        [each.located.contribution(run, each.amplitudes).link_torque for each in effects]
         for run in comparison.nominal_runs
     ]
     if all(part is None for parts in per_run for part in parts):
@@ -211,23 +211,23 @@ def _link_torque(comparison: Comparison, fit: Fit) -> list[np.ndarray] | None:
     ]
 
 
-def _settled(
-    start: Comparison, effects: list[PlacedEffect]
-) -> tuple[Comparison, list[PlacedEffect]]:
+def _fitted_jointly(
+    start: Comparison, effects: list[LocatedEffect]
+) -> tuple[Comparison, list[LocatedEffect]]:
     """Fit all effects together: their shapes in turn, then the noise that is left."""
     current = _about(start, start.fit(effects))
     refined = list(effects)
-    for i, placed in enumerate(effects):
-        if placed.effect.shapes:
+    for i, located in enumerate(effects):
+        if located.effect.shapes:
             others = [e for k, e in enumerate(refined) if k != i]
             scorer = Scorer(current, others)
             scored = scorer.score(refined[i])
             if scored is not None:
-                refined[i] = scorer.refine(scored).placed
+                refined[i] = scorer.refine(scored).located
     return _about(start, current.fit(refined)), refined
 
 
-def _pruned(comparison: Comparison, effects: list[PlacedEffect]) -> list[PlacedEffect]:
+def _pruned(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
     """Effects without which something is lost, given all others."""
     kept = [
         e
@@ -243,7 +243,7 @@ def _pruned(comparison: Comparison, effects: list[PlacedEffect]) -> list[PlacedE
     return kept
 
 
-def _confirmed(comparison: Comparison, effects: list[PlacedEffect]) -> list[PlacedEffect]:
+def _confirmed(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
     """Effects that no few seconds of the recordings are alone responsible for.
 
     Where a few seconds hold all there is, as of a drive at its limit, those count that take away
@@ -260,60 +260,62 @@ def _confirmed(comparison: Comparison, effects: list[PlacedEffect]) -> list[Plac
     return kept
 
 
-def _borne_out(comparison: Comparison, effects: list[PlacedEffect], index: int) -> bool:
+def _borne_out(comparison: Comparison, effects: list[LocatedEffect], index: int) -> bool:
     others = [e for k, e in enumerate(effects) if k != index]
     own = Scorer(comparison, others).score(effects[index])
     return own is not None and own.explained > _MOST and own.gain > _MOST * own.evidence
 
 
-def _distinct(effects: Sequence[PlacedEffect]) -> list[PlacedEffect]:
+def _distinct(effects: Sequence[LocatedEffect]) -> list[LocatedEffect]:
     """Each place once: one effect may be likelier than several that stood in for it."""
-    kept: list[PlacedEffect] = []
-    for placed in effects:
-        if not any(placed.same_place(other) for other in kept):
-            kept.append(placed)
+    kept: list[LocatedEffect] = []
+    for located in effects:
+        if not any(located.same_place(other) for other in kept):
+            kept.append(located)
     return kept
 
 
 @dataclass(frozen=True, eq=False)
-class _Judged:
+class _Ranked:
     """A found effect among its rivals, and the likeliest of them all."""
 
     selected: Selected
-    likeliest: PlacedEffect
+    likeliest: LocatedEffect
 
 
-def _judged(
+def _ranked(
     comparison: Comparison,
-    effects: Sequence[PlacedEffect],
-    placed: PlacedEffect,
+    effects: Sequence[LocatedEffect],
+    located: LocatedEffect,
     catalogue: Sequence[Effect],
-) -> _Judged:
+) -> _Ranked:
     """Judge a found effect against everything that could stand in its place."""
-    others = [e for e in effects if e is not placed]
+    others = [e for e in effects if e is not located]
     scorer = Scorer(comparison, others)
-    own = scorer.score(placed)
+    own = scorer.score(located)
     assert own is not None
-    found = [c for c in scan(scorer, catalogue, about=placed) if not c.placed.same_place(placed)]
+    found = [c for c in scan(scorer, catalogue, about=located) if not c.located.same_place(located)]
     width = float(np.clip(_TEMPER * own.evidence, 1.0, _WIDEST))
     constants = comparison.constants
-    ease = _ease(own, constants)
-    odds = [(c.evidence - own.evidence) / width + _ease(c, constants) - ease for c in found]
+    own_prior = _log_prior(own, constants)
+    odds = [
+        (c.evidence - own.evidence) / width + _log_prior(c, constants) - own_prior for c in found
+    ]
     near = sorted(zip(odds, found, strict=True), key=lambda pair: -pair[0])[:3]
     near = [(o, c) for o, c in near if o > -_GROUP]
     weights = np.exp([o for o, _ in near])
     total = 1.0 + float(np.sum(weights))
-    rivals = tuple((c.placed, float(w) / total) for (_, c), w in zip(near, weights, strict=True))
-    selected = Selected(placed, own.evidence, own.chi, 1.0 / total, rivals, own.channel)
-    return _Judged(selected, near[0][1].placed if near and near[0][0] > 0.0 else placed)
+    rivals = tuple((c.located, float(w) / total) for (_, c), w in zip(near, weights, strict=True))
+    selected = Selected(located, own.evidence, own.chi, 1.0 / total, rivals, own.channel)
+    return _Ranked(selected, near[0][1].located if near and near[0][0] > 0.0 else located)
 
 
-def _ease(candidate: Candidate, constants: RobotConstants) -> float:
+def _log_prior(candidate: Candidate, constants: RobotConstants) -> float:
     """Log prior odds: plainer effects, and those usual at their joint, are likelier.
 
     An amplitude counts as far as the data determine it.
     """
-    placed = candidate.placed
-    size = len(placed.effect.shapes) + float(np.sum(1.0 - np.diag(candidate.covariance)))
-    usual = placed.effect.log_prior
-    return (usual(placed.constants(constants)) if usual else 0.0) - _PLAINER * size
+    located = candidate.located
+    size = len(located.effect.shapes) + float(np.sum(1.0 - np.diag(candidate.covariance)))
+    usual = located.effect.log_prior
+    return (usual(located.constants(constants)) if usual else 0.0) - _PLAINER * size

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.extension import SizedEffect, sized
-from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.extension import EstimatedEffect, with_amplitudes
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepare import PreparedRun
 
 # Length of the stretches that a jackknife leaves out [s]: longer than anything in a residual
@@ -33,7 +33,7 @@ class Estimate:
         Names of the nominal values.
     values : array (p,)
         Nominal values, then amplitudes over their sizes.
-    effects : tuple of SizedEffect
+    effects : tuple of EstimatedEffect
     covariance : array (r, r)
         Of nominal values, amplitudes over sizes, then shapes over theirs; by the linear model.
     spread : array (r, r)
@@ -42,7 +42,7 @@ class Estimate:
 
     nuisance: tuple[str, ...]
     values: np.ndarray
-    effects: tuple[SizedEffect, ...]
+    effects: tuple[EstimatedEffect, ...]
     covariance: np.ndarray
     spread: np.ndarray
     sizes: tuple[np.ndarray, ...]
@@ -60,16 +60,16 @@ class Estimate:
         reported values.
         """
         found = self.effects[index]
-        effect = found.placed.effect
+        effect = found.located.effect
         rows, steps = self._places(index)
-        inputs = np.array([*found.amplitudes, *found.placed.shapes])
+        inputs = np.array([*found.amplitudes, *found.located.shapes])
         count = len(found.amplitudes)
 
         def report(at: np.ndarray) -> np.ndarray:
-            values = effect.values(tuple(at[:count]), tuple(at[count:]), constants)
+            values = effect.parameters(tuple(at[:count]), tuple(at[count:]), constants)
             return np.array(list(values.values()), dtype=float)
 
-        names = list(effect.values(found.amplitudes, found.placed.shapes, constants))
+        names = list(effect.parameters(found.amplitudes, found.located.shapes, constants))
         slopes = np.column_stack(
             [
                 (report(inputs + _STEP * step) - report(inputs - _STEP * step)) / (2.0 * _STEP)
@@ -96,14 +96,14 @@ class Estimate:
         return rows, np.concatenate([self.sizes[index], self.shape_sizes[index]])
 
 
-def estimate(comparison: Comparison, effects: Sequence[PlacedEffect]) -> Estimate:
+def estimate(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estimate:
     """Fit nominal values and effects together, and say how sure each is.
 
     Parameters
     ----------
     comparison : Comparison
         With the noise that the effects leave.
-    effects : sequence of PlacedEffect
+    effects : sequence of LocatedEffect
         With their shapes as found.
 
     Notes
@@ -117,18 +117,18 @@ def estimate(comparison: Comparison, effects: Sequence[PlacedEffect]) -> Estimat
     scaled = fit.amplitudes()
     shape_sizes = tuple(_shape_sizes(e) for e in effects)
     slopes, begin = [], 0
-    for placed, own, steps in zip(effects, columns, shape_sizes, strict=True):
+    for located, own, steps in zip(effects, columns, shape_sizes, strict=True):
         amplitudes = scaled[begin : begin + own.shape[1]]
         begin += own.shape[1]
         for i, step in enumerate(steps):
-            slopes.append(_shape_slope(comparison, placed, amplitudes, i, step))
+            slopes.append(_shape_slope(comparison, located, amplitudes, i, step))
     matrix = np.column_stack([nuisance, *columns, *slopes])
     prior = np.concatenate([prior_sd, np.ones(len(scaled)), np.full(len(slopes), _SHAPE_PRIOR)])
     covariance, spread = _jackknife(comparison, matrix, prior)
     return Estimate(
         nuisance=tuple(names),
         values=fit.posterior.mean,
-        effects=sized(effects, scaled, sizes),
+        effects=with_amplitudes(effects, scaled, sizes),
         covariance=covariance,
         spread=spread,
         sizes=sizes,
@@ -136,7 +136,7 @@ def estimate(comparison: Comparison, effects: Sequence[PlacedEffect]) -> Estimat
     )
 
 
-def significance(comparison: Comparison, effects: Sequence[PlacedEffect]) -> np.ndarray:
+def significance(comparison: Comparison, effects: Sequence[LocatedEffect]) -> np.ndarray:
     """Jackknife deviations from nothing of every effect's amplitudes (e,), shapes held."""
     fit = comparison.fit(effects)
     _, prior_sd, nuisance = comparison.nuisance
@@ -154,22 +154,22 @@ def significance(comparison: Comparison, effects: Sequence[PlacedEffect]) -> np.
     return np.array(found)
 
 
-def _shape_sizes(placed: PlacedEffect) -> np.ndarray:
-    return np.array([abs(v) if v else 1.0 for v in placed.shapes])
+def _shape_sizes(located: LocatedEffect) -> np.ndarray:
+    return np.array([abs(v) if v else 1.0 for v in located.shapes])
 
 
 def _shape_slope(
-    comparison: Comparison, placed: PlacedEffect, amplitudes: np.ndarray, i: int, size: float
+    comparison: Comparison, located: LocatedEffect, amplitudes: np.ndarray, i: int, size: float
 ) -> np.ndarray:
     """Slope of an effect's sum of columns along one shape over its size."""
-    shape = placed.effect.shapes[i]
-    now = placed.shapes[i]
+    shape = located.effect.shapes[i]
+    now = located.shapes[i]
     low = max(now - _STEP * size, shape.lower)
     high = min(now + _STEP * size, shape.upper)
     ends = []
     for value in (low, high):
-        moved = (*placed.shapes[:i], value, *placed.shapes[i + 1 :])
-        ends.append(comparison.effect_columns(replace(placed, shapes=moved)) @ amplitudes)
+        moved = (*located.shapes[:i], value, *located.shapes[i + 1 :])
+        ends.append(comparison.effect_columns(replace(located, shapes=moved)) @ amplitudes)
     return np.asarray((ends[1] - ends[0]) * size / (high - low))
 
 

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.comparison.located_effect import PlacedEffect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.recording.recording_set import RecordingSet
 
 _OF_EVERY_JOINT = ("coulomb", "viscous", "rotor_inertia")
 
 
-def silent_effects(recordings: RecordingSet) -> tuple[PlacedEffect, ...]:
+def unstated_effects(recordings: RecordingSet) -> tuple[LocatedEffect, ...]:
     """Effects that stand for values the set does not give: friction and rotor inertia.
 
     They are tried together before anything else; what the recordings do not bear out is dropped.
@@ -22,14 +22,14 @@ def silent_effects(recordings: RecordingSet) -> tuple[PlacedEffect, ...]:
     for name in _OF_EVERY_JOINT:
         if getattr(recordings.nominal, name) is None:
             entry = _unbounded(effect(name))
-            found += [PlacedEffect(effect=entry, joint=j) for j in range(len(recordings.joints))]
+            found += [LocatedEffect(effect=entry, joint=j) for j in range(len(recordings.joints))]
     return tuple(found)
 
 
 def without_bounds(catalogue: Sequence[Effect], recordings: RecordingSet) -> tuple[Effect, ...]:
-    """The catalogue, where what the nominal model is silent about may be of any size."""
-    silent = {name for name in _OF_EVERY_JOINT if getattr(recordings.nominal, name) is None}
-    return tuple(_unbounded(each) if each.name in silent else each for each in catalogue)
+    """The catalogue, where what the nominal model does not state may be of any size."""
+    unstated = {name for name in _OF_EVERY_JOINT if getattr(recordings.nominal, name) is None}
+    return tuple(_unbounded(each) if each.name in unstated else each for each in catalogue)
 
 
 def _unbounded(entry: Effect) -> Effect:

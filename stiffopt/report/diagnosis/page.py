@@ -36,7 +36,7 @@ from stiffopt.report.diagnosis.tables import (
     limits_table,
     runs_table,
     sharpest,
-    untold_table,
+    undetectable_table,
     windows_table,
 )
 from stiffopt.report.diagnosis.words import (
@@ -45,12 +45,12 @@ from stiffopt.report.diagnosis.words import (
     effect_words,
     headline,
     lead,
-    outside_sentence,
+    new_and_unstated,
     percent_sure,
     phrase,
     place,
     proof_sentence,
-    told,
+    unexplained_sentence,
     worst_ratio,
 )
 
@@ -112,7 +112,7 @@ def write_diagnosis_report(
             files,
         ),
         "sections": list(_sections(diagnosis, files)),
-        "outside": outside_sentence(diagnosis),
+        "outside": unexplained_sentence(diagnosis),
         "outside_figures": _outside_figures(diagnosis, files),
         "quiet": _quiet(diagnosis, files),
         "held_out": _saved(
@@ -131,7 +131,7 @@ def write_diagnosis_report(
         "limits": limits_table(diagnosis),
         "calibration": calibration_table(diagnosis),
         "missing": missing_signals(recordings, runs),
-        "untold": untold_table(checks),
+        "untold": undetectable_table(checks),
         "faults": faults_table(diagnosis),
         "left_out": sum(fault.left_out for _, fault in diagnosis.faults),
         "assumptions": diagnosis.assumptions,
@@ -144,7 +144,7 @@ def write_diagnosis_report(
             )
             if part
         ),
-        "references": diagnosis_references(f.placed.effect for f in diagnosis.findings),
+        "references": diagnosis_references(f.effect for f in diagnosis.findings),
         "settings": diagnosis.settings,
     }
     return _written(context, files, Path(directory))
@@ -152,11 +152,11 @@ def write_diagnosis_report(
 
 def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
     tiles = []
-    new, silent = told(diagnosis)
-    for finding in (new or silent)[:2]:
+    new, unstated = new_and_unstated(diagnosis)
+    for finding in (new or unstated)[:2]:
         sure = percent_sure(finding.probability) if finding.rivals else "no rival near"
-        name = effect_words(finding.placed.effect.name)
-        note = f"{name}, {place(diagnosis, finding.placed)}"
+        name = effect_words(finding.effect.name)
+        note = f"{name}, {place(diagnosis, finding.located)}"
         tiles.append({"name": "how sure", "value": sure, "note": note})
     for role, words in (("test", "test runs"), ("extrapolate", "extrapolation")):
         if diagnosis.proofs(role):
@@ -192,12 +192,12 @@ def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
 
 def _sections(diagnosis: Diagnosis, files: Files) -> Iterator[dict[str, Any]]:
     """One section a finding, those that say something new first."""
-    new, silent = told(diagnosis)
-    for number, finding in enumerate([*new, *silent][:_SHOWN], 1):
-        effect = finding.placed.effect
-        where = place(diagnosis, finding.placed)
+    new, unstated = new_and_unstated(diagnosis)
+    for number, finding in enumerate([*new, *unstated][:_SHOWN], 1):
+        effect = finding.effect
+        where = place(diagnosis, finding.located)
         yield {
-            "title": f"{where[0].upper()}{where[1:]}: {phrase(finding, finding in silent)}",
+            "title": f"{where[0].upper()}{where[1:]}: {phrase(finding, finding in unstated)}",
             "effect": effect_words(effect.name),
             "equation": effect.equation,
             "signature": effect.signature,
@@ -214,7 +214,7 @@ def _finding_figures(
     if len(rows.after) < 50:
         return
     channel = channels_in_words([finding.channel])
-    name = effect_words(finding.placed.effect.name)
+    name = effect_words(finding.effect.name)
     yield _saved(
         regressor_figure(diagnosis, rows, finding),
         f"diagnosis_regressor_{number}",
@@ -244,17 +244,17 @@ def _finding_figures(
 
 
 def _outside_figures(diagnosis: Diagnosis, files: Files) -> list[PageFigure]:
-    outside = diagnosis.outside
-    if outside is None:
+    unexplained = diagnosis.unexplained
+    if unexplained is None:
         return []
-    rows = channel_rows(diagnosis, outside.channels[0])
-    channel = channels_in_words(outside.channels[:1])
+    rows = channel_rows(diagnosis, unexplained.channels[0])
+    channel = channels_in_words(unexplained.channels[:1])
     figures = []
-    if outside.period is not None:
+    if unexplained.period is not None:
         time = diagnosis.search.comparison.rows.sampled(lambda run: run.time)[rows.chosen]
         figures.append(
             _saved(
-                spectrum_figure(rows, time, outside.period),
+                spectrum_figure(rows, time, unexplained.period),
                 "diagnosis_spectrum",
                 "It repeats in time",
                 f"Share of what is left of {channel} that a wave of each frequency explains, its "
@@ -262,8 +262,8 @@ def _outside_figures(diagnosis: Diagnosis, files: Files) -> list[PageFigure]:
                 files,
             )
         )
-    title = "It does not follow the motion" if outside.period else "What it follows"
-    if outside.brief:
+    title = "It does not follow the motion" if unexplained.period else "What it follows"
+    if unexplained.brief:
         title = "Below the filter's cutoff it leaves nothing"
     figures.append(
         _saved(
@@ -295,11 +295,11 @@ def _quiet(diagnosis: Diagnosis, files: Files) -> PageFigure | None:
 
 def _overlays(diagnosis: Diagnosis, files: Files) -> Iterator[PageFigure]:
     """One test run and one extrapolation run in the channel that the answer is about."""
-    new, silent = told(diagnosis)
-    if diagnosis.outside is not None and not new:
-        name = diagnosis.outside.channels[0]
-    elif new or silent:
-        name = (new or silent)[0].channel
+    new, unstated = new_and_unstated(diagnosis)
+    if diagnosis.unexplained is not None and not new:
+        name = diagnosis.unexplained.channels[0]
+    elif new or unstated:
+        name = (new or unstated)[0].channel
     else:
         name = worst_channel(diagnosis, diagnosis.search.before)
     for role, words in (("test", "Test run"), ("extrapolate", "Extrapolation run")):

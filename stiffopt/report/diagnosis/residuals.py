@@ -107,11 +107,11 @@ def contribution(diagnosis: Diagnosis, finding: Finding, rows: ChannelRows) -> n
     """What a finding adds to a channel, as fitted beside all others (m,)."""
     search = diagnosis.search
     begin = 0
-    for placed in search.fit.effects:
-        count = len(placed.effect.amplitudes)
-        if placed.same_place(finding.placed):
+    for located in search.fit.effects:
+        count = len(located.effect.amplitudes)
+        if located.same_place(finding.located):
             own = search.fit.amplitudes()[begin : begin + count]
-            columns = search.comparison.effect_columns(placed)[rows.chosen]
+            columns = search.comparison.effect_columns(located)[rows.chosen]
             number = search.comparison.rows.channel[rows.chosen]
             return np.asarray(columns @ own * search.comparison.inflation[number] * rows.noise)
         begin += count

@@ -14,7 +14,7 @@ from stiffopt.report.diagnosis.words import (
     channels_in_words,
     effect_words,
     fall,
-    is_silent,
+    is_unstated,
     own_unit,
     percent_sure,
     place,
@@ -39,9 +39,9 @@ def findings_table(diagnosis: Diagnosis) -> Table | None:
     """Findings with parameters, their standard deviations, and how sure they are."""
     rows = [
         (
-            place(diagnosis, f.placed),
-            effect_words(f.placed.effect.name)
-            + (" (no nominal value)" if is_silent(diagnosis, f) else ""),
+            place(diagnosis, f.located),
+            effect_words(f.effect.name)
+            + (" (no nominal value)" if is_unstated(diagnosis, f) else ""),
             _parameters(diagnosis, f),
             f"{f.significance:.0f} sd",
             channels_in_words([f.channel])[4:],
@@ -65,7 +65,7 @@ def findings_table(diagnosis: Diagnosis) -> Table | None:
 
 
 def _parameters(diagnosis: Diagnosis, finding: Finding) -> str:
-    slides = prismatic(diagnosis, finding.placed)
+    slides = prismatic(diagnosis, finding.located)
     return ", ".join(
         f"{p.name} = {with_deviation(p.value, p.sd, own_unit(p.unit, slides))}"
         for p in finding.parameters
@@ -74,18 +74,18 @@ def _parameters(diagnosis: Diagnosis, finding: Finding) -> str:
 
 def candidates_table(diagnosis: Diagnosis, finding: Finding) -> Table:
     """A finding and its rivals by probability."""
-    every = [(finding.placed, finding.probability)]
-    every += [(rival.placed, rival.probability) for rival in finding.rivals]
+    every = [(finding.located, finding.probability)]
+    every += [(rival.located, rival.probability) for rival in finding.rivals]
     every.sort(key=lambda pair: -pair[1])
     rows = tuple(
         (
             str(rank),
-            effect_words(placed.effect.name),
-            place(diagnosis, placed),
+            effect_words(located.effect.name),
+            place(diagnosis, located),
             percent_sure(share),
-            placed.effect.signature,
+            located.effect.signature,
         )
-        for rank, (placed, share) in enumerate(every, 1)
+        for rank, (located, share) in enumerate(every, 1)
     )
     return Table(("", "effect", "where", "probability", "how it shows"), rows)
 
@@ -221,8 +221,8 @@ def windows_table(windows: Sequence[Window]) -> Table | None:
     return Table(head, tuple(rows)) if rows else None
 
 
-def untold_table(checks: Sequence[EffectCheck]) -> Table | None:
-    """Effects that could not be told, on which joints, and why."""
+def undetectable_table(checks: Sequence[EffectCheck]) -> Table | None:
+    """Effects that could not be new_and_unstated, on which joints, and why."""
     groups: dict[tuple[str, tuple[str, ...]], list[int]] = {}
     for check in checks:
         if not check.possible:

@@ -14,10 +14,10 @@ from rich.table import Table
 from rich.text import Text
 
 from stiffopt.report.common.quantities import significant
-from stiffopt.report.diagnosis.words import outside_sentence
+from stiffopt.report.diagnosis.words import unexplained_sentence
 
 if TYPE_CHECKING:
-    from stiffopt.discovery.comparison.located_effect import PlacedEffect
+    from stiffopt.discovery.comparison.located_effect import LocatedEffect
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 _VERDICTS = {
@@ -96,8 +96,8 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
             table.add_row(*_row(diagnosis, finding))
         wide = Console(highlight=False)
         (wide if wide.is_terminal else Console(highlight=False, width=_LOG_WIDTH)).print(table)
-    if diagnosis.outside is not None:
-        console.print(f"Outside the catalogue. {outside_sentence(diagnosis)}", markup=False)
+    if diagnosis.unexplained is not None:
+        console.print(f"Unexplained the catalogue. {unexplained_sentence(diagnosis)}", markup=False)
     for role, meaning in (("test", "test"), ("extrapolate", "extrapolation")):
         if diagnosis.proofs(role):
             before, after = diagnosis.nrmse(role)
@@ -126,13 +126,13 @@ def _row(diagnosis: Diagnosis, finding: Finding) -> list[str]:
         for p in finding.parameters
     )
     rivals = "\n".join(
-        f"{rival.placed.effect.name} {_place(diagnosis, rival.placed)}"
+        f"{rival.located.effect.name} {_place(diagnosis, rival.located)}"
         f" ({100 * rival.probability:.0f} %)"
         for rival in finding.rivals
     )
     return [
-        finding.placed.effect.name,
-        _place(diagnosis, finding.placed),
+        finding.effect.name,
+        _place(diagnosis, finding.located),
         parameters,
         f"{100 * finding.variance_explained:.0f} % of {finding.channel}",
         f"{100 * finding.probability:.0f} %",
@@ -140,10 +140,10 @@ def _row(diagnosis: Diagnosis, finding: Finding) -> list[str]:
     ]
 
 
-def _place(diagnosis: Diagnosis, placed: PlacedEffect) -> str:
-    if placed.link is not None:
-        return diagnosis.training.constants.links[placed.link]
-    if placed.joint is None:
+def _place(diagnosis: Diagnosis, located: LocatedEffect) -> str:
+    if located.link is not None:
+        return diagnosis.training.constants.links[located.link]
+    if located.joint is None:
         return "robot"
-    place = f"joint {placed.joint + 1}"
-    return place if placed.run is None else f"{place}, {placed.run}"
+    place = f"joint {located.joint + 1}"
+    return place if located.run is None else f"{place}, {located.run}"

@@ -11,7 +11,7 @@ import numpy as np
 from stiffopt.report.common.quantities import significant
 
 if TYPE_CHECKING:
-    from stiffopt.discovery.comparison.located_effect import PlacedEffect
+    from stiffopt.discovery.comparison.located_effect import LocatedEffect
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 VERDICTS = {
@@ -129,40 +129,40 @@ def with_deviation(value: float, sd: float, unit: str) -> str:
     return f"{shown[0]} ± {shown[1]} {name}".strip()
 
 
-def place(diagnosis: Diagnosis, placed: PlacedEffect) -> str:
+def place(diagnosis: Diagnosis, located: LocatedEffect) -> str:
     """Where an effect is: a joint, a link, the robot; and the run, if it has only one."""
-    if placed.link is not None:
-        return f"link {diagnosis.training.constants.links[placed.link]}"
-    if placed.joint is None:
+    if located.link is not None:
+        return f"link {diagnosis.training.constants.links[located.link]}"
+    if located.joint is None:
         return "robot"
-    return f"joint {placed.joint + 1}" + (f", {placed.run}" if placed.run else "")
+    return f"joint {located.joint + 1}" + (f", {located.run}" if located.run else "")
 
 
-def prismatic(diagnosis: Diagnosis, placed: PlacedEffect) -> bool:
+def prismatic(diagnosis: Diagnosis, located: LocatedEffect) -> bool:
     """Whether an effect's joint slides."""
     joints = diagnosis.training.constants.joints
-    return placed.joint is not None and joints[placed.joint].prismatic
+    return located.joint is not None and joints[located.joint].prismatic
 
 
-def is_silent(diagnosis: Diagnosis, finding: Finding) -> bool:
+def is_unstated(diagnosis: Diagnosis, finding: Finding) -> bool:
     """Whether a finding stands for a value that the nominal model does not give at all."""
-    name = finding.placed.effect.name
+    name = finding.effect.name
     return name in _VALUES and getattr(diagnosis.recordings.nominal, name) is None
 
 
-def told(diagnosis: Diagnosis) -> tuple[list[Finding], list[Finding]]:
+def new_and_unstated(diagnosis: Diagnosis) -> tuple[list[Finding], list[Finding]]:
     """Findings that say something new, and values that the nominal model did not give."""
-    silent = [f for f in diagnosis.findings if is_silent(diagnosis, f)]
-    return [f for f in diagnosis.findings if f not in silent], silent
+    unstated = [f for f in diagnosis.findings if is_unstated(diagnosis, f)]
+    return [f for f in diagnosis.findings if f not in unstated], unstated
 
 
-def phrase(finding: Finding, silent: bool = False) -> str:
+def phrase(finding: Finding, unstated: bool = False) -> str:
     """What is missing, in plain words."""
-    name = finding.placed.effect.name
-    if name in _VALUES and silent:
+    name = finding.effect.name
+    if name in _VALUES and unstated:
         return f"{_VALUES[name]}, for which there is no nominal value"
     if name in _SIGNED:
-        return _SIGNED[name][finding.sized.amplitudes[0] < 0.0]
+        return _SIGNED[name][finding.estimated.amplitudes[0] < 0.0]
     return _PHRASES.get(name, effect_words(name))
 
 
@@ -171,14 +171,16 @@ def headline(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "nothing_missing":
         return "Nothing is missing within the tolerances"
     if diagnosis.verdict == "outside_catalogue":
-        where = channels_in_words(diagnosis.outside.channels[:1]) if diagnosis.outside else ""
+        where = (
+            channels_in_words(diagnosis.unexplained.channels[:1]) if diagnosis.unexplained else ""
+        )
         return f"Something outside the catalogue acts on {where}"
-    new, silent = told(diagnosis)
+    new, unstated = new_and_unstated(diagnosis)
     if not new:
-        return f"Found what the nominal model does not give: {_silent_words(silent)}"
+        return f"Found what the nominal model does not give: {_unstated_words(unstated)}"
     by_place: dict[str, list[str]] = {}
     for finding in new:
-        by_place.setdefault(place(diagnosis, finding.placed), []).append(phrase(finding))
+        by_place.setdefault(place(diagnosis, finding.located), []).append(phrase(finding))
     text = "; ".join(f"{where}: {listed(what)}" for where, what in by_place.items())
     return text[0].upper() + text[1:]
 
@@ -192,18 +194,20 @@ def lead(diagnosis: Diagnosis) -> str:
             f"tolerances, the worst channel of the training runs is at {most:.2g} times its noise."
         )
     elif diagnosis.verdict == "outside_catalogue":
-        text = outside_sentence(diagnosis)
+        text = unexplained_sentence(diagnosis)
     else:
-        new, silent = told(diagnosis)
+        new, unstated = new_and_unstated(diagnosis)
         parts = [how_sure(finding) for finding in new]
         parts += [fall_sentence(diagnosis, c) for c in dict.fromkeys(f.channel for f in new)]
-        if new and silent:
-            parts.append(f"Also found, not given by the nominal model: {_silent_words(silent)}.")
-        elif silent:
+        if new and unstated:
+            parts.append(
+                f"Also found, not given by the nominal model: {_unstated_words(unstated)}."
+            )
+        elif unstated:
             parts.append("Beyond these, no effect of the catalogue is needed.")
         text = " ".join(parts)
-        if diagnosis.outside is not None:
-            text += f" {outside_sentence(diagnosis)}"
+        if diagnosis.unexplained is not None:
+            text += f" {unexplained_sentence(diagnosis)}"
     return text
 
 
@@ -211,13 +215,13 @@ def how_sure(finding: Finding) -> str:
     """Probability against rivals and deviations from nothing, in a sentence."""
     if finding.rivals:
         rival = finding.rivals[0]
-        other = effect_words(rival.placed.effect.name)
+        other = effect_words(rival.located.effect.name)
         sure = f"{percent_sure(finding.probability)} sure; the nearest rival is {other}"
-        if rival.placed.joint not in (None, finding.placed.joint):
-            sure += f" of joint {rival.placed.joint + 1}"
+        if rival.located.joint not in (None, finding.located.joint):
+            sure += f" of joint {rival.located.joint + 1}"
     else:
         sure = "no rival comes near"
-    name = effect_words(finding.placed.effect.name)
+    name = effect_words(finding.effect.name)
     return (
         f"{name[0].upper()}{name[1:]}: {sure}; {finding.significance:.0f} standard deviations from "
         "nothing."
@@ -241,28 +245,28 @@ def fall(diagnosis: Diagnosis, channel: str) -> tuple[float, float]:
     return float(diagnosis.search.calibrated[number]), float(diagnosis.search.after[number])
 
 
-def outside_sentence(diagnosis: Diagnosis) -> str:
+def unexplained_sentence(diagnosis: Diagnosis) -> str:
     """What remains beyond the catalogue and what it follows."""
-    outside = diagnosis.outside
-    if outside is None:
+    unexplained = diagnosis.unexplained
+    if unexplained is None:
         return ""
-    channels = channels_in_words(outside.channels)
-    if outside.brief:
+    channels = channels_in_words(unexplained.channels)
+    if unexplained.brief:
         return (
-            f"In bursts, {channels} leaves {outside.ratio:.2g} times the noise:"
-            f" {100 * outside.gain:.0f} % of what remains lies where"
-            f" {regressor_words(outside.regressors[0])} is largest, as with a drive that"
-            f" {_DRIVES[outside.regressors[0].partition('_')[0]]}."
+            f"In bursts, {channels} leaves {unexplained.ratio:.2g} times the noise:"
+            f" {100 * unexplained.gain:.0f} % of what remains lies where"
+            f" {regressor_words(unexplained.regressors[0])} is largest, as with a drive that"
+            f" {_DRIVES[unexplained.regressors[0].partition('_')[0]]}."
         )
-    text = f"In {channels} up to {outside.ratio:.2g} times the noise remains unexplained"
-    if outside.period is not None:
-        text += f"; it repeats every {significant(outside.period, 3)} s, whatever the motion"
-        return f"{text}: a wave of that period explains {100 * outside.gain:.0f} % of it."
-    elif outside.regressors:
-        text += f"; it follows {listed(regressor_words(r) for r in outside.regressors)}"
+    text = f"In {channels} up to {unexplained.ratio:.2g} times the noise remains unexplained"
+    if unexplained.period is not None:
+        text += f"; it repeats every {significant(unexplained.period, 3)} s, whatever the motion"
+        return f"{text}: a wave of that period explains {100 * unexplained.gain:.0f} % of it."
+    elif unexplained.regressors:
+        text += f"; it follows {listed(regressor_words(r) for r in unexplained.regressors)}"
     else:
         return f"{text}; it follows nothing that was recorded."
-    return f"{text}, which predicts {100 * outside.gain:.0f} % of it in data left out."
+    return f"{text}, which predicts {100 * unexplained.gain:.0f} % of it in data left out."
 
 
 def proof_sentence(diagnosis: Diagnosis) -> str:
@@ -337,11 +341,11 @@ def listed(items: Iterable[str]) -> str:
     return every[0] if len(every) == 1 else f"{', '.join(every[:-1])} and {every[-1]}"
 
 
-def _silent_words(silent: Sequence[Finding]) -> str:
+def _unstated_words(unstated: Sequence[Finding]) -> str:
     joints: dict[str, list[int]] = {}
-    for finding in silent:
+    for finding in unstated:
         if finding.joint is not None:
-            joints.setdefault(finding.placed.effect.name, []).append(finding.joint)
+            joints.setdefault(finding.effect.name, []).append(finding.joint)
     return listed(f"{_VALUES[name]} of {_joints(sorted(own))}" for name, own in joints.items())
 
 
