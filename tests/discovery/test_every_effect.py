@@ -77,7 +77,11 @@ LOW_SPEED = "what the sixth harmonic leaves at low speed is called stribeck"
 
 
 def trials(**doubtful: str) -> list[object]:
-    """Parameters of a test: all trials, those that fail with the reason why."""
+    """Parameters of a test: all trials, those that fail with the reason why.
+
+    Tests take them with scope "module", which runs the tests of one trial one after the other: a
+    worker diagnoses it once for all of them.
+    """
     unknown = set(doubtful) - {trial.name for trial in TRIALS}
     assert not unknown, unknown
     return [
@@ -114,7 +118,7 @@ def test_every_entry_of_the_catalogue_is_tried() -> None:
     assert sorted(trial.name for trial in TRIALS) == sorted(entry.name for entry in CATALOGUE)
 
 
-@pytest.mark.parametrize("trial", trials())
+@pytest.mark.parametrize("trial", trials(), scope="module")
 def test_effect_is_named_at_its_place_before_anything_else(trial: Trial) -> None:
     finding = finding_of(trial)
     diagnosis = diagnosed(trial.spec)
@@ -123,7 +127,7 @@ def test_effect_is_named_at_its_place_before_anything_else(trial: Trial) -> None
     assert finding.probability >= max((r.probability for r in finding.rivals), default=0.0)
 
 
-@pytest.mark.parametrize("trial", trials(torque_ripple=LOW_SPEED))
+@pytest.mark.parametrize("trial", trials(torque_ripple=LOW_SPEED), scope="module")
 def test_nothing_is_named_beside_the_effect(trial: Trial) -> None:
     diagnosis = diagnosed(trial.spec)
     assert len(diagnosis.findings) == 1, said(diagnosis)
@@ -135,6 +139,7 @@ def test_nothing_is_named_beside_the_effect(trial: Trial) -> None:
         thermal_friction="another law over 15 K, of which the share of dry friction takes a part",
         torque_ripple="the sixth harmonic passes the filter only where a joint counts as standing",
     ),
+    scope="module",
 )
 def test_parameters_that_any_model_shares_agree_with_the_truth(trial: Trial) -> None:
     reported = {p.name: p for p in finding_of(trial).parameters}
@@ -152,6 +157,7 @@ def test_parameters_that_any_model_shares_agree_with_the_truth(trial: Trial) -> 
         torque_ripple="stribeck friction is claimed beside it, which is not there",
         saturation="how much is asked for in vain depends on how long, not on the motion alone",
     ),
+    scope="module",
 )
 def test_held_out_run_is_predicted_better(trial: Trial) -> None:
     before, after = diagnosed(trial.spec).nrmse("test")
