@@ -23,6 +23,7 @@ import pinocchio as pin
 from common import Row, deflection_problem, main
 from standin import standin_robot
 
+from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.problem.objectives import Objective
 from stiffopt.problem.trajectory import Method
 from stiffopt.result.assessment import Assessment
@@ -61,7 +62,7 @@ class Springs:
             assert chain is not None
             # Cubed, so that the steep beginning of the contacts is well covered.
             torque = reach * torque_max * np.linspace(-1.0, 1.0, 4001) ** 3
-            windup = chain.exact_windup(torque)
+            windup = exact_windup(chain, torque)
             largest.append(windup[-1])
             tables.append(np.interp(share * windup[-1], windup, torque))
         self.windup_max = np.array(largest)
@@ -85,7 +86,7 @@ class Springs:
     def stiffness(self, torque: np.ndarray, robot: Robot) -> np.ndarray:
         """Tangent stiffness (n,) [N m/rad] at torques (n,)."""
         slopes = [
-            1.0 / chain.exact_tangent_compliance(np.array([t]))[0]
+            1.0 / exact_compliance(chain, np.array([t]))[0]
             for chain, t in zip(robot.chains, torque, strict=True)
             if chain is not None
         ]

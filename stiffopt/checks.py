@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from stiffopt.errors import StiffoptError
+from stiffopt.exact.connection import breakpoints, tangent_compliance
 
 Formula = Callable[[np.ndarray], np.ndarray]
 
@@ -34,7 +35,11 @@ class CheckFailed(StiffoptError, AssertionError):
 
 
 class Smoothed(Protocol):
-    """What `check_smoothed_against_exact` needs of a connection."""
+    """What `check_smoothed_against_exact` needs of a connection.
+
+    One of a kind of one's own also has `exact_tangent_compliance(torque, preload=...)`, its
+    compliance without smoothing [rad/(N m)], and, where that jumps, `breakpoints()` [N m].
+    """
 
     @property
     def torque_max(self) -> float:
@@ -42,12 +47,6 @@ class Smoothed(Protocol):
 
     def windup(self, torque: np.ndarray) -> np.ndarray:
         """Smooth wind-up [rad]."""
-
-    def exact_tangent_compliance(self, torque: np.ndarray) -> np.ndarray:
-        """Compliance without smoothing [rad/(N m)]."""
-
-    def breakpoints(self) -> tuple[float, ...]:
-        """Torques where the exact compliance jumps [N m]."""
 
 
 def check_derivative(
@@ -136,12 +135,12 @@ def _exact_windup(connection: Smoothed, start: float, torques: np.ndarray) -> np
     # Panels shrink towards zero, where contacts change most; jumps fall on panel ends.
     lowest = start if start > 0.0 else 1e-8 * float(torques[-1])
     grid = np.geomspace(lowest, torques[-1], 60)
-    jumps = [t for t in connection.breakpoints() if lowest < t < torques[-1]]
+    jumps = [t for t in breakpoints(connection) if lowest < t < torques[-1]]
     edges = np.unique(np.concatenate([[start, lowest], grid, torques, jumps]))
     nodes, weights = np.polynomial.legendre.leggauss(8)
     middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
     samples = middle[:, None] + half[:, None] * nodes
-    compliance = connection.exact_tangent_compliance(samples.ravel()).reshape(samples.shape)
+    compliance = tangent_compliance(connection, samples.ravel()).reshape(samples.shape)
     total = np.concatenate([[0.0], np.cumsum(half * (compliance @ weights))])
     return np.asarray(np.interp(torques, edges, total))
 

@@ -4,6 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from stiffopt.connection import Reducer, Shaft
+from stiffopt.drivetrain.chain import Chain
+from stiffopt.drivetrain.stage import Stage
 from stiffopt.problem.objectives import Objective
 from stiffopt.problem.trajectory import Limits, Target, TrajectoryProblem
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
@@ -11,20 +14,28 @@ from stiffopt.result.solution import Baseline, ObjectiveValue, Solution, SolverR
 from stiffopt.result.status import SolveStatus
 
 
-class TwoElementChain:
-    """A reducer and a key that share the compliance 3 : 1."""
+class ClampedShaft(Shaft):
+    """A shaft in a clamp that slips at 45 N m."""
 
-    def __init__(self):
-        kinds = {"wave": "reducer", "key": "key"}
-        self.elements = {name: SimpleNamespace(kind=kind) for name, kind in kinds.items()}
+    def slip_torque(self, preload=None):
+        return 45.0
 
-    def windup_shares(self, torque):
-        return {"wave": 0.75, "key": 0.25}
 
-    compliance_shares = windup_shares
-
-    def slip_torques(self):
-        return {"wave": np.inf, "key": 45.0}
+def two_element_chain():
+    """A reducer and a shaft that share the compliance 3 : 1."""
+    wave = Reducer(
+        name="wave",
+        torque_max=30.0,
+        stiffness_1=1e4,
+        stiffness_2=1e4,
+        stiffness_3=1e4,
+        torque_1=5.0,
+        torque_2=10.0,
+    )
+    # Length for 3e4 N m/rad.
+    length = 80e9 * np.pi * 0.02**4 / 32 / 3e4
+    shaft = ClampedShaft(name="shaft", torque_max=30.0, diameter=0.02, length=length)
+    return Chain((Stage(wave), Stage(shaft)))
 
 
 def robot(joints=2):
@@ -35,7 +46,7 @@ def robot(joints=2):
         title="",
         joint_names=tuple(f"axis_{j}" for j in range(1, joints + 1)),
         prismatic=prismatic,
-        chains=(TwoElementChain(),) * (joints - 1) + (None,),
+        chains=(two_element_chain(),) * (joints - 1) + (None,),
         torque_max=np.full(joints, 30.0),
         estimated=lambda: [
             SimpleNamespace(joint="axis_1", element="key", key="width", source="a guess"),

@@ -56,7 +56,7 @@ class Stepped:
     def windup(self, torque: object) -> object:
         return (1 + self.error) * (torque + 2 * np.maximum(torque - 2.0, 0.0))
 
-    def exact_tangent_compliance(self, torque: np.ndarray) -> np.ndarray:
+    def exact_tangent_compliance(self, torque: np.ndarray, *, preload: object = None) -> np.ndarray:
         return np.where(np.abs(torque) < 2.0, 1.0, 3.0)
 
     def breakpoints(self) -> tuple[float, ...]:

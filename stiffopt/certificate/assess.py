@@ -12,6 +12,7 @@ import numpy as np
 
 from stiffopt.certificate.rigid_body import rigid_body_history
 from stiffopt.certificate.violations import find_violations
+from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.result.assessment import Assessment, LowestStiffness
 
 if TYPE_CHECKING:
@@ -54,12 +55,12 @@ def assess(
     friction = robot.coulomb * direction + robot.viscous * velocity
     torque = spring_torque + robot.rotor_inertia * acceleration + friction
 
-    windup = exact_windup(robot, spring_torque)
-    link_windup = exact_windup(robot, body.link_torque) if np.any(process) else windup
+    windup = joint_windup(robot, spring_torque)
+    link_windup = joint_windup(robot, body.link_torque) if np.any(process) else windup
     deflection = _deflection(
-        body.jacobian, exact_windup(robot, body.gravity_torque), link_windup, windup
+        body.jacobian, joint_windup(robot, body.gravity_torque), link_windup, windup
     )
-    compliance = exact_compliance(robot, spring_torque)
+    compliance = joint_compliance(robot, spring_torque)
     with np.errstate(divide="ignore"):
         stiffness = 1.0 / compliance
     tool_speed = np.linalg.norm(np.einsum("kij,kj->ki", body.jacobian, velocity), axis=1)
@@ -125,21 +126,21 @@ def fine_grid(motion: Any) -> np.ndarray:
     return grid[np.concatenate(([True], np.diff(grid) > 1e-9 * motion.duration))]
 
 
-def exact_windup(robot: Robot, torque: np.ndarray) -> np.ndarray:
+def joint_windup(robot: Robot, torque: np.ndarray) -> np.ndarray:
     """Wind-up of every joint [rad] by quadrature of the exact law; torque (K, n) [N m]."""
     columns = [
-        np.zeros(len(torque)) if chain is None else np.asarray(chain.exact_windup(torque[:, j]))
+        np.zeros(len(torque)) if chain is None else np.asarray(exact_windup(chain, torque[:, j]))
         for j, chain in enumerate(robot.chains)
     ]
     return np.stack(columns, axis=1)
 
 
-def exact_compliance(robot: Robot, torque: np.ndarray) -> np.ndarray:
+def joint_compliance(robot: Robot, torque: np.ndarray) -> np.ndarray:
     """Tangent compliance [rad/(N m)] of every joint by the exact law; zero for a rigid joint."""
     columns = [
         np.zeros(len(torque))
         if chain is None
-        else np.asarray(chain.exact_tangent_compliance(torque[:, j]))
+        else np.asarray(exact_compliance(chain, torque[:, j]))
         for j, chain in enumerate(robot.chains)
     ]
     return np.stack(columns, axis=1)

@@ -7,10 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
-import numpy as np
-
 from stiffopt.connection.connection import ContactConnection
-from stiffopt.connection.exact import annulus_compliance
 from stiffopt.connection.fastener import Bolt
 from stiffopt.contact.shear import SHEAR_LAWS, ShearLaw, shear_softening, shear_travel
 from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
@@ -147,18 +144,3 @@ class BoltedFlange(ContactConnection):
         pressure = self.bolt_count * preload / self.area
         softening = shear_softening(self.law, pressure, ratio, self.shear)
         return softening / self._unsheared_stiffness(preload)
-
-    def exact_tangent_compliance(
-        self, torque: np.ndarray, *, preload: float | None = None
-    ) -> np.ndarray:
-        """Compliance by the exact fractal law [rad/(N m)]."""
-        return annulus_compliance(
-            torque,
-            self.surface,
-            self.inner_radius,
-            self.outer_radius,
-            self.bolt_count * self._preload(preload),
-            self.friction_coefficient,
-            mindlin=self.shear == "mindlin",
-            sectors=self.sectors,
-        )

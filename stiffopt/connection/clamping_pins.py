@@ -7,10 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
-import numpy as np
-
 from stiffopt.connection.connection import ContactConnection
-from stiffopt.connection.exact import pin_compliance
 from stiffopt.connection.fastener import SetScrew
 from stiffopt.contact.shear import SHEAR_LAWS, ShearLaw, shear_softening, shear_travel
 from stiffopt.contact.surface import SurfacePair
@@ -135,19 +132,3 @@ class ClampingPins(ContactConnection):
         ratio = torque / self.slip_torque(preload)
         softening = shear_softening(self.law, preload / self.tip_area, ratio, self.shear)
         return softening / self._face_stiffness(preload) + self._half_space_compliance
-
-    def exact_tangent_compliance(
-        self, torque: np.ndarray, *, preload: float | None = None
-    ) -> np.ndarray:
-        """Compliance by the exact fractal law [rad/(N m)]."""
-        return pin_compliance(
-            torque,
-            self.surface,
-            self.contact_count,
-            self.shaft_radius,
-            self.tip_diameter,
-            self._preload(preload),
-            self.friction_coefficient,
-            mindlin=self.shear == "mindlin",
-            half_space=self.half_space,
-        )

@@ -8,8 +8,6 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
-import numpy as np
-
 from stiffopt.contact.validate import require_positive
 from stiffopt.errors import InputError
 from stiffopt.symbolic import Quantity, smooth_abs
@@ -81,16 +79,6 @@ class Connection(abc.ABC):
     ) -> Quantity:
         """Compliance d phi/dT [rad/(N m)]."""
 
-    @abc.abstractmethod
-    def exact_tangent_compliance(
-        self, torque: np.ndarray, *, preload: float | None = None
-    ) -> np.ndarray:
-        """Compliance of the law before smoothing [rad/(N m)], NumPy only, shape as `torque`.
-
-        Written apart from `windup`, so that one can check the other. Infinite where a contact
-        carries no pressure or slips.
-        """
-
     def tangent_stiffness(
         self, torque: Quantity, *, preload: Quantity | None = None, smoothing: Quantity = 1.0
     ) -> Quantity:
@@ -112,10 +100,6 @@ class Connection(abc.ABC):
     def pressure(self, torque: Quantity, preload: Quantity | None = None) -> Quantity:
         """Largest nominal contact pressure [Pa]; nan where the notion has no meaning."""
         return math.nan + 0.0 * torque
-
-    def breakpoints(self) -> tuple[float, ...]:
-        """Positive torques [N m] where the exact compliance jumps, ascending."""
-        return ()
 
     def with_preload(self, preload: float) -> Self:
         """Copy with another preload [N]."""

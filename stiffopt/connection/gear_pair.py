@@ -10,7 +10,6 @@ from typing import ClassVar
 import numpy as np
 
 from stiffopt.connection.connection import ContactConnection
-from stiffopt.connection.exact import gear_compliance
 from stiffopt.contact.hertz import mean_pressure
 from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
 from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law, require_law
@@ -118,17 +117,3 @@ class GearPair(ContactConnection):
         area = torque / (self.base_radius * self.contact_ratio) / pressure
         mesh = self.contact_ratio * self.law.stiffness(pressure) * area * self._lever_square
         return 1 / mesh + self._bending_compliance
-
-    def exact_tangent_compliance(
-        self, torque: np.ndarray, *, preload: float | None = None
-    ) -> np.ndarray:
-        """Compliance by the exact fractal law [rad/(N m)]."""
-        return gear_compliance(
-            torque,
-            self.surface,
-            (self.pitch_radius, self.pitch_radius_driven),
-            self.face_width,
-            self.pressure_angle,
-            self.contact_ratio,
-            self.mesh_stiffness,
-        )

@@ -9,7 +9,6 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from stiffopt.connection.connection import ContactConnection
-from stiffopt.connection.exact import key_compliance
 from stiffopt.contact.surface import SurfacePair
 from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law, require_law
 from stiffopt.contact.validate import (
@@ -156,17 +155,3 @@ class Key(ContactConnection):
             shifted = np.exp(origin + 0.5 * (1 + node) * span)
             total = total + 0.5 * weight * shifted * self.loading_compliance(shifted - shift, None)
         return span * total
-
-    def exact_tangent_compliance(
-        self, torque: np.ndarray, *, preload: float | None = None
-    ) -> np.ndarray:
-        """Compliance by the exact fractal law [rad/(N m)]."""
-        d, h1, h2 = self.shaft_diameter, self.shaft_height, self.hub_height
-        return key_compliance(
-            torque,
-            self.surface,
-            ((d - h1) / 2, (d + h2) / 2),
-            (self.length * h1, self.length * h2),
-            self.prepressure,
-            series=self.flanks == "series",
-        )

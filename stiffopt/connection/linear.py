@@ -5,8 +5,6 @@ from __future__ import annotations
 import abc
 from dataclasses import dataclass
 
-import numpy as np
-
 from stiffopt.connection.connection import Connection
 from stiffopt.symbolic import Quantity
 
@@ -31,9 +29,3 @@ class LinearConnection(Connection):
     ) -> Quantity:
         """Constant compliance [rad/(N m)], shape as `torque`."""
         return self.compliance + 0.0 * torque
-
-    def exact_tangent_compliance(
-        self, torque: np.ndarray, *, preload: float | None = None
-    ) -> np.ndarray:
-        """Constant compliance as an array [rad/(N m)], shape as `torque`."""
-        return np.full(np.shape(torque), self.compliance)

@@ -9,7 +9,6 @@ import numpy as np
 
 from stiffopt.connection.connection import Connection
 from stiffopt.contact.validate import require_ordered, require_positive
-from stiffopt.exact.reducer import reducer_compliance
 from stiffopt.symbolic import Quantity, softplus
 
 # Corner width as a share of the corner's torque: 2.1 % error in wind-up at most, 24 % in slope.
@@ -60,10 +59,6 @@ class Reducer(Connection):
         """False."""
         return False
 
-    def breakpoints(self) -> tuple[float, ...]:
-        """T1 and T2 [N m]."""
-        return self.torque_1, self.torque_2
-
     def _corners(self, smoothing: Quantity) -> list[tuple[float, Quantity, float]]:
         """Torque, width and step of the compliance at each corner."""
         c1, c2, c3 = 1 / self.stiffness_1, 1 / self.stiffness_2, 1 / self.stiffness_3
@@ -94,15 +89,3 @@ class Reducer(Connection):
             below = 0.5 * (1 + np.tanh(0.5 * (-torque - corner) / width))
             compliance = compliance + step * (above + below)
         return compliance
-
-    def exact_tangent_compliance(
-        self, torque: np.ndarray, *, preload: float | None = None
-    ) -> np.ndarray:
-        """Piecewise constant compliance [rad/(N m)]."""
-        return np.asarray(
-            reducer_compliance(
-                torque,
-                (self.stiffness_1, self.stiffness_2, self.stiffness_3),
-                (self.torque_1, self.torque_2),
-            )
-        )

@@ -10,10 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from stiffopt.connection.connection import Connection
-from stiffopt.drivetrain.parallel import exact_shares, smooth_shares
+from stiffopt.drivetrain.parallel import smooth_shares
 from stiffopt.drivetrain.stage import Preloads, Stage
 from stiffopt.errors import InputError, nearest
 from stiffopt.symbolic import Quantity
@@ -71,7 +69,7 @@ class Chain:
         same kind as `torque` [rad]
         """
         total = 0.0 * torque
-        for group in self._series(preloads):
+        for group in self.groups(preloads):
             if len(group) == 1:
                 total = total + group[0].windup(torque, preloads, smoothing)
             else:
@@ -83,7 +81,7 @@ class Chain:
     ) -> Quantity:
         """Slope of the wind-up at a torque [rad/(N m)]; arguments as in `windup`."""
         total = 0.0 * torque
-        for group in self._series(preloads):
+        for group in self.groups(preloads):
             shares = smooth_shares(group, torque, preloads, smoothing)
             slopes = [
                 s.tangent_compliance(f * torque, preloads, smoothing)
@@ -103,46 +101,9 @@ class Chain:
     ) -> Quantity:
         """Torque divided by wind-up [N m/rad], with its limit at zero; arguments as in `windup`."""
         total = 0.0 * torque
-        for group in self._series(preloads):
+        for group in self.groups(preloads):
             total = total + _group_secant(group, torque, preloads, smoothing)
         return 1.0 / total
-
-    # ---- exact law: numbers only, code of its own
-
-    def exact_tangent_compliance(
-        self, torque: np.ndarray, *, preloads: Preloads = None
-    ) -> np.ndarray:
-        """Slope of the unsmoothed wind-up, (k,) [N m] -> (k,) [rad/(N m)]."""
-        torque = np.asarray(torque, dtype=float)
-        total = np.zeros_like(torque)
-        for group in self._series(preloads):
-            shares = exact_shares(group, torque, preloads)
-            slopes = [
-                s.exact_tangent_compliance(f * torque, preloads)
-                for s, f in zip(group, shares, strict=True)
-            ]
-            total = total + (slopes[0] if len(group) == 1 else _parallel(slopes))
-        return total
-
-    def exact_windup(self, torque: np.ndarray, *, preloads: Preloads = None) -> np.ndarray:
-        """Unsmoothed wind-up by quadrature of the exact compliance, (k,) [N m] -> (k,) [rad].
-
-        Notes
-        -----
-        Accurate to about 1e-9 of itself. Infinite where a contact has no stiffness at zero
-        pressure (a key without pre-pressure).
-        """
-        torque = np.asarray(torque, dtype=float)
-        total = np.zeros_like(torque)
-        for group in self._series(preloads):
-            shares = exact_shares(group, torque, preloads)
-            total = total + group[0].exact_windup(shares[0] * torque, preloads)
-        return total
-
-    def breakpoints(self) -> tuple[float, ...]:
-        """Positive joint torques at which the exact law jumps or kinks [N m]."""
-        found = {b * s.reduction for s in self.stages for b in s.element.breakpoints()}
-        return tuple(sorted(found))
 
     # ---- parts
 
@@ -150,38 +111,6 @@ class Chain:
     def elements(self) -> dict[str, Connection]:
         """Elements by name, from motor to link."""
         return {s.element.name: s.element for s in self.stages}
-
-    def compliance_shares(self, torque: float) -> dict[str, float]:
-        """Share of each element in the tangent compliance of the exact law; they sum to 1.
-
-        A group in parallel is split among its members by the stiffness of each.
-        """
-        at, shares = np.array([float(torque)]), {}
-        for group in self._series(None):
-            splits = exact_shares(group, at, None)
-            stiff = [
-                1.0 / float(s.exact_tangent_compliance(f * at, None)[0])
-                for s, f in zip(group, splits, strict=True)
-            ]
-            for stage, k in zip(group, stiff, strict=True):
-                shares[stage.element.name] = k / sum(stiff) ** 2
-        return _normalised(shares)
-
-    def windup_shares(self, torque: float) -> dict[str, float]:
-        """Share of each element in the wind-up of the exact law from zero; they sum to 1.
-
-        A group in parallel is split among its members by the torque that each carries. Without
-        torque the shares are their limit, those of the compliance.
-        """
-        if torque == 0.0:
-            return self.compliance_shares(torque)
-        at, shares = np.array([float(torque)]), {}
-        for group in self._series(None):
-            splits = exact_shares(group, at, None)
-            whole = float(group[0].exact_windup(splits[0] * at, None)[0])
-            for stage, split in zip(group, splits, strict=True):
-                shares[stage.element.name] = whole * float(split[0])
-        return _normalised(shares)
 
     def reducer_only(self) -> Chain:
         """Return the chain without contacts and shafts: reducers and constant stiffnesses."""
@@ -197,7 +126,7 @@ class Chain:
         self._check_names(dict.fromkeys(wanted, 0.0))
         inside: list[Stage] = []
         outside: list[Stage] = []
-        for group in self._series(None):
+        for group in self.groups(None):
             held = any(stage.element.name in wanted for stage in group)
             (inside if held else outside).extend(group)
         return replace(self, stages=tuple(inside)), replace(self, stages=tuple(outside))
@@ -217,8 +146,11 @@ class Chain:
         )
         return replace(self, stages=stages)
 
-    def _series(self, preloads: Preloads) -> list[tuple[Stage, ...]]:
-        """Stages as a series of groups; a stage without a group stands alone."""
+    def groups(self, preloads: Preloads = None) -> list[tuple[Stage, ...]]:
+        """Stages as a series of groups; a stage without a group stands alone.
+
+        Raises `InputError` where a preload is of no element.
+        """
         self._check_names(preloads)
         groups: dict[object, list[Stage]] = {}
         for index, stage in enumerate(self.stages):
@@ -231,13 +163,6 @@ class Chain:
                 raise InputError(f"no element {name!r} to preload. {nearest(name, self.elements)}")
 
 
-def _parallel(compliances: list[np.ndarray]) -> np.ndarray:
-    """Compliance of elements side by side; infinite where all of them slip."""
-    stiffness = np.sum([1.0 / c for c in compliances], axis=0)
-    held = stiffness > 0.0
-    return np.where(held, 1.0 / np.where(held, stiffness, 1.0), np.inf)
-
-
 def _group_secant(
     group: tuple[Stage, ...], torque: Quantity, preloads: Preloads, smoothing: Quantity
 ) -> Quantity:
@@ -247,8 +172,3 @@ def _group_secant(
         for s, f in zip(group, shares, strict=True)
     ]
     return 1.0 / sum(1.0 / c for c in parts)
-
-
-def _normalised(shares: dict[str, float]) -> dict[str, float]:
-    total = sum(shares.values())
-    return {name: value / total for name, value in shares.items()}

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import dataclass
 
 from stiffopt.connection.connection import Connection
-from stiffopt.drivetrain.quadrature import Antiderivative, antiderivative
 from stiffopt.errors import InputError
 from stiffopt.symbolic import Quantity
 
@@ -90,37 +86,9 @@ class Stage:
         )
         return self.counts / self.reduction / stiffness
 
-    def exact_tangent_compliance(self, torque: np.ndarray, preloads: Preloads) -> np.ndarray:
-        """Slope of the unsmoothed wind-up at the joint [rad/(N m)]."""
-        slope = self.element.exact_tangent_compliance(
-            torque / self.reduction, preload=self._preload(preloads)
-        )
-        return np.asarray(slope, dtype=float) * (self.counts / self.reduction)
-
-    def exact_windup(self, torque: np.ndarray, preloads: Preloads) -> np.ndarray:
-        """Unsmoothed wind-up at the joint [rad], by quadrature of the exact slope."""
-        own = torque / self.reduction
-        largest = float(np.max(np.abs(own), initial=0.0))
-        base = self.element.torque_max
-        # Whole octaves of the largest torque meant, so that one curve serves many calls.
-        octaves = max(0, math.ceil(math.log2(largest / base))) if largest > base else 0
-        # Without the name, so that equal elements share a curve.
-        unnamed = replace(self.element, name="")
-        curve = _exact_curve(unnamed, self._preload(preloads), base * 2.0**octaves)
-        return self.counts * curve(own)
-
     def slip_torque(self, preloads: Preloads = None) -> float:
         """Joint torque at which this stage alone would slip [N m]."""
         return float(self.element.slip_torque(self._preload(preloads))) * self.reduction
 
     def _preload(self, preloads: Preloads) -> Quantity | None:
         return (preloads or {}).get(self.element.name)
-
-
-@functools.lru_cache(maxsize=512)
-def _exact_curve(element: Connection, preload: float | None, upper: float) -> Antiderivative:
-    return antiderivative(
-        lambda t: np.asarray(element.exact_tangent_compliance(t, preload=preload)),
-        upper,
-        element.breakpoints(),
-    )

@@ -15,6 +15,7 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import ProblemError
+from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.preload.candidates import CatalogueDesign
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.menus import Menu, Rows
@@ -185,7 +186,7 @@ def _compliance_rows(
             at = torques[element.joint]
             use[:, start : start + len(cases)] = _distinct(
                 own,
-                lambda d, site=site, at=at: _chain(d, site).exact_tangent_compliance(at),  # type: ignore[misc]
+                lambda d, site=site, at=at: exact_compliance(_chain(d, site), at),  # type: ignore[misc]
             )
         uses.append(use)
     rest = [model.rest_compliance(j, torques[j]) for j in joints]
@@ -240,7 +241,7 @@ class _Deflection:
                         case,
                         joint,
                         lambda at, own=own, site=site: _distinct(  # type: ignore[misc]
-                            own, lambda d: _chain(d, site).exact_windup(at)
+                            own, lambda d: exact_windup(_chain(d, site), at)
                         ),
                     )
                     for case in self.cases

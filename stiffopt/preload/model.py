@@ -17,6 +17,7 @@ from stiffopt.connection import BoltedFlange, ClampingPins, Connection
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import ProblemError
+from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.problem import FreeElement, PreloadProblem
 from stiffopt.symbolic import Quantity
@@ -129,16 +130,16 @@ class PreloadModel:
             if rest is None:
                 self._rest[key] = np.zeros_like(torques)
             elif what == "windup":
-                self._rest[key] = rest.exact_windup(torques)
+                self._rest[key] = exact_windup(rest, torques)
             else:
-                self._rest[key] = rest.exact_tangent_compliance(torques)
+                self._rest[key] = exact_compliance(rest, torques)
         return self._rest[key]
 
     def exact_compliance(self, preloads: np.ndarray, joint: int, torques: np.ndarray) -> np.ndarray:
         """Exact tangent compliance of a whole joint (k,) [rad/(N m)]; infinite where it slips."""
         parts = self._joints[joint]
-        varying = parts.varying.exact_tangent_compliance(
-            np.asarray(torques), preloads=self._least(preloads, joint)
+        varying = exact_compliance(
+            parts.varying, np.asarray(torques), preloads=self._least(preloads, joint)
         )
         return np.asarray(varying + self.rest_compliance(joint, torques))
 
@@ -147,8 +148,8 @@ class PreloadModel:
         rest = self.rest_windup(joint, torques)
         if joint not in self._joints:
             return rest
-        varying = self._joints[joint].varying.exact_windup(
-            np.asarray(torques), preloads=self._least(preloads, joint)
+        varying = exact_windup(
+            self._joints[joint].varying, np.asarray(torques), preloads=self._least(preloads, joint)
         )
         return np.asarray(varying + rest)
 

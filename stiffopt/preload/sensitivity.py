@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.drivetrain.chain import Chain
+from stiffopt.exact.chain import compliance_shares, exact_compliance, exact_windup, windup_shares
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 
@@ -207,8 +208,8 @@ def element_shares(chain: Chain, torque: float) -> dict[str, tuple[float, float]
     names = list(groups.values())
     parts = [chain.split(group)[0] for group in names]
     at = np.array([torque])
-    slopes = [float(part.exact_tangent_compliance(at)[0]) for part in parts]
-    angles = [abs(float(part.exact_windup(at)[0])) for part in parts] if torque else slopes
+    slopes = [float(exact_compliance(part, at)[0]) for part in parts]
+    angles = [abs(float(exact_windup(part, at)[0])) for part in parts] if torque else slopes
     found: dict[str, tuple[float, float]] = {}
     for group, part, angle, slope in zip(
         names, parts, _normalised(angles), _normalised(slopes), strict=True
@@ -216,7 +217,7 @@ def element_shares(chain: Chain, torque: float) -> dict[str, tuple[float, float]
         if len(group) == 1:
             found[group[0]] = (angle, slope)
             continue
-        by_angle, by_slope = part.windup_shares(torque), part.compliance_shares(torque)
+        by_angle, by_slope = windup_shares(part, torque), compliance_shares(part, torque)
         found |= {name: (angle * by_angle[name], slope * by_slope[name]) for name in group}
     return found
 

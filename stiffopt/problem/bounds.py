@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.errors import ProblemError
+from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.problem.objectives import Objective
 from stiffopt.problem.resolve import ResolvedMotion, gravity_torque, tool_jacobian
 from stiffopt.problem.trajectory import TrajectoryProblem
@@ -200,36 +201,7 @@ def stiffness_at(problem: TrajectoryProblem, joint: int, torque: float) -> float
     chain = problem.robot.chains[joint - 1]
     if chain is None:
         return np.inf
-    return float(1.0 / np.asarray(chain.exact_tangent_compliance(np.array([torque])))[0])
-
-
-def torque_of_stiffness(problem: TrajectoryProblem, joint: int, floor: float) -> float | None:
-    """Torque [N m] from which on a joint is at least as stiff as `floor` [N m/rad].
-
-    None where no such torque separates the stiff from the soft: the stiffness falls again within
-    one and a half times the joint's largest torque, or the joint is rigid.
-    """
-    chain = problem.robot.chains[joint - 1]
-    if chain is None:
-        return None
-    largest = 1.5 * float(problem.robot.torque_max[joint - 1])
-    # Just beside each jump, so that the search below ends on it.
-    jumps = [t * side for t in chain.breakpoints() for side in (1 - 1e-9, 1 + 1e-9)]
-    torques = np.unique([0.0, *np.geomspace(1e-4 * largest, largest, 300), *jumps])
-    stiff = 1.0 / np.asarray(chain.exact_tangent_compliance(torques)) >= floor
-    first = int(np.argmax(stiff))
-    if not np.all(stiff[first:]) or not stiff[-1]:
-        return None
-    if first == 0:
-        return 0.0
-    low, high = torques[first - 1], torques[first]
-    while high - low > 1e-9 * largest:
-        middle = 0.5 * (low + high)
-        if stiffness_at(problem, joint, middle) >= floor:
-            high = middle
-        else:
-            low = middle
-    return float(high)
+    return float(1.0 / np.asarray(exact_compliance(chain, np.array([torque])))[0])
 
 
 def rest_deflection(problem: TrajectoryProblem, angles: np.ndarray, objective: str) -> float:
@@ -239,7 +211,7 @@ def rest_deflection(problem: TrajectoryProblem, angles: np.ndarray, objective: s
     windup = np.zeros(problem.joints)
     for j, chain in enumerate(problem.robot.chains):
         if chain is not None:
-            loaded, unloaded = chain.exact_windup(np.array([torque[j], without_force[j]]))
+            loaded, unloaded = exact_windup(chain, np.array([torque[j], without_force[j]]))
             windup[j] = loaded - (unloaded if objective == "process_deflection" else 0.0)
     return float(np.linalg.norm(tool_jacobian(problem, angles) @ windup))
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from stiffopt.problem.bounds import torque_of_stiffness
 from stiffopt.problem.coordinates import Coordinates
 from stiffopt.problem.stage_model import StageModel
 from stiffopt.problem.trajectory import Limits, TrajectoryProblem
@@ -19,6 +18,8 @@ Block = tuple[Rows, Quantity]
 
 # Share of the torque at which the exact stiffness jumps.
 _BESIDE_JUMP = 2e-3
+# Factor on the smoothing widths at which a reducer's step is as good as a jump.
+_SHARP = 1e-6
 
 
 def limit_rows(
@@ -128,7 +129,7 @@ def _stiffness_floor(problem: TrajectoryProblem, model: StageModel, margin: floa
     labels, expressions = [], []
     for j, floor in sorted(problem.active_limits.joint_stiffness.items()):
         labels.append(f"joint {j}")
-        needed = torque_of_stiffness(problem, j, floor)
+        needed = _torque_of_stiffness(model, j, floor)
         if needed and model.sides[j - 1]:
             # A little beyond the jump, so that rounding does not fall off it.
             share = model.sides[j - 1] * model.torques.spring[j - 1] / needed
@@ -138,3 +139,31 @@ def _stiffness_floor(problem: TrajectoryProblem, model: StageModel, margin: floa
             expressions.append(floor * model.compliance(j) - (1.0 - margin))
     rows = Rows.make("joint_stiffness", labels, -np.inf, 0.0, midpoints=True)
     return rows, ca.vertcat(*expressions)
+
+
+def _torque_of_stiffness(model: StageModel, joint: int, floor: float) -> float | None:
+    """Torque [N m] from which on a joint is at least as stiff as `floor` [N m/rad].
+
+    None where no such torque separates the stiff from the soft: the stiffness falls again within
+    one and a half times the joint's largest torque, or the joint is rigid.
+    """
+    chain = model.robot.chains[joint - 1]
+    if chain is None:
+        return None
+
+    def stiff(torque: Quantity) -> Quantity:
+        return chain.tangent_stiffness(torque, smoothing=_SHARP) >= floor
+
+    largest = 1.5 * float(model.robot.torque_max[joint - 1])
+    torques = np.array([0.0, *np.geomspace(1e-4 * largest, largest, 1000)])
+    enough = stiff(torques)
+    first = int(np.argmax(enough))
+    if not np.all(enough[first:]):
+        return None
+    if first == 0:
+        return 0.0
+    low, high = torques[first - 1], torques[first]
+    while high - low > 1e-9 * largest:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if stiff(middle) else (middle, high)
+    return float(high)

@@ -13,6 +13,7 @@ import numpy as np
 from stiffopt.connection import Key
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputError, RobotError
+from stiffopt.exact.chain import compliance_shares, exact_compliance, exact_windup
 from stiffopt.files import write_csv
 from stiffopt.robot.robot import Robot
 
@@ -123,7 +124,7 @@ def compliance_by_element(robot: Robot, ratio: float) -> dict[int, dict[str, flo
         Torque over `torque_max` [-].
     """
     return {
-        j + 1: chain.compliance_shares(ratio * float(robot.torque_max[j]))
+        j + 1: compliance_shares(chain, ratio * float(robot.torque_max[j]))
         for j, chain in enumerate(robot.chains)
         if chain is not None
     }
@@ -149,9 +150,9 @@ def _readings(chain: Chain, both: bool) -> list[tuple[str, Chain]]:
 def _rows(
     joint: int, flanks: str, chain: Chain, ratios: np.ndarray, torque: np.ndarray
 ) -> list[StiffnessRow]:
-    compliance = chain.exact_tangent_compliance(torque)
-    windup = chain.exact_windup(torque)
-    alone = chain.reducer_only().exact_tangent_compliance(torque)
+    compliance = exact_compliance(chain, torque)
+    windup = exact_windup(chain, torque)
+    alone = exact_compliance(chain.reducer_only(), torque)
     # A rigid remainder (no reducer) has compliance 0; a slipping contact has no stiffness.
     with np.errstate(divide="ignore"):
         columns = {

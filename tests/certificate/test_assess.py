@@ -11,6 +11,7 @@ from scipy.integrate import quad
 from small_arms import ROOT, load
 
 from stiffopt.certificate.assess import assess
+from stiffopt.exact.chain import breakpoints, exact_compliance, exact_windup
 from stiffopt.result.trajectory import Trajectory
 
 FORBIDDEN = (
@@ -84,9 +85,9 @@ def test_windup_is_the_integral_of_the_exact_compliance(planar):
     for j, chain in enumerate(problem.robot.chains):
         for k in range(0, len(result.time), 1500):
             torque = result.spring_torque[k, j]
-            marks = [t for t in chain.breakpoints() if t < abs(torque)]
+            marks = [t for t in breakpoints(chain) if t < abs(torque)]
             area, _ = quad(
-                lambda t, c=chain: float(c.exact_tangent_compliance(np.array([t]))[0]),
+                lambda t, c=chain: float(exact_compliance(c, np.array([t]))[0]),
                 0.0,
                 abs(torque),
                 points=marks or None,
@@ -101,16 +102,14 @@ def test_windup_through_contacts(tmp_path):
     robot = load_robot("er3a_c60_contact")
     chain, limit = robot.chains[1], float(robot.torque_max[1])
     for torque in (0.01 * limit, -0.6 * limit):
-        marks = [t for t in chain.breakpoints() if t < abs(torque)]
+        marks = [t for t in breakpoints(chain) if t < abs(torque)]
         edges = [0.0, *np.geomspace(1e-4 * abs(torque), abs(torque), 9), *marks]
         edges = np.unique(edges)
         area = sum(
-            quad(
-                lambda t: float(chain.exact_tangent_compliance(np.array([t]))[0]), a, b, epsrel=1e-6
-            )[0]
+            quad(lambda t: float(exact_compliance(chain, np.array([t]))[0]), a, b, epsrel=1e-6)[0]
             for a, b in pairwise(edges)
         )
-        windup = float(chain.exact_windup(np.array([torque]))[0])
+        windup = float(exact_windup(chain, np.array([torque]))[0])
         assert windup == pytest.approx(np.sign(torque) * area, rel=1e-5)
 
 

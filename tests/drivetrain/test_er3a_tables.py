@@ -13,6 +13,8 @@ import pytest
 from er3a_tables import table_chain
 
 from stiffopt.connection import ClampingPins
+from stiffopt.exact.chain import compliance_shares, exact_compliance, exact_windup
+from stiffopt.exact.connection import tangent_compliance
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.stiffness_study import with_flanks
 
@@ -88,7 +90,7 @@ def test_ratio_to_reducer(er3a, surface, joint):
 @pytest.mark.parametrize("joint", STIFFNESS_TABLE)
 def test_exact_joint_stiffness(er3a, joint):
     chain = table_chain(er3a.chains[joint - 1], "fine_steel")
-    compliance = chain.exact_tangent_compliance(er3a.torque_max[joint - 1] * STIFFNESS_RATIOS)
+    compliance = exact_compliance(chain, er3a.torque_max[joint - 1] * STIFFNESS_RATIOS)
     # Half a unit of rounding, and as much again of the next digit.
     np.testing.assert_allclose(1 / compliance, STIFFNESS_TABLE[joint], rtol=0, atol=0.505)
 
@@ -103,8 +105,8 @@ def test_shares_of_the_compliance(er3a):
     share = keys / chain.tangent_compliance(torque, smoothing=1e-6)
     assert 0.55 < share[0] < 0.60
     assert 0.02 < share[1] < 0.03
-    belts = er3a.chains[3].compliance_shares(0.1 * 16.0)["belt"]
-    pins = er3a.chains[3].compliance_shares(0.1 * 16.0)["pulley_pins"]
+    belts = compliance_shares(er3a.chains[3], 0.1 * 16.0)["belt"]
+    pins = compliance_shares(er3a.chains[3], 0.1 * 16.0)["pulley_pins"]
     assert 0.003 < belts < 0.015
     assert pins < 1e-3
 
@@ -119,14 +121,14 @@ def test_preload_table(er3a, joint):
         preloads = {n: scale * e.preload for n, e in chain.elements.items() if e.preload}
         scaled = chain.with_preloads(preloads)
         bolts = sum(
-            float(scaled.elements[name].exact_tangent_compliance(at)[0])
+            float(tangent_compliance(scaled.elements[name], at)[0])
             for name in ("circular_spline_flange", "flexspline_flange")
         )
         assert 1e-6 / bolts == pytest.approx(faces[k], rel=5e-3)  # three digits
-        total = float(scaled.exact_tangent_compliance(at)[0])
+        total = float(exact_compliance(scaled, at)[0])
         assert 1 / total == pytest.approx(totals[k], abs=0.505)
         # Preloads given at the call do the same as a copy.
-        assert chain.exact_tangent_compliance(at, preloads=preloads)[0] == pytest.approx(total)
+        assert exact_compliance(chain, at, preloads=preloads)[0] == pytest.approx(total)
         if safeties:
             safety = min(scaled.slip_torques().values()) / torque_max
             assert safety == pytest.approx(safeties[k], abs=0.0051)
@@ -155,8 +157,7 @@ def test_output_side_keys(er3a_contact, surface, ranges):
     for chain, limit in zip(er3a_contact.chains, er3a_contact.torque_max, strict=True):
         whole = table_chain(chain, surface)
         found.append(
-            whole.reducer_only().exact_tangent_compliance(at * limit)
-            / whole.exact_tangent_compliance(at * limit)
+            exact_compliance(whole.reducer_only(), at * limit) / exact_compliance(whole, at * limit)
         )
     # Two digits are printed, and the exact and the power law differ by up to 0.007 here.
     for column, (low, high) in zip(np.array(found).T, ranges, strict=True):
@@ -171,8 +172,8 @@ def test_windup_with_output_side_keys(er3a_contact, surface, low, high):
     ratios = []
     for chain, limit in zip(er3a_contact.chains, er3a_contact.torque_max, strict=True):
         whole, at = table_chain(chain, surface, prepressure=0.1e6), np.array([limit])
-        alone = whole.reducer_only().exact_windup(at)
-        ratios.append(float((whole.exact_windup(at) / alone)[0]))
+        alone = exact_windup(whole.reducer_only(), at)
+        ratios.append(float((exact_windup(whole, at) / alone)[0]))
     assert min(ratios) == pytest.approx(low, abs=0.0051)
     assert max(ratios) == pytest.approx(high, abs=0.0051)
 
@@ -191,8 +192,8 @@ def test_without_reflection_the_motor_side_dominates(er3a):
             for s in flat.stages
         )
         flat = replace(flat, stages=stages)
-        alone = flat.reducer_only().exact_tangent_compliance(at * limit)
-        found.append(alone / flat.exact_tangent_compliance(at * limit))
+        alone = exact_compliance(flat.reducer_only(), at * limit)
+        found.append(alone / exact_compliance(flat, at * limit))
     big, wrist = np.array(found[:2]), np.array(found[2:])
     # Printed: 0.02 to 0.12 and 0.005 to 0.04, to one or two digits.
     assert big.min() == pytest.approx(0.02, abs=0.005)
@@ -205,7 +206,7 @@ def test_parallel_flanks_are_about_four_times_stiffer(er3a):
     at = np.array([0.1 * 0.57])
     own = er3a.chains[0].elements["motor_key"]
     series = with_flanks(er3a.chains[0], "series").elements["motor_key"]
-    ratio = series.exact_tangent_compliance(at) / own.exact_tangent_compliance(at)
+    ratio = tangent_compliance(series, at) / tangent_compliance(own, at)
     assert 3.5 < ratio[0] < 4.5
 
 

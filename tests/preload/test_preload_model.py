@@ -9,8 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from preload_studies import JACOBIAN, Ring, case, er3a, study, with_elements
 
-from stiffopt.drivetrain.parallel import exact_shares
 from stiffopt.errors import ProblemError
+from stiffopt.exact.chain import exact_compliance, exact_windup
+from stiffopt.exact.parallel import torque_shares
+from stiffopt.exact.stage import stage_windup
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import PreloadNlp
@@ -84,7 +86,7 @@ def test_drivetrain_holds_the_least_preloads_from_motor_to_link():
         assert own == pytest.approx(force / 1.6 - element.embedding_loss)
     torques = np.array([60.0, 0.0, -25.0])
     whole = model.exact_compliance(preloads, 2, torques)
-    assert chain.exact_tangent_compliance(torques) == pytest.approx(whole, rel=1e-12)
+    assert exact_compliance(chain, torques) == pytest.approx(whole, rel=1e-12)
 
 
 @settings(max_examples=60, deadline=None)
@@ -246,16 +248,16 @@ def test_sectors_of_unequal_preload_turn_together_also_when_one_slips():
     preloads[4] = 900.0
     stages = [s for s in model.drivetrain(preloads, 2).stages if s.group is not None]
     torque = np.array([0.97 * float(model.slip_torque(preloads, 0))])
-    parts = [share * torque for share in exact_shares(stages, torque, None)]
+    parts = [share * torque for share in torque_shares(stages, torque, None)]
     assert float(np.sum(parts)) == pytest.approx(torque[0], rel=1e-12)
     used = [float(t[0]) / s.slip_torque() for s, t in zip(stages, parts, strict=True)]
     assert used[4] == pytest.approx(1.0, abs=1e-9)
     loose = stages.pop(4), parts.pop(4)
     assert max(used[:4] + used[5:]) < 0.98
-    angles = [float(s.exact_windup(t, None)[0]) for s, t in zip(stages, parts, strict=True)]
+    angles = [float(stage_windup(s, t, None)[0]) for s, t in zip(stages, parts, strict=True)]
     assert angles == pytest.approx([angles[0]] * 11, rel=1e-9)
     # Just before it slips, the loose one has turned no further than the others.
-    assert loose[0].exact_windup((1 - 1e-9) * loose[1], None)[0] < angles[0]
+    assert stage_windup(loose[0], (1 - 1e-9) * loose[1], None)[0] < angles[0]
 
 
 def test_uneven_preloads_never_beat_even_ones():
@@ -284,10 +286,10 @@ def test_free_element_beside_others_counts_as_in_the_whole_chain():
     least = 8000.0 / 1.6 - model.elements[0].embedding_loss
     chain = robot.chains[1].with_preloads({"flexspline_flange": least})
     assert model.exact_compliance(preloads, 2, torques) == pytest.approx(
-        chain.exact_tangent_compliance(torques), rel=1e-12
+        exact_compliance(chain, torques), rel=1e-12
     )
     assert model.exact_windup(preloads, 2, torques) == pytest.approx(
-        chain.exact_windup(torques), rel=1e-12
+        exact_windup(chain, torques), rel=1e-12
     )
 
 

@@ -10,6 +10,7 @@ from small_arms import joint, problem_text, write_robot
 
 from stiffopt.certificate.assess import assess
 from stiffopt.errors import NoSolutionFound, ProblemError, RobotError
+from stiffopt.exact.chain import exact_windup
 from stiffopt.preload.files import load_study
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
@@ -276,10 +277,10 @@ def test_histories_give_the_deflection_of_the_certificate(tmp_path, name):
     assert deflection_objective(motion) == name
     history = histories[0]
     chains = motion.robot.chains
-    angles = np.stack([c.exact_windup(history.torque[:, j]) for j, c in enumerate(chains)], axis=1)
+    angles = np.stack([exact_windup(c, history.torque[:, j]) for j, c in enumerate(chains)], axis=1)
     if history.reference_torque is not None:
         angles -= np.stack(
-            [c.exact_windup(history.reference_torque[:, j]) for j, c in enumerate(chains)], axis=1
+            [exact_windup(c, history.reference_torque[:, j]) for j, c in enumerate(chains)], axis=1
         )
     found = -np.einsum("kin,kn->ki", history.jacobian, angles)
     expected = motion_on_grid.deflection[name.removesuffix("_deflection")]

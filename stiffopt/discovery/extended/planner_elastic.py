@@ -15,6 +15,7 @@ from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.stage import Stage
+from stiffopt.exact.chain import exact_windup, windup_shares
 
 # Torques up to the rated one at which wind-ups are matched, as shares of it.
 _SHARES = np.linspace(0.05, 1.0, 20)
@@ -59,7 +60,7 @@ def yielding(
 
 
 def _mean_windup(chain: Chain, torques: np.ndarray) -> float:
-    return float(np.mean(chain.exact_windup(torques))) if chain.stages else 0.0
+    return float(np.mean(exact_windup(chain, torques))) if chain.stages else 0.0
 
 
 def _stiffness_linear(
@@ -178,7 +179,7 @@ def _weakest(chain: Chain, torque: float) -> int | None:
     candidates = bolted or candidates
     if not candidates:
         return None
-    shares = chain.windup_shares(torque)
+    shares = windup_shares(chain, torque)
     return max(candidates, key=lambda i: shares[chain.stages[i].element.name])
 
 

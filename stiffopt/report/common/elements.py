@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from stiffopt.exact.chain import compliance_shares, windup_shares
 from stiffopt.report.common.svg import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION
 
 ELEMENT_COLOURS = {
@@ -21,12 +22,12 @@ ELEMENT_COLOURS = {
 
 def windup_by_kind(chain: Any, torque: float) -> dict[str, float]:
     """Share of the wind-up at a torque by kind of element, largest first; empty if rigid."""
-    return {} if chain is None else _by_kind(chain, chain.windup_shares(torque))
+    return {} if chain is None else _by_kind(chain, windup_shares(chain, torque))
 
 
 def compliance_by_kind(chain: Any, torque: float) -> dict[str, float]:
     """Share of the tangent compliance at a torque by kind of element, largest first."""
-    return _by_kind(chain, chain.compliance_shares(torque))
+    return _by_kind(chain, compliance_shares(chain, torque))
 
 
 def _by_kind(chain: Any, shares: Mapping[str, float]) -> dict[str, float]:

@@ -1,0 +1,227 @@
+"""Compliance of one connection before any smoothing or fitting, by its kind; NumPy only.
+
+Every formula is written out here from the numbers of the connection, on purpose: what an optimiser
+computes through `windup` is judged by this module, so the two share no formula.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from stiffopt.contact.fractal import FractalLaw
+from stiffopt.contact.surface import SurfacePair
+from stiffopt.exact.reducer import reducer_compliance
+
+# A connection of any kind: only its numbers are read.
+Element = Any
+
+
+def tangent_compliance(
+    element: Element, torque: np.ndarray, preload: float | None = None
+) -> np.ndarray:
+    """Compliance of the law before smoothing, d phi/dT [rad/(N m)], shape as `torque`.
+
+    Parameters
+    ----------
+    element : Connection
+        Of a kind known here, or one's own with a method
+        `exact_tangent_compliance(torque, preload=...)`.
+    torque : array [N m]
+        On the connection's own shaft.
+    preload : float, optional [N]
+        In place of the connection's own.
+
+    Notes
+    -----
+    Infinite where a contact carries no pressure or slips.
+    """
+    torque = np.asarray(torque, dtype=float)
+    law = _LAWS.get(getattr(element, "kind", ""))
+    if law is None:
+        return np.asarray(element.exact_tangent_compliance(torque, preload=preload))
+    return np.asarray(law(element, np.abs(torque), _force(element, preload)))
+
+
+def breakpoints(element: Element) -> tuple[float, ...]:
+    """Positive torques [N m] where the compliance jumps, ascending."""
+    if getattr(element, "kind", "") == "reducer":
+        return element.torque_1, element.torque_2
+    own = getattr(element, "breakpoints", None)
+    return () if own is None else tuple(own())
+
+
+def slip_torque(element: Element, preload: float | None = None) -> float:
+    """Torque [N m] from which on the whole contact slips; infinite where nothing can."""
+    force = _force(element, preload)
+    if element.kind == "bolted_flange":
+        return _ring(element, force)[1]
+    if element.kind == "clamping_pins":
+        return _pins(element, force)[1]
+    return math.inf
+
+
+def _force(element: Element, preload: float | None) -> float | None:
+    return getattr(element, "preload", None) if preload is None else preload
+
+
+# ---- rough faces
+
+
+@lru_cache(maxsize=128)
+def _law(surface: SurfacePair) -> FractalLaw:
+    return FractalLaw(surface)
+
+
+@lru_cache(maxsize=4096)
+def _stiffness_at(surface: SurfacePair, pressure: float) -> float:
+    """k_n of one pressure; a clamped face asks for it again at every torque."""
+    return float(_law(surface).normal_stiffness_per_area(np.array(pressure)))
+
+
+def _invert(stiffness: np.ndarray) -> np.ndarray:
+    """1/stiffness, infinite where the stiffness is zero."""
+    some = stiffness > 0.0
+    return np.where(some, 1.0 / np.where(some, stiffness, 1.0), np.inf)
+
+
+def _shear_ratio(surface: SurfacePair) -> float:
+    """Tangential over normal stiffness without slip [-]."""
+    return 4.0 * surface.contact_shear_modulus / surface.contact_modulus
+
+
+def _sheared(
+    surface: SurfacePair, pressure: float, load_ratio: np.ndarray, shear: str
+) -> np.ndarray:
+    """k_t(p, t) [N/m^3] for shear loads t >= 0 over the slip load; 0 from slip on."""
+    rest = np.clip(1.0 - load_ratio, 0.0, 1.0)
+    if shear == "mindlin":
+        normal = _stiffness_at(surface, float(pressure)) * np.cbrt(rest)
+    else:
+        normal = _law(surface).normal_stiffness_per_area(pressure * rest)
+    return np.asarray(_shear_ratio(surface) * normal)
+
+
+def _friction(element: Element) -> float:
+    return float(element.surface.friction if element.friction is None else element.friction)
+
+
+# ---- one law a kind: (element, |torque|, preload) -> compliance
+
+
+def _key(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
+    """Two flanks under |T|/(r A) + prepressure, one after the other or side by side."""
+    d, surface = element.shaft_diameter, element.surface
+    flanks = []
+    for radius, height in (
+        ((d - element.shaft_height) / 2.0, element.shaft_height),
+        ((d + element.hub_height) / 2.0, element.hub_height),
+    ):
+        area = element.length * height
+        pressure = load / (radius * area) + element.prepressure
+        normal = _law(surface).normal_stiffness_per_area(pressure)
+        flanks.append(normal * (area * radius * radius))
+    if element.flanks == "series":
+        return np.asarray(_invert(flanks[0]) + _invert(flanks[1]))
+    return _invert(flanks[0] + flanks[1])
+
+
+def _ring(element: Element, force: float | None) -> tuple[float, float]:
+    """Pressure [Pa] and slip torque [N m] of a ring face, or of one of its equal sectors."""
+    assert force is not None
+    inner, outer, angle = element.inner_radius, element.outer_radius, 2.0 * np.pi / element.sectors
+    pressure = element.bolt_count * force / (angle / 2.0 * (outer**2 - inner**2))
+    return pressure, _friction(element) * pressure * angle / 3.0 * (outer**3 - inner**3)
+
+
+def _bolted_flange(element: Element, load: np.ndarray, force: float | None) -> np.ndarray:
+    """Ring face under the normal force of its bolts, twisted by a torque."""
+    pressure, slip = _ring(element, force)
+    angle = 2.0 * np.pi / element.sectors
+    second_moment = angle / 4.0 * (element.outer_radius**4 - element.inner_radius**4)
+    return _invert(_sheared(element.surface, pressure, load / slip, element.shear) * second_moment)
+
+
+def _pins(element: Element, force: float | None) -> tuple[int, float]:
+    """Number of pressed contacts, and torque at which they slip [N m]."""
+    assert force is not None
+    contacts = element.pin_count * (2 if element.both_sides else 1)
+    return contacts, _friction(element) * force * element.shaft_radius * contacts
+
+
+def _clamping_pins(element: Element, load: np.ndarray, force: float | None) -> np.ndarray:
+    """Pin tips on a shaft: rough face and, behind it, the half space under a small patch."""
+    assert force is not None
+    contacts, slip = _pins(element, force)
+    surface, area = element.surface, 0.25 * np.pi * element.tip_diameter**2
+    one = _invert(_sheared(surface, force / area, load / slip, element.shear) * area)
+    if element.half_space:
+        one = one + 1.0 / (4.0 * surface.contact_shear_modulus * element.tip_diameter)
+    return np.asarray(one / (contacts * element.shaft_radius**2))
+
+
+def _gear_pair(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
+    """Rough Hertz strips of the tooth pairs in mesh and tooth bending, on the first shaft."""
+    surface, width, pairs = element.surface, element.face_width, element.contact_ratio
+    first, second = element.pitch_radius, element.pitch_radius_driven
+    sine, cosine = np.sin(element.pressure_angle), np.cos(element.pressure_angle)
+    base, arm = first * cosine, first * sine
+    curvature = first * second * sine / (first + second)
+    force = load / (base * pairs)
+    strip = 2.0 * np.sqrt(4.0 * force / width * curvature / (np.pi * surface.contact_modulus))
+    area = strip * width
+    some = area > 0.0
+    pressure = np.where(some, force / np.where(some, area, 1.0), 0.0)
+    normal = _law(surface).normal_stiffness_per_area(pressure) * area
+    mesh = pairs * normal * (base**2 + _shear_ratio(surface) * arm**2)
+    return np.asarray(_invert(mesh) + 1.0 / (element.mesh_stiffness * width * base**2))
+
+
+def _reducer(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
+    slopes = (element.stiffness_1, element.stiffness_2, element.stiffness_3)
+    return np.asarray(reducer_compliance(load, slopes, (element.torque_1, element.torque_2)))
+
+
+def _shaft(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
+    """Twist of a round bar, 32 L/(G pi (d^4 - d_i^4))."""
+    polar = np.pi / 32.0 * (element.diameter**4 - element.bore**4)
+    return np.full_like(load, element.length / (element.shear_modulus * polar))
+
+
+def _timing_belt(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
+    """Belt teeth on both pulleys and both taut spans, all at the radius of the first pulley."""
+    radius = element.teeth * element.pitch / (2.0 * np.pi)
+    shear_modulus = element.modulus / (2.0 + 2.0 * element.poisson)
+    along = (
+        element.modulus * np.cos(element.flank_angle) ** 2
+        + shear_modulus * np.sin(element.flank_angle) ** 2
+    )
+    tooth = along * element.width * element.tooth_height / (0.5 * element.tooth_root_width)
+    travel = 0.5 * element.span_length / element.span_stiffness
+    for teeth, wrap in (
+        (element.teeth, element.wrap),
+        (element.teeth_driven, element.wrap_driven),
+    ):
+        carrying = min(teeth * wrap / (2.0 * np.pi), element.teeth_effective_max)
+        travel = travel + 1.0 / (carrying * tooth)
+    return np.full_like(load, travel / radius**2)
+
+
+def _constant(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
+    return np.full_like(load, 1.0 / element.stiffness)
+
+
+_LAWS: dict[str, Callable[[Element, np.ndarray, float | None], np.ndarray]] = {
+    "key": _key,
+    "bolted_flange": _bolted_flange,
+    "clamping_pins": _clamping_pins,
+    "gear_pair": _gear_pair,
+    "reducer": _reducer,
+    "shaft": _shaft,
+    "timing_belt": _timing_belt,
+    "constant": _constant,
+}
