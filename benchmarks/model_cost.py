@@ -27,12 +27,13 @@ def run() -> list[Row]:
 
 def inverse_dynamics_time() -> Row:
     """Seconds a point of the mapped function against a Python loop over pin.rnea."""
-    model = loaded_ur10().model
+    robot = loaded_ur10()
+    model = robot.model
     data = model.createData()
     random = np.random.default_rng(3)
     q, v, a = (random.normal(size=(model.nv, POINTS)) for _ in range(3))
     rows = [np.ascontiguousarray(x.T) for x in (q, v, a)]
-    buffer, trigger = inverse_dynamics(model).map(POINTS).buffer()
+    buffer, trigger = inverse_dynamics(robot.tree).map(POINTS).buffer()
     # Kept in a list: the buffer does not own what it reads and writes.
     flat = [x.ravel(order="F") for x in (q, v, a)]
     torque = np.zeros(model.nv * POINTS)
@@ -64,7 +65,7 @@ def inverse_dynamics_time() -> Row:
 def graph_sizes() -> list[Row]:
     """Operations of the symbolic models; exact counts, the same on every computer."""
     robot = loaded_ur10()
-    dynamics = inverse_dynamics(robot.model)
+    dynamics = inverse_dynamics(robot.tree)
     jacobian = dynamics.jacobian()
     rows = [
         Row("inverse dynamics: graph nodes", f"{dynamics.n_nodes()}", "490"),

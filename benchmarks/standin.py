@@ -16,7 +16,8 @@ from stiffopt.connection.connection import Connection
 from stiffopt.connection.reducer import Reducer
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.stage import Stage
-from stiffopt.robot.robot import Robot, Tool, place_at
+from stiffopt.robot.frames import link_frame
+from stiffopt.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +85,6 @@ def standin_robot() -> Robot:
         )
         for j in range(n)
     )
-    place = place_at(model, numbers["tool"]["link"], numbers["tool"]["offset"])
     return Robot(
         name="ur10_standin",
         model=model,
@@ -98,6 +98,6 @@ def standin_robot() -> Robot:
         coulomb=np.zeros(n),
         viscous=np.zeros(n),
         chains=chains,
-        tool=Tool(place.joint, place.offset, place.rotation, place.link),
-        flange=place_at(model, numbers["tool"]["link"]),
+        tool=link_frame(model, numbers["tool"]["link"], numbers["tool"]["offset"]),
+        flange=link_frame(model, numbers["tool"]["link"]),
     )

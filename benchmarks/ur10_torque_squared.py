@@ -32,6 +32,7 @@ from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import Method, TrajectoryProblem
 from stiffopt.result.trajectory import Trajectory
+from stiffopt.robot.body_tree import body_tree
 from stiffopt.solver.ipopt import IpoptSolver
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import uniform_mesh
@@ -88,7 +89,7 @@ def rockit() -> dict[str, float] | None:
         return None
     with tempfile.TemporaryDirectory() as directory:
         dynamics = Path(directory) / "dynamics.casadi"
-        inverse_dynamics(urdf_model()).save(str(dynamics))
+        inverse_dynamics(body_tree(urdf_model())).save(str(dynamics))
         script = [ROCKIT, HERE / "rockit_ur10.py", DATA / "ur10.json", dynamics, INTERVALS]
         done = subprocess.run(
             [str(word) for word in script], capture_output=True, text=True, check=True

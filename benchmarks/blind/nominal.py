@@ -98,7 +98,7 @@ def _values(stated: np.ndarray | None, n: int) -> np.ndarray:
 
 def _rnea(recordings: RecordingSet, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
     """Inverse dynamics of the bodies (K, n) in the set's order of joints."""
-    model, order = recordings.model, recordings.order
+    model, order = recordings.robot.model.copy(), recordings.order
     model.gravity.linear = recordings.gravity
     data = model.createData()
     turned = [np.zeros_like(q) for _ in range(3)]

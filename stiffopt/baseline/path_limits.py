@@ -10,10 +10,9 @@ point comes from the previous pass, so that repeated passes close the gap on the
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 
 from stiffopt.result.joint_path import JointPath
 
@@ -120,31 +119,17 @@ def _torque_rows(
     robot: Robot, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray, process_force: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Torque coefficients a, b, c (N, n) without friction, and |d tool/ds| (N,)."""
-    model: Any = robot.model.copy()
-    model.armature = np.asarray(robot.rotor_inertia, dtype=float)
-    tool = pin.Frame(
-        "tool_point",
-        robot.tool.joint,
-        0,
-        pin.SE3(np.eye(3), np.asarray(robot.tool.offset, dtype=float)),
-        pin.FrameType.OP_FRAME,
-    )
-    frame = model.addFrame(tool, False)
-    data = model.createData()
-    rest = np.zeros(model.nv)
+    bodies, rest = robot.rigid_bodies(), np.zeros(robot.n)
     a, b, c = np.empty_like(q), np.empty_like(q), np.empty_like(q)
     speed = np.empty(len(q))
     for k in range(len(q)):
-        hold = pin.rnea(model, data, q[k], rest, rest).copy()
-        a[k] = pin.rnea(model, data, q[k], rest, dq[k]) - hold
-        b[k] = pin.rnea(model, data, q[k], dq[k], ddq[k]) - hold
-        # pin drops the second axis for an arm of one joint.
-        jacobian = pin.computeFrameJacobian(
-            model, data, q[k], frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        ).reshape(6, -1)[:3]
+        hold = bodies.gravity_torque(q[k])
+        a[k] = bodies.torque(q[k], rest, dq[k]) - hold
+        b[k] = bodies.torque(q[k], dq[k], ddq[k]) - hold
+        jacobian = bodies.jacobian(robot.tool, q[k])[:3]
         c[k] = hold - jacobian.T @ process_force
         speed[k] = np.linalg.norm(jacobian @ dq[k])
-    return a, b, c, speed
+    return a + robot.rotor_inertia * dq, b + robot.rotor_inertia * ddq, c, speed
 
 
 def _squared_speed_max(

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from stiffopt.dynamics.kinematics import point_jacobian
 from stiffopt.dynamics.newton_euler import newton_euler
+from stiffopt.robot.body_tree import BodyTree
 from stiffopt.symbolic import Quantity
 
 
@@ -56,7 +56,7 @@ class Deflection:
 
 
 def spring_torques(
-    model: Any,
+    tree: BodyTree,
     joint: int,
     offset: object,
     q: Quantity,
@@ -68,21 +68,20 @@ def spring_torques(
 
     Parameters
     ----------
-    model : pinocchio.Model
-        A tree of revolute and prismatic joints.
+    tree : BodyTree
     joint, offset : int, array_like (3,)
-        The tool point: pin's joint index and the place in that joint's frame. [m]
+        The tool point: number of its joint and the place in that joint's frame. [m]
     q, v, a : SX or MX (n,)
         Position, velocity, acceleration of the joints.
     process_force : array_like or SX or MX (3,), optional
         Acts ON the tool, base axes. [N]
     """
-    rest = np.zeros(model.nv)
-    gravity = newton_euler(model, q, rest, rest)
-    motion = newton_euler(model, q, v, a)
+    rest = np.zeros(tree.n)
+    gravity = newton_euler(tree, q, rest, rest)
+    motion = newton_euler(tree, q, v, a)
     if process_force is None:
         return SpringTorques(gravity=gravity, motion=motion, spring=motion)
-    jacobian = point_jacobian(model, joint, offset, q)
+    jacobian = point_jacobian(tree, joint, offset, q)
     spring = motion - ca.mtimes(jacobian.T, process_force)
     return SpringTorques(gravity=gravity, motion=motion, spring=spring)
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 
 from stiffopt.errors import ProblemError
+from stiffopt.robot.rotations import rotation_vector
 
 if TYPE_CHECKING:
+    from stiffopt.robot.frames import LinkFrame
+    from stiffopt.robot.rigid_body import RigidBodies
     from stiffopt.robot.robot import Robot
 
 # An angle error of 1 rad weighs as much as this distance: about the reach of a wrist. [m]
@@ -37,11 +39,6 @@ class UnreachablePoseError(ProblemError):
     ) -> None:
         self.distance, self.angle, self.joints = distance, angle, joints
         super().__init__(message)
-
-
-def rotation_from_rpy(rpy: object) -> np.ndarray:
-    """Rotation (3, 3) from roll, pitch, yaw about the fixed x, y, z axes, as in URDF [rad]."""
-    return np.array(pin.rpy.rpyToMatrix(np.asarray(rpy, dtype=float)))
 
 
 def solve_pose(
@@ -114,9 +111,8 @@ def solve_pose(
 class _Search:
     """The place and the arm, ready for iterations."""
 
-    model: Any
-    data: Any
-    frame: int
+    bodies: RigidBodies
+    tool: LinkFrame
     position: np.ndarray
     rotation: np.ndarray | None
     lower: np.ndarray
@@ -125,22 +121,12 @@ class _Search:
 
     @classmethod
     def of(cls, robot: Robot, position: object, rotation: object) -> _Search:
-        model: Any = robot.model.copy()
-        placement = pin.SE3(np.asarray(robot.tool.rotation), np.asarray(robot.tool.offset))
-        tool = pin.Frame("tool", robot.tool.joint, 0, placement, pin.FrameType.OP_FRAME)
-        frame = model.addFrame(tool, False)
-        turning = np.array(
-            [
-                not model.joints[i].shortname().startswith("JointModelP")
-                for i in range(1, model.nq + 1)
-            ]
-        )
+        turning = ~robot.prismatic
         # A joint without limits is searched over one turn either way, a slide over 10 m.
         span = np.where(turning, 2.0 * np.pi, 10.0)
         return cls(
-            model,
-            model.createData(),
-            frame,
+            robot.rigid_bodies(),
+            robot.tool,
             _vector(position, 3, "position"),
             None if rotation is None else _vector(rotation, 9, "rotation").reshape(3, 3),
             np.where(np.isfinite(robot.position_lower), robot.position_lower, -span),
@@ -150,22 +136,18 @@ class _Search:
 
     def error(self, q: np.ndarray) -> np.ndarray:
         """Distance vector [m] and, where asked for, the angle vector times 0.3 m, in base axes."""
-        pin.framesForwardKinematics(self.model, self.data, q)
-        pose = self.data.oMf[self.frame]
-        left = self.position - pose.translation
+        position, rotation = self.bodies.pose(self.tool, q)
+        left = self.position - position
         if self.rotation is None:
-            return np.array(left)
-        turn = pin.log3(self.rotation @ pose.rotation.T)
+            return np.asarray(left)
+        turn = rotation_vector(self.rotation @ rotation.T)
         return np.concatenate([left, _LENGTH * turn])
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         """Change of the pose by the joints, weighted as the error."""
-        # pin drops the second axis for an arm of one joint.
-        full = pin.computeFrameJacobian(
-            self.model, self.data, q, self.frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        ).reshape(6, -1)
+        full = self.bodies.jacobian(self.tool, q)
         if self.rotation is None:
-            return np.array(full[:3])
+            return np.asarray(full[:3])
         return np.vstack([full[:3], _LENGTH * full[3:]])
 
     def descend(self, start: np.ndarray, tolerance: float) -> tuple[np.ndarray, float]:

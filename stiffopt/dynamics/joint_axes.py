@@ -1,4 +1,4 @@
-"""The constants of an arm, read from `pin.Model` in frames that keep symbolic graphs small.
+"""The constants of an arm in frames that keep symbolic graphs small.
 
 Each joint gets a body-fixed *axis frame*: same origin as the joint frame, z along the joint axis.
 Then every joint is a turn about or a shift along z, whatever the axis was. The freedom left (the
@@ -10,24 +10,12 @@ constant offset of the joint angle.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from stiffopt.errors import RobotError
+from stiffopt.robot.body_tree import Body, BodyTree
 
 _CLEAN = 1e-14
-_REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
-_PRISMATIC = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
-_KINDS = {
-    "JointModelFreeFlyer": "floating",
-    "JointModelPlanar": "planar",
-    "JointModelSpherical": "spherical",
-    "JointModelSphericalZYX": "spherical",
-    "JointModelTranslation": "translation",
-    "JointModelMimic": "mimic",
-    "JointModelUniversal": "universal",
-}
 
 
 @dataclass(frozen=True)
@@ -36,12 +24,8 @@ class AxisJoint:
 
     Parameters
     ----------
-    name : str
-        As in the model.
     parent : int
-        Index of the joint it hangs on; 0 is the base.
-    column : int
-        Its place in q, v and a.
+        Number of the joint it hangs on, from 1; 0 is the base.
     prismatic : bool
         Shift along z instead of turn about z.
     rotation : array (3, 3)
@@ -57,14 +41,10 @@ class AxisJoint:
     inertia : array (3, 3)
         About the origin of the axis frame. [kg m^2]
     from_joint_frame : array (3, 3)
-        Turns vectors of pin's joint frame into the axis frame.
-    armature : float
-        Rotor inertia stored in the model. [kg m^2] or [kg]
+        Turns vectors of the joint frame into the axis frame.
     """
 
-    name: str
     parent: int
-    column: int
     prismatic: bool
     rotation: np.ndarray
     angle_offset: float
@@ -73,7 +53,6 @@ class AxisJoint:
     first_moment: np.ndarray
     inertia: np.ndarray
     from_joint_frame: np.ndarray
-    armature: float
 
 
 def clean(values: np.ndarray) -> np.ndarray:
@@ -83,27 +62,15 @@ def clean(values: np.ndarray) -> np.ndarray:
     return np.where(near_one, np.sign(values), values)
 
 
-def axis_joints(model: Any) -> tuple[AxisJoint, ...]:
-    """Joints of `model` in pin's order, so that entry i - 1 is pin's joint i.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        A tree of revolute and prismatic joints about any axes. Fixed joints are already merged
-        into their parent bodies by pin.
-
-    Raises
-    ------
-    RobotError
-        For any other kind of joint.
-    """
+def axis_joints(tree: BodyTree) -> tuple[AxisJoint, ...]:
+    """Joints of an arm in its own order: entry i - 1 is joint i."""
     base = np.eye(3)
     frames, twists, turns = [base], [base], [0.0]
-    has_child = [False] * model.njoints
-    for i in range(1, model.njoints):
-        parent = int(model.parents[i])
-        frame = _frame_along(_axis(model, i))
-        rotation = frames[parent].T @ model.jointPlacements[i].rotation @ frame
+    has_child = [False] * (tree.n + 1)
+    for body in tree.bodies:
+        parent = body.parent
+        frame = _frame_along(body.axis)
+        rotation = frames[parent].T @ body.rotation @ frame
         before, twist, after = _z_x_z(rotation)
         if parent == 0 or has_child[parent]:
             twist = _about_z(before) @ twist
@@ -115,51 +82,27 @@ def axis_joints(model: Any) -> tuple[AxisJoint, ...]:
         twists.append(twist)
         turns.append(after)
     return tuple(
-        _axis_joint(model, i, frames, twists[i], turns[i]) for i in range(1, model.njoints)
+        _axis_joint(body, frames[i], frames[body.parent], twists[i], turns[i])
+        for i, body in enumerate(tree.bodies, start=1)
     )
 
 
 def _axis_joint(
-    model: Any, i: int, frames: list[np.ndarray], twist: np.ndarray, turn: float
+    body: Body, frame: np.ndarray, before: np.ndarray, twist: np.ndarray, turn: float
 ) -> AxisJoint:
-    body = model.inertias[i]
-    center = frames[i].T @ body.lever
-    inertia = frames[i].T @ body.inertia @ frames[i]
+    center = frame.T @ body.centre
+    inertia = frame.T @ body.inertia @ frame
     steiner = body.mass * (center @ center * np.eye(3) - np.outer(center, center))
-    prismatic = model.joints[i].shortname() in _PRISMATIC
-    parent = int(model.parents[i])
     return AxisJoint(
-        name=model.names[i],
-        parent=parent,
-        column=model.joints[i].idx_v,
-        prismatic=prismatic,
-        rotation=clean(twist @ _about_z(turn)) if prismatic else clean(twist),
-        angle_offset=0.0 if prismatic else _clean_angle(turn),
-        translation=clean(frames[parent].T @ model.jointPlacements[i].translation),
-        mass=float(body.mass),
+        parent=body.parent,
+        prismatic=body.prismatic,
+        rotation=clean(twist @ _about_z(turn)) if body.prismatic else clean(twist),
+        angle_offset=0.0 if body.prismatic else _clean_angle(turn),
+        translation=clean(before.T @ body.translation),
+        mass=body.mass,
         first_moment=clean(body.mass * center),
         inertia=clean(inertia + steiner),
-        from_joint_frame=clean(frames[i].T),
-        armature=float(model.armature[model.joints[i].idx_v]),
-    )
-
-
-def _axis(model: Any, i: int) -> np.ndarray:
-    joint = model.joints[i]
-    kind = joint.shortname()
-    if kind in _REVOLUTE:
-        return np.asarray(joint.createData().S).reshape(6)[3:]
-    if kind in _PRISMATIC:
-        return np.asarray(joint.createData().S).reshape(6)[:3]
-    if kind.startswith("JointModelR") and "U" in kind:
-        name = "unbounded revolute (two coordinates)"
-        step = "Read it as a revolute joint without position limits."
-    else:
-        name = _KINDS.get(kind, kind.removeprefix("JointModel").lower())
-        step = "Fix it, or replace it by revolute and prismatic joints."
-    raise RobotError(
-        f"joint {model.names[i]!r} is of the kind {name}; allowed are revolute and prismatic "
-        f"joints (fixed ones are merged into their links). {step}"
+        from_joint_frame=clean(frame.T),
     )
 
 

@@ -1,6 +1,6 @@
 """Forward kinematics of a point fixed to a joint frame, and its position Jacobian.
 
-`joint` is pin's index (1 is the first joint), `offset` lies in pin's joint frame [m] and
+`joint` is its number (1 is the first joint), `offset` lies in the joint's frame [m] and
 `rotation` turns tool vectors into that frame. Results are in the base frame.
 """
 
@@ -13,20 +13,20 @@ import numpy as np
 
 from stiffopt.dynamics.joint_axes import AxisJoint, axis_joints, clean
 from stiffopt.dynamics.newton_euler import joint_pose
+from stiffopt.robot.body_tree import BodyTree
 from stiffopt.symbolic import Quantity
 
 
 def forward_kinematics(
-    model: Any, joint: int, offset: object = (0.0, 0.0, 0.0), rotation: object = None
+    tree: BodyTree, joint: int, offset: object = (0.0, 0.0, 0.0), rotation: object = None
 ) -> ca.Function:
     """Pose of a tool frame as a CasADi function.
 
     Parameters
     ----------
-    model : pinocchio.Model
-        A tree of revolute and prismatic joints.
+    tree : BodyTree
     joint : int
-        Pin's index of the joint that carries the point.
+        Number of the joint, from 1, that carries the point.
     offset : array_like (3,)
         Of the point in the joint frame. [m]
     rotation : array_like (3, 3), optional
@@ -37,20 +37,19 @@ def forward_kinematics(
     casadi.Function
         q (n,) -> (position (3,) [m], rotation (3, 3)), in the base frame.
     """
-    q = ca.SX.sym("q", model.nv)
-    pose = tool_pose(model, joint, offset, rotation, q)
+    q = ca.SX.sym("q", tree.n)
+    pose = tool_pose(tree, joint, offset, rotation, q)
     return ca.Function("forward_kinematics", [q], list(pose), ["q"], ["position", "rotation"])
 
 
-def point_kinematics(model: Any, joint: int, offset: object = (0.0, 0.0, 0.0)) -> ca.Function:
+def point_kinematics(tree: BodyTree, joint: int, offset: object = (0.0, 0.0, 0.0)) -> ca.Function:
     """Position of a point and its Jacobian as a CasADi function.
 
     Parameters
     ----------
-    model : pinocchio.Model
-        A tree of revolute and prismatic joints.
+    tree : BodyTree
     joint : int
-        Pin's index of the joint that carries the point.
+        Number of the joint, from 1, that carries the point.
     offset : array_like (3,)
         Of the point in the joint frame. [m]
 
@@ -60,28 +59,28 @@ def point_kinematics(model: Any, joint: int, offset: object = (0.0, 0.0, 0.0)) -
         q (n,) -> (position (3,) [m], J (3, n) [m/rad] or [1]) with d position/dt = J v, in base
         axes.
     """
-    q = ca.SX.sym("q", model.nv)
+    q = ca.SX.sym("q", tree.n)
     return ca.Function(
         "point_kinematics",
         [q],
-        [point_position(model, joint, offset, q), point_jacobian(model, joint, offset, q)],
+        [point_position(tree, joint, offset, q), point_jacobian(tree, joint, offset, q)],
         ["q"],
         ["position", "jacobian"],
     )
 
 
 def tool_pose(
-    model: Any, joint: int, offset: object, rotation: object, q: Quantity
+    tree: BodyTree, joint: int, offset: object, rotation: object, q: Quantity
 ) -> tuple[Quantity, Quantity]:
     """Position (3,) [m] and rotation (3, 3) of a tool frame as expressions of q (n,) (SX or MX).
 
     `rotation` None stands for the joint frame's own orientation.
     """
     if isinstance(q, ca.MX):
-        function: Any = forward_kinematics(model, joint, offset, rotation)
+        function: Any = forward_kinematics(tree, joint, offset, rotation)
         position, turn = function(q)
         return position, turn
-    joints = axis_joints(model)
+    joints = axis_joints(tree)
     frames = _frames(joints, q, joint)
     origin, turn = frames[joint]
     to_axis_frame = joints[joint - 1].from_joint_frame
@@ -91,17 +90,17 @@ def tool_pose(
     return ca.densify(position), ca.densify(turn)
 
 
-def point_position(model: Any, joint: int, offset: object, q: Quantity) -> Quantity:
+def point_position(tree: BodyTree, joint: int, offset: object, q: Quantity) -> Quantity:
     """Position (3,) [m] of a point as an expression of q (n,) (SX or MX), base axes."""
-    return tool_pose(model, joint, offset, None, q)[0]
+    return tool_pose(tree, joint, offset, None, q)[0]
 
 
-def point_jacobian(model: Any, joint: int, offset: object, q: Quantity) -> Quantity:
+def point_jacobian(tree: BodyTree, joint: int, offset: object, q: Quantity) -> Quantity:
     """Position Jacobian (3, n) of a point as an expression of q (n,) (SX or MX), base axes."""
     if isinstance(q, ca.MX):
-        function: Any = point_kinematics(model, joint, offset)
+        function: Any = point_kinematics(tree, joint, offset)
         return function(q)[1]
-    joints = axis_joints(model)
+    joints = axis_joints(tree)
     frames = _frames(joints, q, joint)
     origin, turn = frames[joint]
     point = origin + ca.mtimes(turn, _vector(joints[joint - 1].from_joint_frame @ _three(offset)))
@@ -110,7 +109,7 @@ def point_jacobian(model: Any, joint: int, offset: object, q: Quantity) -> Quant
         if i:
             axis = rotation[:, 2]
             turning = not joints[i - 1].prismatic
-            columns[joints[i - 1].column] = ca.cross(axis, point - center) if turning else axis
+            columns[i - 1] = ca.cross(axis, point - center) if turning else axis
     return ca.densify(ca.horzcat(*columns))
 
 
@@ -124,7 +123,7 @@ def _frames(
     frames: dict[int, tuple[Quantity, Quantity]] = {0: (ca.SX.zeros(3), ca.SX.eye(3))}
     for i in reversed(support[:-1]):
         joint = joints[i - 1]
-        rotation, origin = joint_pose(joint, q[joint.column])
+        rotation, origin = joint_pose(joint, q[i - 1])
         center, turn = frames[joint.parent]
         frames[i] = (center + ca.mtimes(turn, origin), ca.mtimes(turn, rotation))
     return frames

@@ -1,4 +1,4 @@
-"""Symbolic inverse dynamics of an arm: recursive Newton-Euler over the constants of `pin.Model`.
+"""Symbolic inverse dynamics of an arm: recursive Newton-Euler over its bodies.
 
 Source: Luh, Walker, Paul (1980), in body coordinates and about the joint origins: the body's
 weight and inertia enter through mass, first moment and the inertia about the joint's origin, so
@@ -10,20 +10,19 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from stiffopt.dynamics.joint_axes import AxisJoint, axis_joints
+from stiffopt.robot.body_tree import BodyTree
 from stiffopt.symbolic import Quantity
 
 
-def inverse_dynamics(model: Any, armature: bool = False) -> ca.Function:
+def inverse_dynamics(tree: BodyTree) -> ca.Function:
     """Inverse dynamics as a CasADi function of SX operations.
 
     Parameters
     ----------
-    model : pinocchio.Model
-        A tree of revolute and prismatic joints.
-    armature : bool
-        Add the model's rotor inertia times the acceleration, as `pin.rnea` does.
+    tree : BodyTree
 
     Returns
     -------
@@ -31,25 +30,20 @@ def inverse_dynamics(model: Any, armature: bool = False) -> ca.Function:
         (q (n,) [rad or m], v (n,) [rad/s or m/s], a (n,) [rad/s^2 or m/s^2]) -> tau (n,)
         [N m or N].
     """
-    q, v, a = (ca.SX.sym(name, model.nv) for name in ("q", "v", "a"))
-    tau = newton_euler(model, q, v, a, armature=armature)
+    q, v, a = (ca.SX.sym(name, tree.n) for name in ("q", "v", "a"))
+    tau = newton_euler(tree, q, v, a)
     return ca.Function("inverse_dynamics", [q, v, a], [tau], ["q", "v", "a"], ["tau"])
 
 
-def newton_euler(
-    model: Any, q: Quantity, v: Quantity, a: Quantity, armature: bool = False
-) -> Quantity:
+def newton_euler(tree: BodyTree, q: Quantity, v: Quantity, a: Quantity) -> Quantity:
     """Joint torques that the motion of the links takes, without rotor inertia and friction.
 
     Parameters
     ----------
-    model : pinocchio.Model
-        A tree of revolute and prismatic joints; gravity is `model.gravity`.
+    tree : BodyTree
     q, v, a : SX or MX or array (n,)
         Position, velocity and acceleration of the joints. Zeros given as constants vanish from
         the graph, so v = a = 0 gives the bare gravity torque.
-    armature : bool
-        Add the model's rotor inertia times the acceleration, as `pin.rnea` does.
 
     Returns
     -------
@@ -57,16 +51,13 @@ def newton_euler(
         Torque [N m] or force [N] that the joint exerts on its link.
     """
     if any(isinstance(x, ca.MX) for x in (q, v, a)):
-        return inverse_dynamics(model, armature)(q, v, a)
+        return inverse_dynamics(tree)(q, v, a)
     numeric = not any(isinstance(x, ca.SX) for x in (q, v, a))
     q, v, a = (ca.SX(x) for x in (q, v, a))
-    joints = axis_joints(model)
-    poses = [joint_pose(joint, q[joint.column]) for joint in joints]
-    forces, moments = _outward(model, joints, poses, v, a)
+    joints = axis_joints(tree)
+    poses = [joint_pose(joint, q[i]) for i, joint in enumerate(joints)]
+    forces, moments = _outward(tree.gravity, joints, poses, v, a)
     tau = _inward(joints, poses, forces, moments)
-    if armature:
-        for joint in joints:
-            tau[joint.column] += joint.armature * a[joint.column]
     return ca.DM(tau) if numeric else tau
 
 
@@ -81,22 +72,26 @@ def joint_pose(joint: AxisJoint, angle: Quantity) -> tuple[Quantity, Quantity]:
 
 
 def _outward(
-    model: Any, joints: tuple[AxisJoint, ...], poses: list[Any], v: Quantity, a: Quantity
+    gravity: np.ndarray,
+    joints: tuple[AxisJoint, ...],
+    poses: list[Any],
+    v: Quantity,
+    a: Quantity,
 ) -> tuple[list[Quantity], list[Quantity]]:
     """Force and moment about the joint origin that each body's own motion takes."""
     still = ca.SX.zeros(3)
     # Gravity enters as an upward acceleration of the base.
-    state = [(still, still, ca.SX(-model.gravity.linear))]
+    state = [(still, still, ca.SX(-gravity))]
     forces, moments = [], []
-    for joint, (rotation, origin) in zip(joints, poses, strict=True):
+    for i, (joint, (rotation, origin)) in enumerate(zip(joints, poses, strict=True)):
         spin, spin_rate, acceleration = state[joint.parent]
         carried = acceleration + ca.cross(spin_rate, origin)
         carried += ca.cross(spin, ca.cross(spin, origin))
         back = rotation.T
         spin, spin_rate = ca.mtimes(back, spin), ca.mtimes(back, spin_rate)
         acceleration = ca.mtimes(back, carried)
-        along_v = ca.vertcat(0, 0, v[joint.column])
-        along_a = ca.vertcat(0, 0, a[joint.column])
+        along_v = ca.vertcat(0, 0, v[i])
+        along_a = ca.vertcat(0, 0, a[i])
         if joint.prismatic:
             acceleration += 2 * ca.cross(spin, along_v) + along_a
         else:
@@ -127,7 +122,7 @@ def _inward(
     tau = ca.SX.zeros(len(joints))
     for i in reversed(range(len(joints))):
         joint, (rotation, origin) = joints[i], poses[i]
-        tau[joint.column] = forces[i][2] if joint.prismatic else moments[i][2]
+        tau[i] = forces[i][2] if joint.prismatic else moments[i][2]
         if joint.parent:
             force = ca.mtimes(rotation, forces[i])
             moment = ca.mtimes(rotation, moments[i]) + ca.cross(origin, force)

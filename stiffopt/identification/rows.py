@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from stiffopt.errors import InputFileError
 from stiffopt.recording.static_set import StaticSet
@@ -93,23 +92,21 @@ def static_rows(recorded: StaticSet) -> StaticRows:
             recorded.path, "poses", f"{m} poses cannot tell {n} joints and their errors apart. "
             f"Measure at least {least}, better {2 * n}."
         )  # fmt: skip
-    model, order = recorded.model, recorded.order
-    massive = any(inertia.mass > 0.0 for inertia in model.inertias)
+    massive = any(body.mass > 0.0 for body in recorded.robot.tree.bodies)
     if not recorded.difference and not massive:
         raise InputFileError(
             recorded.path, "difference", "is false, so the weight of the links is in the "
             "displacements, but no link of the robot has a mass. Give the masses, or differences "
             "of two load states with difference = true."
         )  # fmt: skip
-    data = model.createData()
-    frame = model.getFrameId(recorded.tool_frame)
+    robot, order = recorded.robot, recorded.order
+    bodies = robot.rigid_bodies()
     jacobian, weight = np.empty((m, 3, n)), np.empty((m, n))
     for k, position in enumerate(recorded.position):
-        q = np.empty(model.nq)
+        q = np.empty(n)
         q[order] = position
-        full = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
-        jacobian[k] = full[:3, order]
-        weight[k] = pin.computeGeneralizedGravity(model, data, q)[order]
+        jacobian[k] = bodies.jacobian(robot.tool, q)[:3, order]
+        weight[k] = bodies.gravity_torque(q)[order]
     return StaticRows(
         jacobian=jacobian,
         pull=np.einsum("kij,ki->kj", jacobian, recorded.force),

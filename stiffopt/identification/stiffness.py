@@ -144,7 +144,7 @@ def _joints(
             JointStiffness(
                 joint=j + 1,
                 name=name,
-                unit="N/m" if recorded.arm.prismatic[j] else "N m/rad",
+                unit="N/m" if recorded.prismatic[j] else "N m/rad",
                 status=status,
                 reason=reason,
                 nominal=nominal,
@@ -266,6 +266,6 @@ def _assumptions(recorded: StaticSet, rows: StaticRows) -> tuple[str, ...]:
             "No link has a mass: the torque that the joints already carried is unknown, and a "
             "torque-dependent compliance is tested as if it were none."
         )
-    if recorded.arm.locked:
-        said.append(f"Held at zero and rigid: {', '.join(recorded.arm.locked)}.")
+    if recorded.locked:
+        said.append(f"Held at zero and rigid: {', '.join(recorded.locked)}.")
     return tuple(said)

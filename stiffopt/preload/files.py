@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from stiffopt.drivetrain import catalogue
-from stiffopt.dynamics.inverse_kinematics import rotation_from_rpy, solve_pose
+from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.fastening.limits import check_preload
 from stiffopt.fastening.tightening import Tightening
@@ -30,6 +30,7 @@ from stiffopt.problem.files import JointLists, load_problem, read_robot
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.robot.elements import located
 from stiffopt.robot.robot import Robot
+from stiffopt.robot.rotations import rotation_from_rpy
 from stiffopt.units import convert, fit_joint
 
 

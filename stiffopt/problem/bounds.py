@@ -180,7 +180,7 @@ def sign_change(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) 
             if abs(torque) <= threshold:
                 return f"it is zero at rest in the {where} pose"
     if (
-        int(problem.robot.model.parents[joint]) == 0
+        problem.robot.tree.bodies[joint - 1].parent == 0
         and problem.boundary_velocity is None
         and not np.any(problem.process_force)
         and _never_loaded_by_gravity(problem, joint)

@@ -10,12 +10,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
-from stiffopt.problem.waypoints import rotation_matrix
+from stiffopt.robot.rotations import rotation_between, rotation_from_rpy, rpy_from_rotation
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
@@ -83,22 +82,16 @@ def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
 
 def gravity_torque(problem: TrajectoryProblem, angles: np.ndarray) -> np.ndarray:
     """Torque (n,) [N m] that holds a pose at rest, with the process force."""
-    robot = problem.robot
-    torque = pin.computeGeneralizedGravity(robot.model, robot.model.createData(), angles)
+    torque = problem.robot.rigid_bodies().gravity_torque(angles)
     if np.any(problem.process_force):
-        torque = torque - tool_jacobian(problem, angles).T @ problem.process_force
-    return np.asarray(torque)
+        return np.asarray(torque - tool_jacobian(problem, angles).T @ problem.process_force)
+    return torque
 
 
 def tool_jacobian(problem: TrajectoryProblem, angles: np.ndarray) -> np.ndarray:
     """Position Jacobian (3, n) of the tool in base axes."""
-    model, tool = problem.robot.model, problem.robot.tool
-    data = model.createData()
-    pin.computeJointJacobians(model, data, angles)
-    joint = pin.getJointJacobian(model, data, tool.joint, pin.LOCAL_WORLD_ALIGNED)
-    joint = joint.reshape(6, model.nv)  # pin returns a flat one for a single joint
-    arm = data.oMi[tool.joint].rotation @ np.asarray(tool.offset, dtype=float)
-    return np.asarray(joint[:3] - pin.skew(arm) @ joint[3:])
+    robot = problem.robot
+    return np.asarray(robot.rigid_bodies().jacobian(robot.tool, angles)[:3])
 
 
 def _is_fixed(target: Target) -> bool:
@@ -121,7 +114,7 @@ def _joints(
         limits = problem.active_limits
         middle = (limits.position_lower + limits.position_upper) / 2
         guess = np.where(np.isfinite(middle), middle, 0.0)
-    rotation = None if target.rpy is None else rotation_matrix(target.rpy)
+    rotation = None if target.rpy is None else rotation_from_rpy(target.rpy)
     try:
         return np.asarray(solve_pose(_within_limits(problem), target.position, rotation, guess))
     except ProblemError as error:
@@ -145,25 +138,17 @@ def _with_orientation(
     """
     if via.position is None or via.rpy is not None:
         return via
-    first, last = tool_placement(problem, start), tool_placement(problem, end)
-    before = np.linalg.norm(via.position - first.translation)
-    after = np.linalg.norm(last.translation - via.position)
-    turn = pin.log3(first.rotation.T @ last.rotation)
-    rotation = first.rotation @ pin.exp3(turn * before / max(before + after, 1e-12))
-    oriented = replace(via, rpy=pin.rpy.matrixToRpy(rotation))
+    bodies, tool = problem.robot.rigid_bodies(), problem.robot.tool
+    (first, first_turn), (last, last_turn) = bodies.pose(tool, start), bodies.pose(tool, end)
+    before = float(np.linalg.norm(via.position - first))
+    after = float(np.linalg.norm(last - via.position))
+    rotation = rotation_between(first_turn, last_turn, before / max(before + after, 1e-12))
+    oriented = replace(via, rpy=rpy_from_rotation(rotation))
     try:
         solve_pose(_within_limits(problem), oriented.position, rotation, start)
     except ProblemError:
         return via
     return oriented
-
-
-def tool_placement(problem: TrajectoryProblem, angles: np.ndarray) -> pin.SE3:
-    """Pose of the tool frame in the base."""
-    model, tool = problem.robot.model, problem.robot.tool
-    data = model.createData()
-    pin.forwardKinematics(model, data, angles)
-    return data.oMi[tool.joint] * pin.SE3(np.asarray(tool.rotation), np.asarray(tool.offset))
 
 
 def _resolve_path(problem: TrajectoryProblem) -> ResolvedMotion:

@@ -74,7 +74,7 @@ class StageModel:
         tool = self.robot.tool
         force = self.process_force if np.any(self.process_force) else None
         return spring_torques(
-            self.robot.model,
+            self.robot.tree,
             tool.joint,
             tool.offset,
             self.position,
@@ -87,7 +87,7 @@ class StageModel:
     def jacobian(self) -> Quantity:
         """Position Jacobian of the tool (3, n), base axes."""
         tool = self.robot.tool
-        return point_jacobian(self.robot.model, tool.joint, tool.offset, self.position)
+        return point_jacobian(self.robot.tree, tool.joint, tool.offset, self.position)
 
     @cached_property
     def drive_torque(self) -> Quantity:

@@ -9,6 +9,7 @@ import numpy as np
 
 from stiffopt.dynamics.kinematics import tool_pose
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
+from stiffopt.robot.rotations import rotation_from_rpy
 from stiffopt.transcription.ocp import Rows, Waypoint
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def via_waypoint(problem: TrajectoryProblem, target: Target, number: int) -> Way
     blocks = [Rows.make(name, ["tool position"], -np.inf, 1.0)]
     expressions = [ca.dot(offset, offset)]
     if target.rpy is not None:
-        wanted = rotation_matrix(target.rpy)
+        wanted = rotation_from_rpy(target.rpy)
         # sin(angle) times the axis: smooth at zero, where the trace alone has no slope.
         difference = ca.mtimes(ca.DM(wanted.T), rotation)
         sine = ca.vertcat(
@@ -52,25 +53,11 @@ def via_waypoint(problem: TrajectoryProblem, target: Target, number: int) -> Way
     return Waypoint(function=function, rows=tuple(blocks))
 
 
-def rotation_matrix(rpy: np.ndarray) -> np.ndarray:
-    """Rotation of fixed-axis roll, pitch, yaw as in URDF."""
-    roll, pitch, yaw = rpy
-    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
-    cy, sy = np.cos(yaw), np.sin(yaw)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
 def _tool(problem: TrajectoryProblem) -> tuple[ca.SX, Quantity, Quantity]:
     """Symbol of the state, and the tool's position and rotation there."""
     x = ca.SX.sym("x", 2 * problem.joints)
     tool = problem.robot.tool
     position, rotation = tool_pose(
-        problem.robot.model, tool.joint, tool.offset, tool.rotation, x[: problem.joints]
+        problem.robot.tree, tool.joint, tool.offset, tool.rotation, x[: problem.joints]
     )
     return x, position, rotation

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from stiffopt.recording.arm import Arm
+from collections.abc import Sequence
+
 from stiffopt.recording.schema import RecordingsFile
 
 
-def assumptions(document: RecordingsFile, arm: Arm) -> tuple[str, ...]:
+def assumptions(document: RecordingsFile, locked: Sequence[str]) -> tuple[str, ...]:
     """Sentences, one a thing assumed, in the order of the file."""
     found = []
-    if arm.locked:
-        found.append(f"Joints not recorded are held at zero: {', '.join(arm.locked)}.")
+    if locked:
+        found.append(f"Joints not recorded are held at zero: {', '.join(locked)}.")
     if document.gravity is None:
         found.append("Gravity is 9.81 m/s^2 along -z of the base.")
     if document.signals.torque_side is None:

@@ -199,7 +199,7 @@ def _channel(
         joint=j + 1,
         column=column,
         there=there,
-        unit=_UNITS[kind][bool(recordings.arm.prismatic[j])],
+        unit=_UNITS[kind][bool(recordings.prismatic[j])],
         lowest=low,
         highest=high,
         used=_used(recordings, kind, j, low, high),
@@ -216,14 +216,14 @@ def _stated(noise: object, key: str | None, j: int) -> float | None:
 
 
 def _used(recordings: RecordingSet, kind: Kind, j: int, low: float, high: float) -> float | None:
-    arm, largest = recordings.arm, max(abs(low), abs(high))
+    robot, row, largest = recordings.robot, recordings.order[j], max(abs(low), abs(high))
     if kind == "velocity":
-        limit = float(arm.velocity_max[j])
+        limit = float(robot.velocity_max[row])
     elif kind == "torque":
         torque = recordings.nominal.torque_max
-        limit = float(arm.torque_max[j] if torque is None else torque[j])
+        limit = float(robot.torque_max[row] if torque is None else torque[j])
     else:
-        limit, largest = float(arm.position_upper[j] - arm.position_lower[j]), high - low
+        limit, largest = float(robot.position_upper[row] - robot.position_lower[row]), high - low
     if not math.isfinite(limit) or limit <= 0.0 or not math.isfinite(largest):
         return None
     return largest / limit

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from stiffopt.recording.health import STILL
 from stiffopt.recording.recording_set import RecordingSet
@@ -76,16 +74,14 @@ def velocities(run: Run) -> np.ndarray:
 
 def _gravity(recordings: RecordingSet, run: Run) -> np.ndarray:
     """Gravity torque of the nominal model at some samples, (m, n) [N m]."""
-    model: Any = recordings.model
-    data = model.createData()
+    bodies, order = recordings.robot.rigid_bodies(), recordings.order
     rows = run.position[::_GRAVITY_EVERY]
     rows = rows[np.isfinite(rows).all(axis=1)]
     torques: np.ndarray = np.empty(rows.shape)
-    position = np.zeros(model.nq)
+    position = np.zeros(recordings.n)
     for k, row in enumerate(rows):
-        position[recordings.order] = row
-        torque = pin.computeGeneralizedGravity(model, data, position)
-        torques[k] = torque[recordings.order]
+        position[order] = row
+        torques[k] = bodies.gravity_torque(position)[order]
     return torques
 
 
@@ -99,7 +95,7 @@ def _facts(
     speed = np.abs(velocity)
     moving = speed > _REST
     travel = [np.ptp(run.position[:, j]) for run in runs if np.isfinite(run.position[:, j]).all()]
-    still = 10.0 * STILL[bool(recordings.arm.prismatic[j])]
+    still = 10.0 * STILL[bool(recordings.prismatic[j])]
     moves = bool(moving.any() and (not travel or max(travel) > still))
     count = max(1, int(moving.sum()))
     quick, usual = np.quantile(speed[moving], (0.95, 0.1)) if moving.any() else (0.0, 1.0)

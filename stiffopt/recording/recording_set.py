@@ -11,12 +11,12 @@ import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import load_toml, validate
-from stiffopt.recording.arm import SetOfArm, inside, load_arm
 from stiffopt.recording.assume import assumptions
 from stiffopt.recording.clean import clean
 from stiffopt.recording.nominal import Noise, Nominal, Tolerance
 from stiffopt.recording.nominal_files import as_noise, as_nominal, as_tolerance, per_joint
 from stiffopt.recording.readers.read import read_columns
+from stiffopt.recording.recorded_arm import RecordedArm, inside, load_arm
 from stiffopt.recording.run import Role, Run
 from stiffopt.recording.schema import RecordingsFile, RunSection, SignalsSection
 from stiffopt.recording.signals import KINDS, Signals
@@ -51,7 +51,7 @@ class RunEntry:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RecordingSet(SetOfArm):
+class RecordingSet(RecordedArm):
     """Recordings of one robot and what today's simulation knows of it.
 
     Parameters
@@ -106,7 +106,7 @@ class RecordingSet(SetOfArm):
             role=entry.role,
             session_time=entry.session_time,
             temperature=entry.temperature,
-            prismatic=self.arm.prismatic,
+            prismatic=self.prismatic,
         )
 
 
@@ -127,7 +127,9 @@ def load_recordings(path: str | os.PathLike[str]) -> RecordingSet:
         raise InputFileError(path, "schema", f"this version reads schema = 1, {got}.")
     document = validate(RecordingsFile, data, path)
     n = len(document.joints)
-    arm = load_arm(document.robot, document.joints, path, document.tool_frame, document.gravity)
+    robot, locked = load_arm(
+        document.robot, document.joints, path, document.tool_frame, document.gravity
+    )
     nominal = as_nominal(document.nominal, document.joints, path)
     tolerance = as_tolerance(document.tolerance)
     noise = as_noise(document.noise, n, path)
@@ -140,16 +142,17 @@ def load_recordings(path: str | os.PathLike[str]) -> RecordingSet:
         title=document.title or document.name,
         citation=document.citation,
         licence=document.licence,
-        arm=arm,
+        robot=robot,
+        locked=locked,
         joints=document.joints,
         tool_frame=document.tool_frame,
-        gravity=np.array(arm.model.gravity.linear),
+        gravity=robot.tree.gravity,
         signals=signals,
         nominal=nominal,
         tolerance=tolerance,
         noise=noise,
         runs=runs,
-        assumptions=assumptions(document, arm),
+        assumptions=assumptions(document, locked),
     )
 
 

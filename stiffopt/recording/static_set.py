@@ -10,15 +10,15 @@ import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import check_header, load_toml, read_table, validate
-from stiffopt.recording.arm import SetOfArm, inside, load_arm
 from stiffopt.recording.nominal_files import per_joint
+from stiffopt.recording.recorded_arm import RecordedArm, inside, load_arm
 from stiffopt.recording.schema import StaticFile
 
 FILE = "static.toml"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class StaticSet(SetOfArm):
+class StaticSet(RecordedArm):
     """Measured deflections of an arm at rest.
 
     Parameters
@@ -73,7 +73,9 @@ def load_static_set(path: str | os.PathLike[str]) -> StaticSet:
             "position",
             f"needs one column a joint ({n}), got {len(document.position)}.",
         )
-    arm = load_arm(document.robot, document.joints, path, document.tool_frame, document.gravity)
+    robot, locked = load_arm(
+        document.robot, document.joints, path, document.tool_frame, document.gravity
+    )
     columns = (*document.position, *document.force, *document.displacement)
     if len(set(columns)) < len(columns):
         raise InputFileError(path, "", "one column stands for two things. Correct the names.")
@@ -91,7 +93,8 @@ def load_static_set(path: str | os.PathLike[str]) -> StaticSet:
         title=document.title or document.name,
         citation=document.citation,
         licence=document.licence,
-        arm=arm,
+        robot=robot,
+        locked=locked,
         joints=document.joints,
         tool_frame=document.tool_frame,
         position=np.column_stack([table[name] for name in document.position]),

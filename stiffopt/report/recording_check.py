@@ -51,7 +51,7 @@ def static_facts(recorded: StaticSet) -> dict[str, Any]:
                 "name": name,
                 "lowest": float(recorded.position[:, j].min()),
                 "highest": float(recorded.position[:, j].max()),
-                "unit": "m" if recorded.arm.prismatic[j] else "rad",
+                "unit": "m" if recorded.prismatic[j] else "rad",
                 "leverage": float(can.leverage[j]),
                 "confounded_with": _confounded(can, j),
                 "identifiable": bool(can.loaded[j] and not can.group[j]),

@@ -13,16 +13,10 @@ import numpy as np
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError, InputFileError, nearest
 from stiffopt.files import check_header, load_toml, validate
+from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.elements import ElementBuilder, located
-from stiffopt.robot.robot import (
-    Place,
-    Robot,
-    Source,
-    is_prismatic,
-    link_names,
-    place_at,
-    tool_at,
-)
+from stiffopt.robot.frames import LinkFrame, link_frame, link_names
+from stiffopt.robot.robot import Robot, Source
 from stiffopt.robot.schema import Cited, JointSection, PlaceSection, RobotFile
 from stiffopt.robot.urdf import UNLIMITED, load_urdf
 from stiffopt.units import fit_joint
@@ -89,7 +83,7 @@ def _document(path: Path) -> RobotFile:
 def _assemble(document: RobotFile, path: Path, urdf: Path) -> Robot:
     model, moving = load_urdf(urdf)
     names = tuple(model.names)[1:]
-    prismatic = is_prismatic(model)
+    prismatic = body_tree(model).prismatic
     sections = _sections(document, names, path)
     limits = [
         _joint_numbers(section, bool(prismatic[j]), moving[names[j]], path)
@@ -104,7 +98,7 @@ def _assemble(document: RobotFile, path: Path, urdf: Path) -> Robot:
     )
     with located(path, "tool"):
         place = document.tool or PlaceSection(link=_last_link(model))
-        tool = tool_at(model, place.link, place.offset, place.rpy)
+        tool = link_frame(model, place.link, place.offset, place.rpy)
     with located(path, "flange"):
         flange = _flange(model, document.flange, place.link)
     model.name = document.name
@@ -202,11 +196,11 @@ def _last_link(model: Any) -> str:
     return next((name for name in _FLANGES if name in links), links[0])
 
 
-def _flange(model: Any, section: PlaceSection | None, tool_link: str) -> Place:
+def _flange(model: Any, section: PlaceSection | None, tool_link: str) -> LinkFrame:
     if section is not None:
-        return place_at(model, section.link, section.offset, section.rpy)
+        return link_frame(model, section.link, section.offset, section.rpy)
     named = [name for name in _FLANGES if name in link_names(model)]
-    return place_at(model, named[0] if named else tool_link)
+    return link_frame(model, named[0] if named else tool_link)
 
 
 def _sources(document: RobotFile) -> Iterable[Source]:

@@ -4,39 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from stiffopt.drivetrain.chain import Chain
-from stiffopt.errors import RobotError, nearest
-
-
-@dataclass(frozen=True)
-class Place:
-    """A frame fixed to a moving link.
-
-    Parameters
-    ----------
-    joint : int
-        Index of the link's joint in the pinocchio model (1 is the first moving joint).
-    offset : array (3,)
-        Origin in that joint's frame [m].
-    rotation : array (3, 3)
-        Axes of the frame, as columns in the joint's frame.
-    link : str
-        Link whose frame the offset was given in.
-    """
-
-    joint: int
-    offset: np.ndarray
-    rotation: np.ndarray
-    link: str = ""
-
-
-class Tool(Place):
-    """The frame whose position and deflection count."""
+from stiffopt.errors import RobotError
+from stiffopt.robot.body_tree import BodyTree, body_tree
+from stiffopt.robot.frames import LinkFrame, link_frame, named_frame
+from stiffopt.robot.rigid_body import RigidBodies
 
 
 @dataclass(frozen=True)
@@ -48,6 +26,19 @@ class Source:
     key: str
     provenance: str
     source: str
+
+
+_JOINT_ARRAYS = (
+    "position_lower",
+    "position_upper",
+    "velocity_max",
+    "acceleration_max",
+    "jerk_max",
+    "torque_max",
+    "rotor_inertia",
+    "coulomb",
+    "viscous",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +62,7 @@ class Robot:
         Friction at the joint's output [N m], [N m s/rad].
     chains : tuple of Chain or None
         Drivetrain of each joint; None is rigid.
-    tool, flange : Place
+    tool, flange : LinkFrame
         Where the tool point is, and where payloads are fixed.
     sources : tuple of Source
     title : str
@@ -93,8 +84,8 @@ class Robot:
     coulomb: np.ndarray
     viscous: np.ndarray
     chains: tuple[Chain | None, ...]
-    tool: Tool
-    flange: Place
+    tool: LinkFrame
+    flange: LinkFrame
     sources: tuple[Source, ...] = ()
     title: str = ""
 
@@ -111,7 +102,16 @@ class Robot:
     @property
     def prismatic(self) -> np.ndarray:
         """Which joints slide, (n,) of bool."""
-        return is_prismatic(self.model)
+        return self.tree.prismatic
+
+    @cached_property
+    def tree(self) -> BodyTree:
+        """Bodies and joints as plain numbers."""
+        return body_tree(self.model)
+
+    def rigid_bodies(self) -> RigidBodies:
+        """Dynamics and kinematics of links and payload in numbers."""
+        return RigidBodies(self.model)
 
     def estimated(self) -> list[Source]:
         """Numbers that are estimates, for reports to mark."""
@@ -152,6 +152,64 @@ class Robot:
         model.appendBodyToJoint(self.flange.joint, body, at)
         return replace(self, model=model)
 
+    def with_gravity(self, gravity: Sequence[float]) -> Robot:
+        """Copy under another gravity (3,) [m/s^2], base axes."""
+        model = self.model.copy()
+        model.gravity.linear = np.asarray(gravity, dtype=float)
+        return replace(self, model=model)
+
+    def with_joints_locked(self, names: Sequence[str]) -> Robot:
+        """Copy in which some joints are held at zero; what they carry belongs to the link before.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Of moving joints, not all of them.
+        """
+        if not names:
+            return self
+        marked = self.model.copy()
+        for name, frame in (("locked tool", self.tool), ("locked flange", self.flange)):
+            at = pin.SE3(frame.rotation, frame.offset)
+            marked.addFrame(pin.Frame(name, frame.joint, 0, at, pin.FrameType.OP_FRAME), False)
+        models = [
+            pin.buildReducedModel(
+                model, [model.getJointId(name) for name in names], pin.neutral(model)
+            )
+            for model in (self.model, marked)
+        ]
+        left = np.array([name not in names for name in self.joint_names])
+        arrays: dict[str, Any] = {name: getattr(self, name)[left] for name in _JOINT_ARRAYS}
+        return replace(
+            self,
+            model=models[0],
+            chains=tuple(chain for chain, stays in zip(self.chains, left, strict=True) if stays),
+            tool=replace(named_frame(models[1], "locked tool"), link=self.tool.link),
+            flange=replace(named_frame(models[1], "locked flange"), link=self.flange.link),
+            **arrays,
+        )
+
+    def with_inertial_parameters(self, joint: int, parameters: np.ndarray) -> Robot:
+        """Copy with another body behind a joint.
+
+        Parameters
+        ----------
+        joint : int
+            From 1.
+        parameters : array (10,)
+            As `Body.inertial_parameters`, with a mass above 0. Where their inertia belongs to no
+            body, the inertia about the centre of mass stays what it was.
+        """
+        if not parameters[0] > 0.0:
+            raise RobotError(f"a link needs a mass above 0, got {parameters[0]:g} kg.")
+        model = self.model.copy()
+        body = pin.Inertia.FromDynamicParameters(parameters)
+        moments = np.linalg.eigvalsh(body.inertia)
+        if moments[0] < 0.0 or moments[2] > moments[0] + moments[1]:
+            body = pin.Inertia(body.mass, body.lever, model.inertias[joint].inertia)
+        model.inertias[joint] = body
+        return replace(self, model=model)
+
     def with_preloads(self, preloads: Mapping[int, Mapping[str, float]]) -> Robot:
         """Copy with other preloads of bolts and pins.
 
@@ -188,38 +246,4 @@ class Robot:
         rpy : array_like (3,), optional
             Roll, pitch, yaw about the link's axes [rad]; default as the link.
         """
-        return replace(self, tool=tool_at(self.model, link or self.tool.link, offset, rpy))
-
-
-def is_prismatic(model: Any) -> np.ndarray:
-    """Which joints of a pinocchio model slide, (n,) of bool."""
-    return np.array([j.shortname().startswith("JointModelP") for j in list(model.joints)[1:]])
-
-
-def link_names(model: Any) -> list[str]:
-    """Links of a pinocchio model that have a frame."""
-    return [f.name for f in model.frames if f.type == pin.FrameType.BODY and f.name != "universe"]
-
-
-def _placed(model: Any, link: str, offset: Any, rpy: Any) -> tuple[int, np.ndarray, np.ndarray]:
-    if link not in link_names(model):
-        raise RobotError(f"no link {link!r}. {nearest(link, link_names(model))}")
-    frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
-    if frame.parentJoint == 0:
-        raise RobotError(f"the link {link!r} does not move. Take one behind the last joint.")
-    shift = np.zeros(3) if offset is None else np.asarray(offset, dtype=float)
-    angles = np.zeros(3) if rpy is None else np.asarray(rpy, dtype=float)
-    if shift.shape != (3,) or angles.shape != (3,) or not np.isfinite([*shift, *angles]).all():
-        raise RobotError(f"a frame at {link!r} needs 3 finite numbers as offset; got {offset}.")
-    placement = frame.placement * pin.SE3(pin.rpy.rpyToMatrix(angles), shift)
-    return int(frame.parentJoint), placement.translation.copy(), placement.rotation.copy()
-
-
-def place_at(model: Any, link: str, offset: Any = None, rpy: Any = None) -> Place:
-    """Frame fixed to a link, resolved to the link's joint."""
-    return Place(*_placed(model, link, offset, rpy), link)
-
-
-def tool_at(model: Any, link: str, offset: Any = None, rpy: Any = None) -> Tool:
-    """Tool frame fixed to a link, resolved to the link's joint."""
-    return Tool(*_placed(model, link, offset, rpy), link)
+        return replace(self, tool=link_frame(self.model, link or self.tool.link, offset, rpy))

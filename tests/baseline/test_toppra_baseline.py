@@ -14,6 +14,8 @@ from stiffopt.baseline.toppra_motion import toppra_baseline
 from stiffopt.problem.trajectory import Limits
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
+from stiffopt.robot.frames import LinkFrame
+from stiffopt.robot.rigid_body import RigidBodies
 
 BENCHMARKS = Path(__file__).resolve().parents[3] / "shared" / "benchmarks"
 
@@ -25,7 +27,9 @@ def robot(model: pin.Model, coulomb: float = 0, viscous: float = 0, rotor: float
         rotor_inertia=np.full(n, float(rotor)),
         coulomb=np.full(n, float(coulomb)),
         viscous=np.full(n, float(viscous)),
-        tool=SimpleNamespace(joint=n, offset=np.array([0.0, 0.0922, 0.0]), rotation=np.eye(3)),
+        tool=LinkFrame(n, np.array([0.0, 0.0922, 0.0]), np.eye(3)),
+        n=n,
+        rigid_bodies=lambda: RigidBodies(model),
     )
 
 

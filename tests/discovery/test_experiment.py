@@ -137,10 +137,10 @@ def test_designed_motion_beats_the_training_runs_within_the_limits() -> None:
     robot, constants = own.training.robot, own.training.constants
     times = np.linspace(0.0, designed.motion.duration, 2000)
     q, v, a = (designed.motion(times, order) for order in range(3))
-    model, order = robot.model, robot.order
-    assert np.all(q >= model.lowerPositionLimit[order])
-    assert np.all(q <= model.upperPositionLimit[order])
-    assert np.all(np.abs(v) <= model.velocityLimit[order])
+    arm, order = robot.arm, robot.order
+    assert np.all(q >= arm.position_lower[order])
+    assert np.all(q <= arm.position_upper[order])
+    assert np.all(np.abs(v) <= arm.velocity_max[order])
     torque = robot.rotor_inertia * a + robot.spring_torque(q, v, a) + robot.friction(v)
     assert np.all(np.abs(torque) <= [j.torque_max for j in constants.joints])
 

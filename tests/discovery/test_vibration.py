@@ -115,9 +115,9 @@ def test_inertia_that_is_added_is_that_of_the_body(folder):
     block = _block(LOADED)
     found = _found("payload", tuple(block.toDynamicParameters()))
     added = added_inertia(run, robot, [found], every=100)
-    model = robot.model.copy()
+    model = robot.arm.model.copy()
     model.inertias[robot.n] += block
     for matrix, q in zip(added, run.signals.link_position[::100], strict=True):
         with_block = pin.crba(model, model.createData(), q)
-        without = pin.crba(robot.model, robot.model.createData(), q)
+        without = pin.crba(robot.arm.model, robot.arm.model.createData(), q)
         np.testing.assert_allclose(matrix, with_block - without, atol=1e-10)

@@ -73,7 +73,6 @@ def arm(name: str) -> pin.Model:
     else:
         build = {"sample": pin.buildSampleModelManipulator, "skew": skew_arm, "tree": tree}
         model = build[name]()
-    model.armature = np.linspace(0.1, 0.5, model.nv)
     return model
 
 

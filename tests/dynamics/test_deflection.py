@@ -9,6 +9,7 @@ from arms import arm, states
 from stiffopt.dynamics.deflection import SpringTorques, spring_torques, tool_deflection
 from stiffopt.dynamics.friction import SMOOTH_SHARE, drive_torque, friction_torque
 from stiffopt.dynamics.kinematics import point_jacobian
+from stiffopt.robot.body_tree import body_tree
 
 OFFSET = np.array([0.0, 0.05, 0.1])
 FORCE = np.array([10.0, -20.0, -100.0])
@@ -16,11 +17,10 @@ FORCE = np.array([10.0, -20.0, -100.0])
 
 def evaluate(name: str, force: object) -> tuple[dict[str, np.ndarray], pin.Model, np.ndarray]:
     model = arm(name)
-    model.armature = np.zeros(model.nv)
     joint = model.njoints - 1
     x = [ca.SX.sym(part, model.nv) for part in "qva"]
-    torques = spring_torques(model, joint, OFFSET, *x, force)
-    jacobian = point_jacobian(model, joint, OFFSET, x[0])
+    torques = spring_torques(body_tree(model), joint, OFFSET, *x, force)
+    jacobian = point_jacobian(body_tree(model), joint, OFFSET, x[0])
     parts = tool_deflection(jacobian, torques, lambda tau: tau / 1e4 + np.tanh(tau) / 1e3)
     names = ["static", "dynamic", "process", "total"]
     outputs = [getattr(parts, part) for part in names]
@@ -70,8 +70,8 @@ def test_a_weight_pulls_the_tool_down() -> None:
     body = pin.Inertia(10.0, np.array([1.0, 0.0, 0.0]), np.zeros((3, 3)))
     model.appendBodyToJoint(axis_y, body, pin.SE3.Identity())
     q = ca.SX.zeros(1)
-    torques = spring_torques(model, 1, [1.0, 0.0, 0.0], q, q, q)
-    jacobian = point_jacobian(model, 1, [1.0, 0.0, 0.0], q)
+    torques = spring_torques(body_tree(model), 1, [1.0, 0.0, 0.0], q, q, q)
+    jacobian = point_jacobian(body_tree(model), 1, [1.0, 0.0, 0.0], q)
     sag = ca.DM(tool_deflection(jacobian, torques, lambda tau: tau / 1e4).static)
     assert np.asarray(sag).ravel() == pytest.approx([0.0, 0.0, -10.0 * 9.81 / 1e4], rel=1e-12)
 

@@ -9,23 +9,25 @@ from arms import arm
 
 from stiffopt.dynamics.inverse_kinematics import (
     UnreachablePoseError,
-    rotation_from_rpy,
     solve_pose,
 )
 from stiffopt.errors import ProblemError
+from stiffopt.robot.body_tree import body_tree
+from stiffopt.robot.frames import LinkFrame
+from stiffopt.robot.rigid_body import RigidBodies
+from stiffopt.robot.rotations import rotation_from_rpy
 
 
 def robot(name: str, bound: float = 3.0) -> SimpleNamespace:
     model = arm(name)
-    place = SimpleNamespace(
-        joint=model.njoints - 1,
-        offset=np.array([0.0, 0.05, 0.1]),
-        rotation=rotation_from_rpy([0.1, 0.2, 0.3]),
-    )
+    turn = rotation_from_rpy([0.1, 0.2, 0.3])
+    place = LinkFrame(model.njoints - 1, np.array([0.0, 0.05, 0.1]), turn)
     return SimpleNamespace(
         name=name,
         model=model,
         tool=place,
+        rigid_bodies=lambda: RigidBodies(model),
+        prismatic=body_tree(model).prismatic,
         joint_names=tuple(model.names)[1:],
         position_lower=np.full(model.nv, -bound),
         position_upper=np.full(model.nv, bound),
@@ -132,7 +134,9 @@ def test_an_arm_of_one_joint() -> None:
     arm_ = SimpleNamespace(
         name="one",
         model=model,
-        tool=SimpleNamespace(joint=1, offset=np.array([1.0, 0.0, 0.0]), rotation=np.eye(3)),
+        tool=LinkFrame(1, np.array([1.0, 0.0, 0.0]), np.eye(3)),
+        rigid_bodies=lambda: RigidBodies(model),
+        prismatic=body_tree(model).prismatic,
         joint_names=("only",),
         position_lower=np.array([-np.inf]),
         position_upper=np.array([np.inf]),

@@ -13,6 +13,7 @@ from stiffopt.dynamics.kinematics import (
     point_position,
     tool_pose,
 )
+from stiffopt.robot.body_tree import body_tree
 
 OFFSET = np.array([0.1, -0.25, 0.3])
 TURN = pin.rpy.rpyToMatrix(0.4, -1.0, 2.0)
@@ -30,8 +31,8 @@ def with_tool(name: str) -> tuple[pin.Model, int, int]:
 def test_pose_and_jacobian_are_those_of_pinocchio(name: str) -> None:
     model, joint, frame = with_tool(name)
     data = model.createData()
-    pose = forward_kinematics(model, joint, OFFSET, TURN)
-    point = point_kinematics(model, joint, OFFSET)
+    pose = forward_kinematics(body_tree(model), joint, OFFSET, TURN)
+    point = point_kinematics(body_tree(model), joint, OFFSET)
     axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
     for q, _, _ in states(model):
         expected = pin.computeFrameJacobian(model, data, q, frame, axes)[:3].copy()
@@ -50,8 +51,8 @@ def test_pose_and_jacobian_are_those_of_pinocchio(name: str) -> None:
 def test_jacobian_is_the_derivative_of_the_position(name: str) -> None:
     model, joint, _ = with_tool(name)
     q = ca.SX.sym("q", model.nv)
-    gap = ca.jacobian(point_position(model, joint, OFFSET, q), q)
-    gap -= point_jacobian(model, joint, OFFSET, q)
+    gap = ca.jacobian(point_position(body_tree(model), joint, OFFSET, q), q)
+    gap -= point_jacobian(body_tree(model), joint, OFFSET, q)
     function = ca.Function("gap", [q], [gap])
     for position, _, _ in states(model, 5):
         assert np.max(np.abs(np.asarray(function(position)))) < 1e-12
@@ -60,19 +61,20 @@ def test_jacobian_is_the_derivative_of_the_position(name: str) -> None:
 def test_expressions_of_mx_agree_with_those_of_sx() -> None:
     model, joint, _ = with_tool("sample")
     q = ca.MX.sym("q", model.nv)
-    position, rotation = tool_pose(model, joint, OFFSET, TURN, q)
-    jacobian = point_jacobian(model, joint, OFFSET, q)
+    position, rotation = tool_pose(body_tree(model), joint, OFFSET, TURN, q)
+    jacobian = point_jacobian(body_tree(model), joint, OFFSET, q)
     function = ca.Function("mx", [q], [position, rotation, jacobian])
     at = states(model, 1)[0][0]
-    expected = (*forward_kinematics(model, joint, OFFSET, TURN)(at),)
+    expected = (*forward_kinematics(body_tree(model), joint, OFFSET, TURN)(at),)
     for ours, other in zip(function(at)[:2], expected, strict=True):
         assert np.array_equal(np.asarray(ours), np.asarray(other))
     assert np.array_equal(
-        np.asarray(function(at)[2]), np.asarray(point_kinematics(model, joint, OFFSET)(at)[1])
+        np.asarray(function(at)[2]),
+        np.asarray(point_kinematics(body_tree(model), joint, OFFSET)(at)[1]),
     )
 
 
 def test_joints_beyond_the_point_do_not_move_it() -> None:
     model = arm("tree")
-    jacobian = point_kinematics(model, 2, OFFSET)(states(model, 1)[0][0])[1]
+    jacobian = point_kinematics(body_tree(model), 2, OFFSET)(states(model, 1)[0][0])[1]
     assert np.all(np.asarray(jacobian)[:, 2:] == 0.0)

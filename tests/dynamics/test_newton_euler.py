@@ -8,15 +8,13 @@ from arms import NAMES, arm, states
 
 from stiffopt.dynamics.newton_euler import inverse_dynamics, newton_euler
 from stiffopt.errors import RobotError
+from stiffopt.robot.body_tree import body_tree
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("armature", [False, True])
-def test_torques_are_those_of_pinocchio(name: str, armature: bool) -> None:
+def test_torques_are_those_of_pinocchio(name: str) -> None:
     model = arm(name)
-    function = inverse_dynamics(model, armature=armature)
-    if not armature:
-        model.armature = np.zeros(model.nv)
+    function = inverse_dynamics(body_tree(model))
     data = model.createData()
     expected, computed = [], []
     for q, v, a in states(model):
@@ -30,7 +28,7 @@ def test_torques_are_those_of_pinocchio(name: str, armature: bool) -> None:
 def test_jacobians_are_those_of_pinocchio(name: str) -> None:
     model = arm(name)
     x = [ca.SX.sym(part, model.nv) for part in "qva"]
-    tau = newton_euler(model, *x, armature=True)
+    tau = newton_euler(body_tree(model), *x)
     function = ca.Function("jacobians", x, [ca.jacobian(tau, part) for part in x])
     data = model.createData()
     for q, v, a in states(model, 5):
@@ -47,7 +45,7 @@ def test_second_derivatives_agree_with_differences(name: str) -> None:
     model = arm(name)
     n = model.nv
     x, weight = ca.SX.sym("x", 3 * n), ca.SX.sym("w", n)
-    tau = newton_euler(model, x[:n], x[n : 2 * n], x[2 * n :])
+    tau = newton_euler(body_tree(model), x[:n], x[n : 2 * n], x[2 * n :])
     hessian, gradient = ca.hessian(ca.dot(weight, tau), x)
     function = ca.Function("second", [x, weight], [hessian, gradient])
     rng = np.random.default_rng(5)
@@ -63,7 +61,7 @@ def test_second_derivatives_agree_with_differences(name: str) -> None:
 
 
 def test_the_graph_of_an_industrial_arm_stays_small() -> None:
-    function = inverse_dynamics(arm("ur10"))
+    function = inverse_dynamics(body_tree(arm("ur10")))
     assert function.n_nodes() < 600
     assert function.jacobian().n_nodes() < 4000
 
@@ -73,31 +71,32 @@ def test_gravity_torque_by_constant_zeros(name: str) -> None:
     model = arm(name)
     q = ca.SX.sym("q", model.nv)
     rest = np.zeros(model.nv)
-    gravity = ca.Function("gravity", [q], [newton_euler(model, q, rest, rest)])
+    gravity = ca.Function("gravity", [q], [newton_euler(body_tree(model), q, rest, rest)])
     data = model.createData()
     for position, _, _ in states(model, 5):
         expected = pin.computeGeneralizedGravity(model, data, position)
         assert np.asarray(gravity(position)).ravel() == pytest.approx(expected, abs=1e-11)
-    assert gravity.n_nodes() < inverse_dynamics(model).n_nodes() / 2
+    assert gravity.n_nodes() < inverse_dynamics(body_tree(model)).n_nodes() / 2
 
 
 def test_mx_and_numbers_give_the_same_torques() -> None:
     model = arm("sample")
     x = [ca.MX.sym(part, model.nv) for part in "qva"]
-    mapped = ca.Function("mx", x, [newton_euler(model, *x)])
+    mapped = ca.Function("mx", x, [newton_euler(body_tree(model), *x)])
     state = states(model, 1)[0]
-    expected = np.asarray(inverse_dynamics(model)(*state))
+    expected = np.asarray(inverse_dynamics(body_tree(model))(*state))
     assert np.array_equal(np.asarray(mapped(*state)), expected)
-    assert np.asarray(newton_euler(model, *state)) == pytest.approx(expected, rel=1e-12)
+    assert np.asarray(newton_euler(body_tree(model), *state)) == pytest.approx(expected, rel=1e-12)
 
 
 def test_gravity_of_the_model_is_used() -> None:
     model = arm("skew")
     model.gravity.linear = np.array([1.0, -2.0, 3.0])
-    model.armature = np.zeros(model.nv)
     q, v, a = states(model, 1)[0]
     expected = pin.rnea(model, model.createData(), q, v, a)
-    assert np.asarray(inverse_dynamics(model)(q, v, a)).ravel() == pytest.approx(expected)
+    assert np.asarray(inverse_dynamics(body_tree(model))(q, v, a)).ravel() == pytest.approx(
+        expected
+    )
 
 
 @pytest.mark.parametrize(
@@ -114,4 +113,4 @@ def test_other_joints_are_refused_by_name(joint: object, kind: str) -> None:
     model = pin.Model()
     model.addJoint(0, joint, pin.SE3.Identity(), "odd_one")
     with pytest.raises(RobotError, match=f"'odd_one' is of the kind {kind}.*revolute and prismat"):
-        inverse_dynamics(model)
+        body_tree(model)

@@ -56,7 +56,7 @@ def test_every_run_is_read_and_usable(name: str) -> None:
     recordings, report = checked(folder(name))
     require_test_runs(recordings)
     assert (recordings.n, len(report.runs)) == (joints, runs)
-    assert recordings.model.nv == joints
+    assert recordings.robot.model.nv == joints
     for run in report.runs:
         assert run.usable
         assert run.rate == pytest.approx(rate, rel=0.35)

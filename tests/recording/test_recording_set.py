@@ -19,7 +19,7 @@ MakeSet = Callable[..., Path]
 def test_what_the_file_says_is_in_the_set(make_set: MakeSet) -> None:
     recordings = load_recordings(make_set())
     assert recordings.joints == ("swing", "slide")
-    assert recordings.arm.prismatic.tolist() == [False, True]
+    assert recordings.prismatic.tolist() == [False, True]
     assert recordings.torque_side == "motor"
     np.testing.assert_array_equal(recordings.nominal.coulomb, [1.0, 2.0])
     assert recordings.nominal.viscous is None
@@ -61,11 +61,11 @@ def test_the_set_may_list_joints_in_another_order(make_set: MakeSet) -> None:
     )
     recordings = load_recordings(folder)
     assert recordings.order.tolist() == [1, 0]
-    assert recordings.arm.prismatic.tolist() == [True, False]
+    assert recordings.prismatic.tolist() == [True, False]
     slide, swing = 0.15, 0.4
     position = np.zeros(2)
     position[recordings.order] = [slide, swing]
-    model = recordings.model
+    model = recordings.robot.model
     torque = pin.computeGeneralizedGravity(model, model.createData(), position)[recordings.order]
     lever = 2.0 * 0.2 + 1.0 * (slide + 0.1)
     np.testing.assert_allclose(
@@ -83,8 +83,8 @@ def test_joints_that_were_not_recorded_are_locked(make_set: MakeSet) -> None:
         ("housing_temperature = [25.0, 26.0]", "housing_temperature = 25.0"),
     ]
     recordings = load_recordings(make_set(*edits))
-    assert recordings.model.nv == 1
-    assert recordings.arm.locked == ("swing",)
+    assert recordings.robot.model.nv == 1
+    assert recordings.locked == ("swing",)
     assert any("swing" in sentence for sentence in recordings.assumptions)
     np.testing.assert_array_equal(recordings.runs[0].temperature, [25.0])
 
@@ -105,9 +105,9 @@ def test_a_shipped_robot_by_name_without_its_rotors(make_set: MakeSet) -> None:
     text = text.replace('["joint_1", "joint_2"]', str(names).replace("'", '"'))
     (folder / "recordings.toml").write_text(text)
     recordings = load_recordings(folder)
-    assert recordings.arm.locked == tuple(robot.joint_names[2:])
+    assert recordings.locked == tuple(robot.joint_names[2:])
     assert recordings.gravity.tolist() == [0.0, 0.0, 9.81]
-    assert not np.any(recordings.model.armature)
+    assert not np.any(recordings.robot.model.armature)
 
 
 def test_counterbalances_push_back_to_their_offset(make_set: MakeSet) -> None:

@@ -50,7 +50,7 @@ def test_what_the_files_say_is_in_the_set(tmp_path: Path) -> None:
     np.testing.assert_array_equal(static.displacement[0], [1e-4, 0.0, 2e-5])
     np.testing.assert_array_equal(static.stiffness, [1e5, 2e6])
     assert static.difference
-    assert static.model.existFrame(static.tool_frame)
+    assert static.robot.model.existFrame(static.tool_frame)
     plain = load_static_set(
         folder_of(tmp_path, ("\n[nominal]\nstiffness = [1e5, 2e6]\n", "")) / "static.toml"
     )

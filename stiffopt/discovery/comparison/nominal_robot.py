@@ -7,12 +7,12 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-import pinocchio as pin
 
 from stiffopt.discovery.comparison.signals import JointConstants, RobotConstants
 from stiffopt.discovery.settings import SIGN_SPEED, filled
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import Run
+from stiffopt.robot.frames import first_link_of
 
 
 class RobotModel:
@@ -32,8 +32,8 @@ class RobotModel:
 
     def __init__(self, recordings: RecordingSet) -> None:
         self.recordings = recordings
-        self.model = recordings.model
-        self._data = self.model.createData()
+        self.arm = recordings.robot
+        self._bodies = self.arm.rigid_bodies()
         self.order = np.asarray(recordings.order)
         self.n = len(recordings.joints)
         nominal = recordings.nominal
@@ -42,7 +42,6 @@ class RobotModel:
         self.coulomb = filled(nominal.coulomb, zero)
         self.viscous = filled(nominal.viscous, zero)
         self._balance = nominal.counterbalance
-        self._tool = self._tool_frame()
 
     # ---- constants
 
@@ -51,14 +50,11 @@ class RobotModel:
         """Constants without any range met."""
         nominal, connections = self.recordings.nominal, self.recordings.nominal.connections
         stiff = np.full(self.n, np.inf)
-        torque_max = filled(nominal.torque_max, np.abs(self.model.effortLimit[self.order]))
+        torque_max = filled(nominal.torque_max, self.arm.torque_max[self.order])
         torque_max = np.where((torque_max > 0.0) & np.isfinite(torque_max), torque_max, np.nan)
         rated = filled(nominal.torque_rated, torque_max / 3.0)
         ratio = filled(nominal.gear_ratio, np.ones(self.n))
         contact = filled(nominal.contact_stiffness, stiff)
-        prismatic = [
-            self.model.joints[int(j) + 1].nq == 1 and self._slides(int(j)) for j in self.order
-        ]
         joints = tuple(
             JointConstants(
                 joint=j + 1,
@@ -70,19 +66,19 @@ class RobotModel:
                 rotor_inertia=float(self.rotor_inertia[j]),
                 contact_stiffness=float(contact[j]),
                 pole_pairs=nominal.pole_pairs,
-                prismatic=prismatic[j],
+                prismatic=bool(self.recordings.prismatic[j]),
                 belt=None if connections is None else "belt" in connections[j],
                 slopes=self._slopes(j),
                 torques=self._knees(j),
             )
             for j in range(self.n)
         )
-        inertias = [self.model.inertias[int(j) + 1] for j in self.order]
+        bodies = [self.arm.tree.bodies[j] for j in self.order]
         return RobotConstants(
             joints=joints,
-            links=tuple(self._link_name(int(j) + 1) for j in self.order),
-            masses=np.array([i.mass for i in inertias]),
-            centres=np.array([i.lever for i in inertias]),
+            links=tuple(first_link_of(self.arm.model, int(j) + 1) for j in self.order),
+            masses=np.array([body.mass for body in bodies]),
+            centres=np.array([body.centre for body in bodies]),
             tool_range=np.array([[-1.0] * 3, [1.0] * 3]),
         )
 
@@ -126,21 +122,6 @@ class RobotModel:
             return None
         return float(reducer.T1[j]), float(reducer.T2[j])
 
-    def _slides(self, joint: int) -> bool:
-        return str(self.model.joints[joint + 1].shortname()).startswith("JointModelP")
-
-    def _link_name(self, joint: int) -> str:
-        for frame in self.model.frames:
-            if frame.type == pin.FrameType.BODY and frame.parentJoint == joint:
-                return str(frame.name)
-        return str(self.model.names[joint])
-
-    def _tool_frame(self) -> int:
-        name = self.recordings.tool_frame
-        if name is not None and self.model.existFrame(name):
-            return int(self.model.getFrameId(name))
-        return int(self.model.nframes - 1)
-
     # ---- along a motion, (K, n) each, in the set's order
 
     @property
@@ -166,59 +147,45 @@ class RobotModel:
 
     def spring_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Torque in the springs, of rigid bodies and counterbalances [N m]."""
-        model, data, order = self.model, self._data, self.order
-        q, v, a = (self._in_model(x) for x in (q, v, a))
-        out = np.array([pin.rnea(model, data, *each) for each in zip(q, v, a, strict=True)])
-        torque = out[:, order]
+        rows = zip(*(self._of_robot(x) for x in (q, v, a)), strict=True)
+        torque = np.array([self._bodies.torque(*row) for row in rows])[:, self.order]
         for balance in self._balance:
             j = balance.joint
-            torque[:, j] -= balance.at(q[:, order[j]])
+            torque[:, j] -= balance.at(q[:, j])
         return torque
 
     def inertia(self, q: np.ndarray) -> np.ndarray:
         """Inertia matrices of the rigid bodies (K, n, n) [kg m^2]."""
-        full = (pin.crba(self.model, self._data, each) for each in self._in_model(q))
+        full = (self._bodies.inertia_matrix(row) for row in self._of_robot(q))
         return np.array([matrix[np.ix_(self.order, self.order)] for matrix in full])
 
     def body_regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Spring torques for the inertial parameters of every body (K, n, 10 n)."""
-        model, data, order = self.model, self._data, self.order
-        columns = np.concatenate([np.arange(10 * j, 10 * j + 10) for j in order])
-        shape = (model.nv, 10 * model.nv)
+        columns = np.concatenate([np.arange(10 * j, 10 * j + 10) for j in self.order])
+        own = np.ix_(self.order, columns)
         out = np.empty((len(q), self.n, 10 * self.n))
-        for k, each in enumerate(zip(*(self._in_model(x) for x in (q, v, a)), strict=True)):
-            full = np.reshape(pin.computeJointTorqueRegressor(model, data, *each), shape)
-            out[k] = full[np.ix_(order, columns)]
+        for k, row in enumerate(zip(*(self._of_robot(x) for x in (q, v, a)), strict=True)):
+            out[k] = self._bodies.torque_regressor(*row)[own]
         return out
 
     def tilt(self, q: np.ndarray) -> np.ndarray:
         """Change of the gravity torques for a turn of the base about x and y (K, n, 2)."""
-        model, data = self.model, self._data
-        gravity = np.array(model.gravity.linear)
-        # Gravity turns the other way in the base's axes.
-        turned = [-np.cross(axis, gravity) for axis in np.eye(3)[:2]]
         out = np.empty((len(q), self.n, 2))
-        try:
-            for i, direction in enumerate(turned):
-                model.gravity.linear = direction
-                for k, each in enumerate(self._in_model(q)):
-                    out[k, :, i] = pin.computeGeneralizedGravity(model, data, each)[self.order]
-        finally:
-            model.gravity.linear = gravity
+        for i, axis in enumerate(np.eye(3)[:2]):
+            # Gravity turns the other way in the base's axes.
+            turned = self._bodies.with_gravity(-np.cross(axis, self.recordings.gravity))
+            for k, row in enumerate(self._of_robot(q)):
+                out[k, :, i] = turned.gravity_torque(row)[self.order]
         return out
 
     def tool(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Tool position (K, 3), velocity (K, 3) and position Jacobian (K, 3, n)."""
-        model, data, frame = self.model, self._data, self._tool
+        frame = self.arm.tool
         position = np.empty((len(q), 3))
         jacobian = np.empty((len(q), 3, self.n))
-        for k, each in enumerate(self._in_model(q)):
-            full = pin.computeFrameJacobian(
-                model, data, each, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-            )
-            # One joint comes back as a vector.
-            jacobian[k] = np.reshape(full, (6, model.nv))[:3, self.order]
-            position[k] = pin.updateFramePlacement(model, data, frame).translation
+        for k, row in enumerate(self._of_robot(q)):
+            jacobian[k] = self._bodies.jacobian(frame, row)[:3, self.order]
+            position[k] = self._bodies.pose(frame, row)[0]
         return position, np.einsum("kij,kj->ki", jacobian, v), jacobian
 
     def temperature_rise(self, run: Run, count: int) -> np.ndarray:
@@ -228,8 +195,8 @@ class RobotModel:
             return np.zeros((count, self.n))
         return np.tile(np.asarray(run.temperature, dtype=float) - reference, (count, 1))
 
-    def _in_model(self, values: np.ndarray) -> np.ndarray:
-        """Columns in the model's order; joints that the set leaves out stand at zero."""
-        full = np.zeros((len(values), self.model.nv))
+    def _of_robot(self, values: np.ndarray) -> np.ndarray:
+        """Columns (K, n) in the robot's own order."""
+        full = np.empty_like(values)
         full[:, self.order] = values
         return full

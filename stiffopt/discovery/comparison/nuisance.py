@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import pinocchio as pin
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepare import PreparedRun, sign
@@ -96,9 +95,9 @@ def _bodies(run: PreparedRun, robot: RobotModel, tolerance: Tolerance) -> Iterat
     """Mass and centre of mass of every body."""
     compliance = robot.compliance(run.signals.spring_torque)
     for position, joint in enumerate(robot.order):
-        inertia = robot.model.inertias[int(joint) + 1]
+        body = robot.arm.tree.bodies[joint]
         regressor = run.signals.body_regressor[:, :, 10 * position : 10 * position + 10]
-        now = inertia.toDynamicParameters()
+        now = body.inertial_parameters
         if tolerance.mass:
             torque = regressor @ now
             yield NuisanceColumn(
@@ -109,8 +108,8 @@ def _bodies(run: PreparedRun, robot: RobotModel, tolerance: Tolerance) -> Iterat
         for axis in range(3):
             shift = np.zeros(3)
             shift[axis] = 1e-5
-            moved = pin.Inertia(inertia.mass, inertia.lever + shift, inertia.inertia)
-            torque = regressor @ ((moved.toDynamicParameters() - now) / 1e-5)
+            moved = replace(body, centre=body.centre + shift)
+            torque = regressor @ ((moved.inertial_parameters - now) / 1e-5)
             name = f"com {position + 1} {'xyz'[axis]}"
             yield NuisanceColumn(name, tolerance.com, torque, compliance * torque)
 

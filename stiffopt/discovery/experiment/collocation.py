@@ -91,7 +91,9 @@ class _Instant:
         n = self.robot.n
         self.effects = (separation.first.effects[0], separation.second.effects[0])
         self.q, self.v, self.a = (ca.SX.sym(name, n) for name in "qva")
-        self.spring = newton_euler(self.robot.model, *self._in_model())[self.robot.order.tolist()]
+        self.spring = newton_euler(self.robot.arm.tree, *self._in_model())[
+            self.robot.order.tolist()
+        ]
         for balance in self.robot.recordings.nominal.counterbalance:
             self.spring[balance.joint] -= _balance(balance, self.q[balance.joint])
         inertia, coulomb, viscous = (
@@ -221,7 +223,7 @@ class _Instant:
     def _in_model(self) -> tuple[Any, Any, Any]:
         full = []
         for own in (self.q, self.v, self.a):
-            values = ca.SX.zeros(self.robot.model.nv)
+            values = ca.SX.zeros(self.robot.n)
             values[self.robot.order.tolist()] = own
             full.append(values)
         return full[0], full[1], full[2]

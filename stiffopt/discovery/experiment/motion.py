@@ -62,14 +62,14 @@ class MotionLimits:
 def limits_of(training: Training) -> MotionLimits:
     """Limits of the arm; where it states none, what the training runs went to."""
     robot, constants = training.robot, training.constants
-    model, order = robot.model, robot.order
+    arm, order = robot.arm, robot.order
     met = np.array([j.stroke for j in constants.joints])
     wider = _BEYOND * (met[:, 1] - met[:, 0]) + 0.05
     # Farther than recordings went nobody knows what stands in the way.
-    lower = np.maximum(np.asarray(model.lowerPositionLimit)[order], met[:, 0] - wider)
-    upper = np.minimum(np.asarray(model.upperPositionLimit)[order], met[:, 1] + wider)
+    lower = np.maximum(arm.position_lower[order], met[:, 0] - wider)
+    upper = np.minimum(arm.position_upper[order], met[:, 1] + wider)
     middle, half = 0.5 * (lower + upper), 0.5 * USED * (upper - lower)
-    own = np.asarray(model.velocityLimit)[order]
+    own = arm.velocity_max[order]
     fastest = np.array([j.fastest for j in constants.joints])
     velocity = np.where((own > 0.0) & np.isfinite(own), own, fastest)
     hardest = np.max(

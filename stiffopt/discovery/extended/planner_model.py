@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.signals import JointConstants
@@ -144,16 +143,14 @@ class _Planner:
 
     def _weigh(self, link: int, estimated: EstimatedEffect, what: str) -> None:
         joint = self.place[link] + 1
-        model = self.robot.model.copy()
-        before = model.inertias[joint]
-        values = before.toDynamicParameters() + np.asarray(estimated.amplitudes)
-        body = _physical(values, before)
-        if body is None:
+        before = self.robot.tree.bodies[joint - 1]
+        values = before.inertial_parameters + np.asarray(estimated.amplitudes)
+        if values[0] <= 0.0:
             self.left_out.append(f"{estimated.located.label} (it would leave no mass)")
             return
-        model.inertias[joint] = body
-        self.robot = replace(self.robot, model=model)
-        centre = ", ".join(f"{1e3 * x:.0f}" for x in body.lever)
+        self.robot = self.robot.with_inertial_parameters(joint, values)
+        body = self.robot.tree.bodies[joint - 1]
+        centre = ", ".join(f"{1e3 * x:.0f}" for x in body.centre)
         self.changes.append(
             f"{what.capitalize()} of link {link + 1}: {before.mass:.4g} to {body.mass:.4g} kg,"
             f" centre at ({centre}) mm."
@@ -180,17 +177,6 @@ def _places(robot: Robot, model: ExtendedModel) -> tuple[int, ...]:
             f" {', '.join(names)}. Give the model of the same robot.",
         )
     return tuple(range(len(names)))
-
-
-def _physical(values: np.ndarray, before: pin.Inertia) -> pin.Inertia | None:
-    """Body of inertial parameters; where their inertia belongs to no body, that of before."""
-    if values[0] <= 0.0:
-        return None
-    body = pin.Inertia.FromDynamicParameters(values)
-    moments = np.linalg.eigvalsh(body.inertia)
-    if moments[0] >= 0.0 and moments[2] <= moments[0] + moments[1]:
-        return body
-    return pin.Inertia(body.mass, body.lever, before.inertia)
 
 
 def joint_constants(model: ExtendedModel, joint: int) -> JointConstants:

@@ -1,0 +1,143 @@
+"""The bodies and joints of an arm as plain numbers, for formulas that are no pinocchio's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stiffopt.errors import RobotError
+
+_REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
+_PRISMATIC = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
+_KINDS = {
+    "JointModelFreeFlyer": "floating",
+    "JointModelPlanar": "planar",
+    "JointModelSpherical": "spherical",
+    "JointModelSphericalZYX": "spherical",
+    "JointModelTranslation": "translation",
+    "JointModelMimic": "mimic",
+    "JointModelUniversal": "universal",
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Body:
+    """One moving body and the joint it hangs on.
+
+    Parameters
+    ----------
+    name : str
+        Of the joint.
+    parent : int
+        Number of the joint it hangs on, from 1; 0 is the base.
+    prismatic : bool
+        The joint slides along its axis instead of turning about it.
+    axis : array (3,)
+        Of unit length, in the joint's frame.
+    rotation : array (3, 3)
+        Joint frame at zero position seen from the parent's joint frame.
+    translation : array (3,)
+        Origin of the joint frame in the parent's joint frame, at zero position [m].
+    mass : float
+        With everything fixed to the body [kg].
+    centre : array (3,)
+        Of mass, in the joint's frame [m].
+    inertia : array (3, 3)
+        About the centre of mass, in the axes of the joint's frame [kg m^2].
+    """
+
+    name: str
+    parent: int
+    prismatic: bool
+    axis: np.ndarray
+    rotation: np.ndarray
+    translation: np.ndarray
+    mass: float
+    centre: np.ndarray
+    inertia: np.ndarray
+
+    @property
+    def inertial_parameters(self) -> np.ndarray:
+        """Mass, first moment and inertia about the joint's origin (10,), all linear in torque.
+
+        m, m c_x, m c_y, m c_z [kg m], I_xx, I_xy, I_yy, I_xz, I_yz, I_zz [kg m^2].
+        """
+        c = self.centre
+        about = self.inertia + self.mass * (c @ c * np.eye(3) - np.outer(c, c))
+        rows, columns = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)
+        return np.concatenate([[self.mass], self.mass * c, about[rows, columns]])
+
+
+@dataclass(frozen=True, eq=False)
+class BodyTree:
+    """All moving bodies of an arm.
+
+    Parameters
+    ----------
+    bodies : tuple of Body (n,)
+        Body i - 1 hangs on joint i; a parent comes before its children.
+    gravity : array (3,)
+        In the base frame [m/s^2].
+    """
+
+    bodies: tuple[Body, ...]
+    gravity: np.ndarray
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.bodies)
+
+    @property
+    def prismatic(self) -> np.ndarray:
+        """Which joints slide, (n,) of bool."""
+        return np.array([body.prismatic for body in self.bodies])
+
+
+def body_tree(model: Any) -> BodyTree:
+    """Bodies of a pinocchio model, whose fixed joints are merged already.
+
+    Raises
+    ------
+    RobotError
+        A joint that is neither revolute nor prismatic.
+    """
+    bodies = []
+    for i in range(1, model.njoints):
+        prismatic, axis = _axis(model, i)
+        placement, inertia = model.jointPlacements[i], model.inertias[i]
+        bodies.append(
+            Body(
+                name=str(model.names[i]),
+                parent=int(model.parents[i]),
+                prismatic=prismatic,
+                axis=axis,
+                rotation=np.array(placement.rotation),
+                translation=np.array(placement.translation),
+                mass=float(inertia.mass),
+                centre=np.array(inertia.lever),
+                inertia=np.array(inertia.inertia),
+            )
+        )
+    return BodyTree(tuple(bodies), np.array(model.gravity.linear))
+
+
+def _axis(model: Any, i: int) -> tuple[bool, np.ndarray]:
+    """Whether a joint slides, and its axis."""
+    joint = model.joints[i]
+    kind = joint.shortname()
+    if kind in _REVOLUTE or kind in _PRISMATIC:
+        linear, angular = np.array(joint.createData().S).reshape(2, 3)
+        return kind in _PRISMATIC, linear if kind in _PRISMATIC else angular
+    if kind.startswith("JointModelR") and "U" in kind:
+        name = "unbounded revolute (two coordinates)"
+        step = "Read it as a revolute joint without position limits."
+    else:
+        name = _KINDS.get(kind, kind.removeprefix("JointModel").lower())
+        step = "Fix it, or replace it by revolute and prismatic joints."
+    raise RobotError(
+        f"joint {model.names[i]!r} is of the kind {name}; allowed are revolute and prismatic "
+        f"joints (fixed ones are merged into their links). {step}"
+    )

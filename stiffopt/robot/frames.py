@@ -1,0 +1,93 @@
+"""Frames fixed to the links of an arm: tool, flange and what a file names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from stiffopt.errors import RobotError, nearest
+from stiffopt.robot.rotations import rotation_from_rpy
+
+
+@dataclass(frozen=True)
+class LinkFrame:
+    """A frame fixed to a link.
+
+    Parameters
+    ----------
+    joint : int
+        Index of the link's joint in the pinocchio model (1 is the first moving joint).
+    offset : array (3,)
+        Origin in that joint's frame [m].
+    rotation : array (3, 3)
+        Axes of the frame, as columns in the joint's frame.
+    link : str
+        Link whose frame the offset was given in.
+    """
+
+    joint: int
+    offset: np.ndarray
+    rotation: np.ndarray
+    link: str = ""
+
+
+def link_names(model: Any) -> list[str]:
+    """Links of a pinocchio model that have a frame."""
+    return [f.name for f in model.frames if f.type == pin.FrameType.BODY and f.name != "universe"]
+
+
+def link_frame(model: Any, link: str, offset: Any = None, rpy: Any = None) -> LinkFrame:
+    """Frame fixed to a moving link, resolved to the link's joint.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+    link : str
+    offset : array_like (3,), optional
+        In the link's frame [m]; default its origin.
+    rpy : array_like (3,), optional
+        Roll, pitch, yaw about the link's axes [rad]; default as the link.
+
+    Raises
+    ------
+    RobotError
+        A link that there is not or that does not move, numbers that are no frame.
+    """
+    if link not in link_names(model):
+        raise RobotError(f"no link {link!r}. {nearest(link, link_names(model))}")
+    frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
+    if frame.parentJoint == 0:
+        raise RobotError(f"the link {link!r} does not move. Take one behind the last joint.")
+    shift = np.zeros(3) if offset is None else np.asarray(offset, dtype=float)
+    angles = np.zeros(3) if rpy is None else np.asarray(rpy, dtype=float)
+    if shift.shape != (3,) or angles.shape != (3,) or not np.isfinite([*shift, *angles]).all():
+        raise RobotError(f"a frame at {link!r} needs 3 finite numbers as offset; got {offset}.")
+    placement = frame.placement * pin.SE3(rotation_from_rpy(angles), shift)
+    return _resolved(frame.parentJoint, placement, link)
+
+
+def frame_names(model: Any) -> list[str]:
+    """All frames of a pinocchio model but that of the ground: of links, joints and fixed joints."""
+    return [frame.name for frame in model.frames if frame.name != "universe"]
+
+
+def named_frame(model: Any, name: str | None = None) -> LinkFrame:
+    """Frame of a pinocchio model by its name, else the last one."""
+    index = model.nframes - 1 if name is None else model.getFrameId(name)
+    frame = model.frames[index]
+    return _resolved(frame.parentJoint, frame.placement, str(frame.name))
+
+
+def first_link_of(model: Any, joint: int) -> str:
+    """Link that a joint (1-based) carries; the joint's own name where its links have no frame."""
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY and frame.parentJoint == joint:
+            return str(frame.name)
+    return str(model.names[joint])
+
+
+def _resolved(joint: int, placement: Any, name: str) -> LinkFrame:
+    return LinkFrame(int(joint), placement.translation.copy(), placement.rotation.copy(), name)

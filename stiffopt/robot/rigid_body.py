@@ -1,0 +1,80 @@
+"""Rigid-body dynamics and kinematics of an arm in numbers, one instant at a time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from stiffopt.robot.frames import LinkFrame
+
+
+class RigidBodies:
+    """Torques, inertia and poses of links and payload; no rotors, no friction.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Of revolute and prismatic joints; copied, so that later changes of it do not matter.
+
+    Notes
+    -----
+    Joints are in the order of the model; torques [N m] are forces [N] where a joint slides.
+    """
+
+    def __init__(self, model: Any) -> None:
+        self._model = model.copy()
+        # A rotor turns with its motor, in front of the spring: it loads the drive alone.
+        self._model.armature = np.zeros(model.nv)
+        self._data = self._model.createData()
+
+    def with_gravity(self, gravity: np.ndarray) -> RigidBodies:
+        """The same bodies under another gravity (3,) [m/s^2], base axes."""
+        changed = RigidBodies(self._model)
+        changed._model.gravity.linear = np.asarray(gravity, dtype=float)
+        return changed
+
+    def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Inverse dynamics: position, velocity, acceleration (n,) -> torque (n,)."""
+        return np.array(pin.rnea(self._model, self._data, q, v, a))
+
+    def gravity_torque(self, q: np.ndarray) -> np.ndarray:
+        """Torque (n,) that holds the weight at rest."""
+        return np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
+
+    def inertia_matrix(self, q: np.ndarray) -> np.ndarray:
+        """Inertia of the joints (n, n) [kg m^2]."""
+        return np.array(pin.crba(self._model, self._data, q))
+
+    def torque_regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Torques for a unit of every inertial parameter (n, 10 n).
+
+        Ten columns a body: its `Body.inertial_parameters`.
+        """
+        n = self._model.nv
+        full = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a)
+        return np.array(full).reshape(n, 10 * n)
+
+    def pose(self, frame: LinkFrame, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Position (3,) [m] and rotation (3, 3) of a frame in the base."""
+        pin.forwardKinematics(self._model, self._data, q)
+        joint = self._data.oMi[frame.joint]
+        rotation = joint.rotation
+        return (
+            np.array(joint.translation + rotation @ frame.offset),
+            np.array(rotation @ frame.rotation),
+        )
+
+    def jacobian(self, frame: LinkFrame, q: np.ndarray) -> np.ndarray:
+        """Velocity and turning rate of a frame for a unit of joint velocity (6, n), base axes."""
+        pin.computeJointJacobians(self._model, self._data, q)
+        full = pin.getFrameJacobian(
+            self._model,
+            self._data,
+            frame.joint,
+            pin.SE3(frame.rotation, frame.offset),
+            pin.LOCAL_WORLD_ALIGNED,
+        )
+        # pin drops the second axis for an arm of one joint.
+        return np.array(full).reshape(6, self._model.nv)
