@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,11 +16,14 @@ from stiffopt.preload.study import preload_study
 from stiffopt.preload.values import named_values
 from stiffopt.problem.files import load_problem
 from stiffopt.result.status import SolveStatus
+from stiffopt.solver.monitor import Progress
 from stiffopt.solver.solve import solve
-from stiffopt.solver.staging import ProgressCallback
+from stiffopt.solver.staging import ProgressCallback, SolveProgress
 from stiffopt.units import convert
 
 KINDS = ("trajectory", "preload")
+
+StudyCallback = Callable[[Progress | SolveProgress], object]
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,7 @@ def check_problem(path: Path) -> None:
         load_problem(path)
 
 
-def verify(path: Path, progress: Callable[[Any], object] | None = None) -> tuple[Check, ...]:
+def verify(path: Path, progress: StudyCallback | None = None) -> tuple[Check, ...]:
     """Solve one problem or study file; a check for each value that it expects."""
     return verify_study(path, progress) if _is_study(path) else (verify_file(path, progress),)
 
@@ -113,7 +115,7 @@ def _is_study(path: Path) -> bool:
     return load_toml(path).get("kind") == "preload"
 
 
-def verify_study(path: Path, progress: Callable[[Any], object] | None = None) -> tuple[Check, ...]:
+def verify_study(path: Path, progress: StudyCallback | None = None) -> tuple[Check, ...]:
     """Run one preload study and compare; a file without expected values never passes."""
     begin = time.perf_counter()
     loaded = load_study(path)
