@@ -13,7 +13,7 @@ import numpy as np
 from stiffopt.errors import InputError
 from stiffopt.solver.monitor import Iterate, Monitor, Progress, interrupt_sets
 from stiffopt.solver.options import IpoptOptions
-from stiffopt.transcription.nlp import Entry, Nlp, Violation
+from stiffopt.transcription.nlp import Nlp, NlpEntry, RowViolation
 
 _STATUS = {
     "Solve_Succeeded": "optimal",
@@ -50,8 +50,8 @@ class RawSolution:
         In the problem's unit.
     violation : float
         Worst row, relative to its scale.
-    worst_rows : list of Violation
-    conflicts : list of Entry
+    worst_rows : list of RowViolation
+    conflicts : list of NlpEntry
         After "infeasible": the limits and boundary values that cannot hold together.
     iteration : int
         From which the values are.
@@ -70,8 +70,8 @@ class RawSolution:
     g: np.ndarray
     objective: float
     violation: float
-    worst_rows: list[Violation]
-    conflicts: list[Entry]
+    worst_rows: list[RowViolation]
+    conflicts: list[NlpEntry]
     iteration: int
     iterations: int
     multipliers_x: np.ndarray

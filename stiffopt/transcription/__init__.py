@@ -2,22 +2,22 @@
 
 from stiffopt.transcription.build import METHODS, transcribe
 from stiffopt.transcription.mesh import Mesh, uniform_mesh
-from stiffopt.transcription.nlp import Entry, Nlp, Violation
+from stiffopt.transcription.nlp import Nlp, NlpEntry, RowViolation
 from stiffopt.transcription.ocp import Guess, OptimalControlProblem, Rows, Waypoint
 from stiffopt.transcription.refine import refine_mesh
 from stiffopt.transcription.transcription import Transcription, Unpacked
 
 __all__ = [
     "METHODS",
-    "Entry",
     "Guess",
     "Mesh",
     "Nlp",
+    "NlpEntry",
     "OptimalControlProblem",
+    "RowViolation",
     "Rows",
     "Transcription",
     "Unpacked",
-    "Violation",
     "Waypoint",
     "refine_mesh",
     "transcribe",

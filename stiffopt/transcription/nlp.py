@@ -28,7 +28,7 @@ class Places:
 
 
 @dataclass(frozen=True)
-class Entry:
+class NlpEntry:
     """Name of one variable or row of the NLP.
 
     Attributes
@@ -62,19 +62,19 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Violation:
+class RowViolation:
     """A row outside its bound.
 
     Attributes
     ----------
-    entry : Entry
+    entry : NlpEntry
     value, bound : float
         In the row's unit.
     relative : float
         Excess divided by the row's scale.
     """
 
-    entry: Entry
+    entry: NlpEntry
     value: float
     bound: float
     relative: float
@@ -128,10 +128,10 @@ class Block:
         values = part.reshape(self.lower.shape[1], -1 if self.size else 0) * self.rows.scale
         return np.asarray(values)
 
-    def entry(self, index: int) -> Entry:
+    def entry(self, index: int) -> NlpEntry:
         """Name of the entry at a position counted from the block's begin."""
         point, label = divmod(index, len(self.rows))
-        return Entry(
+        return NlpEntry(
             name=self.rows.name,
             label=self.rows.labels[label],
             unit=self.rows.unit,
@@ -176,7 +176,7 @@ class Blocks:
         upper = [b.upper.ravel(order="F") / b.scales for b in self.items]
         return np.concatenate([np.zeros(0), *lower]), np.concatenate([np.zeros(0), *upper])
 
-    def entry(self, index: int) -> Entry:
+    def entry(self, index: int) -> NlpEntry:
         """Name of an entry by its position in the NLP vector."""
         for block in self.items:
             if index < block.offset + block.size:
@@ -213,7 +213,7 @@ class Nlp:
         g = np.asarray(g, dtype=float).ravel()
         return np.asarray(np.maximum(np.maximum(self.lower_g - g, g - self.upper_g), 0.0))
 
-    def worst_rows(self, g: np.ndarray, n: int = 5, tolerance: float = 0.0) -> list[Violation]:
+    def worst_rows(self, g: np.ndarray, n: int = 5, tolerance: float = 0.0) -> list[RowViolation]:
         """Find the n most violated rows, each name and label once, at its worst point.
 
         Parameters
@@ -226,14 +226,14 @@ class Nlp:
         """
         g = np.asarray(g, dtype=float).ravel()
         excess = self.violations(g)
-        found: dict[tuple[str, str], Violation] = {}
+        found: dict[tuple[str, str], RowViolation] = {}
         for index in np.argsort(-excess, kind="stable"):
             if len(found) == n or not excess[index] > tolerance:
                 break
             entry = self.rows.entry(int(index))
             below = g[index] < self.lower_g[index]
             bound = self.lower_g[index] if below else self.upper_g[index]
-            violation = Violation(
+            violation = RowViolation(
                 entry, g[index] * entry.scale, bound * entry.scale, float(excess[index])
             )
             found.setdefault((entry.name, entry.label), violation)
@@ -241,7 +241,7 @@ class Nlp:
 
     def conflicts(
         self, multipliers_x: np.ndarray, multipliers_g: np.ndarray, n: int = 40
-    ) -> list[Entry]:
+    ) -> list[NlpEntry]:
         """Find the limits and boundary values that cannot hold together.
 
         Where IPOPT ends at a point of locally least infeasibility, its multipliers weigh the
@@ -256,11 +256,11 @@ class Nlp:
 
         Returns
         -------
-        list of Entry
+        list of NlpEntry
             By falling weight, each name and label once at its heaviest point; those below one
             per cent of the heaviest are left out.
         """
-        found: list[tuple[float, Entry]] = []
+        found: list[tuple[float, NlpEntry]] = []
         for blocks, multipliers in ((self.variables, multipliers_x), (self.rows, multipliers_g)):
             weights = np.abs(np.asarray(multipliers, dtype=float).ravel())
             for block in blocks.items:
