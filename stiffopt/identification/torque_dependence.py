@@ -170,7 +170,7 @@ def torque_dependence(rows: StaticRows, kept: Sequence[int] | np.ndarray) -> Tor
             best="",
             secant={},
         )
-    verdict, sentence, chosen = _conclude(models, models[rival])
+    verdict, sentence, chosen = _verdict(models, models[rival])
     secant = {}
     if verdict == "supported":
         secant = _secant(rows, kept, models[best], runs[best].shape)
@@ -217,7 +217,7 @@ def _rms(error: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(error))))
 
 
-def _conclude(models: tuple[Compared, ...], rival: Compared) -> tuple[Verdict, str, Compared]:
+def _verdict(models: tuple[Compared, ...], rival: Compared) -> tuple[Verdict, str, Compared]:
     """Verdict, sentence, and the torque-dependent model that they are about."""
     candidates = [model for model in models if model.candidate]
     sure = min(candidates, key=lambda model: (model.chance, -model.gain))
