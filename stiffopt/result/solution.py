@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.status import SolveStatus
@@ -49,7 +49,7 @@ class SolverRecord:
     solve_s: float
     transcription: str
     intervals: int
-    homotopy: tuple[dict[str, Any], ...]
+    homotopy: tuple[dict[str, float | str], ...]
 
 
 @dataclass(frozen=True, kw_only=True)
