@@ -66,3 +66,14 @@ def test_every_place_exists():
         text = (PACKAGE / file.strip("`")).read_text(encoding="utf-8")
         defined = rf"^\s*(?:(?:def|class) {name.strip('`')}\b|{name.strip('`')}\s*[:=])"
         assert re.search(defined, text, re.MULTILINE), f"{name} is not defined in {file}"
+
+
+def test_top_level_holds_four_files():
+    files = {path.name for path in ROOT.iterdir() if path.is_file() and path.name[0] != "."}
+    assert files == {"CITATION.cff", "LICENSE", "README.md", "pyproject.toml"}
+
+
+def test_benchmarks_import_no_tests():
+    for file in (ROOT / "benchmarks").rglob("*.py"):
+        text = file.read_text(encoding="utf-8")
+        assert not re.search(r"^\s*(?:from|import) tests\b", text, re.MULTILINE), file
