@@ -9,13 +9,11 @@ from stiffopt.baseline.quintic import quintic_baseline
 from stiffopt.baseline.toppra_motion import toppra_baseline
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import is_maximised, objective_value
+from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
-
-# A baseline that exceeds a limit by more than this share is shown, never counted.
-FEASIBLE = 5e-3
 
 
 def baselines(problem: TrajectoryProblem, motion: ResolvedMotion) -> dict[str, Baseline]:
@@ -70,7 +68,7 @@ def _assessed(
             reason=baseline.reason,
         )
     assessment = assess(problem, baseline.motion)
-    exceeded = [v for v in assessment.violations if v.value > FEASIBLE]
+    exceeded = [v for v in assessment.violations if v.value > CERTIFIED]
     counted = [v for v in exceeded if v.limit not in ignored]
     reason = f"Exceeds {counted[0].describe()}." if counted else ""
     moving = problem.boundary_velocity is not None and np.any(problem.boundary_velocity)

@@ -7,7 +7,6 @@ tightened by the excess, up to three times in all, or the solve ends as `certifi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from stiffopt.certificate.objective_value import (
     objective_value,
     term_value,
 )
+from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.errors import NoSolutionFound
 from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.formulation import Scales
@@ -31,14 +31,10 @@ from stiffopt.result.status import SolveStatus
 from stiffopt.solver.guess import initial_guess
 from stiffopt.solver.stages import Stage, smoothing_widths, stages
 from stiffopt.solver.staging import Outcome, ProgressCallback, Run, run_stages
+from stiffopt.solver.verdict import TRUE_OBJECTIVE, verdict
 from stiffopt.transcription.ocp import Guess
 from stiffopt.transcription.refine import refine_mesh
 
-# A limit exceeded by more than this share between nodes fails the certificate.
-CERTIFIED = 5e-3
-# An objective worse on the fine grid than at the nodes by more than this share asks for refinement,
-# and is never called optimal.
-TRUE_OBJECTIVE = 2e-2
 # Motions are tightened until the excess is below this, so that 0.5 % is never only just met.
 _AIM = 4e-3
 _REFINEMENTS = 3
@@ -186,15 +182,19 @@ def _conclude(
     run: Run, outcome: Outcome, beside: dict[str, Baseline], notes: tuple[str, ...]
 ) -> Solution:
     problem, assessment = run.problem, outcome.assessment
-    status = _status(outcome)
+    end = verdict(problem, outcome, beside)
     value = objective_value(problem, assessment)
     rival = better_baseline(problem, beside)
     ratio = None
-    if rival is not None and rival.objective is not None and status is not SolveStatus.INFEASIBLE:
+    if (
+        rival is not None
+        and rival.objective is not None
+        and end.status is not SolveStatus.INFEASIBLE
+    ):
         ratio = improvement(problem, value.value, rival.objective)
     return Solution(
-        status=status,
-        message=_message(status, outcome),
+        status=end.status,
+        message=end.message,
         trajectory=outcome.trajectory,
         assessment=assessment,
         objective=value,
@@ -233,48 +233,3 @@ def _record(run: Run, intervals: int) -> SolverRecord:
         intervals=intervals,
         homotopy=tuple(run.homotopy),
     )
-
-
-def _status(outcome: Outcome) -> SolveStatus:
-    raw, certified = outcome.raw, outcome.assessment.feasible(CERTIFIED)
-    if raw.converged:
-        if not certified:
-            return SolveStatus.CERTIFICATE_FAILED
-        full = raw.status == "optimal" and outcome.objective_gap <= TRUE_OBJECTIVE
-        return SolveStatus.OPTIMAL if full else SolveStatus.ACCEPTABLE
-    if raw.status == "infeasible" or (raw.status == "stalled" and not certified):
-        return SolveStatus.INFEASIBLE
-    if raw.status in ("interrupted", "time_limit"):
-        return SolveStatus(raw.status)
-    return SolveStatus.ITERATION_LIMIT
-
-
-def _message(status: SolveStatus, outcome: Outcome) -> str:
-    raw, assessment = outcome.raw, outcome.assessment
-    worst = assessment.worst_violation.describe()
-    if status is SolveStatus.INFEASIBLE:
-        return f"{status.sentence} These conflict: {_listed(raw.conflicts or raw.worst_rows)}."
-    if not raw.converged:
-        state = f"It exceeds {worst}."
-        if assessment.feasible(CERTIFIED):
-            state = "It keeps all limits."
-        cause = f" Cause: {raw.reason}." if raw.status == "invalid_number" else ""
-        return f"{status.sentence}{cause} {state}"
-    if status is SolveStatus.CERTIFICATE_FAILED:
-        return f"{status.sentence} It exceeds {worst}."
-    if outcome.objective_gap > TRUE_OBJECTIVE:
-        return (
-            "Solved and certified: every limit holds on the fine grid. But between the nodes the "
-            f"objective is {outcome.objective_gap:.1%} worse than at them, so a finer mesh or "
-            "another transcription can still improve it; the value given is the true one."
-        )
-    return status.sentence
-
-
-def _listed(entries: Sequence[object]) -> str:
-    """Return limits by name first; the many boundary states count as one entry, the last."""
-    names = list(dict.fromkeys(str(entry) for entry in entries))
-    poses = [name for name in names if name.startswith(("state,", "start", "end"))]
-    limits = [name for name in names if name not in poses][:5]
-    ends = ["the given start and end"] if poses else []
-    return "; ".join(limits + ends) or "none that can be named"

@@ -11,7 +11,7 @@ from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import improvement
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.solve import _listed
+from stiffopt.solver.verdict import _listed
 
 
 def cubic(problem, duration):

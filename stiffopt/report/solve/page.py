@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stiffopt.certificate.objective_value import is_maximised
+from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.problem.objectives import UNITS
 from stiffopt.report.common.citations import solve_references
 from stiffopt.report.common.motions import (
@@ -43,7 +44,6 @@ from stiffopt.report.solve.wording import (
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.solution import Solution
-from stiffopt.solver.solve import CERTIFIED
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem

@@ -1,0 +1,147 @@
+"""How a solve ended, as a status and a sentence: what the solver says, then what is true of it.
+
+A motion is optimal only if it keeps all limits on the fine grid, if the optimiser believed of it
+what is true, and if no baseline that keeps all limits is better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from stiffopt.certificate.agreement import Disagreement, differences
+from stiffopt.certificate.objective_value import is_maximised, objective_value
+from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.problem.belief import believed_of
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.solution import Baseline
+from stiffopt.result.status import SolveStatus
+from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.stages import smoothing_widths
+from stiffopt.solver.staging import Outcome
+
+# An objective worse on the fine grid than at the nodes by more than this share asks for refinement,
+# and is never called optimal.
+TRUE_OBJECTIVE = 2e-2
+# A wind-up or deflection further off is no fit of a contact law any more: "power_law" misses the
+# fractal law by up to 5 %.
+_WRONG = 6e-2
+# A baseline may use what limits may be exceeded by.
+_WORSE = CERTIFIED
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Status of a solve and the sentence that goes with it."""
+
+    status: SolveStatus
+    message: str
+
+
+def verdict(problem: TrajectoryProblem, outcome: Outcome, beside: dict[str, Baseline]) -> Verdict:
+    """Judge an outcome by its solver, the certificate, its own belief and the baselines."""
+    status = _status(outcome)
+    message = _message(status, outcome)
+    if not outcome.raw.converged:
+        return Verdict(status, message)
+    doubts = _disagreements(problem, outcome)
+    if doubts:
+        listed = "; ".join(d.describe() for d in doubts[:3])
+        wrong = any("torque" in d.quantity or abs(d.value) > _WRONG for d in doubts)
+        if not status.usable:
+            return Verdict(status, f"{message} And the optimiser believed otherwise: {listed}.")
+        if wrong:
+            return Verdict(
+                SolveStatus.CERTIFICATE_FAILED,
+                "Every limit holds on the fine grid, but the optimiser's model of this motion is "
+                f"wrong: it differs in {listed}. The motion is not the optimum; please report the "
+                "robot and the problem.",
+            )
+        return Verdict(
+            SolveStatus.ACCEPTABLE,
+            "Solved and certified: every limit holds on the fine grid. But the optimiser's smooth "
+            f"model of this motion differs in {listed}, so it is only near the optimum. "
+            "contact_law = 'log_cubic' follows the true law most closely.",
+        )
+    better = _better_baseline(problem, outcome, beside)
+    if better is not None and status.usable:
+        return Verdict(
+            SolveStatus.ACCEPTABLE,
+            f"Solved and certified, but the {better.name} motion beside it is better and keeps all "
+            "limits as well: run that one, or raise method.intervals or method.starts.",
+        )
+    return Verdict(status, message)
+
+
+def _disagreements(problem: TrajectoryProblem, outcome: Outcome) -> list[Disagreement]:
+    """What the optimiser believed of its motion and is not true, the worst first."""
+    widths = smoothing_widths(problem)
+    polynomials = outcome.transcription.acceleration_polynomials(outcome.raw.x)
+    believed = believed_of(
+        problem,
+        Trajectory.from_acceleration(*polynomials),
+        widths[-1],
+        elastic=len(widths) > 1,
+    )
+    return [d for d in differences(problem, outcome.trajectory, believed) if d.excess > 1.0]
+
+
+def _better_baseline(
+    problem: TrajectoryProblem, outcome: Outcome, beside: dict[str, Baseline]
+) -> Baseline | None:
+    """A baseline that keeps every limit, its own method's or not, and is better."""
+    value = objective_value(problem, outcome.assessment).value
+    sign = -1.0 if is_maximised(problem) else 1.0
+    for baseline in beside.values():
+        motion, rival = baseline.assessment, baseline.objective
+        if not baseline.feasible or motion is None or rival is None:
+            continue
+        gain = sign * (value - rival)
+        if motion.feasible(CERTIFIED) and gain > _WORSE * max(abs(value), abs(rival)):
+            return baseline
+    return None
+
+
+def _status(outcome: Outcome) -> SolveStatus:
+    raw, certified = outcome.raw, outcome.assessment.feasible(CERTIFIED)
+    if raw.converged:
+        if not certified:
+            return SolveStatus.CERTIFICATE_FAILED
+        full = raw.status == "optimal" and outcome.objective_gap <= TRUE_OBJECTIVE
+        return SolveStatus.OPTIMAL if full else SolveStatus.ACCEPTABLE
+    if raw.status == "infeasible" or (raw.status == "stalled" and not certified):
+        return SolveStatus.INFEASIBLE
+    if raw.status in ("interrupted", "time_limit"):
+        return SolveStatus(raw.status)
+    return SolveStatus.ITERATION_LIMIT
+
+
+def _message(status: SolveStatus, outcome: Outcome) -> str:
+    raw, assessment = outcome.raw, outcome.assessment
+    worst = assessment.worst_violation.describe()
+    if status is SolveStatus.INFEASIBLE:
+        return f"{status.sentence} These conflict: {_listed(raw.conflicts or raw.worst_rows)}."
+    if not raw.converged:
+        state = f"It exceeds {worst}."
+        if assessment.feasible(CERTIFIED):
+            state = "It keeps all limits."
+        cause = f" Cause: {raw.reason}." if raw.status == "invalid_number" else ""
+        return f"{status.sentence}{cause} {state}"
+    if status is SolveStatus.CERTIFICATE_FAILED:
+        return f"{status.sentence} It exceeds {worst}."
+    if outcome.objective_gap > TRUE_OBJECTIVE:
+        return (
+            "Solved and certified: every limit holds on the fine grid. But between the nodes the "
+            f"objective is {outcome.objective_gap:.1%} worse than at them, so a finer mesh or "
+            "another transcription can still improve it; the value given is the true one."
+        )
+    return status.sentence
+
+
+def _listed(entries: Sequence[object]) -> str:
+    """Return limits by name first; the many boundary states count as one entry, the last."""
+    names = list(dict.fromkeys(str(entry) for entry in entries))
+    poses = [name for name in names if name.startswith(("state,", "start", "end"))]
+    limits = [name for name in names if name not in poses][:5]
+    ends = ["the given start and end"] if poses else []
+    return "; ".join(limits + ends) or "none that can be named"
