@@ -62,6 +62,11 @@ def test_public_names():
         _ = stiffopt.slove
 
 
+def test_the_citation_is_of_this_version():
+    lines = (ROOT / "CITATION.cff").read_text(encoding="utf-8").splitlines()
+    assert f"version: {stiffopt.__version__}" in lines
+
+
 def test_no_public_name_is_hidden_by_a_package():
     folders = {path.name for path in (ROOT / "stiffopt").iterdir() if path.is_dir()}
     modules = {path.stem for path in (ROOT / "stiffopt").glob("*.py")}
