@@ -1,43 +1,84 @@
-"""Outcome of a catalogue search."""
+"""The best design of a catalogue: bolt size, grade, number and tightening torque, with proof."""
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-from stiffopt.preload.candidates import CatalogueDesign
-from stiffopt.preload.ledger import SearchProof
+import numpy as np
+
+from stiffopt.errors import ProblemError
+from stiffopt.preload.catalogue_designs import CatalogueDesign, catalogue_designs
+from stiffopt.preload.catalogue_programme import ChoiceProgramme, choice_programme
+from stiffopt.preload.catalogue_search import CombinationSearch, Found, Goal
+from stiffopt.preload.catalogue_table import (
+    TableRow,
+    best_torques,
+    element_stoppers,
+    requirement_stoppers,
+)
+from stiffopt.preload.conclude import conclude
+from stiffopt.preload.load_case import LoadCase
+from stiffopt.preload.model import PreloadModel
+from stiffopt.preload.optimise import Report, levels_of, optimise_preloads, with_worst_instants
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.solution import PreloadSolution, Stopper
 from stiffopt.result.status import SolveStatus
 
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+# Rounds in which worst instants of a motion are looked for anew.
+_ROUNDS = 6
+NO_BETTER = "bound: no better than the best found"
+NONE_KEEPS_ALL = "bound: no combination keeps all requirements"
+
 
 @dataclass(frozen=True, kw_only=True)
-class TableRow:
-    """Best torque for one kind of bolts of one element, all other elements as chosen.
+class SearchProof:
+    """Account of a finished search; every combination is in exactly one place.
 
     Parameters
     ----------
-    design : CatalogueDesign
-        With the best torque that meets everything; where there is none, the one that comes
-        nearest to its limits.
-    objective : float
-        Of the study with this design, in its unit; nan where nothing was chosen at all.
-    stopper : str
-        Limit or requirement that stops all torques; "" where the design is feasible.
-    utilisation : float
-        Of the limit that is used most by this connection [-].
-    torques : int
-        Number of torques that there are for these bolts.
-    chosen : bool
+    combinations : int
+        Of the designs of all elements.
+    excluded : mapping of str to int
+        Combinations left out without looking at them one by one, by the limit or rule that does
+        it. A combination that several would exclude counts with the first that was applied.
+    evaluated : int
+        Combinations whose objective and rows were worked out.
+    unvisited : int
+        Combinations that the time limit left open; 0 for a proof.
+    nodes : int
+        Nodes of the branch-and-bound tree.
+    bound : float
+        No combination has less than this of what the search minimises: the total preload [N], the
+        largest utilisation [-], the largest deflection [m], the largest weight over stiffness [-].
+    gap : float
+        Distance of the best combination from the solver's bound, relative; infinite where nothing
+        was found.
     """
 
-    design: CatalogueDesign
-    objective: float
-    stopper: str
-    utilisation: float
-    torques: int
-    chosen: bool
+    combinations: int
+    excluded: Mapping[str, int]
+    evaluated: int
+    unvisited: int
+    nodes: int
+    bound: float
+    gap: float
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing was left open."""
+        return self.unvisited == 0
+
+    @property
+    def accounted(self) -> int:
+        """Sum of all parts; equal to `combinations`."""
+        return sum(self.excluded.values()) + self.evaluated + self.unvisited
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,3 +126,229 @@ class CatalogueChoice:
     proof: SearchProof
     tie_proofs: tuple[SearchProof, ...] = ()
     stoppers: tuple[Stopper, ...] = ()
+
+
+def choose_design(problem: PreloadProblem, progress: Report | None = None) -> CatalogueChoice:
+    """Find the best design that the catalogue has.
+
+    Every bolted flange takes each size, grade and count of `problem.choose` in its present ring;
+    set screws stay. All are tightened with standard torques. The result is the best by the
+    study's objective of all combinations that keep every limit and requirement by the exact law;
+    of equals the one with fewer bolts, then smaller sizes, then lower grades. Where the objective
+    is the stiffness of several joints, each joint is the stiffest that leaves the worst as good.
+
+    Parameters
+    ----------
+    problem : PreloadProblem
+        With `choose`. Preloads are one a connection, whatever `individual` says.
+    progress : callable, optional
+        Called with a `Progress` in every iteration of the solve for the best real numbers.
+
+    Returns
+    -------
+    CatalogueChoice
+        With status infeasible where the catalogue has nothing.
+    """
+    if problem.choose is None:
+        raise ProblemError("No catalogue to choose from. Add [choose] with sizes or counts.")
+    problem = replace(problem, individual=False)
+    cases = with_worst_instants(problem, problem.load_cases, PreloadModel(problem).design)
+    for _ in range(_ROUNDS):
+        choice = _Choosing(problem, cases).run()
+        if choice.problem is None or choice.solution is None:
+            return choice
+        more = with_worst_instants(choice.problem, cases, choice.solution.vector)
+        if len(more) == len(cases):
+            break
+        cases = more
+    assert choice.problem is not None
+    fixed = replace(choice.problem, load_cases=cases, histories=())
+    return _beside_real_numbers(choice, optimise_preloads(fixed, progress=progress, throw=False))
+
+
+class _Choosing:
+    """One search under fixed load cases."""
+
+    def __init__(self, problem: PreloadProblem, cases: tuple[LoadCase, ...]) -> None:
+        self.problem, self.cases = problem, cases
+        self.model = PreloadModel(problem, cases)
+        self.designs = [catalogue_designs(problem, e, cases) for e in problem.elements]
+        self.feasible = [[d for d in own if d.feasible] for own in self.designs]
+        self.excluded: Counter[str] = Counter()
+        self.broken: list[dict[int, str]] = []
+        self.sizes = [len(own) for own in self.designs]
+        self._exclude(
+            [
+                Counter(f"{d.stopper}, {d.key}" for d in own if not d.feasible)
+                for own in self.designs
+            ]
+        )
+
+    def run(self) -> CatalogueChoice:
+        if not all(self.feasible):
+            stoppers = element_stoppers(self.model, self.designs)
+            return self._nothing(stoppers, self._proof(None), None)
+        programme = choice_programme(self.model, self.feasible, levels_of(self.model))
+        self.broken = programme.broken_alone()
+        self._exclude([Counter(each.values()) for each in self.broken])
+        search = CombinationSearch(programme)
+        founds = _minimised(search, _goals(self.problem, programme)) if all(self.sizes) else []
+        proof = self._proof(founds[0] if founds else None)
+        picks = next((f.picks for f in reversed(founds) if f.picks is not None), None)
+        if picks is None:
+            rows = search.conflicting_rows() if proof.complete else ()
+            return self._nothing(requirement_stoppers(programme, rows), proof, programme)
+        return self._chosen(programme, proof, founds[1:], picks)
+
+    def _exclude(self, reasons: list[Counter[str]]) -> None:
+        """Count the combinations that lose a design, with the first element that loses one."""
+        for index, counts in enumerate(reasons):
+            others = math.prod(self.sizes[:index]) * math.prod(self.sizes[index + 1 :])
+            for reason, count in counts.items():
+                if others:
+                    self.excluded[reason] += count * others
+            self.sizes[index] -= counts.total()
+
+    def _proof(self, found: Found | None) -> SearchProof:
+        """Close the account."""
+        evaluated = [
+            picks
+            for picks in (found.evaluated if found else ())
+            if not any(i in broken for i, broken in zip(picks, self.broken, strict=True))
+        ]
+        left, excluded = math.prod(self.sizes) - len(evaluated), dict(self.excluded)
+        complete = found is None or found.complete
+        if complete and left:
+            excluded[NONE_KEEPS_ALL if found is None or found.picks is None else NO_BETTER] = left
+        return SearchProof(
+            combinations=math.prod(len(own) for own in self.designs),
+            excluded=excluded,
+            evaluated=len(evaluated),
+            unvisited=0 if complete else left,
+            nodes=found.nodes if found else 0,
+            bound=found.bound if found else float("inf"),
+            gap=found.gap if found else float("inf"),
+        )
+
+    def _chosen(
+        self,
+        programme: ChoiceProgramme,
+        proof: SearchProof,
+        ties: list[Found],
+        picks: tuple[int, ...],
+    ) -> CatalogueChoice:
+        chosen = [own[i] for own, i in zip(self.feasible, picks, strict=True)]
+        study = replace(self.problem, robot=_with_designs(self.problem.robot, chosen), choose=None)
+        status = SolveStatus.OPTIMAL if proof.complete else SolveStatus.ACCEPTABLE
+        solution = conclude(
+            PreloadModel(study, self.cases), np.array([d.preload for d in chosen]), status
+        )
+        return CatalogueChoice(
+            status=solution.status,
+            message=_account(proof, chosen, solution),
+            designs={d.key: d for d in chosen},
+            objective=solution.objective,
+            solution=solution,
+            continuous=None,
+            gap=float("nan"),
+            problem=study,
+            table=best_torques(self.model, self.designs, programme, picks),
+            proof=proof,
+            tie_proofs=tuple(self._proof(found) for found in ties),
+        )
+
+    def _nothing(
+        self,
+        stoppers: tuple[Stopper, ...],
+        proof: SearchProof,
+        programme: ChoiceProgramme | None,
+    ) -> CatalogueChoice:
+        reasons = " ".join(str(stop) for stop in stoppers)
+        status = SolveStatus.INFEASIBLE if proof.complete else SolveStatus.ITERATION_LIMIT
+        begin = (
+            "The catalogue has nothing for this study."
+            if proof.complete
+            else "The search ended before it found a design."
+        )
+        return CatalogueChoice(
+            status=status,
+            message=f"{begin} {reasons}".strip(),
+            designs={},
+            objective=float("nan"),
+            solution=None,
+            continuous=None,
+            gap=float("nan"),
+            problem=None,
+            table=best_torques(self.model, self.designs, programme, None),
+            proof=proof,
+            stoppers=stoppers,
+        )
+
+
+def _goals(problem: PreloadProblem, programme: ChoiceProgramme) -> list[Goal]:
+    """The objective, then what decides between combinations that are equal in it."""
+    cost, tie = Goal(cost=programme.cost), Goal(cost=programme.tie)
+    if problem.objective == "total_preload":
+        return [cost, tie]
+    weights = [programme.weight]
+    if problem.objective == "joint_stiffness" and len(problem.joints) > 1:
+        own = [np.array([j == joint for j in programme.joints]) for joint in problem.joints]
+        weights += [np.where(mask, programme.weight, 0.0) for mask in own]
+    return [*(Goal(weight=weight) for weight in weights), tie, cost]
+
+
+def _minimised(search: CombinationSearch, goals: list[Goal]) -> list[Found]:
+    """End of each goal's search, up to the first that was not reached."""
+    founds = []
+    for goal in goals:
+        founds.append(search.minimise(goal))
+        if not founds[-1].complete or founds[-1].picks is None:
+            break
+    return founds
+
+
+def _with_designs(robot: Robot, chosen: list[CatalogueDesign]) -> Robot:
+    """Copy of the robot with the chosen bolts, at their largest preloads."""
+    chains = list(robot.chains)
+    for design in chosen:
+        chain = chains[design.joint - 1]
+        assert chain is not None
+        name = design.stage.element.name
+        stages = tuple(design.stage if s.element.name == name else s for s in chain.stages)
+        chains[design.joint - 1] = replace(chain, stages=stages)
+    return replace(robot, chains=tuple(chains))
+
+
+def _account(proof: SearchProof, chosen: list[CatalogueDesign], solution: PreloadSolution) -> str:
+    """Sentences about the design and the search."""
+    bolts = "; ".join(f"{d.key}: {d.label}" for d in chosen)
+    if not proof.complete:
+        return (
+            f"Best design found: {bolts}. It keeps every limit, but the search ended with "
+            f"{proof.unvisited:,} of {proof.combinations:,} combinations undecided; none of them "
+            f"is below {proof.bound:.6g} in what the search minimises."
+        )
+    out = sum(proof.excluded.values())
+    text = (
+        f"Best design of the catalogue: {bolts}. Of {proof.combinations:,} combinations "
+        f"{out:,} were excluded by limits and bounds and {proof.evaluated:,} evaluated; none is "
+        "better."
+    )
+    return text if solution.status.usable else f"{text} {solution.message}"
+
+
+def _beside_real_numbers(choice: CatalogueChoice, continuous: PreloadSolution) -> CatalogueChoice:
+    """Compare with the best preloads of the same bolts, were every torque possible."""
+    if not continuous.status.usable:
+        return replace(choice, continuous=continuous)
+    assert choice.problem is not None
+    worse = choice.objective - continuous.objective
+    if choice.problem.objective == "joint_stiffness":
+        worse = -worse
+    gap = worse / continuous.objective
+    if choice.proof.complete:
+        what = "Any torque instead of a standard one would gain"
+    else:
+        what = "With its bolts and any torque the design would be better by"
+    text = f"{choice.message} {what} {100 * max(gap, 0.0):.2f} %."
+    return replace(choice, continuous=continuous, gap=gap, message=text)

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from stiffopt.files import atomic_write, write_csv
-from stiffopt.preload.candidates import CatalogueDesign
 from stiffopt.preload.catalogue_choice import CatalogueChoice
+from stiffopt.preload.catalogue_designs import CatalogueDesign
 from stiffopt.preload.curves import curve_rows
 from stiffopt.preload.motion_result import MotionStudy
 from stiffopt.preload.pareto import ParetoFront

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from stiffopt.preload.choose import CatalogueChoice, choose_design
+from stiffopt.preload.catalogue_choice import CatalogueChoice, choose_design
 from stiffopt.preload.curves import PreloadCurve, preload_curves
 from stiffopt.preload.loosening import Loosening, loosening
 from stiffopt.preload.model import PreloadModel

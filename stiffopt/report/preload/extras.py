@@ -13,9 +13,9 @@ from stiffopt.report.preload.names import prose, quantity, spoken
 from stiffopt.report.solve.tables import DASH, Table
 
 if TYPE_CHECKING:
-    from stiffopt.preload.candidates import CatalogueDesign
-    from stiffopt.preload.catalogue_choice import CatalogueChoice, TableRow
-    from stiffopt.preload.ledger import SearchProof
+    from stiffopt.preload.catalogue_choice import CatalogueChoice, SearchProof
+    from stiffopt.preload.catalogue_designs import CatalogueDesign
+    from stiffopt.preload.catalogue_table import TableRow
     from stiffopt.preload.motion_result import MotionStudy
     from stiffopt.preload.problem import PreloadProblem
 

@@ -3,20 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.preload.candidates import SLIP, CatalogueDesign
-from stiffopt.preload.catalogue_choice import TableRow
-from stiffopt.preload.choice_table import ChoiceTable
+from stiffopt.preload.catalogue_designs import SLIP, CatalogueDesign
+from stiffopt.preload.catalogue_programme import ChoiceProgramme
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.solution import Stopper
 
 Designs = Sequence[Sequence[CatalogueDesign]]
 
 
+@dataclass(frozen=True, kw_only=True)
+class TableRow:
+    """Best torque for one kind of bolts of one element, all other elements as chosen.
+
+    Parameters
+    ----------
+    design : CatalogueDesign
+        With the best torque that meets everything; where there is none, the one that comes
+        nearest to its limits.
+    objective : float
+        Of the study with this design, in its unit; nan where nothing was chosen at all.
+    stopper : str
+        Limit or requirement that stops all torques; "" where the design is feasible.
+    utilisation : float
+        Of the limit that is used most by this connection [-].
+    torques : int
+        Number of torques that there are for these bolts.
+    chosen : bool
+    """
+
+    design: CatalogueDesign
+    objective: float
+    stopper: str
+    utilisation: float
+    torques: int
+    chosen: bool
+
+
 def best_torques(
-    model: PreloadModel, designs: Designs, table: ChoiceTable | None, picks: tuple[int, ...] | None
+    model: PreloadModel,
+    designs: Designs,
+    programme: ChoiceProgramme | None,
+    picks: tuple[int, ...] | None,
 ) -> tuple[TableRow, ...]:
     """Table of the best torque for every kind of bolts.
 
@@ -25,7 +56,7 @@ def best_torques(
     model : PreloadModel
     designs : one sequence of CatalogueDesign an element
         Feasible or not.
-    table : ChoiceTable or None
+    programme : ChoiceProgramme or None
         Of the feasible ones; None where an element has none.
     picks : tuple of int or None
         The chosen design of each element among its feasible ones; None where nothing was chosen.
@@ -35,11 +66,13 @@ def best_torques(
         kept = [d for d in own if d.feasible]
         for bolts in dict.fromkeys(d.bolts for d in own):
             kind = [d for d in own if d.bolts == bolts]
-            if table is None or picks is None:
+            if programme is None or picks is None:
                 rows.append(_by_own_limits(kind))
                 continue
             swaps = [
-                (_Swap(model, table, picks, index, kept.index(d)), d) for d in kind if d.feasible
+                (_Swap(model, programme, picks, index, kept.index(d)), d)
+                for d in kind
+                if d.feasible
             ]
             rows.append(_by_study(kind, swaps, kept[picks[index]]))
     return tuple(rows)
@@ -51,24 +84,23 @@ class _Swap:
     def __init__(
         self,
         model: PreloadModel,
-        table: ChoiceTable,
+        programme: ChoiceProgramme,
         picks: tuple[int, ...],
         index: int,
         position: int,
     ) -> None:
         swapped = (*picks[:index], position, *picks[index + 1 :])
-        amounts = table.amounts(swapped)
-        rows = table.rows
-        over = np.where(amounts > rows.ends, amounts / rows.cap, 0.0)
-        self.stopper = rows.names[int(np.argmax(over))] if over.any() else ""
-        peaked = amounts * rows.weight
+        amounts = programme.amounts(swapped)
+        over = np.where(amounts > programme.ends, amounts / programme.cap, 0.0)
+        self.stopper = programme.names[int(np.argmax(over))] if over.any() else ""
+        peaked = amounts * programme.weight
         if model.problem.objective == "total_preload":
-            total = sum(m.cost[i] for m, i in zip(table.menus, swapped, strict=True))
+            total = sum(c[i] for c, i in zip(programme.cost, swapped, strict=True))
             self.value = self.level = float(total)
         elif model.problem.objective == "joint_stiffness":
-            own = [joint == model.elements[index].joint for joint in table.joints]
+            own = [joint == model.elements[index].joint for joint in programme.joints]
             self.level = float(peaked[own].max())
-            self.value = float((1.0 / amounts[rows.weight > 0.0]).min())
+            self.value = float((1.0 / amounts[programme.weight > 0.0]).min())
         else:
             self.value = self.level = float(peaked.max())
 
@@ -143,28 +175,24 @@ def element_stoppers(model: PreloadModel, designs: Designs) -> tuple[Stopper, ..
     return tuple(found)
 
 
-def requirement_stoppers(
-    model: PreloadModel, table: ChoiceTable, found: tuple[str, ...]
-) -> tuple[Stopper, ...]:
+def requirement_stoppers(programme: ChoiceProgramme, found: tuple[str, ...]) -> tuple[Stopper, ...]:
     """Requirements that no combination meets, with the best that any design reaches.
 
     Parameters
     ----------
-    model : PreloadModel
-    table : ChoiceTable
+    programme : ChoiceProgramme
     found : tuple of str
-        Rows that ended the search, the most frequent first.
+        Rows that the nearest combination breaks, the most broken first.
     """
-    rows = table.rows
-    least = rows.base + np.sum([m.use.min(axis=0) for m in table.menus], axis=0)
-    alone = [i for i in range(len(rows.names)) if least[i] > rows.ends[i]]
-    together = [rows.names.index(name) for name in found[:3]]
+    least = programme.least_amounts()
+    alone = [i for i in range(len(programme.names)) if least[i] > programme.ends[i]]
+    together = [programme.names.index(name) for name in found[:3]]
     worst: dict[str, int] = {}
     for i in alone or together:
-        owner = rows.names[i].rsplit(",", 1)[0]
+        owner = programme.names[i].rsplit(",", 1)[0]
         if (
             owner not in worst
-            or least[i] / rows.cap[i] > least[worst[owner]] / rows.cap[worst[owner]]
+            or least[i] / programme.cap[i] > least[worst[owner]] / programme.cap[worst[owner]]
         ):
             worst[owner] = i
     against = (
@@ -172,32 +200,30 @@ def requirement_stoppers(
         if alone
         else "it can be met alone, but not with the other requirements"
     )
-    return tuple(_requirement(model, table, i, float(least[i]), against) for i in worst.values())
+    return tuple(_requirement(programme, i, float(least[i]), against) for i in worst.values())
 
 
-def _requirement(
-    model: PreloadModel, table: ChoiceTable, row: int, least: float, against: str
-) -> Stopper:
-    rows = table.rows
-    share = 1.0 - float(rows.base[row]) / least if least > 0.0 else 0.0
+def _requirement(programme: ChoiceProgramme, row: int, least: float, against: str) -> Stopper:
+    fixed = np.concatenate([programme.base, np.linalg.norm(programme.rest, axis=1)])[row]
+    share = max(1.0 - float(fixed) / least, 0.0) if least > 0.0 else 0.0
     remedy = (
         f"larger, more or better bolts in [choose] gain at most {100 * share:.1f} %, since "
         "the rest of the drivetrain yields that much; beyond it stiffer reducers, less load, or a "
         "lower requirement"
     )
-    if table.joints[row] is None:
+    if programme.joints[row] is None:
         return Stopper(
-            limit=rows.names[row],
+            limit=programme.names[row],
             best=least,
-            required=float(rows.cap[row]),
+            required=float(programme.cap[row]),
             unit="m",
             against=against,
             remedy=remedy,
         )
     return Stopper(
-        limit=rows.names[row],
+        limit=programme.names[row],
         best=1.0 / least,
-        required=1.0 / float(rows.cap[row]),
+        required=1.0 / float(programme.cap[row]),
         unit="N m/rad",
         against=against,
         remedy=remedy,

@@ -1,0 +1,288 @@
+"""Best combination of catalogue designs by mixed-integer programming (HiGHS).
+
+One binary variable a design, one design an element. The size of a deflection vector is the largest
+of its parts along all directions, so directions in which a combination exceeds what the programme
+saw are added as linear cuts until the two agree; no cut removes a combination that it should not.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stiffopt.preload.catalogue_programme import ChoiceProgramme
+
+# Time for all goals of a study [s]; what is left open then is said.
+SECONDS = 30.0
+# HiGHS keeps rows to 1e-6 and stops at a gap of 1e-6, both absolute: numbers of this size make that
+# 1e-10 of them.
+_SIZE = 1e4
+# Relative distance from the bound below which a combination is best, and values are equal: ten
+# times what the programme resolves.
+_EQUAL = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """What a search minimises: a sum over the elements, or the largest of weight times amount.
+
+    Parameters
+    ----------
+    cost : sequence of array (m,), optional
+        Of each element's designs.
+    weight : array (rows,), optional
+        Of the rows.
+    """
+
+    cost: Sequence[np.ndarray] | None = None
+    weight: np.ndarray | None = None
+
+    def value(self, programme: ChoiceProgramme, picks: Sequence[int]) -> float:
+        """Of a combination."""
+        if self.cost is not None:
+            return float(sum(c[i] for c, i in zip(self.cost, picks, strict=True)))
+        assert self.weight is not None
+        return float((programme.amounts(picks) * self.weight).max())
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """End of a search.
+
+    Parameters
+    ----------
+    picks : tuple of int or None
+        Position of each element's design; None: no combination was found.
+    value : float
+        Of the goal.
+    bound : float
+        The solver's; infinite where no combination will do.
+    evaluated : set of tuple
+        Combinations whose goal and rows were worked out.
+    nodes : int
+        Of the branch-and-bound trees.
+    complete : bool
+        Whether the search ended by itself.
+    """
+
+    picks: tuple[int, ...] | None
+    value: float
+    bound: float
+    evaluated: set[tuple[int, ...]]
+    nodes: int
+    complete: bool
+
+    @property
+    def gap(self) -> float:
+        """Relative distance of value and bound."""
+        if self.picks is None:
+            return math.inf
+        return max(self.value - self.bound, 0.0) / max(abs(self.value), 1e-300)
+
+
+@dataclass
+class _Constraints:
+    """Linear rows A x + level column <= upper, in the solver's size."""
+
+    matrix: list[np.ndarray] = field(default_factory=list)
+    level: list[float] = field(default_factory=list)
+    upper: list[float] = field(default_factory=list)
+
+    def add(self, coefficients: np.ndarray, upper: float, level: float = 0.0) -> None:
+        largest = max(abs(upper), float(np.abs(coefficients).max()), abs(level))
+        size = _SIZE / (largest or 1.0)
+        self.matrix.append(coefficients * size)
+        self.level.append(level * size)
+        self.upper.append(upper * size)
+
+
+@dataclass(frozen=True)
+class _Step:
+    """End of one mixed-integer programme."""
+
+    picks: tuple[int, ...] | None
+    bound: float
+    nodes: int
+    infeasible: bool
+
+
+class CombinationSearch:
+    """Minimises one goal after the other; what is reached is kept.
+
+    Parameters
+    ----------
+    programme : ChoiceProgramme
+    seconds : float
+        For all goals together.
+    """
+
+    def __init__(self, programme: ChoiceProgramme, seconds: float = SECONDS) -> None:
+        self.programme = programme
+        self._sizes = [len(c) for c in programme.cost]
+        self._ends = np.cumsum(self._sizes)
+        self._until = time.monotonic() + seconds
+        self._kept: list[tuple[Goal, float]] = []
+        # Directions along which each vector was looked at (k lists of unit vectors).
+        self._directions = [[u] for u in programme.middle_directions()]
+        self._left_out: list[np.ndarray] = []
+
+    def minimise(self, goal: Goal) -> Found:
+        """Find the best combination that keeps all rows and the goals reached before."""
+        best, best_value, bound = None, math.inf, -math.inf
+        evaluated: set[tuple[int, ...]] = set()
+        nodes, complete = 0, False
+        while not complete:
+            result = self._solve(goal)
+            nodes += result.nodes
+            bound = max(bound, result.bound)
+            if result.picks is not None:
+                evaluated.add(result.picks)
+                value = goal.value(self.programme, result.picks)
+                if value < best_value and self._keeps(result.picks):
+                    best, best_value = result.picks, value
+            complete = bound >= best_value - _EQUAL * abs(best_value) or result.infeasible
+            if result.picks is None or time.monotonic() > self._until:
+                break
+            if not complete and not self._cut(result.picks):
+                self._left_out.append(self._marks(result.picks))
+        if best is not None:
+            self._kept.append((goal, best_value))
+        if complete:
+            bound = best_value
+        return Found(best, best_value, bound, evaluated, nodes, complete)
+
+    def conflicting_rows(self) -> tuple[str, ...]:
+        """Rows to relax where no combination keeps all: those that the least excess is in."""
+        programme = self.programme
+        while True:
+            result = self._solve(None)
+            if result.picks is None:
+                return ()
+            if not self._cut(result.picks) or time.monotonic() > self._until:
+                break
+        excess = programme.amounts(result.picks) / programme.ends
+        order = np.argsort(-excess)
+        return tuple(programme.names[i] for i in order if excess[i] > 1.0)
+
+    # ---- the programme
+
+    def _solve(self, goal: Goal | None) -> _Step:
+        """Solve the linear programme with the cuts so far; no goal: the least excess of rows."""
+        from scipy.optimize import Bounds, LinearConstraint, milp
+
+        count = int(self._ends[-1])
+        rows = _Constraints()
+        for coefficients, base, row in self._expressions():
+            cap = float(self.programme.cap[row])
+            if np.isfinite(cap):
+                rows.add(coefficients, cap - base, level=0.0 if goal else -cap)
+        for kept, value in self._kept:
+            self._bound_goal(rows, kept, value * (1.0 + _EQUAL))
+        for marks in self._left_out:
+            rows.add(marks, len(self._sizes) - 1.0)
+        cost, unit = self._objective(rows, goal)
+        seconds = max(self._until - time.monotonic(), 0.0)
+        result = milp(
+            cost,
+            integrality=np.append(np.ones(count), 0),
+            bounds=Bounds(0.0, np.append(np.ones(count), np.inf)),
+            constraints=[
+                LinearConstraint(self._one_each(), 1.0, 1.0),
+                *(
+                    [
+                        LinearConstraint(
+                            np.column_stack([rows.matrix, rows.level]), -np.inf, rows.upper
+                        )
+                    ]
+                    if rows.upper
+                    else []
+                ),
+            ],
+            options={"mip_rel_gap": 0.0, "time_limit": seconds},
+        )
+        dual = result.get("mip_dual_bound")
+        return _Step(
+            picks=None if result.x is None else self._picks(result.x),
+            bound=-math.inf if dual is None else float(dual) / unit,
+            nodes=int(result.get("mip_node_count") or 0),
+            infeasible=result.status == 2,
+        )
+
+    def _objective(self, rows: _Constraints, goal: Goal | None) -> tuple[np.ndarray, float]:
+        """Costs of designs and level, and the solver's size of one unit of the goal."""
+        count = int(self._ends[-1])
+        if goal is None:
+            return np.append(np.zeros(count), _SIZE), _SIZE
+        if goal.cost is not None:
+            cost = np.concatenate(goal.cost)
+            least = sum(float(np.abs(c).min()) for c in goal.cost)
+            unit = _SIZE / (least or float(np.abs(cost).max()) or 1.0)
+            return np.append(cost * unit, 0.0), unit
+        assert goal.weight is not None
+        least = float((self.programme.least_amounts() * goal.weight).max())
+        scale = least if least > 0.0 else 1.0
+        self._bound_goal(rows, goal, 0.0, level=-scale)
+        return np.append(np.zeros(count), _SIZE), _SIZE / scale
+
+    def _bound_goal(self, rows: _Constraints, goal: Goal, value: float, level: float = 0.0) -> None:
+        """Rows that keep a goal at or below a value plus `level` times the level variable."""
+        if goal.cost is not None:
+            rows.add(np.concatenate(goal.cost), value)
+            return
+        assert goal.weight is not None
+        for coefficients, base, row in self._expressions():
+            weight = float(goal.weight[row])
+            if weight > 0.0:
+                rows.add(weight * coefficients, value - weight * base, level)
+
+    def _expressions(self) -> list[tuple[np.ndarray, float, int]]:
+        """Coefficients, constant and row of every linear expression that bounds an amount."""
+        programme = self.programme
+        linear = np.concatenate(programme.use)
+        found = [(linear[:, r], float(programme.base[r]), r) for r in range(linear.shape[1])]
+        vectors = np.concatenate(programme.vectors)
+        for k, directions in enumerate(self._directions):
+            found += [
+                (vectors[:, k] @ u, float(programme.rest[k] @ u), linear.shape[1] + k)
+                for u in directions
+            ]
+        return found
+
+    def _one_each(self) -> np.ndarray:
+        """One design an element (elements, designs + 1)."""
+        own = np.repeat(np.eye(len(self._sizes)), self._sizes, axis=1)
+        return np.column_stack([own, np.zeros(len(self._sizes))])
+
+    def _picks(self, x: np.ndarray) -> tuple[int, ...]:
+        return tuple(int(np.argmax(own)) for own in np.split(x[:-1], self._ends[:-1]))
+
+    def _marks(self, picks: Sequence[int]) -> np.ndarray:
+        """Ones at the designs of a combination."""
+        marks = np.zeros(int(self._ends[-1]))
+        marks[self._ends - self._sizes + np.array(picks)] = 1.0
+        return marks
+
+    def _keeps(self, picks: Sequence[int]) -> bool:
+        """Whether a combination keeps all rows and the goals reached before."""
+        if (self.programme.amounts(picks) > self.programme.ends).any():
+            return False
+        return all(
+            goal.value(self.programme, picks) <= value + 2.0 * _EQUAL * abs(value)
+            for goal, value in self._kept
+        )
+
+    def _cut(self, picks: Sequence[int]) -> bool:
+        """Add the directions of this combination's vectors; whether any is longer than was seen."""
+        new = False
+        for vector, directions in zip(
+            self.programme.deflections(picks), self._directions, strict=True
+        ):
+            size = float(np.linalg.norm(vector))
+            if size - max(float(u @ vector) for u in directions) > 0.1 * _EQUAL * size:
+                directions.append(vector / size)
+                new = True
+        return new
