@@ -14,8 +14,11 @@ class StiffoptError(Exception):
     """Root of all errors raised on purpose."""
 
 
-class InputError(StiffoptError):
-    """Something the user gave cannot be used."""
+class InputError(StiffoptError, ValueError):
+    """Something the user gave cannot be used.
+
+    Being a ValueError, it is located by pydantic where an object of a file raises it.
+    """
 
 
 class InputFileError(InputError):

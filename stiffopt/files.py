@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import difflib
 import io
 import math
@@ -18,12 +19,17 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from stiffopt.errors import InputFileError, nearest
+from stiffopt.declaration import Unit
+from stiffopt.errors import InputError, InputFileError, nearest
+from stiffopt.units import reader
 
 Model = TypeVar("Model", bound=BaseModel)
 
+# Files are where texts with units become SI numbers.
+Unit.reader = reader
+
 # Errors that say no more than that a value has not this form.
-_FORMS = ("model_type", "list_type", "dict_type", "literal_error", "tuple_type")
+_FORMS = ("model_type", "dataclass_type", "list_type", "dict_type", "literal_error", "tuple_type")
 
 
 class Section(BaseModel):
@@ -163,7 +169,7 @@ def _keys(data: Any, error: Any) -> tuple[str | int, ...]:
 
 def _fault(model: type[BaseModel], where: str, error: Any) -> tuple[str, str]:
     kind, given = error["type"], error.get("input")
-    if kind == "extra_forbidden":
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         allowed = _fields(model, error["loc"][:-1])
         return where, f"unknown key {error['loc'][-1]!r}. {nearest(error['loc'][-1], allowed)}"
     if kind == "missing" and isinstance(error["loc"][-1], int):
@@ -183,10 +189,12 @@ def _fault(model: type[BaseModel], where: str, error: Any) -> tuple[str, str]:
         allowed = re.findall(r"'([^']*)'", error["ctx"]["expected"])
         if allowed:
             return where, f"got {given!r}. {nearest(str(given), allowed)}"
-    if kind == "value_error" and isinstance(given, Mapping):
-        return where, f"{error['msg'].removeprefix('Value error, ')}."
-    if kind == "unit":
-        return where, error["msg"]
+    if kind == "value_error":
+        cause = error["ctx"]["error"]
+        if isinstance(cause, InputError):
+            return where, str(cause)
+        if isinstance(given, Mapping):
+            return where, f"{cause}."
     return where, f"{error['msg']}, got {given!r}."
 
 
@@ -195,20 +203,28 @@ def _fields(model: Any, location: Sequence[str | int]) -> list[str]:
     for part in location:
         model = _inside(model, part)
     for candidate in _members(model):
-        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-            return list(candidate.model_fields)
+        keys = _annotations(candidate)
+        if keys:
+            return list(keys)
     return []
+
+
+def _annotations(section: Any) -> dict[str, Any]:
+    """Annotations by key of a section: a pydantic model, or a dataclass."""
+    if not isinstance(section, type):
+        return {}
+    if issubclass(section, BaseModel):
+        return {name: field.annotation for name, field in section.model_fields.items()}
+    return typing.get_type_hints(section) if dataclasses.is_dataclass(section) else {}
 
 
 def _inside(annotation: Any, part: str | int) -> Any:
     for member in _members(annotation):
-        if isinstance(member, type) and issubclass(member, BaseModel):
-            if part in member.model_fields:
-                return member.model_fields[str(part)].annotation
-            tag = member.model_fields.get("type")
-            if tag is not None and part in typing.get_args(tag.annotation):
-                return member
-            if part == member.__name__:
+        keys = _annotations(member)
+        if keys:
+            if part in keys:
+                return keys[str(part)]
+            if part in typing.get_args(keys.get("type")) or part == member.__name__:
                 return member
         elif isinstance(part, int) and typing.get_origin(member) in (list, tuple):
             return typing.get_args(member)[0]

@@ -10,62 +10,10 @@ import functools
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import BeforeValidator, PlainValidator, WithJsonSchema
-from pydantic_core import PydanticCustomError
-
+from stiffopt.declaration import DIMENSIONS, PRISMATIC, Dimension, Unit
 from stiffopt.errors import UnitError
-
-
-@dataclass(frozen=True)
-class Dimension:
-    """A kind of quantity: its name, SI unit, an example for messages, and its power of angle."""
-
-    name: str
-    unit: str
-    example: str
-    angle: int = 0
-
-
-DIMENSIONS = {
-    d.name: d
-    for d in (
-        Dimension("length", "m", "0.3 mm"),
-        Dimension("angle", "rad", "45 deg", 1),
-        Dimension("mass", "kg", "1.5 kg"),
-        Dimension("inertia", "kg*m^2", "0.3 kg*m^2"),
-        Dimension("force", "N", "12 kN"),
-        Dimension("torque", "N*m", "45 N*m"),
-        Dimension("time", "s", "1.6 s"),
-        Dimension("pressure", "Pa", "0.1 MPa"),
-        Dimension("area", "m^2", "1 cm^2"),
-        Dimension("speed", "m/s", "1.5 m/s"),
-        Dimension("acceleration", "m/s^2", "9.81 m/s^2"),
-        Dimension("jerk", "m/s^3", "50 m/s^3"),
-        Dimension("angular velocity", "rad/s", "230 deg/s", 1),
-        Dimension("angular acceleration", "rad/s^2", "20 rad/s^2", 1),
-        Dimension("angular jerk", "rad/s^3", "400 rad/s^3", 1),
-        Dimension("stiffness", "N*m/rad", "5 N*m/arcmin", -1),
-        Dimension("linear stiffness", "N/m", "20 N/um"),
-        Dimension("viscous friction", "N*m*s/rad", "5 N*m*s/rad", -1),
-        Dimension("linear viscous friction", "N*s/m", "5 N*s/m"),
-        Dimension("ratio", "", "0.12"),
-    )
-}
-
-# What a prismatic joint has where a revolute one has an angle, a torque and so on.
-PRISMATIC = {
-    "angle": "length",
-    "angular velocity": "speed",
-    "angular acceleration": "acceleration",
-    "angular jerk": "jerk",
-    "torque": "force",
-    "stiffness": "linear stiffness",
-    "viscous friction": "linear viscous friction",
-    "inertia": "mass",
-}
 
 # Far above any modulus or stiffness, far below what overflows when multiplied.
 LARGEST = 1e15
@@ -117,7 +65,7 @@ def to_si(value: object, dimension: str, where: str = "") -> float:
     value : float or str
         A bare number in SI, or a number with a unit such as "45 deg".
     dimension : str
-        A name in `DIMENSIONS`, for example "angle".
+        A name in `stiffopt.declaration.DIMENSIONS`, for example "angle".
     where : str
         The key, for messages.
 
@@ -223,51 +171,7 @@ def fit_joint(value: float, prismatic: bool, dimension: str, where: str = "") ->
     return float(value)
 
 
-def _checked(convert: Callable[[object, str], float], dimension: str) -> Callable[[object], float]:
-    def validate(value: object) -> float:
-        try:
-            return convert(value, dimension)
-        except UnitError as error:
-            raise PydanticCustomError("unit", "{text}", {"text": str(error)}) from error
-
-    return validate
-
-
-def _schema() -> WithJsonSchema:
-    return WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]})
-
-
-def _si(dimension: str) -> BeforeValidator:
-    return BeforeValidator(_checked(to_si, dimension))
-
-
-def _joint(dimension: str) -> PlainValidator:
-    return PlainValidator(_checked(joint_to_si, dimension))
-
-
-# Field types of file schemas: a number in SI or a text with a unit, an SI float afterwards.
-Length = Annotated[float, _si("length"), _schema()]
-Angle = Annotated[float, _si("angle"), _schema()]
-Mass = Annotated[float, _si("mass"), _schema()]
-Inertia = Annotated[float, _si("inertia"), _schema()]
-Force = Annotated[float, _si("force"), _schema()]
-Torque = Annotated[float, _si("torque"), _schema()]
-Time = Annotated[float, _si("time"), _schema()]
-Pressure = Annotated[float, _si("pressure"), _schema()]
-Area = Annotated[float, _si("area"), _schema()]
-Speed = Annotated[float, _si("speed"), _schema()]
-AngularVelocity = Annotated[float, _si("angular velocity"), _schema()]
-AngularAcceleration = Annotated[float, _si("angular acceleration"), _schema()]
-AngularJerk = Annotated[float, _si("angular jerk"), _schema()]
-Stiffness = Annotated[float, _si("stiffness"), _schema()]
-Ratio = Annotated[float, _si("ratio"), _schema()]
-
-# The same for joints that may be revolute or prismatic; `fit_joint` settles which.
-JointPosition = Annotated[float, _joint("angle"), _schema()]
-JointVelocity = Annotated[float, _joint("angular velocity"), _schema()]
-JointAcceleration = Annotated[float, _joint("angular acceleration"), _schema()]
-JointJerk = Annotated[float, _joint("angular jerk"), _schema()]
-JointTorque = Annotated[float, _joint("torque"), _schema()]
-JointStiffness = Annotated[float, _joint("stiffness"), _schema()]
-JointInertia = Annotated[float, _joint("inertia"), _schema()]
-JointViscous = Annotated[float, _joint("viscous friction"), _schema()]
+def reader(declared: Unit) -> Callable[[object], float]:
+    """Reader of a file's entry for a declared quantity: an SI number, or UnitError."""
+    convert = joint_to_si if declared.joint else to_si
+    return lambda value: convert(value, declared.dimension)

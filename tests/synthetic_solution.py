@@ -26,11 +26,11 @@ def two_element_chain():
     wave = Reducer(
         name="wave",
         torque_max=30.0,
-        stiffness_1=1e4,
-        stiffness_2=1e4,
-        stiffness_3=1e4,
-        torque_1=5.0,
-        torque_2=10.0,
+        K1=1e4,
+        K2=1e4,
+        K3=1e4,
+        T1=5.0,
+        T2=10.0,
     )
     # Length for 3e4 N m/rad.
     length = 80e9 * np.pi * 0.02**4 / 32 / 3e4

@@ -5,9 +5,9 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import Field
 
+from stiffopt.declaration import Length
 from stiffopt.errors import InputFileError
 from stiffopt.files import Section, atomic_write, check_header, load_toml, validate, write_csv
-from stiffopt.units import Length
 
 
 class Circle(Section):

@@ -4,8 +4,9 @@ import math
 
 import pytest
 
+from stiffopt.declaration import DIMENSIONS
 from stiffopt.errors import UnitError
-from stiffopt.units import DIMENSIONS, fit_joint, joint_to_si, to_si
+from stiffopt.units import fit_joint, joint_to_si, to_si
 
 
 @pytest.mark.parametrize(

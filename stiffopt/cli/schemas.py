@@ -25,11 +25,11 @@ def schema(
     from stiffopt.preload.schema import PreloadFile
     from stiffopt.problem.schema import ProblemFile
     from stiffopt.recording.schema import RecordingsFile, StaticFile
-    from stiffopt.robot.schema import RobotFile
+    from stiffopt.robot.schema import robot_file
 
     models: dict[str, type[Section]] = {
         "trajectory": ProblemFile,
-        "robot": RobotFile,
+        "robot": robot_file(),
         "preload": PreloadFile,
         "recordings": RecordingsFile,
         "static": StaticFile,

@@ -1,4 +1,10 @@
-"""Machine connections: torque [N m] to wind-up [rad], one kind a file."""
+"""Machine connections: torque [N m] to wind-up [rad], one kind a file.
+
+Every class in a file of this folder that has a `kind` can stand in robot files under that name.
+"""
+
+from importlib import import_module
+from pkgutil import iter_modules
 
 from stiffopt.connection.bolted_flange import BoltedFlange
 from stiffopt.connection.clamping_pins import ClampingPins
@@ -27,3 +33,6 @@ __all__ = [
     "Shaft",
     "TimingBelt",
 ]
+
+for _module in iter_modules(__path__):
+    import_module(f"{__name__}.{_module.name}")

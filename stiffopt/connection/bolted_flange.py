@@ -5,23 +5,22 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from stiffopt.connection.connection import ContactConnection
 from stiffopt.connection.fastener import Bolt
-from stiffopt.contact.shear import SHEAR_LAWS, ShearLaw, shear_softening, shear_travel
+from stiffopt.contact.shear import ShearLaw, shear_softening, shear_travel
 from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
-from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law, require_law
-from stiffopt.contact.validate import (
-    require_at_least,
-    require_one_of,
-    require_ordered,
-    require_positive,
-)
+from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
+from stiffopt.contact.validate import require_ordered
+from stiffopt.declaration import POSITIVE, Bounds, Doc, Length, Ratio
 from stiffopt.symbolic import Quantity
 
 # Ring faces of reducers are pressed harder than key flanks.
 _HIGHEST_PRESSURE = 1e9
+
+BoltCount = Annotated[int, POSITIVE, Doc("Number of bolts.")]
+CircleDiameter = Annotated[Length, POSITIVE, Doc("Pitch circle of the bolts.")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,27 +29,6 @@ class BoltedFlange(ContactConnection):
 
     Without slip the torsional stiffness is k_t(p) J_p with J_p = pi/2 (Ro^4 - Ri^4); towards the
     slip torque it falls by the shear law. A sector of the ring has its share of A and J_p.
-
-    Parameters
-    ----------
-    bolt_count : int
-    circle_diameter : float
-        Pitch circle of the bolts [m].
-    inner_radius, outer_radius : float
-        Ri and Ro of the pressed ring [m].
-    preload : float
-        F, clamping force of one bolt [N].
-    surface : SurfacePair
-    friction : float or None
-        Of the interface; None takes the surface's.
-    shear : {"mindlin", "load"}
-        See `stiffopt.contact.shear`.
-    contact_law : {"log_cubic", "power_law"} or ContactLaw
-    bolt : Bolt or None
-        What one of the bolts is; sets its limits and its loss of preload, not the stiffness.
-    sectors : int
-        How many such connections share the ring: with `bolt_count` 1 and as many sectors as there
-        are bolts this is the sector that one bolt presses. Sectors are parallel springs.
 
     Notes
     -----
@@ -61,31 +39,28 @@ class BoltedFlange(ContactConnection):
     kind: ClassVar[str] = "bolted_flange"
     takes_preload: ClassVar[bool] = True
     needs_preload: ClassVar[bool] = True
-    bolt_count: int
-    circle_diameter: float
-    inner_radius: float
-    outer_radius: float
-    surface: SurfacePair
-    friction: float | None = None
+    bolt_count: BoltCount
+    circle_diameter: CircleDiameter
+    inner_radius: Annotated[Length, POSITIVE, Doc("Inner radius Ri of the pressed ring.")]
+    outer_radius: Annotated[Length, POSITIVE, Doc("Outer radius Ro of the pressed ring.")]
+    surface: Annotated[SurfacePair, Doc("Pair of surfaces of the ring.")]
+    friction: Annotated[
+        Ratio | None, Doc("Coefficient of friction of the ring; default that of the surface.")
+    ] = None
     shear: ShearLaw = "mindlin"
     contact_law: LawName | ContactLaw = "log_cubic"
-    bolt: Bolt | None = None
-    sectors: int = 1
+    bolt: Annotated[
+        Bolt | None,
+        Doc("What one of the bolts is; sets its limits and its loss of preload, not stiffness."),
+    ] = None
+    # How many such connections share the ring: with bolt_count 1 and as many sectors as there are
+    # bolts this is the sector that one bolt presses. Sectors are parallel springs.
+    sectors: Annotated[int, Bounds(least=1)] = 1
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(
-            self.owner,
-            bolt_count=self.bolt_count,
-            circle_diameter=self.circle_diameter,
-            inner_radius=self.inner_radius,
-            friction=self.friction_coefficient,
-        )
+        POSITIVE.check(f"{self.owner}: friction", self.friction_coefficient)
         require_ordered(self.owner, inner_radius=self.inner_radius, outer_radius=self.outer_radius)
-        require_positive(self.owner, outer_radius=self.outer_radius)
-        require_at_least(self.owner, 1, sectors=self.sectors)
-        require_one_of(self.owner, SHEAR_LAWS, shear=self.shear)
-        require_law(self.owner, self.contact_law)
 
     @cached_property
     def law(self) -> ContactLaw:

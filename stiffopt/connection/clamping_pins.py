@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from stiffopt.connection.connection import ContactConnection
 from stiffopt.connection.fastener import SetScrew
-from stiffopt.contact.shear import SHEAR_LAWS, ShearLaw, shear_softening, shear_travel
+from stiffopt.contact.shear import ShearLaw, shear_softening, shear_travel
 from stiffopt.contact.surface import SurfacePair
-from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law, require_law
-from stiffopt.contact.validate import require_one_of, require_positive
+from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
+from stiffopt.declaration import POSITIVE, Doc, Length, Ratio
 from stiffopt.symbolic import Quantity
 
 # Pin tips work at hundreds of MPa, up to indentation of a hardened shaft.
@@ -27,28 +27,6 @@ class ClampingPins(ContactConnection):
     Each contact yields tangentially by its rough face and by the half space under the small tip,
     1/(8 G* a) with a the tip radius, one after the other.
 
-    Parameters
-    ----------
-    pin_count : int
-    shaft_radius : float
-        Lever of the friction forces [m].
-    tip_diameter : float
-        Diameter of the flat tip [m].
-    preload : float
-        Force of one pin [N].
-    surface : SurfacePair
-    friction : float or None
-        None takes the surface's.
-    both_sides : bool
-        One-sided screws also press the far side of the shaft against the bore: twice as many
-        contacts. False for opposed pins.
-    half_space : bool
-        Count the half space under the tip.
-    shear : {"mindlin", "load"}
-    contact_law : {"log_cubic", "power_law"} or ContactLaw
-    screw : SetScrew or None
-        What presses one tip; sets its limits and its loss of preload, not the stiffness.
-
     Notes
     -----
     Valid up to 0.95 of the slip torque, see `stiffopt.contact.shear`.
@@ -57,28 +35,36 @@ class ClampingPins(ContactConnection):
     kind: ClassVar[str] = "clamping_pins"
     takes_preload: ClassVar[bool] = True
     needs_preload: ClassVar[bool] = True
-    pin_count: int
-    shaft_radius: float
-    tip_diameter: float
-    surface: SurfacePair
-    friction: float | None = None
-    both_sides: bool = True
-    half_space: bool = True
+    count: Annotated[int, POSITIVE, Doc("Number of pins.")]
+    shaft_diameter: Annotated[Length, POSITIVE, Doc("Diameter of the shaft that they press on.")]
+    tip_diameter: Annotated[Length, POSITIVE, Doc("Diameter of the flat tip of a pin.")]
+    surface: Annotated[SurfacePair, Doc("Pair of surfaces of tip and shaft.")]
+    friction: Annotated[
+        Ratio | None, Doc("Coefficient of friction of a tip; default that of the surface.")
+    ] = None
+    both_sides: Annotated[
+        bool,
+        Doc(
+            "One-sided screws also press the far side of the shaft against the bore: twice as many "
+            "contacts. False for opposed pins."
+        ),
+    ] = True
+    half_space: Annotated[bool, Doc("Count the half space under the tip.")] = True
     shear: ShearLaw = "mindlin"
     contact_law: LawName | ContactLaw = "log_cubic"
-    screw: SetScrew | None = None
+    screw: Annotated[
+        SetScrew | None,
+        Doc("What presses one tip; sets its limits and its loss of preload, not the stiffness."),
+    ] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(
-            self.owner,
-            pin_count=self.pin_count,
-            shaft_radius=self.shaft_radius,
-            tip_diameter=self.tip_diameter,
-            friction=self.friction_coefficient,
-        )
-        require_one_of(self.owner, SHEAR_LAWS, shear=self.shear)
-        require_law(self.owner, self.contact_law)
+        POSITIVE.check(f"{self.owner}: friction", self.friction_coefficient)
+
+    @property
+    def shaft_radius(self) -> float:
+        """Lever of the friction forces [m]."""
+        return self.shaft_diameter / 2
 
     @cached_property
     def law(self) -> ContactLaw:
@@ -93,7 +79,7 @@ class ClampingPins(ContactConnection):
     @property
     def contact_count(self) -> int:
         """Number of pressed contacts."""
-        return self.pin_count * (2 if self.both_sides else 1)
+        return self.count * (2 if self.both_sides else 1)
 
     @property
     def tip_area(self) -> float:

@@ -6,9 +6,9 @@ import abc
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
-from stiffopt.contact.validate import require_positive
+from stiffopt.declaration import POSITIVE, Doc, Force, Torque, check_fields
 from stiffopt.errors import InputError
 from stiffopt.symbolic import Quantity, smooth_abs
 
@@ -23,14 +23,6 @@ class Connection(abc.ABC):
     The wind-up angle is the primitive: odd and monotone in torque, finite everywhere. Tangent
     stiffness dT/dphi and secant stiffness T/phi are derived from it and are different things.
     Torque and preload may be floats, arrays or CasADi expressions.
-
-    Parameters
-    ----------
-    name : str
-    torque_max : float
-        Largest torque meant on this shaft [N m]; sets the width of smoothing.
-    preload : float or None
-        Force of one bolt, pin or belt span [N]; None for connections that have none.
     """
 
     kind: ClassVar[str]
@@ -38,20 +30,20 @@ class Connection(abc.ABC):
     takes_preload: ClassVar[bool] = False
     needs_preload: ClassVar[bool] = False
     name: str = "connection"
-    torque_max: float
-    preload: float | None = None
+    # Largest torque meant on this shaft; sets the width of smoothing.
+    torque_max: Annotated[Torque, POSITIVE]
+    preload: Annotated[
+        Force | None, POSITIVE, Doc("Clamping force of one bolt or pin, or tension of one span.")
+    ] = None
 
     def __post_init__(self) -> None:
-        require_positive(self.owner, torque_max=self.torque_max)
-        if self.preload is None:
-            if self.needs_preload:
-                raise InputError(f"{self.owner}: preload is missing; give it in newtons.")
-        elif self.takes_preload:
-            require_positive(self.owner, preload=self.preload)
-        else:
+        if self.preload is None and self.needs_preload:
+            raise InputError(f"{self.owner}: preload is missing; give it in newtons.")
+        if self.preload is not None and not self.takes_preload:
             raise InputError(
                 f"{self.owner}: a connection of this kind takes no preload; remove it."
             )
+        check_fields(self, self.owner)
 
     @property
     def owner(self) -> str:

@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from stiffopt.connection.linear import LinearConnection
-from stiffopt.contact.validate import require_positive
+from stiffopt.declaration import POSITIVE, Doc, JointStiffness
 
 
 @dataclass(frozen=True, kw_only=True)
 class Constant(LinearConnection):
-    """Linear torsional spring.
-
-    Parameters
-    ----------
-    stiffness : float
-        [N m/rad].
-    """
+    """Linear torsional spring."""
 
     kind: ClassVar[str] = "constant"
-    stiffness: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_positive(self.owner, stiffness=self.stiffness)
+    stiffness: Annotated[JointStiffness, POSITIVE, Doc("Torsional stiffness.")]
 
     @property
     def is_contact(self) -> bool:

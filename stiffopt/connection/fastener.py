@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
-from stiffopt.contact.validate import require_positive
+from stiffopt.declaration import POSITIVE, Doc, Length, Named, check_fields
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -13,55 +14,47 @@ class Bolt:
 
     Names of sizes, grades and materials are those of the catalogue; they are looked up where they
     are needed.
-
-    Parameters
-    ----------
-    size : str
-        Such as "M5".
-    grade : str
-        Strength class of ISO 898-1.
-    clamp_length : float or None
-        l_K, thickness that the bolt clamps [m]; None: two bolt diameters, an estimate.
-    engagement : float or None
-        m_eff, length of thread that carries [m]; None: by the material of the thread, an estimate.
-    head_material : str
-        Of the part under the head: steel, iron or aluminium.
-    thread_material : str
-        Of the part with the tapped hole.
     """
 
-    size: str
-    grade: str = "12.9"
-    clamp_length: float | None = None
-    engagement: float | None = None
-    head_material: str = "steel"
-    thread_material: str = "steel"
+    size: Annotated[str, Named("bolt"), Doc("Size, such as M5.")]
+    grade: Annotated[str, Named("bolt grade"), Doc("Strength class of ISO 898-1.")] = "12.9"
+    clamp_length: Annotated[
+        Length | None,
+        POSITIVE,
+        Doc("Thickness l_K that the bolt clamps; default two bolt diameters, an estimate."),
+    ] = None
+    engagement: Annotated[
+        Length | None,
+        POSITIVE,
+        Doc(
+            "Length m_eff of thread that carries; default by the material of the thread, an "
+            "estimate."
+        ),
+    ] = None
+    head_material: Annotated[
+        str, Named("material"), Doc("Material of the part under the head.")
+    ] = "steel"
+    thread_material: Annotated[
+        str, Named("material"), Doc("Material of the part with the tapped hole.")
+    ] = "steel"
 
     def __post_init__(self) -> None:
-        for name in ("clamp_length", "engagement"):
-            value = getattr(self, name)
-            if value is not None:
-                require_positive(f"bolt {self.size}", **{name: value})
+        check_fields(self, f"bolt {self.size}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SetScrew:
-    """Set screw that presses the tip of a pin on a shaft, or is the pin itself.
+    """Set screw that presses the tip of a pin on a shaft, or is the pin itself."""
 
-    Parameters
-    ----------
-    size : str
-        Such as "M4".
-    length : float or None
-        [m]; None: one and a half diameters, an estimate.
-    shaft_material : str
-        Of the shaft under the tip: hardened_steel or steel_45.
-    """
-
-    size: str = "M4"
-    length: float | None = None
-    shaft_material: str = "hardened_steel"
+    size: Annotated[str, Named("set screw"), Doc("Size, such as M4.")]
+    length: Annotated[
+        Length | None,
+        POSITIVE,
+        Doc("Length; default one and a half diameters, an estimate."),
+    ] = None
+    shaft_material: Annotated[
+        str, Named("shaft material"), Doc("Material of the shaft under the tip.")
+    ] = "hardened_steel"
 
     def __post_init__(self) -> None:
-        if self.length is not None:
-            require_positive(f"set screw {self.size}", length=self.length)
+        check_fields(self, f"set screw {self.size}")

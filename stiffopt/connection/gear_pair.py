@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from stiffopt.connection.connection import ContactConnection
 from stiffopt.contact.hertz import mean_pressure
 from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
-from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law, require_law
-from stiffopt.contact.validate import require_at_least, require_between, require_positive
+from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
+from stiffopt.declaration import POSITIVE, Angle, Bounds, Doc, Length, Ratio, WidthStiffness
 from stiffopt.symbolic import Quantity
 
 _HIGHEST_PRESSURE = 2e9
@@ -28,21 +28,6 @@ class GearPair(ContactConnection):
     k_n(p) A_H [r_b^2 + kappa (r sin alpha)^2] with p the mean pressure on the strip. Tooth bending
     acts in series.
 
-    Parameters
-    ----------
-    pitch_radius, pitch_radius_driven : float
-        Of the first and the second gear [m].
-    face_width : float
-        [m].
-    pressure_angle : float
-        alpha [rad].
-    contact_ratio : float
-        Tooth pairs in mesh on average, 1 or above.
-    mesh_stiffness : float
-        Tooth stiffness per face width [N/m^2]; ISO 6336 gives about 2e10.
-    surface : SurfacePair
-    contact_law : {"log_cubic", "power_law"} or ContactLaw
-
     Notes
     -----
     Rough-contact stiffness vanishes at zero torque (no prepressure), so the smoothed wind-up near
@@ -50,27 +35,31 @@ class GearPair(ContactConnection):
     """
 
     kind: ClassVar[str] = "gear_pair"
-    pitch_radius: float
-    pitch_radius_driven: float
-    face_width: float
-    surface: SurfacePair
-    pressure_angle: float = math.radians(20.0)
-    contact_ratio: float = 1.5
-    mesh_stiffness: float = 2e10
+    module: Annotated[Length, POSITIVE, Doc("Module: pitch diameter over number of teeth.")]
+    teeth: Annotated[int, POSITIVE, Doc("Teeth of the first gear, on the motor's side.")]
+    teeth_driven: Annotated[int, POSITIVE, Doc("Teeth of the second gear.")]
+    face_width: Annotated[Length, POSITIVE, Doc("Width of the teeth in mesh.")]
+    surface: Annotated[SurfacePair, Doc("Pair of surfaces of the flanks.")]
+    pressure_angle: Annotated[
+        Angle, Bounds(above=0.0, below=math.pi / 4), Doc("Pressure angle alpha.")
+    ] = math.pi / 9
+    contact_ratio: Annotated[Ratio, Bounds(least=1.0), Doc("Tooth pairs in mesh on average.")] = 1.5
+    mesh_stiffness: Annotated[
+        WidthStiffness,
+        POSITIVE,
+        Doc("Tooth stiffness per face width; default about that of ISO 6336."),
+    ] = 2e10
     contact_law: LawName | ContactLaw = "log_cubic"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_positive(
-            self.owner,
-            pitch_radius=self.pitch_radius,
-            pitch_radius_driven=self.pitch_radius_driven,
-            face_width=self.face_width,
-            mesh_stiffness=self.mesh_stiffness,
-        )
-        require_at_least(self.owner, 1.0, contact_ratio=self.contact_ratio)
-        require_between(self.owner, 0.0, math.pi / 4, pressure_angle=self.pressure_angle)
-        require_law(self.owner, self.contact_law)
+    @property
+    def pitch_radius(self) -> float:
+        """Of the first gear [m]."""
+        return self.module * self.teeth / 2
+
+    @property
+    def pitch_radius_driven(self) -> float:
+        """Of the second gear [m]."""
+        return self.module * self.teeth_driven / 2
 
     @cached_property
     def law(self) -> ContactLaw:

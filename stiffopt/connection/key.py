@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
 from stiffopt.connection.connection import ContactConnection
-from stiffopt.contact.surface import SurfacePair
-from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law, require_law
-from stiffopt.contact.validate import (
-    require_not_negative,
-    require_one_of,
-    require_ordered,
-    require_positive,
-)
+from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
+from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
+from stiffopt.contact.validate import require_ordered
+from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Doc, Length, Named, Pressure
 from stiffopt.symbolic import Quantity
 
 # Flanks in parallel have no sum of integrals: six Gauss-Legendre points in ln(1 + T/Tc), to 1e-9.
@@ -30,26 +26,6 @@ class Key(ContactConnection):
     Flank i has the area A_i = length * h_i, the pressure p_i = |T|/(r_i A_i) + p0 and the torsional
     stiffness k_n(p_i) A_i r_i^2.
 
-    Parameters
-    ----------
-    shaft_diameter : float
-        d [m].
-    length : float
-        Bearing length of the key [m].
-    shaft_height, hub_height : float
-        Bearing height of the flank in the shaft, h1, and in the hub, h2 [m].
-    surface : SurfacePair
-    prepressure : float
-        p0 of the fit [Pa]. At 0 the exact compliance is infinite at zero torque and the smoothed
-        one depends on the smoothing width.
-    flanks : {"series", "parallel"}
-        "series": shaft - key - hub, one load path. "parallel": the stiffnesses of the flanks add,
-        as some literature has it; roughly four times stiffer.
-    contact_law : {"log_cubic", "power_law"} or ContactLaw
-        Smooth law of the optimisation; the exact compliance always uses the fractal law.
-    hub_material : str
-        Steel, iron or aluminium; sets the permissible flank pressure, not the stiffness.
-
     Notes
     -----
     Clearance at reversal is not part of the model. Source of the layout: DIN 6892 (flank
@@ -57,31 +33,43 @@ class Key(ContactConnection):
     """
 
     kind: ClassVar[str] = "key"
-    shaft_diameter: float
-    length: float
-    shaft_height: float
-    hub_height: float
-    surface: SurfacePair
-    prepressure: float = 0.0
-    flanks: Literal["series", "parallel"] = "series"
+    shaft_diameter: Annotated[Length, POSITIVE, Doc("Diameter d of the shaft.")]
+    length: Annotated[Length, POSITIVE, Doc("Bearing length of the key.")]
+    shaft_flank_height: Annotated[
+        Length, POSITIVE, Doc("Bearing height h1 of the flank in the shaft.")
+    ]
+    hub_flank_height: Annotated[Length, POSITIVE, Doc("Bearing height h2 of the flank in the hub.")]
+    surface: Annotated[SurfacePair, Doc("Pair of surfaces of the flanks.")]
+    prepressure: Annotated[
+        Pressure,
+        NOT_NEGATIVE,
+        Doc(
+            "Pressure p0 of the fit without torque. At 0 the exact compliance is infinite at zero "
+            "torque and the smoothed one depends on the smoothing width."
+        ),
+    ] = LOWEST_PRESSURE
+    flanks: Annotated[
+        Literal["series", "parallel"],
+        Doc(
+            "Series: shaft, key, hub, one load path. Parallel: the stiffnesses of the flanks add, "
+            "as some literature has it; roughly four times stiffer."
+        ),
+    ] = "series"
+    # Smooth law of the optimisation; the exact compliance always uses the fractal law.
     contact_law: LawName | ContactLaw = "log_cubic"
-    hub_material: str = "steel"
+    hub_material: Annotated[
+        str,
+        Named("material"),
+        Doc("Material of the hub; sets the permissible flank pressure, not the stiffness."),
+    ] = "steel"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(
-            self.owner,
-            shaft_diameter=self.shaft_diameter,
-            length=self.length,
-            shaft_height=self.shaft_height,
-            hub_height=self.hub_height,
-        )
         require_ordered(
-            self.owner, shaft_height=self.shaft_height, shaft_diameter=self.shaft_diameter
+            self.owner,
+            shaft_flank_height=self.shaft_flank_height,
+            shaft_diameter=self.shaft_diameter,
         )
-        require_not_negative(self.owner, prepressure=self.prepressure)
-        require_one_of(self.owner, ("series", "parallel"), flanks=self.flanks)
-        require_law(self.owner, self.contact_law)
 
     @cached_property
     def law(self) -> ContactLaw:
@@ -92,12 +80,12 @@ class Key(ContactConnection):
     def radii(self) -> tuple[float, float]:
         """Middle of the flank in the shaft and in the hub [m]."""
         half = self.shaft_diameter / 2
-        return half - self.shaft_height / 2, half + self.hub_height / 2
+        return half - self.shaft_flank_height / 2, half + self.hub_flank_height / 2
 
     @property
     def areas(self) -> tuple[float, float]:
         """Areas of the two flanks [m^2]."""
-        return self.length * self.shaft_height, self.length * self.hub_height
+        return self.length * self.shaft_flank_height, self.length * self.hub_flank_height
 
     def flank_pressures(self, torque: Quantity) -> tuple[Quantity, Quantity]:
         """Pressures in the shaft's and the hub's flank [Pa] for torque >= 0."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from stiffopt.connection.connection import Connection
-from stiffopt.contact.validate import require_ordered, require_positive
+from stiffopt.contact.validate import require_ordered
+from stiffopt.declaration import POSITIVE, Doc, Stiffness, Torque
 from stiffopt.symbolic import Quantity, softplus
 
 # Corner width as a share of the corner's torque: 2.1 % error in wind-up at most, 24 % in slope.
@@ -22,13 +23,6 @@ class Reducer(Connection):
     phi = T/K1 + sum_j (1/K_(j+1) - 1/K_j) w_j [sp((T-T_j)/w_j) - sp((-T-T_j)/w_j)] with
     w_j = 0.08 T_j times the smoothing factor and sp(x) = ln(1 + exp(x)).
 
-    Parameters
-    ----------
-    stiffness_1, stiffness_2, stiffness_3 : float
-        K1, K2, K3 [N m/rad].
-    torque_1, torque_2 : float
-        T1 < T2 [N m].
-
     Notes
     -----
     Slopes as harmonic-drive catalogues define them; hysteresis and lost motion are not included.
@@ -36,23 +30,15 @@ class Reducer(Connection):
     """
 
     kind: ClassVar[str] = "reducer"
-    stiffness_1: float
-    stiffness_2: float
-    stiffness_3: float
-    torque_1: float
-    torque_2: float
+    K1: Annotated[Stiffness, POSITIVE, Doc("Slope below T1.")]
+    K2: Annotated[Stiffness, POSITIVE, Doc("Slope between T1 and T2.")]
+    K3: Annotated[Stiffness, POSITIVE, Doc("Slope above T2.")]
+    T1: Annotated[Torque, POSITIVE, Doc("Torque at which the first range of stiffness ends.")]
+    T2: Annotated[Torque, POSITIVE, Doc("Torque at which the second range ends, above T1.")]
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(
-            self.owner,
-            stiffness_1=self.stiffness_1,
-            stiffness_2=self.stiffness_2,
-            stiffness_3=self.stiffness_3,
-            torque_1=self.torque_1,
-            torque_2=self.torque_2,
-        )
-        require_ordered(self.owner, torque_1=self.torque_1, torque_2=self.torque_2)
+        require_ordered(self.owner, T1=self.T1, T2=self.T2)
 
     @property
     def is_contact(self) -> bool:
@@ -61,17 +47,17 @@ class Reducer(Connection):
 
     def _corners(self, smoothing: Quantity) -> list[tuple[float, Quantity, float]]:
         """Torque, width and step of the compliance at each corner."""
-        c1, c2, c3 = 1 / self.stiffness_1, 1 / self.stiffness_2, 1 / self.stiffness_3
+        c1, c2, c3 = 1 / self.K1, 1 / self.K2, 1 / self.K3
         return [
-            (self.torque_1, _WIDTH * self.torque_1 * smoothing, c2 - c1),
-            (self.torque_2, _WIDTH * self.torque_2 * smoothing, c3 - c2),
+            (self.T1, _WIDTH * self.T1 * smoothing, c2 - c1),
+            (self.T2, _WIDTH * self.T2 * smoothing, c3 - c2),
         ]
 
     def windup(
         self, torque: Quantity, *, preload: Quantity | None = None, smoothing: Quantity = 1.0
     ) -> Quantity:
         """Wind-up angle at the output [rad]."""
-        angle = torque / self.stiffness_1
+        angle = torque / self.K1
         for corner, width, step in self._corners(smoothing):
             above = softplus((torque - corner) / width)
             below = softplus((-torque - corner) / width)
@@ -82,7 +68,7 @@ class Reducer(Connection):
         self, torque: Quantity, *, preload: Quantity | None = None, smoothing: Quantity = 1.0
     ) -> Quantity:
         """Compliance d phi/dT [rad/(N m)]."""
-        compliance = 1 / self.stiffness_1
+        compliance = 1 / self.K1
         for corner, width, step in self._corners(smoothing):
             # The logistic function in its tanh form does not overflow.
             above = 0.5 * (1 + np.tanh(0.5 * (torque - corner) / width))

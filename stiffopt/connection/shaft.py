@@ -4,41 +4,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from stiffopt.connection.linear import LinearConnection
-from stiffopt.contact.validate import require_not_negative, require_ordered, require_positive
+from stiffopt.contact.validate import require_ordered
+from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Doc, Length, Pressure
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shaft(LinearConnection):
-    """Round shaft, solid or hollow, stiffness G pi (d^4 - d_i^4)/(32 L).
-
-    Parameters
-    ----------
-    diameter, length : float
-        [m].
-    shear_modulus : float
-        G [Pa]; steel 80e9.
-    bore : float
-        Inner diameter d_i [m], 0 for a solid shaft.
-    """
+    """Round shaft, solid or hollow, stiffness G pi (d^4 - d_i^4)/(32 L)."""
 
     kind: ClassVar[str] = "shaft"
-    diameter: float
-    length: float
-    shear_modulus: float = 80e9
-    bore: float = 0.0
+    diameter: Annotated[Length, POSITIVE, Doc("Outer diameter d.")]
+    length: Annotated[Length, POSITIVE, Doc("Length L between the two ends that twist.")]
+    shear_modulus: Annotated[Pressure, POSITIVE, Doc("Shear modulus G; default steel.")] = 80e9
+    bore: Annotated[Length, NOT_NEGATIVE, Doc("Inner diameter d_i, 0 for a solid shaft.")] = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(
-            self.owner,
-            diameter=self.diameter,
-            length=self.length,
-            shear_modulus=self.shear_modulus,
-        )
-        require_not_negative(self.owner, bore=self.bore)
         require_ordered(self.owner, bore=self.bore, diameter=self.diameter)
 
     @property

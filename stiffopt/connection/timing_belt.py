@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from stiffopt.connection.linear import LinearConnection
-from stiffopt.contact.validate import require_between, require_positive
+from stiffopt.declaration import POSITIVE, Angle, Bounds, Doc, Force, Length, Pressure, Ratio
 from stiffopt.symbolic import Quantity
+
+_TURN = Bounds(above=0.0, below=2 * math.pi)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,29 +24,6 @@ class TimingBelt(LinearConnection):
     (sin beta). A pulley has K = z_m R^2 (K_n cos^2 beta + K_t sin^2 beta) with
     K_n = E b h/(w/2) and K_t = G b h/(w/2); both spans act while they are taut.
 
-    Parameters
-    ----------
-    teeth, teeth_driven : int
-        Of the first and second pulley.
-    pitch, width : float
-        Belt pitch and width b [m].
-    tooth_height, tooth_root_width : float
-        h and w [m].
-    wrap, wrap_driven : float
-        Wrap angles on the pulleys [rad].
-    flank_angle : float
-        beta, between flank normal and tangent [rad].
-    modulus, poisson : float
-        Of the tooth material, [Pa] and [-].
-    teeth_effective_max : float
-        At most so many teeth carry, since the load falls off along the arc.
-    span_stiffness : float
-        Force per unit strain of one span [N].
-    span_length : float
-        Free length of one span [m].
-    preload : float or None
-        Pretension force of one span [N]; needed for `slack_torque`.
-
     Notes
     -----
     Valid up to `slack_torque`, where one span goes slack and the stage loses half of the spans'
@@ -53,39 +32,30 @@ class TimingBelt(LinearConnection):
 
     kind: ClassVar[str] = "timing_belt"
     takes_preload: ClassVar[bool] = True
-    teeth: int
-    teeth_driven: int
-    pitch: float
-    width: float
-    tooth_height: float
-    tooth_root_width: float
-    span_stiffness: float
-    span_length: float
-    wrap: float = math.pi
-    wrap_driven: float = math.pi
-    flank_angle: float = math.radians(20.0)
-    modulus: float = 60e6
-    poisson: float = 0.48
-    teeth_effective_max: float = 6.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_positive(
-            self.owner,
-            teeth=self.teeth,
-            teeth_driven=self.teeth_driven,
-            pitch=self.pitch,
-            width=self.width,
-            tooth_height=self.tooth_height,
-            tooth_root_width=self.tooth_root_width,
-            span_stiffness=self.span_stiffness,
-            span_length=self.span_length,
-            modulus=self.modulus,
-            teeth_effective_max=self.teeth_effective_max,
-        )
-        require_between(self.owner, 0.0, 2 * math.pi, wrap=self.wrap, wrap_driven=self.wrap_driven)
-        require_between(self.owner, -0.1, math.pi / 2, flank_angle=self.flank_angle)
-        require_between(self.owner, 0.0, 0.5, poisson=self.poisson)
+    teeth: Annotated[int, POSITIVE, Doc("Teeth of the first pulley, on the motor's side.")]
+    teeth_driven: Annotated[int, POSITIVE, Doc("Teeth of the second pulley.")]
+    pitch: Annotated[Length, POSITIVE, Doc("Pitch of the belt.")]
+    width: Annotated[Length, POSITIVE, Doc("Width b of the belt.")]
+    tooth_height: Annotated[Length, POSITIVE, Doc("Height h of a belt tooth.")]
+    tooth_root_width: Annotated[Length, POSITIVE, Doc("Width w of a belt tooth at its root.")]
+    span_stiffness: Annotated[Force, POSITIVE, Doc("Force per unit strain of one span.")]
+    span_length: Annotated[Length, POSITIVE, Doc("Free length of one span.")]
+    wrap: Annotated[Angle, _TURN, Doc("Wrap angle on the first pulley.")] = math.pi
+    wrap_driven: Annotated[Angle, _TURN, Doc("Wrap angle on the second pulley.")] = math.pi
+    flank_angle: Annotated[
+        Angle,
+        Bounds(above=-0.1, below=math.pi / 2),
+        Doc("Angle beta between the normal of a flank and the tangent."),
+    ] = math.pi / 9
+    tooth_modulus: Annotated[Pressure, POSITIVE, Doc("Young's modulus of the tooth.")] = 60e6
+    tooth_poisson: Annotated[
+        Ratio, Bounds(above=0.0, below=0.5), Doc("Poisson's ratio of the tooth.")
+    ] = 0.48
+    teeth_in_mesh_max: Annotated[
+        Ratio,
+        POSITIVE,
+        Doc("At most so many teeth carry, since the load falls off along the arc."),
+    ] = 6.0
 
     @property
     def radius(self) -> float:
@@ -96,9 +66,9 @@ class TimingBelt(LinearConnection):
     def tooth_stiffness(self) -> float:
         """Tangential stiffness of one belt tooth [N/m]."""
         block = self.width * self.tooth_height / (self.tooth_root_width / 2)
-        shear_modulus = self.modulus / (2 * (1 + self.poisson))
+        shear_modulus = self.tooth_modulus / (2 * (1 + self.tooth_poisson))
         return block * (
-            self.modulus * math.cos(self.flank_angle) ** 2
+            self.tooth_modulus * math.cos(self.flank_angle) ** 2
             + shear_modulus * math.sin(self.flank_angle) ** 2
         )
 
@@ -106,7 +76,7 @@ class TimingBelt(LinearConnection):
         """Teeth that carry on the first and the second pulley."""
         first = self.teeth * self.wrap / (2 * math.pi)
         second = self.teeth_driven * self.wrap_driven / (2 * math.pi)
-        return min(first, self.teeth_effective_max), min(second, self.teeth_effective_max)
+        return min(first, self.teeth_in_mesh_max), min(second, self.teeth_in_mesh_max)
 
     @property
     def compliance(self) -> float:

@@ -11,11 +11,12 @@ Jaeger, Arch. Appl. Mech. 65 (1995) 478.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
 from stiffopt.contact.surrogate import ContactLaw
+from stiffopt.declaration import Doc
 from stiffopt.symbolic import Quantity
 
 # Up to this share of the slip load the laws hold as written; beyond it the travel continues as a
@@ -23,8 +24,10 @@ from stiffopt.symbolic import Quantity
 # the compliance keeps growing.
 SLIP_LIMIT = 0.95
 
-ShearLaw = Literal["mindlin", "load"]
-SHEAR_LAWS: tuple[ShearLaw, ...] = ("mindlin", "load")
+ShearLaw = Annotated[
+    Literal["mindlin", "load"],
+    Doc("Law of contacts under shear: Mindlin's, or Ciavarella and Jaeger's for elastic contacts."),
+]
 _MINDLIN = 1.0 / 3.0
 
 

@@ -4,12 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 
 from stiffopt.contact.spots import SpotLaw, spot_laws, total_force
-from stiffopt.contact.validate import require_between, require_not_negative, require_positive
-from stiffopt.errors import InputError, OutOfValidityError
+from stiffopt.declaration import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    Area,
+    Bounds,
+    Doc,
+    Length,
+    Pressure,
+    Ratio,
+    check_fields,
+)
+from stiffopt.errors import OutOfValidityError
 
 # Lowest nominal pressure [Pa] for which a surface must still have elastic spots.
 LOWEST_PRESSURE = 0.1e6
@@ -19,28 +30,17 @@ _SPOT_RESERVE = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class Material:
-    """One of two bodies in contact.
+    """One of two bodies in contact."""
 
-    Parameters
-    ----------
-    name : str
-    modulus : float
-        Young's modulus [Pa].
-    poisson : float
-        Poisson's ratio, above 0 and below 0.5.
-    hardness : float
-        Indentation hardness, about 2.8 times the yield stress [Pa].
-    """
-
-    name: str = "material"
-    modulus: float
-    poisson: float
-    hardness: float
+    name: Annotated[str, Doc("Name, for messages.")] = "material"
+    modulus: Annotated[Pressure, POSITIVE, Doc("Young's modulus.")]
+    poisson: Annotated[Ratio, Bounds(above=0.0, below=0.5), Doc("Poisson's ratio.")]
+    hardness: Annotated[
+        Pressure, POSITIVE, Doc("Indentation hardness, about 2.8 times the yield stress.")
+    ]
 
     def __post_init__(self) -> None:
-        owner = f"material {self.name!r}"
-        require_positive(owner, modulus=self.modulus, hardness=self.hardness)
-        require_between(owner, 0.0, 0.5, poisson=self.poisson)
+        check_fields(self, f"material {self.name!r}")
 
     @property
     def shear_modulus(self) -> float:
@@ -52,23 +52,6 @@ class Material:
 class SurfacePair:
     """Two rough surfaces pressed together, with the fractal description of their roughness.
 
-    Parameters
-    ----------
-    name : str
-    first, second : Material
-    fractal_dimension : float
-        D of the surface (profile dimension plus one), 2 < D < 3.
-    fractal_roughness : float
-        G [m].
-    friction : float
-        Coefficient of friction of the interface.
-    reference_area : float
-        A0 [m^2]: the patch for which D and G were found. The sum over spots does not grow in
-        proportion to the area, so stiffness per area belongs to this patch and is then used for
-        joint faces of any size.
-    gamma : float
-        Frequency ratio of the fractal surface.
-
     Notes
     -----
     Refused when at 0.1 MPa the largest spot is not at least ten times above the all-plastic limit:
@@ -76,25 +59,35 @@ class SurfacePair:
     """
 
     name: str = "surface"
-    first: Material
-    second: Material
-    fractal_dimension: float
-    fractal_roughness: float
-    friction: float = 0.15
-    reference_area: float = 1e-4
-    gamma: float = 1.5
+    first: Annotated[Material, Doc("One of the two bodies.")]
+    second: Annotated[Material, Doc("The other body.")]
+    fractal_dimension: Annotated[
+        Ratio,
+        Bounds(above=2.0, below=3.0),
+        Doc("Fractal dimension D of the surface: that of a profile plus one."),
+    ]
+    fractal_roughness: Annotated[Length, POSITIVE, Doc("Fractal roughness G.")]
+    friction: Annotated[Ratio, NOT_NEGATIVE, Doc("Coefficient of friction of the interface.")] = (
+        0.15
+    )
+    reference_area: Annotated[
+        Area,
+        POSITIVE,
+        Doc(
+            "Patch A0 for which D and G were found. The sum over spots does not grow in proportion "
+            "to the area, so stiffness per area belongs to this patch and is then used for joint "
+            "faces of any size."
+        ),
+    ] = 1e-4
+    gamma: Annotated[
+        Ratio,
+        Bounds(above=1.0),
+        Doc("Ratio of successive frequencies of the fractal surface; customary is 1.5."),
+    ] = 1.5
 
     def __post_init__(self) -> None:
         owner = f"surface {self.name!r}"
-        require_between(owner, 2.0, 3.0, fractal_dimension=self.fractal_dimension)
-        require_between(owner, 0.0, np.inf, fractal_roughness=self.fractal_roughness)
-        require_positive(owner, reference_area=self.reference_area)
-        require_not_negative(owner, friction=self.friction)
-        if not 1.0 < self.gamma < np.inf:
-            raise InputError(
-                f"{owner}: gamma = {self.gamma:g} cannot be used; allowed is a number above 1 "
-                f"(customary: 1.5)."
-            )
+        check_fields(self, owner)
         self._require_elastic_spots(owner)
 
     def _require_elastic_spots(self, owner: str) -> None:

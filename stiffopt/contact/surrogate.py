@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, Protocol
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
 
 from stiffopt.contact.fractal import FractalLaw
 from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
 from stiffopt.contact.validate import require_one_of, require_ordered, require_positive
+from stiffopt.declaration import Doc
 from stiffopt.errors import OutOfValidityError
 from stiffopt.symbolic import Quantity
 
@@ -28,8 +29,11 @@ _NODES, _WEIGHTS = (array.tolist() for array in np.polynomial.legendre.leggauss(
 _FIT_POINTS = 400
 _FIT_ROUNDS = 60
 
-LawName = Literal["log_cubic", "power_law"]
-LAW_NAMES: tuple[LawName, ...] = ("log_cubic", "power_law")
+LawName = Annotated[
+    Literal["log_cubic", "power_law"],
+    Doc("Smooth law that is fitted to the stiffness of rough contacts over pressure."),
+]
+LAW_NAMES = ("log_cubic", "power_law")
 
 
 class ContactLaw(Protocol):

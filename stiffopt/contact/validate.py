@@ -3,49 +3,35 @@
 from __future__ import annotations
 
 import itertools
-import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
-from stiffopt.errors import InputError, OutOfValidityError, nearest
+from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Bounds
+from stiffopt.errors import InputError, nearest
 
 
 def require_positive(owner: str, **values: float) -> None:
     """Raise `InputError` unless every value is a finite number above zero."""
-    for name, value in values.items():
-        if not math.isfinite(value) or value <= 0.0:
-            raise InputError(
-                f"{owner}: {name} = {value:g} cannot be used; allowed is a finite number above 0. "
-                f"Correct {name} (SI units)."
-            )
+    _require(POSITIVE, owner, values)
 
 
 def require_not_negative(owner: str, **values: float) -> None:
     """Raise `InputError` unless every value is a finite number, zero or above."""
-    for name, value in values.items():
-        if not math.isfinite(value) or value < 0.0:
-            raise InputError(
-                f"{owner}: {name} = {value:g} cannot be used; allowed is a finite number, 0 or "
-                f"above. Correct {name} (SI units)."
-            )
+    _require(NOT_NEGATIVE, owner, values)
 
 
 def require_at_least(owner: str, bound: float, **values: float) -> None:
     """Raise `InputError` unless every value is finite and `bound` or above."""
-    for name, value in values.items():
-        if not math.isfinite(value) or value < bound:
-            raise InputError(
-                f"{owner}: {name} = {value:g} cannot be used; allowed is a finite number, "
-                f"{bound:g} or above. Correct {name}."
-            )
+    _require(Bounds(least=bound), owner, values)
 
 
 def require_between(owner: str, lower: float, upper: float, **values: float) -> None:
     """Raise `OutOfValidityError` unless every value lies strictly between the two bounds."""
+    _require(Bounds(above=lower, below=upper), owner, values)
+
+
+def _require(bounds: Bounds, owner: str, values: Mapping[str, float]) -> None:
     for name, value in values.items():
-        if not lower < value < upper:
-            raise OutOfValidityError(
-                f"{owner}: {name}", value, lower, upper, "Both bounds are excluded."
-            )
+        bounds.check(f"{owner}: {name}", value)
 
 
 def require_ordered(owner: str, **values: float) -> None:

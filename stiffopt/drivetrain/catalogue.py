@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from stiffopt.contact.surface import Material, SurfacePair
+from stiffopt.declaration import Named
 from stiffopt.drivetrain.fasteners import BoltData as BoltData
 from stiffopt.drivetrain.fasteners import ClampedMaterial as ClampedMaterial
 from stiffopt.drivetrain.fasteners import SetScrewData as SetScrewData
@@ -174,6 +175,11 @@ def belt(name: str) -> BeltData:
     return BeltData(**find("belt", name, rows("belts", "belt", "name")))
 
 
+def belt_names() -> list[str]:
+    """Names of the packaged belt profiles."""
+    return list(rows("belts", "belt", "name"))
+
+
 def flange_names() -> list[str]:
     """Names of the packaged bolt patterns."""
     return list(rows("flanges", "flange", "name"))
@@ -221,3 +227,17 @@ def surface(name: str) -> SurfacePair:
         fractal_roughness=row["fractal_roughness"],
         friction=row["friction"],
     )
+
+
+Named.tables.update(
+    {
+        "reducer": reducer_names,
+        "belt": belt_names,
+        "flange pattern": flange_names,
+        "bolt": bolt_sizes,
+        "bolt grade": bolt_grades,
+        "set screw": set_screw_sizes,
+        "material": lambda: read_table("fastening")["material"],
+        "shaft material": lambda: read_table("fastening")["shaft"],
+    }
+)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 from stiffopt.connection.connection import Connection
-from stiffopt.errors import InputError
+from stiffopt.declaration import FRACTION, POSITIVE, Doc, Ratio, check_fields
 from stiffopt.symbolic import Quantity
 
 Preloads = Mapping[str, Quantity] | None
@@ -17,37 +17,23 @@ Preloads = Mapping[str, Quantity] | None
 class Stage:
     """One element of a chain and where it sits.
 
-    Parameters
-    ----------
-    element : Connection
-    ratio : float
-        Turns of the element for one turn of the joint [-].
-    efficiency : float
-        Of the way from the element to the joint: it carries T/(ratio efficiency) [-].
-    group : str or None
-        Stages of the same group are in parallel; None: in series with the rest.
-    reflect : bool
-        See `stiffopt.drivetrain.chain.Chain`, which sets it for all its stages.
+    The element carries T/(ratio efficiency) and its wind-up counts 1/ratio. `reflect` is that of
+    the `stiffopt.drivetrain.chain.Chain`, which sets it for all its stages.
     """
 
     element: Connection
-    ratio: float = 1.0
-    efficiency: float = 1.0
-    group: str | None = None
+    ratio: Annotated[Ratio, POSITIVE, Doc("Turns of the element for one turn of the joint.")] = 1.0
+    efficiency: Annotated[
+        Ratio, FRACTION, Doc("Of the way from the element to the joint; 1 is without losses.")
+    ] = 1.0
+    group: Annotated[
+        str | None,
+        Doc("Group of elements that act in parallel; without it in series with the rest."),
+    ] = None
     reflect: bool = True
 
     def __post_init__(self) -> None:
-        name = self.element.name
-        if not (math.isfinite(self.ratio) and self.ratio > 0.0):
-            raise InputError(
-                f"{name}: ratio = {self.ratio:g} must be a number above 0. "
-                "Give the turns of the element for one turn of the joint."
-            )
-        if not 0.0 < self.efficiency <= 1.0:
-            raise InputError(
-                f"{name}: efficiency = {self.efficiency:g} must be above 0 and at most 1. "
-                "Give 1 for a stage without losses."
-            )
+        check_fields(self, self.element.owner)
 
     @property
     def reduction(self) -> float:

@@ -50,7 +50,7 @@ def tangent_compliance(
 def breakpoints(element: Element) -> tuple[float, ...]:
     """Positive torques [N m] where the compliance jumps, ascending."""
     if getattr(element, "kind", "") == "reducer":
-        return element.torque_1, element.torque_2
+        return element.T1, element.T2
     own = getattr(element, "breakpoints", None)
     return () if own is None else tuple(own())
 
@@ -118,8 +118,8 @@ def _key(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
     d, surface = element.shaft_diameter, element.surface
     flanks = []
     for radius, height in (
-        ((d - element.shaft_height) / 2.0, element.shaft_height),
-        ((d + element.hub_height) / 2.0, element.hub_height),
+        ((d - element.shaft_flank_height) / 2.0, element.shaft_flank_height),
+        ((d + element.hub_flank_height) / 2.0, element.hub_flank_height),
     ):
         area = element.length * height
         pressure = load / (radius * area) + element.prepressure
@@ -149,7 +149,7 @@ def _bolted_flange(element: Element, load: np.ndarray, force: float | None) -> n
 def _pins(element: Element, force: float | None) -> tuple[int, float]:
     """Number of pressed contacts, and torque at which they slip [N m]."""
     assert force is not None
-    contacts = element.pin_count * (2 if element.both_sides else 1)
+    contacts = element.count * (2 if element.both_sides else 1)
     return contacts, _friction(element) * force * element.shaft_radius * contacts
 
 
@@ -167,7 +167,8 @@ def _clamping_pins(element: Element, load: np.ndarray, force: float | None) -> n
 def _gear_pair(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
     """Rough Hertz strips of the tooth pairs in mesh and tooth bending, on the first shaft."""
     surface, width, pairs = element.surface, element.face_width, element.contact_ratio
-    first, second = element.pitch_radius, element.pitch_radius_driven
+    first = element.module * element.teeth / 2.0
+    second = element.module * element.teeth_driven / 2.0
     sine, cosine = np.sin(element.pressure_angle), np.cos(element.pressure_angle)
     base, arm = first * cosine, first * sine
     curvature = first * second * sine / (first + second)
@@ -182,8 +183,8 @@ def _gear_pair(element: Element, load: np.ndarray, _: float | None) -> np.ndarra
 
 
 def _reducer(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
-    slopes = (element.stiffness_1, element.stiffness_2, element.stiffness_3)
-    return np.asarray(reducer_compliance(load, slopes, (element.torque_1, element.torque_2)))
+    slopes = (element.K1, element.K2, element.K3)
+    return np.asarray(reducer_compliance(load, slopes, (element.T1, element.T2)))
 
 
 def _shaft(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:

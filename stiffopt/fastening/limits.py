@@ -28,7 +28,7 @@ def _fastened(element: Connection) -> BoltedFlange | ClampingPins:
 def fastener_count(element: Connection) -> int:
     """Number of bolts or pins."""
     fastened = _fastened(element)
-    return fastened.bolt_count if isinstance(fastened, BoltedFlange) else fastened.pin_count
+    return fastened.bolt_count if isinstance(fastened, BoltedFlange) else fastened.count
 
 
 def preload_limits(element: Connection, tightening: Tightening) -> tuple[PreloadLimit, ...]:

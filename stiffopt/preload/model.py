@@ -267,7 +267,7 @@ def _one_fastener(element: Connection) -> Connection:
     if isinstance(element, BoltedFlange):
         return replace(element, bolt_count=1, sectors=element.bolt_count)
     assert isinstance(element, ClampingPins)
-    return replace(element, pin_count=1)
+    return replace(element, count=1)
 
 
 def _individually(stage: Stage, own: Sequence[FreeElement]) -> list[Stage]:

@@ -6,9 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from stiffopt.files import Section
-from stiffopt.problem.schema import PayloadSection, ToolSection, Vector3
-from stiffopt.units import (
+from stiffopt.declaration import (
     Angle,
     Force,
     JointPosition,
@@ -18,6 +16,8 @@ from stiffopt.units import (
     Ratio,
     Torque,
 )
+from stiffopt.files import Section
+from stiffopt.problem.schema import PayloadSection, ToolSection, Vector3
 
 JointNumber = Annotated[int, Field(ge=1)]
 StiffnessByJoint = dict[int, Annotated[JointStiffness, Field(gt=0)]]

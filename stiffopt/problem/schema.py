@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from stiffopt.files import Section
-from stiffopt.units import (
+from stiffopt.declaration import (
     Angle,
     Force,
     Inertia,
@@ -22,6 +21,7 @@ from stiffopt.units import (
     Speed,
     Time,
 )
+from stiffopt.files import Section
 
 Vector3 = tuple[Length, Length, Length]
 Unlimited = Literal["none"]

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt.declaration import bounds, unit
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError, InputFileError, nearest
 from stiffopt.files import check_header, load_toml, validate
@@ -17,7 +18,7 @@ from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.elements import ElementBuilder, located
 from stiffopt.robot.frames import LinkFrame, link_frame, link_names
 from stiffopt.robot.robot import Robot, Source
-from stiffopt.robot.schema import Cited, JointSection, PlaceSection, RobotFile
+from stiffopt.robot.schema import Cited, JointSection, PlaceSection, RobotFile, robot_file
 from stiffopt.robot.urdf import UNLIMITED, load_urdf
 from stiffopt.units import fit_joint
 
@@ -77,7 +78,7 @@ def load_robot(
 def _document(path: Path) -> RobotFile:
     data = load_toml(path)
     check_header(data, path, "robot")
-    return validate(RobotFile, data, path)
+    return validate(robot_file(), data, path)
 
 
 def _assemble(document: RobotFile, path: Path, urdf: Path) -> Robot:
@@ -93,7 +94,7 @@ def _assemble(document: RobotFile, path: Path, urdf: Path) -> Robot:
     lower, upper = _positions(model, sections, prismatic, path)
     builder = ElementBuilder(path, document.assembly, document.surface)
     chains = tuple(
-        builder.chain(section, float(columns["torque_max"][j]))
+        builder.chain(section, float(columns["torque_max"][j]), bool(prismatic[j]))
         for j, section in enumerate(sections)
     )
     with located(path, "tool"):
@@ -133,15 +134,15 @@ def _sections(document: RobotFile, names: tuple[str, ...], path: Path) -> list[J
     return [given.get(name, JointSection(name=name)) for name in names]
 
 
-# Key, dimension, whether 0 is allowed, where the URDF says it, value where nothing does.
-_NUMBERS: tuple[tuple[str, str, bool, str, float], ...] = (
-    ("torque_max", "torque", False, "effort", np.nan),
-    ("velocity_max", "angular velocity", False, "velocity", np.nan),
-    ("acceleration_max", "angular acceleration", False, "", np.inf),
-    ("jerk_max", "angular jerk", False, "", np.inf),
-    ("rotor_inertia", "inertia", True, "", 0.0),
-    ("coulomb", "torque", True, "friction", 0.0),
-    ("viscous", "viscous friction", True, "damping", 0.0),
+# Key, where the URDF says it, value where nothing does.
+_NUMBERS: tuple[tuple[str, str, float], ...] = (
+    ("torque_max", "effort", np.nan),
+    ("velocity_max", "velocity", np.nan),
+    ("acceleration_max", "", np.inf),
+    ("jerk_max", "", np.inf),
+    ("rotor_inertia", "", 0.0),
+    ("coulomb", "friction", 0.0),
+    ("viscous", "damping", 0.0),
 )
 
 
@@ -149,22 +150,18 @@ def _joint_numbers(
     section: JointSection, prismatic: bool, urdf: dict[str, float], path: Path
 ) -> dict[str, float]:
     values = {}
-    for key, dimension, zero, fallback, default in _NUMBERS:
-        where = f"joint[{section.name}].{key}"
-        given = getattr(section, key)
-        if given is not None:
-            with located(path, where):
-                number = fit_joint(given, prismatic, dimension, key)
-        else:
-            number = urdf.get(fallback, 0.0) or default
-        if np.isnan(number):
-            raise InputFileError(
-                path, where, f"is missing, and the URDF has no {fallback} for it. Give {key}."
-            )
-        if number < 0.0 or (number == 0.0 and not zero):
-            allowed = "0 or above" if zero else "above 0"
-            raise InputFileError(path, where, f"must be {allowed}, got {number:g}. Correct it.")
-        values[key] = number
+    for key, fallback, default in _NUMBERS:
+        with located(path, f"joint[{section.name}].{key}"):
+            given = getattr(section, key)
+            if given is not None:
+                values[key] = fit_joint(given, prismatic, unit(JointSection, key).dimension, key)
+            elif number := urdf.get(fallback, 0.0):
+                bounds(JointSection, key).check(key, number)
+                values[key] = number
+            elif np.isnan(default):
+                raise InputError(f"is missing, and the URDF has no {fallback} for it. Give {key}.")
+            else:
+                values[key] = default
     return values
 
 

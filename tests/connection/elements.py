@@ -33,8 +33,8 @@ def key(**changes: object) -> Key:
         "torque_max": 0.57,
         "shaft_diameter": 14e-3,
         "length": 20e-3,
-        "shaft_height": 2.5e-3,
-        "hub_height": 2.0e-3,
+        "shaft_flank_height": 2.5e-3,
+        "hub_flank_height": 2.0e-3,
         "surface": FINE,
         "prepressure": 1e5,
     }
@@ -61,8 +61,8 @@ def pins(**changes: object) -> ClampingPins:
     settings = {
         "name": "pins",
         "torque_max": 0.38,
-        "pin_count": 2,
-        "shaft_radius": 4e-3,
+        "count": 2,
+        "shaft_diameter": 8e-3,
         "tip_diameter": 2e-3,
         "preload": 1500.0,
         "surface": FINE,
@@ -74,8 +74,9 @@ def gears(**changes: object) -> GearPair:
     settings = {
         "name": "gears",
         "torque_max": 20.0,
-        "pitch_radius": 20e-3,
-        "pitch_radius_driven": 40e-3,
+        "module": 1e-3,
+        "teeth": 40,
+        "teeth_driven": 80,
         "face_width": 15e-3,
         "surface": FINE,
     }
@@ -102,11 +103,11 @@ def reducer(**changes: object) -> Reducer:
     settings = {
         "name": "reducer",
         "torque_max": 38.0,
-        "stiffness_1": 1.0e4,
-        "stiffness_2": 1.4e4,
-        "stiffness_3": 1.6e4,
-        "torque_1": 3.9,
-        "torque_2": 12.0,
+        "K1": 1.0e4,
+        "K2": 1.4e4,
+        "K3": 1.6e4,
+        "T1": 3.9,
+        "T2": 12.0,
     }
     return Reducer(**(settings | changes))
 

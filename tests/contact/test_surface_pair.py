@@ -41,8 +41,8 @@ def test_dimension_outside_validity(dimension: float) -> None:
 
 
 @pytest.mark.parametrize("roughness", [0.0, -1e-9, math.nan, math.inf])
-def test_roughness_outside_validity(roughness: float) -> None:
-    with pytest.raises(OutOfValidityError, match="fractal_roughness"):
+def test_roughness_must_be_above_zero(roughness: float) -> None:
+    with pytest.raises(InputError, match=r"fractal_roughness = .* finite number above 0"):
         steel_surface(2.4, roughness)
 
 

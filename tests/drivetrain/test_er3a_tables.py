@@ -220,15 +220,15 @@ def test_shipped_robots_carry_the_reference_inputs(er3a, er3a_contact):
         reducer = data["reducer"][str(joint["reducer"])]
         reducer = reducer["class_80" if joint["ratio"] >= 80 else "class_50"]
         own = chain.elements["reducer"]
-        assert [own.stiffness_1, own.stiffness_2, own.stiffness_3] == reducer["K_Nm_per_rad"]
-        assert (own.torque_1, own.torque_2) == (reducer["T1_Nm"], reducer["T2_Nm"])
+        assert reducer["K_Nm_per_rad"] == [own.K1, own.K2, own.K3]
+        assert (reducer["T1_Nm"], reducer["T2_Nm"]) == (own.T1, own.T2)
         assert er3a_contact.torque_max[j - 1] == joint["T_max_Nm"]
         first = chain.stages[0]
         assert first.ratio == joint["ratio"]
         key = data["key"][joint["input"][0]]
         for stage, expected in ((first, key), (chain.stages[-1], data["output_key"][f"J{j}"])):
             e = stage.element
-            given = [e.shaft_diameter, e.length, e.shaft_height, e.hub_height]
+            given = [e.shaft_diameter, e.length, e.shaft_flank_height, e.hub_flank_height]
             wanted = [expected[k] for k in ("d_m", "length_m", "h1_m", "h2_m")]
             np.testing.assert_allclose(given, wanted, rtol=1e-12)
         for which, short in (("circular_spline", "cs"), ("flexspline", "fs")):

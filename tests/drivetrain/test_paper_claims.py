@@ -88,7 +88,7 @@ def test_c3_steep_then_flatter_with_output_side_keys():
 def test_c4_jumps_come_from_the_reducer(robot):
     for chain, limit in each(robot):
         reducer = chain.elements["reducer"]
-        assert breakpoints(chain) == (reducer.torque_1, reducer.torque_2)
+        assert breakpoints(chain) == (reducer.T1, reducer.T2)
         for corner in breakpoints(chain):
             around = np.array([1 - 1e-9, 1 + 1e-9]) * corner / limit
             whole, alone = curves(chain, limit, around)

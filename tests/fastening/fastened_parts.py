@@ -29,8 +29,8 @@ def pins(**changes: object) -> ClampingPins:
     settings = {
         "name": "pulley_pins",
         "torque_max": 0.38,
-        "pin_count": 2,
-        "shaft_radius": 4e-3,
+        "count": 2,
+        "shaft_diameter": 8e-3,
         "tip_diameter": 2e-3,
         "preload": 1500.0,
         "surface": catalogue.surface("fine_steel"),

@@ -189,7 +189,7 @@ def test_shipped_robots_are_within_their_limits(name):
             "no set screw 'M7' in the catalogue",
         ),
         (
-            lambda: preload_limits(pins(screw=SetScrew(shaft_material="hard")), WRENCH),
+            lambda: preload_limits(pins(screw=SetScrew(size="M4", shaft_material="hard")), WRENCH),
             "no shaft material 'hard' in the catalogue",
         ),
         (

@@ -92,7 +92,7 @@ def test_shares_are_those_of_the_chain_as_tightened():
 def test_weakest_spring_is_the_reducer_until_another_is_weaker():
     model, preloads = designed()
     assert sensitivity(model, preloads).weakest == {2: "reducer", 3: "reducer"}
-    stiff = dict.fromkeys(("stiffness_1", "stiffness_2", "stiffness_3"), 1e8)
+    stiff = dict.fromkeys(("K1", "K2", "K3"), 1e8)
     model = PreloadModel(study(*LOADS, robot=with_elements(2, reducer=stiff)))
     result = sensitivity(model, model.design)
     shares = {s.element: s.share for s in result.shares if s.case == "lift"}

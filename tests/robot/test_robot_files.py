@@ -116,7 +116,7 @@ def test_bare_urdf_and_urdf_with_drivetrain(folder):
     robot = load_robot(folder / "pair.urdf", drivetrain)
     assert robot.name == "geared"
     element = robot.chains[0].elements["reducer"]
-    assert element.stiffness_1 == pytest.approx(3 * 60 * 180 / np.pi)
+    assert pytest.approx(3 * 60 * 180 / np.pi) == element.K1
 
 
 def test_continuous_joints_turn_without_end(folder):
@@ -212,11 +212,11 @@ stiffness = "20 N/um"
     assert chain.elements["gears"].pitch_radius == pytest.approx(10e-3)
     assert chain.elements["gears"].torque_max == pytest.approx(50 / 30)
     assert chain.elements["belt"].teeth_driven == 40
-    assert chain.elements["reducer"].stiffness_3 == 2.0e4
-    assert chain.elements["reducer"].stiffness_1 == 1.3e4
+    assert chain.elements["reducer"].K3 == 2.0e4
+    assert chain.elements["reducer"].K1 == 1.3e4
     assert chain.elements["flange"].preload == 4000.0
     assert chain.elements["flange"].bolt_count == 9
-    assert chain.elements["key"].shaft_height == 2.5e-3
+    assert chain.elements["key"].shaft_flank_height == 2.5e-3
     assert [s.group for s in chain.stages][-2:] == ["output", "output"]
     assert np.isfinite(chain.windup(20.0))
     assert robot.chains[1].windup(100.0) == pytest.approx(5e-6)
@@ -233,17 +233,19 @@ stiffness = "20 N/um"
         (KEY.replace('"30 mm"', "nan"), ["element[key].shaft_diameter", "finite"]),
         (KEY.replace('"30 mm"', "-0.03"), ["element[key]", "shaft_diameter = -0.03"]),
         (KEY.replace("fine_steel", "fine_stel"), ["no surface 'fine_stel'", "'fine_steel'"]),
-        (KEY.replace("ratio = 1.0", "ratio = 0"), ["element[key]", "ratio = 0 must be above 0"]),
+        (KEY.replace("ratio = 1.0", "ratio = 0"), ["element[key].ratio",
+            "ratio = 0 cannot be used; allowed is a finite number above 0"]),
         (KEY.replace('"turn"', '"trun"'), ["no moving joint 'trun'", "Did you mean 'turn'"]),
         (KEY + KEY, ["joint[turn]", "given twice"]),
         (REDUCER.replace("T2 = 25.0", "T2 = 5.0"), ["joint[turn].element[reducer]",
-            "T2 = 5 N m must be larger than T1 = 7 N m"]),
-        (REDUCER.replace("K2 = 2.0e4", "K2 = -2.0e4"), ["K2 = -20000 must be above 0"]),
+            "T1 = 7 must be smaller than T2 = 5"]),
+        (REDUCER.replace("K2 = 2.0e4", "K2 = -2.0e4"), ["element[reducer].K2",
+            "K2 = -20000 cannot be used; allowed is a finite number above 0"]),
         (REDUCER.replace("K2 = 2.0e4\n", ""), ["K2 missing", "`catalogue`"]),
         (REDUCER.replace('"3 N*m/arcmin"', '"3 N*m"'), ["element[reducer].K1",
             "not one of stiffness"]),
         ('[[joint]]\nname = "turn"\nrotor_inertia = -1\n', ["joint[turn].rotor_inertia",
-            "must be 0 or above"]),
+            "rotor_inertia = -1 cannot be used; allowed is a finite number, 0 or above"]),
         ('[[joint]]\nname = "turn"\nvelocity_max = 0\n', ["joint[turn].velocity_max", "above 0"]),
         ('[[joint]]\nname = "turn"\nvelocity_max = "1 m/s"\n', ["velocity_max",
             "revolute and needs angular velocity, got speed"]),
@@ -251,7 +253,7 @@ stiffness = "20 N/um"
         ('tool = { link = "tipp" }\n', ["tool", "no link 'tipp'", "Did you mean 'tip'"]),
         ('tool = { link = "base" }\n', ["tool", "does not move"]),
         ('[[joint]]\nname = "turn"\n[[joint.element]]\nname = "c"\ntype = "constant"\n'
-         "stiffness = -1.0\n", ["joint[turn].element[c]", "stiffness = -1"]),
+         "stiffness = -1.0\n", ["joint[turn].element[c].stiffness", "stiffness = -1"]),
         ('[surface.odd]\nfirst = "steel"\nsecond = "steel"\nfractal_dimension = 3.2\n'
          "fractal_roughness = 1e-9\n", ["surface.odd", "fractal_dimension = 3.2",
                                         "validity range 2 to 3"]),

@@ -92,9 +92,9 @@ def _scaled(element: Reducer | Constant, factor: float) -> Connection:
         return replace(element, stiffness=element.stiffness * factor)
     return replace(
         element,
-        stiffness_1=element.stiffness_1 * factor,
-        stiffness_2=element.stiffness_2 * factor,
-        stiffness_3=element.stiffness_3 * factor,
+        K1=element.K1 * factor,
+        K2=element.K2 * factor,
+        K3=element.K3 * factor,
     )
 
 
@@ -107,12 +107,12 @@ def _k1_softening(
     for position, stage in enumerate(chain.stages):
         element = stage.element
         if isinstance(element, Reducer):
-            first = element.torque_1 * values["t1_factor"]
+            first = element.T1 * values["t1_factor"]
             worn = replace(
                 element,
-                stiffness_1=element.stiffness_1 * values["k1_factor"],
-                torque_1=first,
-                torque_2=max(element.torque_2, first * (1.0 + 1e-6)),
+                K1=element.K1 * values["k1_factor"],
+                T1=first,
+                T2=max(element.T2, first * (1.0 + 1e-6)),
             )
             return Yielding(
                 chain=_with_element(chain, position, worn),

@@ -14,7 +14,7 @@ from mcap.reader import McapReader, make_reader
 from mcap.records import Channel, Schema
 from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 
-from stiffopt.errors import InputFileError
+from stiffopt.errors import InputError, InputFileError
 from stiffopt.recording.readers.messages import Message, gather, wanted_topics
 from stiffopt.recording.signals import Signals
 
@@ -40,6 +40,8 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
             wanted = wanted_topics(signals, topics, path)
             _readable(path, [channel for channel in channels if channel.topic in wanted])
             return gather(path, signals, topics, _messages(reader, wanted))
+        except InputError:
+            raise
         except (McapError, ValueError, EOFError, UnicodeDecodeError) as error:
             reason = str(error) or type(error).__name__
             raise InputFileError(path, "", f"cannot be read as MCAP: {reason}.") from error

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stiffopt.errors import InputFileError
+from stiffopt.errors import InputError, InputFileError
 from stiffopt.recording.readers.columns import missing, require_time
 from stiffopt.recording.signals import Signals
 
@@ -20,6 +20,8 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
             wanted = (signals.time, *signals.wanted)
             missing(path, wanted, archive.files)
             return {name: _numbers(path, name, archive[name]) for name in wanted}
+    except InputError:
+        raise
     except (zipfile.BadZipFile, ValueError, OSError, EOFError, AttributeError) as error:
         raise InputFileError(path, "", f"is not an NPZ file of numbers: {error}.") from error
 

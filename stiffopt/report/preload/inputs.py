@@ -131,7 +131,7 @@ def pins_table(problem: PreloadProblem) -> Table | None:
                 fasteners(element) + marks.of(element, "count"),
                 f"by diameter{MARK}" if length is None else _mm(length),
                 _mm(pins.tip_diameter) + marks.of(element, "tip_diameter"),
-                _mm(2 * pins.shaft_radius) + marks.of(element, "shaft_diameter"),
+                _mm(pins.shaft_diameter) + marks.of(element, "shaft_diameter"),
                 shaft,
                 _friction(pins) + marks.of(element, _friction_key(pins)),
                 f"{significant(element.embedding_loss / 1e3, 2)} kN",

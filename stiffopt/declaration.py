@@ -1,0 +1,367 @@
+"""What a field of a file or of a Python object is, said once, beside the field itself.
+
+    diameter: Annotated[Length, POSITIVE, Doc("Diameter of the shaft.")]
+
+declares a length in metres above zero. A frozen dataclass whose fields are declared like this
+
+- is checked in Python: `check_fields(self, owner)` in its `__post_init__`
+- is a section of a file: pydantic takes the dataclass itself as the type of a key, reads texts with
+  units ("8 mm"), checks the same bounds with the same sentence, and gives the object
+- has its keys, units, bounds and sentences in `stiffopt schema` and in the file reference
+
+What concerns several fields is checked in `__post_init__` after `check_fields`; an `InputError`
+from there is reported with the section's place in the file. `declared(cls)` gives the declarations
+to those who build a section from a part of an object. This module knows neither pint nor pydantic:
+`stiffopt.files` says how texts are read (`Unit.reader`), the catalogue which names it has
+(`Named.tables`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import types
+import typing
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+from stiffopt.errors import InputError, OutOfValidityError, nearest
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """A kind of quantity: its name, SI unit, an example for messages, and its power of angle."""
+
+    name: str
+    unit: str
+    example: str
+    angle: int = 0
+
+
+DIMENSIONS = {
+    d.name: d
+    for d in (
+        Dimension("length", "m", "0.3 mm"),
+        Dimension("angle", "rad", "45 deg", 1),
+        Dimension("mass", "kg", "1.5 kg"),
+        Dimension("inertia", "kg*m^2", "0.3 kg*m^2"),
+        Dimension("force", "N", "12 kN"),
+        Dimension("torque", "N*m", "45 N*m"),
+        Dimension("time", "s", "1.6 s"),
+        Dimension("pressure", "Pa", "0.1 MPa"),
+        Dimension("area", "m^2", "1 cm^2"),
+        Dimension("speed", "m/s", "1.5 m/s"),
+        Dimension("acceleration", "m/s^2", "9.81 m/s^2"),
+        Dimension("jerk", "m/s^3", "50 m/s^3"),
+        Dimension("angular velocity", "rad/s", "230 deg/s", 1),
+        Dimension("angular acceleration", "rad/s^2", "20 rad/s^2", 1),
+        Dimension("angular jerk", "rad/s^3", "400 rad/s^3", 1),
+        Dimension("stiffness", "N*m/rad", "5 N*m/arcmin", -1),
+        Dimension("linear stiffness", "N/m", "20 N/um"),
+        Dimension("stiffness per width", "N/m^2", "20 N/(mm*um)"),
+        Dimension("viscous friction", "N*m*s/rad", "5 N*m*s/rad", -1),
+        Dimension("linear viscous friction", "N*s/m", "5 N*s/m"),
+        Dimension("ratio", "", "0.12"),
+    )
+}
+
+# What a prismatic joint has where a revolute one has an angle, a torque and so on.
+PRISMATIC = {
+    "angle": "length",
+    "angular velocity": "speed",
+    "angular acceleration": "acceleration",
+    "angular jerk": "jerk",
+    "torque": "force",
+    "stiffness": "linear stiffness",
+    "viscous friction": "linear viscous friction",
+    "inertia": "mass",
+}
+
+
+@dataclass(frozen=True)
+class Doc:
+    """The sentence that describes a field."""
+
+    text: str
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
+        return {**handler(core), "description": self.text}
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A number with a unit: an SI float in Python, in files also a text such as "8 mm".
+
+    Parameters
+    ----------
+    dimension : str
+        A name in `DIMENSIONS`.
+    joint : bool
+        Of a joint: a prismatic one takes the counterpart of the dimension in `PRISMATIC`.
+    """
+
+    dimension: str
+    joint: bool = False
+    # How a file's entry becomes an SI number; set by `stiffopt.files`.
+    reader: ClassVar[Callable[[Unit], Callable[[object], float]]]
+
+    @property
+    def unit(self) -> str:
+        """SI unit, of a revolute joint where it is one of a joint; "1" for a plain ratio."""
+        return DIMENSIONS[self.dimension].unit or "1"
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_plain_validator_function(Unit.reader(self))
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
+        schema: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "string"}]}
+        schema["unit"] = self.unit
+        if self.joint:
+            schema["unit_prismatic"] = DIMENSIONS[PRISMATIC[self.dimension]].unit
+        return schema
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Between which values a number must lie; it must be finite.
+
+    Parameters
+    ----------
+    above, below : float
+        Bounds that are excluded.
+    least, most : float
+        Bounds that are included.
+    """
+
+    above: float = -math.inf
+    least: float = -math.inf
+    most: float = math.inf
+    below: float = math.inf
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise `InputError` unless every number in `value` lies within; others pass."""
+        for number in _numbers(value):
+            inside = self.above < number < self.below and self.least <= number <= self.most
+            if not (inside and math.isfinite(number)):
+                self._refuse(name, number)
+
+    def _refuse(self, name: str, number: float) -> None:
+        if math.isfinite(self.above) and math.isfinite(self.below):
+            hint = "Both bounds are excluded."
+            raise OutOfValidityError(name, number, self.above, self.below, hint)
+        words = [
+            f"{word} {bound:g}" if word != "or above" else f"{bound:g} {word}"
+            for word, bound in (
+                ("above", self.above),
+                ("or above", self.least),
+                ("below", self.below),
+                ("at most", self.most),
+            )
+            if math.isfinite(bound)
+        ]
+        comma = "," if math.isfinite(self.least) else ""
+        raise InputError(
+            f"{name} = {number:g} cannot be used; allowed is a finite number{comma} "
+            f"{' and '.join(words)}. Correct {name.rpartition(' ')[2]} (SI units)."
+        )
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic_core import core_schema
+
+        def check(value: Any, info: Any) -> Any:
+            self.check(info.field_name or "value", value)
+            return value
+
+        return core_schema.with_info_after_validator_function(check, handler(source))
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
+        words = {
+            "exclusiveMinimum": self.above,
+            "minimum": self.least,
+            "maximum": self.most,
+            "exclusiveMaximum": self.below,
+        }
+        limits = {word: bound for word, bound in words.items() if math.isfinite(bound)}
+        return _limited(handler(core), limits)
+
+
+def _limited(schema: dict[str, Any], limits: dict[str, float]) -> dict[str, Any]:
+    """Schema with the limits at every form of it that is a number."""
+    if schema.get("type") in ("number", "integer"):
+        return {**schema, **limits}
+    deeper: dict[str, Any] = {}
+    if "anyOf" in schema:
+        deeper["anyOf"] = [_limited(form, limits) for form in schema["anyOf"]]
+    for word in ("items", "additionalProperties"):
+        if isinstance(schema.get(word), dict):
+            deeper[word] = _limited(schema[word], limits)
+    if "prefixItems" in schema:
+        deeper["prefixItems"] = [_limited(item, limits) for item in schema["prefixItems"]]
+    return {**schema, **deeper}
+
+
+@dataclass(frozen=True)
+class Named:
+    """A name that the catalogue must have; `what` is the kind of thing.
+
+    Python objects look the name up where they need it; files are checked when they are read.
+    """
+
+    what: str
+    # Names by kind of thing; filled by the catalogue.
+    tables: ClassVar[dict[str, Callable[[], Iterable[str]]]] = {}
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic_core import core_schema
+
+        def check(value: Any) -> Any:
+            names = list(Named.tables[self.what]())
+            if value is not None and value not in names:
+                raise InputError(
+                    f"no {self.what} {value!r} in the catalogue. {nearest(value, names)}"
+                )
+            return value
+
+        return core_schema.no_info_after_validator_function(check, handler(source))
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
+        return {**handler(core), "examples": list(Named.tables[self.what]())}
+
+
+POSITIVE = Bounds(above=0.0)
+NOT_NEGATIVE = Bounds(least=0.0)
+FRACTION = Bounds(above=0.0, most=1.0)
+
+Length = Annotated[float, Unit("length")]
+Angle = Annotated[float, Unit("angle")]
+Mass = Annotated[float, Unit("mass")]
+Inertia = Annotated[float, Unit("inertia")]
+Force = Annotated[float, Unit("force")]
+Torque = Annotated[float, Unit("torque")]
+Time = Annotated[float, Unit("time")]
+Pressure = Annotated[float, Unit("pressure")]
+Area = Annotated[float, Unit("area")]
+Speed = Annotated[float, Unit("speed")]
+Stiffness = Annotated[float, Unit("stiffness")]
+WidthStiffness = Annotated[float, Unit("stiffness per width")]
+Ratio = Annotated[float, Unit("ratio")]
+
+# The same for joints that may be revolute or prismatic; `stiffopt.units.fit_joint` settles which.
+JointPosition = Annotated[float, Unit("angle", joint=True)]
+JointVelocity = Annotated[float, Unit("angular velocity", joint=True)]
+JointAcceleration = Annotated[float, Unit("angular acceleration", joint=True)]
+JointJerk = Annotated[float, Unit("angular jerk", joint=True)]
+JointTorque = Annotated[float, Unit("torque", joint=True)]
+JointStiffness = Annotated[float, Unit("stiffness", joint=True)]
+JointInertia = Annotated[float, Unit("inertia", joint=True)]
+JointViscous = Annotated[float, Unit("viscous friction", joint=True)]
+
+
+@dataclass(frozen=True)
+class Declared:
+    """One declared field: its annotation with all markers, and its default (MISSING: required)."""
+
+    annotation: Any
+    default: Any
+    default_factory: Any
+
+    @property
+    def required(self) -> bool:
+        """Whether there is no default."""
+        missing = dataclasses.MISSING
+        return self.default is missing and self.default_factory is missing
+
+
+@functools.cache
+def declared(cls: type) -> Mapping[str, Declared]:
+    """Fields of a dataclass that have a `Doc`, by name."""
+    hints = typing.get_type_hints(cls, include_extras=True)
+    return {
+        field.name: Declared(hints[field.name], field.default, field.default_factory)
+        for field in dataclasses.fields(cls)
+        if any(isinstance(m, Doc) for m in getattr(hints[field.name], "__metadata__", ()))
+    }
+
+
+def unit(cls: type, name: str) -> Unit:
+    """Unit of a field of a dataclass or a section."""
+    parts = _parts(typing.get_type_hints(cls, include_extras=True)[name])
+    return next(part for part in parts if isinstance(part, Unit))
+
+
+def bounds(cls: type, name: str) -> Bounds:
+    """Bounds of a field of a dataclass or a section."""
+    parts = _parts(typing.get_type_hints(cls, include_extras=True)[name])
+    return next(part for part in parts if isinstance(part, Bounds))
+
+
+def check_fields(instance: Any, owner: str = "") -> None:
+    """Check every field of a dataclass instance against its bounds and words.
+
+    Parameters
+    ----------
+    instance : dataclass instance
+    owner : str
+        Kind and name of the object, for messages.
+
+    Raises
+    ------
+    InputError
+        With the field, its value, and what is allowed.
+    """
+    place = f"{owner}: " if owner else ""
+    for name, limits, words in _checks(instance.__class__):
+        value = getattr(instance, name)
+        for limit in limits:
+            limit.check(f"{place}{name}", value)
+        if words and isinstance(value, str) and value not in words:
+            raise InputError(f"{place}{name} = {value!r} is not known. {nearest(value, words)}")
+
+
+@functools.cache
+def _checks(cls: type) -> tuple[tuple[str, tuple[Bounds, ...], tuple[str, ...]], ...]:
+    """Name, bounds and allowed words of the fields that have any."""
+    found = []
+    hints = typing.get_type_hints(cls, include_extras=True)
+    for name in (field.name for field in dataclasses.fields(cls)):
+        parts = list(_parts(hints[name]))
+        limits = tuple(part for part in parts if isinstance(part, Bounds))
+        words = tuple(part for part in parts if isinstance(part, str))
+        if limits or words:
+            found.append((name, limits, words))
+    return tuple(found)
+
+
+def _parts(annotation: Any) -> Iterator[Any]:
+    """Markers and allowed words anywhere in an annotation."""
+    yield from getattr(annotation, "__metadata__", ())
+    origin = typing.get_origin(annotation)
+    if origin is typing.Literal:
+        yield from typing.get_args(annotation)
+    elif origin is Annotated:
+        yield from _parts(typing.get_args(annotation)[0])
+    elif origin in (typing.Union, types.UnionType):
+        for form in typing.get_args(annotation):
+            yield from _parts(form)
+    elif origin is not None:
+        # Entries of a tuple, a list or a mapping share the bounds of their type.
+        for form in typing.get_args(annotation):
+            yield from _parts(form)
+
+
+def _numbers(value: Any) -> Iterator[float]:
+    if isinstance(value, bool) or value is None or isinstance(value, str):
+        return
+    if isinstance(value, Mapping):
+        value = list(value.values())
+    if isinstance(value, Sequence):
+        for entry in value:
+            yield from _numbers(entry)
+    elif hasattr(value, "flat"):
+        yield from (float(entry) for entry in value.flat)
+    else:
+        yield float(value)
