@@ -150,7 +150,7 @@ def _pins(element: Element, force: float | None) -> tuple[int, float]:
     """Number of pressed contacts, and torque at which they slip [N m]."""
     assert force is not None
     contacts = element.count * (2 if element.both_sides else 1)
-    return contacts, _friction(element) * force * element.shaft_radius * contacts
+    return contacts, _friction(element) * force * element.shaft_diameter / 2.0 * contacts
 
 
 def _clamping_pins(element: Element, load: np.ndarray, force: float | None) -> np.ndarray:
@@ -161,7 +161,7 @@ def _clamping_pins(element: Element, load: np.ndarray, force: float | None) -> n
     one = _invert(_sheared(surface, force / area, load / slip, element.shear) * area)
     if element.half_space:
         one = one + 1.0 / (4.0 * surface.contact_shear_modulus * element.tip_diameter)
-    return np.asarray(one / (contacts * element.shaft_radius**2))
+    return np.asarray(4.0 * one / (contacts * element.shaft_diameter**2))
 
 
 def _gear_pair(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
@@ -196,9 +196,9 @@ def _shaft(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
 def _timing_belt(element: Element, load: np.ndarray, _: float | None) -> np.ndarray:
     """Belt teeth on both pulleys and both taut spans, all at the radius of the first pulley."""
     radius = element.teeth * element.pitch / (2.0 * np.pi)
-    shear_modulus = element.modulus / (2.0 + 2.0 * element.poisson)
+    shear_modulus = element.tooth_modulus / (2.0 + 2.0 * element.tooth_poisson)
     along = (
-        element.modulus * np.cos(element.flank_angle) ** 2
+        element.tooth_modulus * np.cos(element.flank_angle) ** 2
         + shear_modulus * np.sin(element.flank_angle) ** 2
     )
     tooth = along * element.width * element.tooth_height / (0.5 * element.tooth_root_width)
@@ -207,7 +207,7 @@ def _timing_belt(element: Element, load: np.ndarray, _: float | None) -> np.ndar
         (element.teeth, element.wrap),
         (element.teeth_driven, element.wrap_driven),
     ):
-        carrying = min(teeth * wrap / (2.0 * np.pi), element.teeth_effective_max)
+        carrying = min(teeth * wrap / (2.0 * np.pi), element.teeth_in_mesh_max)
         travel = travel + 1.0 / (carrying * tooth)
     return np.full_like(load, travel / radius**2)
 
