@@ -132,7 +132,7 @@ def test_diagnosis_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
 
 
 def test_own_effects_of_the_readme_are_read(tmp_path):
-    from stiffopt.discovery.catalogue.user_effects import load_effects
+    from stiffopt.discovery.user_effects import load_effects
 
     file = tmp_path / "my_effects.py"
     file.write_text(example_of_readme("stiffopt.discovery.effect"))

@@ -86,7 +86,7 @@ def diagnose(
 
 
 @recording.command
-def check(recordings: Path, *, json: bool = False) -> int:
+def check(recordings: Path, *, effects: Path | None = None, json: bool = False) -> int:
     """Say what a recording set holds, what it lacks and what can be identified with it.
 
     Ends with 2 where `stiffopt diagnose` (of a static set: `identify-stiffness`) cannot use it.
@@ -95,9 +95,14 @@ def check(recordings: Path, *, json: bool = False) -> int:
     ----------
     recordings
         Folder with a recordings.toml or a static.toml, or that file.
+    effects
+        Python file of effects beside those of the catalogue.
     json
         Print plain data in place of text.
     """
+    from stiffopt.discovery.catalogue import CATALOGUE
+    from stiffopt.discovery.identifiable import effect_checks
+    from stiffopt.discovery.user_effects import load_effects
     from stiffopt.recording.check import check_recordings
     from stiffopt.recording.recording_set import load_recordings, require_usable
     from stiffopt.recording.static_set import is_static, load_static_set
@@ -112,10 +117,12 @@ def check(recordings: Path, *, json: bool = False) -> int:
         return 0
     loaded = load_recordings(recordings)
     report = check_recordings(loaded)
+    every = (*CATALOGUE, *(load_effects(effects) if effects else ()))
+    found = effect_checks(loaded, report.facts, report.training_runs, every)
     if json:
-        print_json(report.as_dict())
+        print_json(report.as_dict() | {"effects": [each.as_dict() for each in found]})
     else:
-        terminal.print_check(report)
+        terminal.print_check(report, found)
     require_usable(loaded, {run.file for run in report.runs if run.usable})
     return 0
 

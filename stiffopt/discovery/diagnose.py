@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.catalogue.user_effects import load_effects
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.diagnosis import (
@@ -32,6 +31,7 @@ from stiffopt.discovery.search.uncertainty import Estimate, estimate
 from stiffopt.discovery.search.unstated import unstated_effects, without_bounds
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training, train
+from stiffopt.discovery.user_effects import load_effects
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
 
 Say = Callable[[str], object]
@@ -90,7 +90,7 @@ def diagnose(
     result = search(
         training.comparison(),
         without_bounds(catalogue, recordings),
-        start=unstated_effects(recordings) if base is None else (),
+        start=unstated_effects(catalogue, recordings) if base is None else (),
         most=settings.effects,
         report=say,
     )
@@ -120,6 +120,7 @@ def diagnose(
         training=training,
         search=result,
         held_out=proofs,
+        catalogue=catalogue,
         detection_limits=limits,
         unexplained=unexplained,
         next_experiment=_next_experiment(findings, plan),

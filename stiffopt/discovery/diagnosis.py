@@ -157,6 +157,8 @@ class Diagnosis:
         noise by channel, rows in `search.comparison.rows` and `search.fit.residual`.
     held_out : tuple of RunProof
         Test and extrapolation runs with their predictions before and after.
+    catalogue : tuple of Effect
+        What was tried: the catalogue, and effects of the user's.
     detection_limits : tuple of DetectionLimit
         What would have been seen.
     unexplained : Unexplained or None
@@ -180,6 +182,7 @@ class Diagnosis:
     training: Training
     search: SearchResult
     held_out: tuple[RunProof, ...]
+    catalogue: tuple[Effect, ...]
     detection_limits: tuple[DetectionLimit, ...]
     unexplained: Unexplained | None
     next_experiment: str

@@ -1,21 +1,46 @@
-"""What an effect of the catalogue is: a term of the balances, with parameters and bounds.
+"""What an effect of the catalogue is: a term of the balances, with all that is known of it.
 
 Terms are plain NumPy formulas in the signals of a joint or of the robot; they accept arrays of
 samples and CasADi symbols alike. They are linear in their amplitudes and vanish with them; what
-enters otherwise (a speed, a place, a time constant) is a shape.
+enters otherwise (a speed, a place, a time constant) is a shape. Whatever else is said of an effect
+(words, what recordings need to show it, its source, what it does to a robot) stands beside its term
+and nowhere else: reports, `recording check`, the catalogue's page and the planner ask for it here.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from stiffopt.symbolic import Quantity
+
+if TYPE_CHECKING:
+    from stiffopt.discovery.comparison.extension import EstimatedEffect
+    from stiffopt.discovery.comparison.signals import JointConstants
+    from stiffopt.robot.robot import Robot
 
 Scope = Literal["joint", "robot", "link", "run"]
 # Values of the reported parameters from amplitudes and shapes.
 Report = Callable[[Sequence[float], Sequence[float], Any], Mapping[str, float]]
+# What recordings must hold to show an effect: a fact of the joint or of the set.
+Need = Literal[
+    "torque",
+    "link",
+    "moves",
+    "reverses",
+    "slow",
+    "speeds",
+    "load_changes_sign",
+    "rotor_slow",
+    "ripple_slow",
+    "warmer",
+    "gear_ratio",
+    "pole_pairs",
+    "tool_frame",
+    "before",
+    "runs",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,6 +122,28 @@ class Shape:
         return tuple(float(v) for v in values)
 
 
+@dataclass(frozen=True)
+class RobotChange:
+    """A robot with a finding in it.
+
+    Parameters
+    ----------
+    robot : Robot or None
+        None where there is no such robot.
+    sentence : str
+        What was changed, or why it cannot be.
+    """
+
+    robot: Robot | None
+    sentence: str
+
+
+# (robot, finding, joint of the robot from 0, constants that the finding was fitted with) -> the
+# changed robot; None where a planner computes with nothing of it. The joint is that of the finding,
+# the one that moves its link, or the last.
+ChangeRobot = Callable[["Robot", "EstimatedEffect", int, "JointConstants"], RobotChange | None]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Effect:
     """An entry of the catalogue.
@@ -126,6 +173,25 @@ class Effect:
         The motion that separates it from what looks alike.
     log_prior : callable, optional
         (constants) -> logarithm of how usual it is at that joint, 0 at most; default 0.
+    title : str
+        Name as people write it; default: the name with spaces.
+    phrase : str or (str, str)
+        What is missing, in a headline; two where it depends on the sign of the first amplitude,
+        above zero first. Default: the title.
+    nominal : str
+        Nominal value of every joint (a field of `Nominal` and of `Robot`) that the first amplitude
+        adds to; "" where there is none. Where a set does not state it, the effect stands for it.
+    nominal_words : str
+        That value as people write it; default: the field with spaces.
+    needs : tuple of Need
+        What recordings must hold of a joint to show it there, the most basic first. Default: the
+        sensor that the term acts on, and motion.
+    confused_with : tuple of str
+        Names of effects that ordinary motions separate poorly from it; one side says it.
+    reference : str
+        Source of its form: a key of references.bib, or the source in words.
+    change_robot : callable, optional
+        Puts a finding into the robot that a planner computes with.
     """
 
     name: str
@@ -141,6 +207,29 @@ class Effect:
     applies: Callable[[Any], bool] | None = None
     separate: str = ""
     log_prior: Callable[[Any], float] | None = None
+    title: str = ""
+    phrase: str | tuple[str, str] = ""
+    nominal: str = ""
+    nominal_words: str = ""
+    needs: tuple[Need, ...] = ()
+    confused_with: tuple[str, ...] = ()
+    reference: str = ""
+    change_robot: ChangeRobot | None = None
+
+    def __post_init__(self) -> None:
+        for field_name, default in (
+            ("title", self.name.replace("_", " ")),
+            ("phrase", self.title or self.name.replace("_", " ")),
+            ("nominal_words", self.nominal.replace("_", " ")),
+        ):
+            if not getattr(self, field_name):
+                object.__setattr__(self, field_name, default)
+
+    def phrase_of(self, amplitudes: Sequence[float]) -> str:
+        """What is missing, in a headline."""
+        if isinstance(self.phrase, str):
+            return self.phrase
+        return self.phrase[amplitudes[0] < 0.0]
 
     def parameters(
         self, amplitudes: Sequence[float], shapes: Sequence[float], constants: Any

@@ -62,7 +62,7 @@ def answer(diagnosis: Diagnosis) -> dict[str, Any]:
         },
         "detection_limits": [
             {
-                "effect": limit.effect,
+                "effect": limit.effect.name,
                 "joint": limit.joint,
                 "parameter": limit.parameter,
                 "value": limit.value,

@@ -1,4 +1,4 @@
-"""What a recording set holds, what it lacks, and what can be identified with it."""
+"""What a recording set holds and what it lacks."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import numpy as np
 
 from stiffopt.recording.channel import noise_level, resolution
 from stiffopt.recording.clock import GAP
-from stiffopt.recording.facts import joint_facts
-from stiffopt.recording.identifiable import EffectCheck, balances, effect_checks
+from stiffopt.recording.facts import JointFacts, joint_facts
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import Fault, Role, Run
 from stiffopt.recording.signals import Kind
@@ -109,7 +108,7 @@ class RunCheck:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingReport:
-    """What there is, what is missing, and what can be identified.
+    """What there is and what is missing.
 
     Parameters
     ----------
@@ -118,7 +117,8 @@ class RecordingReport:
     runs : tuple of RunCheck
     balances : tuple of tuple of str (n,)
         Of each joint: motor, link and deflection with a link encoder, torque without.
-    effects : tuple of EffectCheck
+    facts : tuple of JointFacts (n,)
+        What the runs that a fit may use hold of each joint.
     missing : tuple of str
         Sentences.
     assumptions : tuple of str
@@ -130,16 +130,20 @@ class RecordingReport:
     joints: tuple[str, ...]
     runs: tuple[RunCheck, ...]
     balances: tuple[tuple[str, ...], ...]
-    effects: tuple[EffectCheck, ...]
+    facts: tuple[JointFacts, ...]
     missing: tuple[str, ...]
     assumptions: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON; what is no finite number is None."""
         plain: dict[str, Any] = _plain(asdict(self))
-        for entry, check in zip(plain["effects"], self.effects, strict=True):
-            entry["possible"] = check.possible
+        del plain["facts"]
         return plain
+
+    @property
+    def training_runs(self) -> int:
+        """Runs that a fit may use: those of that role, else all."""
+        return sum(run.role == "train" for run in self.runs) or len(self.runs)
 
 
 def check_recordings(recordings: RecordingSet) -> RecordingReport:
@@ -158,8 +162,8 @@ def check_recordings(recordings: RecordingSet) -> RecordingReport:
         title=recordings.title,
         joints=recordings.joints,
         runs=tuple(_run(recordings, run) for run in runs),
-        balances=tuple(balances(one) for one in facts),
-        effects=effect_checks(recordings, facts, len(training)),
+        balances=tuple(one.balances for one in facts),
+        facts=facts,
         missing=missing_signals(recordings, runs),
         assumptions=recordings.assumptions,
     )

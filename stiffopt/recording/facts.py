@@ -53,6 +53,13 @@ class JointFacts:
     ripple_slow: bool
     warmer: bool
 
+    @property
+    def balances(self) -> tuple[str, ...]:
+        """Balances that can be drawn up for the joint."""
+        if not self.torque:
+            return ("deflection",) if self.link else ()
+        return ("motor", "link", "deflection") if self.link else ("torque",)
+
 
 def joint_facts(recordings: RecordingSet, runs: Sequence[Run]) -> tuple[JointFacts, ...]:
     """Facts of every joint over some runs, in the order of the set."""

@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stiffopt.discovery.catalogue import CATALOGUE, confusion_groups, effect
+from stiffopt.discovery.catalogue import CATALOGUE, confused_with, effect
 from stiffopt.discovery.catalogue.common import WEIGHT
-from stiffopt.discovery.catalogue.soundness import (
+from stiffopt.discovery.comparison.signals import JointConstants
+from stiffopt.discovery.soundness import (
     PARTS,
     faults,
     sample_signals,
@@ -21,8 +22,8 @@ from stiffopt.discovery.catalogue.soundness import (
     stacked,
     symbolic_values,
 )
-from stiffopt.discovery.comparison.signals import JointConstants
 from stiffopt.errors import InputError
+from stiffopt.report.common.citations import references
 
 REPORTED = {
     "coulomb": {"dFc": "N m"},
@@ -281,10 +282,15 @@ def test_usual_places_of_springs_and_couplings():
     assert effect("wrist_coupling").log_prior(first) < effect("wrist_coupling").log_prior(last)
 
 
-def test_confusion_groups_name_entries_of_the_catalogue():
+def test_what_an_effect_says_of_others_and_of_its_source_is_there():
     names = {e.name for e in CATALOGUE}
-    assert all(group <= names for group in confusion_groups)
-    assert all(len(group) > 1 for group in confusion_groups)
+    for entry in CATALOGUE:
+        assert set(entry.confused_with) <= names - {entry.name}, entry.name
+        assert all(entry.name in confused_with(effect(other)) for other in confused_with(entry))
+        assert not entry.reference or entry.reference in references(), entry.name
+        assert entry.needs, entry.name
+        assert entry.title
+        assert entry.phrase
 
 
 def test_an_unknown_effect_is_answered_with_the_nearest():

@@ -1,29 +1,12 @@
-"""extended.toml as the model that a further diagnosis starts from, and effects of a user's own."""
-
-from dataclasses import replace
+"""extended.toml as the model that a further diagnosis starts from."""
 
 import numpy as np
 import pytest
-from answered import COULOMB, answered, columns_of, command, copied
+from answered import COULOMB, answered, command
 
 from stiffopt.discovery.extended.model import load_extended
-from stiffopt.errors import InputFileError
 
 pytestmark = pytest.mark.slow
-
-WAVE = 1.5
-FILE = """
-import numpy as np
-
-from stiffopt.discovery.effect import Amplitude, Effect, Term
-
-WAVE = Effect(
-    name="rail_wave", family="periodic", scope="joint", equation="tau += A*sin(9*q)",
-    signature="torque that waves with the joint angle",
-    term=lambda signals, a, s: Term(drive_torque=a[0] * np.sin(9.0 * signals.motor_position)),
-    amplitudes=(Amplitude(name="A", unit="N m", scale=1.0, lower=-20.0, upper=20.0),),
-)
-"""
 
 
 @pytest.fixture(scope="module")
@@ -88,24 +71,3 @@ def test_models_that_cannot_be_used_are_explained(tmp_path, capsys, before, afte
     assert re.search(message, error), error
     assert str(model) in error
     assert not result.out.exists()
-
-
-def test_an_effect_of_a_users_own_is_found_and_kept(tmp_path):
-    source = copied(replace(COULOMB, effects=()), tmp_path / "set")
-    for file in source.glob("*.npz"):
-        columns = columns_of(file)
-        columns["tau2"] = columns["tau2"] + WAVE * np.sin(9.0 * columns["q2"])
-        np.savez_compressed(file, **columns)
-    effects = tmp_path / "mine.py"
-    effects.write_text(FILE)
-    result = command(source, "--effects", str(effects))
-    found = result.document["findings"][0]
-    assert (found["effect"], found["joint"]) == ("rail_wave", 2)
-    assert found["parameters"]["A"]["value"] == pytest.approx(WAVE, rel=0.1)
-    model = result.out / "extended.toml"
-    with pytest.raises(InputFileError, match="An effect of your own needs its file"):
-        load_extended(model)
-    from stiffopt.discovery.catalogue.user_effects import load_effects
-
-    kept = load_extended(model, load_effects(effects)).extension.effects
-    assert "rail_wave" in [each.located.effect.name for each in kept]

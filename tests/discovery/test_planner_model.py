@@ -13,10 +13,10 @@ import pytest
 
 from stiffopt.cli import run as command
 from stiffopt.discovery.catalogue import CATALOGUE
+from stiffopt.discovery.catalogue.robot_change import ADDED
 from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
-from stiffopt.discovery.extended.planner_elastic import ADDED
 from stiffopt.discovery.extended.planner_model import joint_constants, planner_model
 from stiffopt.errors import InputFileError
 from stiffopt.exact.chain import exact_windup, windup_shares

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stiffopt.discovery.catalogue.soundness import sample_signals
-from stiffopt.discovery.catalogue.user_effects import load_effects
+from stiffopt.discovery.soundness import sample_signals
+from stiffopt.discovery.user_effects import load_effects
 from stiffopt.errors import InputFileError
 
 HEAD = """

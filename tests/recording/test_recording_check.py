@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recording_sets import motion
 
+from stiffopt.discovery.identifiable import EffectCheck, effect_checks
 from stiffopt.recording.channel import noise_level, resolution, slope_to
 from stiffopt.recording.check import RecordingReport, check_recordings
-from stiffopt.recording.check_text import report_lines
 from stiffopt.recording.recording_set import load_recordings
+from stiffopt.report.recording_check import report_lines
 
 MakeSet = Callable[..., Path]
 
@@ -24,12 +25,18 @@ def check(folder: Path) -> RecordingReport:
     return check_recordings(load_recordings(folder))
 
 
-def possible(report: RecordingReport, effect: str) -> list[int | None]:
-    return [c.joint for c in report.effects if c.effect == effect and c.possible]
+def effects_of(folder: Path) -> tuple[EffectCheck, ...]:
+    recordings = load_recordings(folder)
+    report = check_recordings(recordings)
+    return effect_checks(recordings, report.facts, report.training_runs)
 
 
-def why(report: RecordingReport, effect: str, joint: int | None) -> tuple[str, ...]:
-    return next(c.lacks for c in report.effects if (c.effect, c.joint) == (effect, joint))
+def possible(checks: Sequence[EffectCheck], effect: str) -> list[int | None]:
+    return [c.joint for c in checks if c.effect.name == effect and c.possible]
+
+
+def why(checks: Sequence[EffectCheck], effect: str, joint: int | None) -> tuple[str, ...]:
+    return next(c.lacks for c in checks if (c.effect.name, c.joint) == (effect, joint))
 
 
 def test_numbers_of_a_run(make_set: MakeSet) -> None:
@@ -54,19 +61,20 @@ def test_numbers_of_a_run(make_set: MakeSet) -> None:
 
 
 def test_what_can_be_told_with_and_without_a_link_encoder(make_set: MakeSet) -> None:
-    report = check(make_set())
+    folder = make_set()
+    report, checks = check(folder), effects_of(folder)
     assert report.balances == (("motor", "link", "deflection"), ("torque",))
     for effect in ("coulomb", "viscous", "rotor_inertia", "inertial_error", "cable_spring"):
-        assert possible(report, effect) == [1, 2]
-    for effect in ("backlash", "stiffness_linear", "preload_loss", "encoder_skew"):
-        assert possible(report, effect) == [1]
-        assert why(report, effect, 2) == ("it has no link encoder",)
-    for effect in ("payload", "base_tilt", "external_contact", "time_delay"):
-        assert possible(report, effect) == [None]
-    assert why(report, "thermal_friction", 1)[0].startswith("all runs are equally warm")
-    assert why(report, "torque_ripple", 1) == ("nominal.pole_pairs is not given",)
-    assert why(report, "encoder_zero_change", 1) == ("there is only one training run",)
-    assert why(report, "wrist_coupling", 1) == ("there is no joint before it",)
+        assert possible(checks, effect) == [1, 2]
+    for effect in ("backlash", "stiffness_linear", "preload_loss"):
+        assert possible(checks, effect) == [1]
+        assert why(checks, effect, 2) == ("it has no link encoder",)
+    for effect in ("payload", "base_tilt", "external_contact", "time_delay", "encoder_skew"):
+        assert possible(checks, effect) == [None]
+    assert why(checks, "thermal_friction", 1)[0].startswith("all runs are equally warm")
+    assert why(checks, "torque_ripple", 1) == ("nominal.pole_pairs is not given",)
+    assert why(checks, "encoder_zero_change", 1) == ("there is only one training run",)
+    assert why(checks, "wrist_coupling", 1) == ("there is no joint before it",)
     assert any(s.startswith("No link_position of joints 2") for s in report.missing)
     assert any(s.startswith("Fewer than three training runs") for s in report.missing)
 
@@ -74,11 +82,11 @@ def test_what_can_be_told_with_and_without_a_link_encoder(make_set: MakeSet) -> 
 def test_test_runs_do_not_add_to_what_can_be_told(make_set: MakeSet) -> None:
     """Only training runs are fitted to: warmth seen in a test run teaches nothing."""
     warm = ('role = "test"', 'role = "test"\nsession_time = 3600.0')
-    assert possible(check(make_set(warm)), "thermal_friction") == []
+    assert possible(effects_of(make_set(warm)), "thermal_friction") == []
     warm = ('role = "test"', 'role = "train"\nsession_time = 3600.0')
-    report = check(make_set(warm))
-    assert possible(report, "thermal_friction") == [1, 2]
-    assert any(s.startswith("No run has the role test") for s in report.missing)
+    folder = make_set(warm)
+    assert possible(effects_of(folder), "thermal_friction") == [1, 2]
+    assert any(s.startswith("No run has the role test") for s in check(folder).missing)
 
 
 def test_motions_that_cannot_tell(make_set: MakeSet) -> None:
@@ -90,45 +98,47 @@ def test_motions_that_cannot_tell(make_set: MakeSet) -> None:
     data["ql1"] = data["q1"] + 1e-5 * rng.normal(size=len(t))
     data["q2"] = 0.1 + 1e-6 * rng.integers(-1, 2, len(t))
     data["qd2"] = np.zeros_like(t)
-    report = check(make_set(one=data))
-    assert "it moves in one direction only" in why(report, "coulomb", 1)
-    assert why(report, "viscous", 1) == ("it moves at one speed only",)
-    assert "it never moves slowly (0.005 to 0.1 rad/s)" in why(report, "stribeck", 1)
-    assert why(report, "coulomb", 2) == ("it does not move",)
-    assert possible(report, "rotor_inertia") == [1]
+    checks = effects_of(make_set(one=data))
+    assert "it moves in one direction only" in why(checks, "coulomb", 1)
+    assert why(checks, "viscous", 1) == ("it moves at one speed only",)
+    assert "it never moves slowly (0.005 to 0.1 rad/s)" in why(checks, "stribeck", 1)
+    assert why(checks, "coulomb", 2) == ("it does not move",)
+    assert possible(checks, "rotor_inertia") == [1]
 
 
 def test_gravity_that_never_changes_sign_hides_backlash(make_set: MakeSet) -> None:
-    assert possible(check(make_set()), "backlash") == [1]
+    assert possible(effects_of(make_set()), "backlash") == [1]
     data = motion()
     data["q1"] = data["q1"] + 1.4
     data["ql1"] = data["ql1"] + 1.4
-    report = check(make_set(one=data))
-    assert why(report, "backlash", 1) == ("gravity never changes sign on it",)
-    assert possible(report, "stiffness_linear") == [1]
+    checks = effects_of(make_set(one=data))
+    assert why(checks, "backlash", 1) == ("gravity never changes sign on it",)
+    assert possible(checks, "stiffness_linear") == [1]
 
 
 def test_a_broken_channel_takes_its_effects_along(make_set: MakeSet) -> None:
     data = motion()
     data["ql1"] = np.zeros_like(data["t"])
-    report = check(make_set(one=data))
+    folder = make_set(one=data)
+    report, checks = check(folder), effects_of(folder)
     assert report.balances[0] == ("torque",)
-    assert possible(report, "backlash") == []
+    assert possible(checks, "backlash") == []
     channel = next(c for c in report.runs[0].channels if c.column == "ql1")
     assert not channel.there
-    text = "\n".join(report_lines(report))
+    text = "\n".join(report_lines(report, checks))
     assert "ql1 (link_position of joint 1): left out" in text
     assert "! link_position of joint 1: stays at 0" in text
 
 
 def test_text_and_json_say_the_same(make_set: MakeSet) -> None:
-    report = check(make_set())
+    folder = make_set()
+    report, checks = check(folder), effects_of(folder)
     data = json.loads(json.dumps(report.as_dict(), allow_nan=False))
     assert [run["name"] for run in data["runs"]] == ["one", "two"]
-    told = {(e["effect"], e["joint"]): e["possible"] for e in data["effects"]}
-    assert told[("backlash", 1)]
-    assert not told[("backlash", 2)]
-    text = "\n".join(report_lines(report))
+    found = {(e["effect"], e["joint"]): e["possible"] for e in (c.as_dict() for c in checks)}
+    assert found[("backlash", 1)]
+    assert not found[("backlash", 2)]
+    text = "\n".join(report_lines(report, checks))
     assert "one.npz (train): 2500 samples, 9.996 s, 250 Hz" in text
     assert "backlash: joint 1; not 2 (it has no link encoder)" in text
     assert "coulomb: joints 1, 2" in text

@@ -1,4 +1,4 @@
-"""The catalogue: physics that a nominal model of a robot may lack, one family a file.
+"""The catalogue: physics that a nominal model of a robot may lack, an effect or a family a file.
 
 Signs: terms add to the drive torque, to the torque in the spring, or to motor angle minus link
 angle, as `stiffopt.discovery.effect.Term` says.
@@ -6,19 +6,29 @@ angle, as `stiffopt.discovery.effect.Term` says.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from stiffopt.discovery.catalogue.belt_creep import BELT_CREEP
 from stiffopt.discovery.catalogue.contacts import CONTACTS
-from stiffopt.discovery.catalogue.elastic import ELASTIC
+from stiffopt.discovery.catalogue.elastic import BACKLASH, HYSTERESIS
 from stiffopt.discovery.catalogue.friction import FRICTION
 from stiffopt.discovery.catalogue.inertial import INERTIAL
 from stiffopt.discovery.catalogue.periodic import PERIODIC
+from stiffopt.discovery.catalogue.preload_loss import PRELOAD_LOSS
 from stiffopt.discovery.catalogue.sensors import SENSORS
 from stiffopt.discovery.catalogue.springs import SPRINGS
+from stiffopt.discovery.catalogue.stiffness import K1_SOFTENING, STIFFNESS_LINEAR
 from stiffopt.discovery.effect import Effect
 from stiffopt.errors import InputError, nearest
 
 CATALOGUE: tuple[Effect, ...] = (
     *FRICTION,
-    *ELASTIC,
+    BACKLASH,
+    HYSTERESIS,
+    STIFFNESS_LINEAR,
+    K1_SOFTENING,
+    PRELOAD_LOSS,
+    BELT_CREEP,
     *PERIODIC,
     *INERTIAL,
     *SPRINGS,
@@ -26,19 +36,14 @@ CATALOGUE: tuple[Effect, ...] = (
     *CONTACTS,
 )
 
-# Effects that ordinary motions separate poorly.
-confusion_groups: tuple[frozenset[str], ...] = (
-    frozenset({"stiffness_linear", "belt_creep", "preload_loss"}),
-    frozenset({"k1_softening", "preload_loss", "backlash"}),
-    frozenset({"asym_friction", "torque_offset"}),
-    frozenset({"torque_gain", "payload", "inertial_error"}),
-    frozenset({"payload", "base_tilt", "encoder_offset"}),
-    frozenset({"stribeck", "hysteresis", "coulomb"}),
-    frozenset({"coulomb", "position_friction"}),
-    frozenset({"viscous", "thermal_friction", "time_delay"}),
-    frozenset({"gravity_spring", "cable_spring"}),
-    frozenset({"encoder_offset", "encoder_zero_change"}),
-)
+
+def confused_with(entry: Effect, effects: Sequence[Effect] = CATALOGUE) -> tuple[str, ...]:
+    """Names of the effects that ordinary motions separate poorly from one, whichever says so."""
+    return tuple(
+        other.name
+        for other in effects
+        if other.name in entry.confused_with or entry.name in other.confused_with
+    )
 
 
 def effect(name: str) -> Effect:

@@ -17,6 +17,7 @@ from stiffopt.discovery.catalogue.common import (
     smooth_sign,
     viscous_friction,
 )
+from stiffopt.discovery.catalogue.robot_change import add_to_nominal_value
 from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.settings import SIGN_SPEED
@@ -111,6 +112,14 @@ COULOMB = Effect(
     equation="tau += dFc*sg(w)",
     signature="motor torque off by a constant whose sign follows the direction, at every speed,"
     " angle and load",
+    title="Coulomb friction",
+    phrase=("more dry friction than nominal", "less dry friction than nominal"),
+    nominal="coulomb",
+    nominal_words="dry friction",
+    needs=("torque", "moves", "reverses"),
+    confused_with=("stribeck", "hysteresis", "position_friction"),
+    reference="ArmstrongEtAl1994",
+    change_robot=add_to_nominal_value,
     term=coulomb_term,
     amplitudes=(Amplitude(name="dFc", unit="N m", scale=_half_dry, lower=-2.0, upper=10.0),),
     separate="Move at three speeds or more, in both directions: Coulomb friction does not change"
@@ -123,6 +132,14 @@ VISCOUS = Effect(
     scope="joint",
     equation="tau += dFv*w",
     signature="motor torque off in proportion to speed, alike in both directions",
+    title="viscous friction",
+    phrase=("more viscous friction than nominal", "less viscous friction than nominal"),
+    nominal="viscous",
+    nominal_words="viscous friction",
+    needs=("torque", "moves", "speeds"),
+    confused_with=("thermal_friction", "time_delay"),
+    reference="ArmstrongEtAl1994",
+    change_robot=add_to_nominal_value,
     term=viscous_term,
     amplitudes=(
         Amplitude(name="dFv", unit="N m s/rad", scale=viscous_friction, lower=-1.0, upper=5.0),
@@ -137,6 +154,11 @@ STRIBECK = Effect(
     scope="joint",
     equation="tau += A*exp(-abs(w/vs)^n)*sg(w)",
     signature="motor torque too high only at low speed, against the motion",
+    title="Stribeck friction",
+    phrase="friction that depends on low speed",
+    needs=("torque", "moves", "reverses", "slow"),
+    confused_with=("hysteresis",),
+    reference="ArmstrongEtAl1994",
     term=stribeck_term,
     amplitudes=(Amplitude(name="A", unit="N m", scale=_half_dry, lower=0.0, upper=4.0),),
     shapes=(
@@ -155,6 +177,9 @@ LOAD_FRICTION = Effect(
     equation="tau += mu*abs(s)*sg(w)",
     signature="motor torque off against the motion, in proportion to the size of the load"
     " carried, whatever its sign",
+    phrase="friction that grows with the load",
+    needs=("torque", "moves", "reverses"),
+    reference="BittencourtAxelsson2014",
     term=load_friction_term,
     amplitudes=(Amplitude(name="mu", unit="", scale=0.1, lower=0.0, upper=3.0),),
     separate="Repeat one path with two payloads, in both directions: a gain error keeps its sign"
@@ -168,6 +193,11 @@ ASYM_FRICTION = Effect(
     equation="tau += sg(w)^2*dFc + abs(w)*dFv",
     signature="motor torque off alike in both directions while moving and not at rest, growing"
     " with the size of the speed",
+    title="asymmetric friction",
+    phrase="friction that differs by direction",
+    needs=("torque", "moves", "reverses"),
+    confused_with=("torque_offset",),
+    reference="ArmstrongEtAl1994",
     term=asym_friction_term,
     amplitudes=(
         Amplitude(name="dFc", unit="N m", scale=_half_dry, lower=-2.0, upper=2.0),
@@ -184,6 +214,9 @@ POSITION_FRICTION = Effect(
     equation="tau += A*exp(-((q - q0)/width)^2/2)*sg(w)",
     signature="motor torque too high against the motion at one place of the stroke, in both"
     " directions",
+    phrase="a tight place in the stroke",
+    needs=("torque", "moves", "reverses"),
+    reference="ArmstrongEtAl1994",
     term=position_friction_term,
     amplitudes=(Amplitude(name="A", unit="N m", scale=dry_friction, lower=0.0, upper=3.0),),
     shapes=(
@@ -200,6 +233,10 @@ THERMAL_FRICTION = Effect(
     scope="joint",
     equation="tau += (exp(-b*(T - T0)) - 1)*(Fv*w + share*Fc*sg(w))",
     signature="motor torque against the motion that falls from run to run as the housing warms",
+    phrase="friction that falls with warmth",
+    needs=("torque", "moves", "warmer"),
+    confused_with=("time_delay",),
+    reference="BittencourtAxelsson2014",
     term=thermal_friction_term,
     amplitudes=(
         WEIGHT,

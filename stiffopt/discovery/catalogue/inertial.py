@@ -7,13 +7,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import Constants, motor_inertia, part, ratio_or_zero
+from stiffopt.discovery.catalogue.robot_change import add_to_body, add_to_nominal_value
+from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.signals import (
     JointConstants,
     JointSignals,
     RobotConstants,
     RobotSignals,
 )
-from stiffopt.discovery.effect import Amplitude, Effect, Term
+from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Term
+from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
 
 # Inertial parameters of a body in a regressor: mass, three first moments, six of the inertia.
@@ -57,6 +60,20 @@ def base_tilt_term(
     return Term(
         link_torque=amplitudes[0] * part(signals.tilt, 0) + amplitudes[1] * part(signals.tilt, 1)
     )
+
+
+def change_payload(
+    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+) -> RobotChange:
+    """The last link with what is fixed to it."""
+    return add_to_body(robot, found, joint, "Payload")
+
+
+def change_body(
+    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+) -> RobotChange:
+    """The link with the masses that were found."""
+    return add_to_body(robot, found, joint, "Masses")
 
 
 def _place_of_payload(
@@ -115,6 +132,10 @@ ROTOR_INERTIA = Effect(
     equation="tau += dJ*dw/dt",
     signature="motor torque off in proportion to the motor's own acceleration, alike in every"
     " posture",
+    phrase=("more rotor inertia than nominal", "less rotor inertia than nominal"),
+    nominal="rotor_inertia",
+    needs=("torque", "moves"),
+    change_robot=add_to_nominal_value,
     term=rotor_inertia_term,
     amplitudes=(Amplitude(name="dJ", unit="kg m^2", scale=_quarter_rotor, lower=-2.0, upper=4.0),),
     separate="Accelerate hard in several postures: the inertia of links changes with posture and"
@@ -127,6 +148,10 @@ PAYLOAD = Effect(
     scope="robot",
     equation="s += Y_last(q, v, a)*(dm, dm*c, dI)",
     signature="link torques of several joints off together, as a mass at the last link makes them",
+    phrase=("payload heavier than nominal", "payload lighter than nominal"),
+    needs=("torque", "moves"),
+    confused_with=("torque_gain", "inertial_error", "base_tilt", "encoder_offset"),
+    change_robot=change_payload,
     term=payload_term,
     amplitudes=(_MASS, *_moments("mcx", "mcy", "mcz"), *_INERTIA),
     report=_place_of_payload,
@@ -142,6 +167,10 @@ INERTIAL_ERROR = Effect(
     equation="s += Y_link(q, v, a)*(dm, dmc, dI)",
     signature="torques of a link's own joint and of those before it off together, with gravity and"
     " acceleration",
+    phrase="wrong mass properties",
+    needs=("torque", "moves"),
+    confused_with=("torque_gain",),
+    change_robot=change_body,
     term=inertial_error_term,
     amplitudes=(_MASS, *_moments("dmcx", "dmcy", "dmcz"), *_INERTIA),
     report=_change_of_link,
@@ -157,6 +186,9 @@ BASE_TILT = Effect(
     equation="s += g(q; base turned by rx, ry) - g(q)",
     signature="weight on an upright first axis, which should carry none, and a fitting change on"
     " the next joints",
+    phrase="a base that is not level",
+    needs=("torque", "moves"),
+    confused_with=("encoder_offset",),
     term=base_tilt_term,
     amplitudes=(
         Amplitude(name="rx", unit="rad", scale=0.01, lower=-9.0, upper=9.0),

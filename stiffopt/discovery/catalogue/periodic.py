@@ -76,6 +76,8 @@ TRANSMISSION_ERROR = Effect(
     scope="joint",
     equation="d += sum_k A_k*sin(k*N*th + phase_k), k = 1, 2, 4",
     signature="motor and link angle apart in waves of 1, 2 or 4 a turn of the rotor",
+    needs=("link", "moves", "gear_ratio", "rotor_slow"),
+    reference="TuttleSeering1996",
     term=transmission_error_term,
     amplitudes=tuple(
         Amplitude(name=f"{wave}{order}", unit="rad", scale=1e-4, lower=-10.0, upper=10.0)
@@ -95,6 +97,8 @@ TORQUE_RIPPLE = Effect(
     scope="joint",
     equation="tau += sum_k B_k*sin(k*p*N*th + phase_k), k = 1, 6",
     signature="motor torque in waves of 1 or 6 an electrical turn of the motor",
+    phrase="torque ripple of the motor",
+    needs=("torque", "moves", "gear_ratio", "pole_pairs", "ripple_slow"),
     term=torque_ripple_term,
     amplitudes=tuple(
         Amplitude(name=f"{wave}{order}", unit="N m", scale=_ripple, lower=-5.0, upper=5.0)

@@ -94,6 +94,8 @@ TORQUE_GAIN = Effect(
     scope="joint",
     equation="tau += eps*tau",
     signature="motor torque off in proportion to itself, whatever it comes from",
+    phrase="torque reading off by a factor",
+    needs=("torque", "moves"),
     term=torque_gain_term,
     amplitudes=(Amplitude(name="eps", unit="", scale=0.1, lower=-3.0, upper=3.0),),
     separate="Fasten a known mass and move fast and slowly: a wrong mass leaves friction and rotor"
@@ -106,6 +108,8 @@ TORQUE_OFFSET = Effect(
     scope="joint",
     equation="tau += off",
     signature="motor torque off by a constant, also at rest and in every posture",
+    phrase="torque reading off by a constant",
+    needs=("torque", "moves", "reverses"),
     term=torque_offset_term,
     amplitudes=(Amplitude(name="off", unit="N m", scale=_offset, lower=-7.0, upper=7.0),),
     separate="Stop for a second in several postures and move in both directions: friction that"
@@ -118,6 +122,9 @@ ENCODER_OFFSET = Effect(
     scope="joint",
     equation="d += -off",
     signature="motor and link angle apart by a constant in every run",
+    phrase="link encoder off by a constant",
+    needs=("link", "moves"),
+    confused_with=("encoder_zero_change",),
     term=encoder_offset_term,
     amplitudes=(_READING_ZERO,),
     separate="Load the joint on both sides: an offset stays, backlash and wind-up change side.",
@@ -129,6 +136,8 @@ ENCODER_ZERO_CHANGE = Effect(
     scope="run",
     equation="d += -off in one run",
     signature="motor and link angle apart by a constant that one run alone has",
+    phrase="encoder zero moved",
+    needs=("link", "runs"),
     term=encoder_offset_term,
     amplitudes=(_READING_ZERO,),
     separate="Repeat one motion after referencing the encoders again: the offset of the run goes"
@@ -141,6 +150,8 @@ TIME_DELAY = Effect(
     scope="robot",
     equation="tau += tau(t - d) - tau(t)",
     signature="motor torques of all joints late by the same time",
+    phrase="torque recorded late",
+    needs=("torque", "moves"),
     term=time_delay_term,
     amplitudes=(Amplitude(name="d", unit="s", scale=5e-3, lower=-4.0, upper=10.0),),
     separate="Change speed quickly, then hold it: a delay shows while the torque changes, friction"
@@ -153,6 +164,8 @@ ENCODER_SKEW = Effect(
     scope="robot",
     equation="d += d_skew*v",
     signature="motor and link angles of all joints apart in proportion to speed, with one factor",
+    phrase="link encoders read late",
+    needs=("link", "moves"),
     term=encoder_skew_term,
     amplitudes=(Amplitude(name="d", unit="s", scale=1e-3, lower=-20.0, upper=20.0),),
     separate="Hold constant speeds in both directions under unlike loads: compliance follows the"
@@ -166,6 +179,8 @@ SATURATION = Effect(
     equation="given = clip(tau, -limit, limit)",
     signature="motor torque that leaves the model only near one level, to which the true torque is"
     " limited",
+    phrase="a drive that saturates",
+    needs=("torque", "moves"),
     term=saturation_term,
     # -1 is a reading that ends at the limit; a drive in vain asks for many times what is beyond.
     amplitudes=(Amplitude(name="steepness", unit="", scale=10.0, lower=-0.15, upper=20.0),),

@@ -65,6 +65,9 @@ GRAVITY_SPRING = Effect(
     scope="joint",
     equation="s += k*m*sin((q - q1)/m) + B",
     signature="link torque of one joint off along its own angle, whatever the other joints do",
+    phrase="a counterbalance other than nominal",
+    needs=("torque", "moves"),
+    confused_with=("cable_spring",),
     term=gravity_spring_term,
     amplitudes=(
         Amplitude(name="k_sin", unit="N m/rad", scale=_share_of_rated, lower=-20.0, upper=20.0),
@@ -86,6 +89,8 @@ CABLE_SPRING = Effect(
     scope="joint",
     equation="s += k1*(q - q0) + k3*(q - q0)^3",
     signature="link torque of one joint off along its own angle, most at the ends of its stroke",
+    phrase="cables that pull like a spring",
+    needs=("torque", "moves"),
     term=cable_spring_term,
     amplitudes=(
         Amplitude(name="k1", unit="N m/rad", scale=_share_of_rated, lower=0.0, upper=5.0),

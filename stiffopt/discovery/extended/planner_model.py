@@ -1,8 +1,7 @@
 """A planner's robot with what was found in recordings of it.
 
-Friction, rotor inertia, payload, masses of links and the stiffness of drivetrains are things that a
-planner computes with; what else was found (ripple, offsets, delays) it does not know, and that is
-said.
+Every effect says how it changes a robot (`Effect.change_robot`); what a planner does not compute
+with (ripple, offsets, delays) is named.
 """
 
 from __future__ import annotations
@@ -16,11 +15,10 @@ import numpy as np
 from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.signals import JointConstants
 from stiffopt.discovery.extended.model import ExtendedModel
-from stiffopt.discovery.extended.planner_elastic import ELASTIC, yielding
-from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputFileError
 from stiffopt.robot.robot import Robot
 
+# Nominal values of the robot that a calibration states relative to themselves.
 _RELATIVE = ("coulomb", "viscous", "rotor_inertia")
 
 
@@ -95,73 +93,25 @@ class _Planner:
                 values[place] *= max(1.0 + relative, 0.0)
                 moved |= relative != 0.0
             if moved:
-                self._set(name, values)
+                changed: dict[str, Any] = {name: values}
+                self.robot = replace(self.robot, **changed)
 
     def add(self, estimated: EstimatedEffect) -> None:
         """Put one finding into the robot, or name it among those left out."""
         located = estimated.located
-        name, joint = located.effect.name, located.joint
-        if name in _ADDED and joint is not None:
-            field, unit = _ADDED[name]
-            self._add_to(field, unit, joint, estimated.amplitudes[0])
-        elif name in ELASTIC and joint is not None:
-            self._yield(joint, estimated)
-        elif name == "payload":
-            self._weigh(len(self.place) - 1, estimated, "payload")
-        elif name == "inertial_error" and located.link is not None:
-            self._weigh(located.link, estimated, "masses")
-        else:
-            self.left_out.append(located.label)
-
-    def _add_to(self, field: str, unit: str, joint: int, change: float) -> None:
-        values = np.array(getattr(self.robot, field), dtype=float)
-        place = self.place[joint]
-        before = float(values[place])
-        # A drive neither pushes itself nor has a rotor of negative inertia.
-        values[place] = max(before + change, 0.0)
-        self._set(field, values)
-        said = field.replace("_", " ")
-        self.changes.append(
-            f"Joint {place + 1}: {said} {before:.4g} to {values[place]:.4g} {unit}."
-        )
-
-    def _set(self, field: str, values: np.ndarray) -> None:
-        changed: dict[str, Any] = {field: values}
-        self.robot = replace(self.robot, **changed)
-
-    def _yield(self, joint: int, estimated: EstimatedEffect) -> None:
-        place = self.place[joint]
-        chain = self.robot.chains[place]
-        changed = yielding(chain, estimated, joint_constants(self.model, joint))
+        own = next((j for j in (located.joint, located.link) if j is not None), len(self.place) - 1)
+        change = located.effect.change_robot
+        changed = None
+        if change is not None:
+            constants = joint_constants(self.model, own)
+            changed = change(self.robot, estimated, self.place[own], constants)
         if changed is None:
-            self.left_out.append(estimated.located.label)
-            return
-        chains: list[Chain | None] = list(self.robot.chains)
-        chains[place] = changed.chain
-        self.robot = replace(self.robot, chains=tuple(chains))
-        self.changes.append(f"Joint {place + 1}: {changed.sentence}")
-
-    def _weigh(self, link: int, estimated: EstimatedEffect, what: str) -> None:
-        joint = self.place[link] + 1
-        before = self.robot.tree.bodies[joint - 1]
-        values = before.inertial_parameters + np.asarray(estimated.amplitudes)
-        if values[0] <= 0.0:
-            self.left_out.append(f"{estimated.located.label} (it would leave no mass)")
-            return
-        self.robot = self.robot.with_inertial_parameters(joint, values)
-        body = self.robot.tree.bodies[joint - 1]
-        centre = ", ".join(f"{1e3 * x:.0f}" for x in body.centre)
-        self.changes.append(
-            f"{what.capitalize()} of link {link + 1}: {before.mass:.4g} to {body.mass:.4g} kg,"
-            f" centre at ({centre}) mm."
-        )
-
-
-_ADDED = {
-    "coulomb": ("coulomb", "N m"),
-    "viscous": ("viscous", "N m s/rad"),
-    "rotor_inertia": ("rotor_inertia", "kg m^2"),
-}
+            self.left_out.append(located.label)
+        elif changed.robot is None:
+            self.left_out.append(f"{located.label} ({changed.sentence})")
+        else:
+            self.robot = changed.robot
+            self.changes.append(changed.sentence)
 
 
 def _places(robot: Robot, model: ExtendedModel) -> tuple[int, ...]:

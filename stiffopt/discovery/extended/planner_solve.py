@@ -10,9 +10,9 @@ from typing import Any
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import objective_value
 from stiffopt.certificate.violations import CERTIFIED
-from stiffopt.discovery.catalogue.user_effects import load_effects
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.extended.planner_model import PlannerModel, planner_model
+from stiffopt.discovery.user_effects import load_effects
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Solution

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stiffopt.discovery.catalogue.common import WEIGHT
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Scorer
@@ -19,7 +20,7 @@ class DetectionLimit:
 
     Parameters
     ----------
-    effect : str
+    effect : Effect
     joint : int or None
         1-based.
     parameter, unit : str
@@ -28,7 +29,7 @@ class DetectionLimit:
         Over the nominal value that it changes, where there is one.
     """
 
-    effect: str
+    effect: Effect
     joint: int | None
     parameter: str
     value: float
@@ -40,17 +41,9 @@ class DetectionLimit:
         share = f" ({100 * self.relative:.2g} %)" if self.relative is not None else ""
         unit = f" {self.unit}" if self.unit else ""
         return (
-            f"{self.effect.replace('_', ' ')}{place}: {self.parameter} above "
+            f"{self.effect.title}{place}: {self.parameter} above "
             f"{self.value:.3g}{unit}{share} would have been seen"
         )
-
-
-# What the value of an amplitude is compared with, by effect and parameter.
-_NOMINAL = {
-    ("coulomb", "dFc"): "coulomb",
-    ("viscous", "dFv"): "viscous",
-    ("rotor_inertia", "dJ"): "rotor_inertia",
-}
 
 
 def detection_limits(scorer: Scorer, catalogue: Sequence[Effect]) -> tuple[DetectionLimit, ...]:
@@ -69,7 +62,7 @@ def detection_limits(scorer: Scorer, catalogue: Sequence[Effect]) -> tuple[Detec
     """
     found = []
     for effect in catalogue:
-        if len(effect.amplitudes) == 1 and effect.amplitudes[0].name != "weight":
+        if len(effect.amplitudes) == 1 and effect.amplitudes[0] is not WEIGHT:
             found += list(_of_effect(scorer, effect))
     return tuple(found)
 
@@ -92,17 +85,16 @@ def _of_effect(scorer: Scorer, effect: Effect) -> Iterator[DetectionLimit]:
         price = np.log(len(tried)) - np.log(sd)
         least = size * sd * max(CHI, float(np.sqrt(2.0 * (EVIDENCE + price))))
         amplitude = effect.amplitudes[0]
-        nominal = _NOMINAL.get((effect.name, amplitude.name))
         base = None
-        if nominal is not None and joint is not None:
-            base = getattr(constants.joints[joint], nominal) or None
+        if effect.nominal and joint is not None:
+            base = getattr(constants.joints[joint], effect.nominal) or None
         name, value = amplitude.name, least
         if effect.report is not None:
             values = effect.parameters([least], middle.shapes, middle.constants(constants))
             name = next(iter(values))
             value = values[name]
         yield DetectionLimit(
-            effect=effect.name,
+            effect=effect,
             joint=None if joint is None else joint + 1,
             parameter=name,
             value=float(value),

@@ -1,35 +1,39 @@
-"""What a nominal model says nothing about, although every joint has it."""
+"""What a nominal model says nothing about, although every joint has it: friction, rotor inertia."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 
-from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.recording.recording_set import RecordingSet
 
-_OF_EVERY_JOINT = ("coulomb", "viscous", "rotor_inertia")
 
-
-def unstated_effects(recordings: RecordingSet) -> tuple[LocatedEffect, ...]:
-    """Effects that stand for values the set does not give: friction and rotor inertia.
+def unstated_effects(
+    catalogue: Sequence[Effect], recordings: RecordingSet
+) -> tuple[LocatedEffect, ...]:
+    """Effects that stand for values the set does not give.
 
     They are tried together before anything else; what the recordings do not bear out is dropped.
     """
-    found = []
-    for name in _OF_EVERY_JOINT:
-        if getattr(recordings.nominal, name) is None:
-            entry = _unbounded(effect(name))
-            found += [LocatedEffect(effect=entry, joint=j) for j in range(len(recordings.joints))]
-    return tuple(found)
+    return tuple(
+        LocatedEffect(effect=_unbounded(effect), joint=j)
+        for effect in catalogue
+        if _stands_for_unstated(effect, recordings)
+        for j in range(len(recordings.joints))
+    )
 
 
 def without_bounds(catalogue: Sequence[Effect], recordings: RecordingSet) -> tuple[Effect, ...]:
     """The catalogue, where what the nominal model does not state may be of any size."""
-    unstated = {name for name in _OF_EVERY_JOINT if getattr(recordings.nominal, name) is None}
-    return tuple(_unbounded(each) if each.name in unstated else each for each in catalogue)
+    return tuple(
+        _unbounded(each) if _stands_for_unstated(each, recordings) else each for each in catalogue
+    )
+
+
+def _stands_for_unstated(effect: Effect, recordings: RecordingSet) -> bool:
+    return bool(effect.nominal) and getattr(recordings.nominal, effect.nominal) is None
 
 
 def _unbounded(entry: Effect) -> Effect:

@@ -18,15 +18,6 @@ if TYPE_CHECKING:
 
 _CONTACTS = ("key", "bolted_flange", "clamping_pins", "gear_pair")
 _TRANSCRIPTIONS = {"radau": "GargEtAl2010"}
-# Sources of effects by name, else by family.
-_EFFECTS = {
-    "thermal_friction": "BittencourtAxelsson2014",
-    "load_friction": "BittencourtAxelsson2014",
-    "backlash": "NordinGutman2002",
-    "transmission_error": "TuttleSeering1996",
-    "k1_softening": "HarmonicDriveCSF",
-    "friction": "ArmstrongEtAl1994",
-}
 _ENGINE = ("WaechterBiegler2006", "AnderssonEtAl2019", "CarpentierEtAl2019")
 
 
@@ -123,7 +114,8 @@ def preload_references(study: PreloadStudy) -> list[Reference]:
 def diagnosis_references(effects: Iterable[Effect]) -> list[Reference]:
     """Collect the sources of a diagnosis: identification, judgement of rivals, effects found."""
     keys = ["SweversEtAl2007", "KassRaftery1995", _ENGINE[2]]
-    for effect in effects:
-        key = _EFFECTS.get(effect.name) or _EFFECTS.get(effect.family)
-        keys += [key] if key else []
-    return cited(keys)
+    sources = list(dict.fromkeys(effect.reference for effect in effects if effect.reference))
+    known = references()
+    # A user's own effect may name its source in words.
+    own = [Reference(text, {"title": text}) for text in sources if text not in known]
+    return [*cited([*keys, *(key for key in sources if key in known)]), *own]

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.files import atomic_write
 from stiffopt.recording.check import missing_signals
 from stiffopt.recording.facts import joint_facts
-from stiffopt.recording.identifiable import effect_checks
 from stiffopt.recording.run import counted
 from stiffopt.report.common.citations import diagnosis_references
 from stiffopt.report.common.quantities import significant
@@ -42,7 +42,6 @@ from stiffopt.report.diagnosis.tables import (
 from stiffopt.report.diagnosis.words import (
     VERDICTS,
     channels_in_words,
-    effect_words,
     headline,
     lead,
     new_and_unstated,
@@ -91,7 +90,9 @@ def write_diagnosis_report(
     recordings = diagnosis.recordings
     trained = diagnosis.training.recorded
     runs = [*trained, *(proof.run for proof in diagnosis.held_out)]
-    checks = effect_checks(recordings, joint_facts(recordings, trained), len(trained))
+    checks = effect_checks(
+        recordings, joint_facts(recordings, trained), len(trained), diagnosis.catalogue
+    )
     windows = worst_windows(diagnosis)
     context = {
         "title": f"{recordings.title}: what the nominal model lacks",
@@ -155,7 +156,7 @@ def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
     new, unstated = new_and_unstated(diagnosis)
     for finding in (new or unstated)[:2]:
         sure = percent_sure(finding.probability) if finding.rivals else "no rival near"
-        name = effect_words(finding.effect.name)
+        name = finding.effect.title
         note = f"{name}, {place(diagnosis, finding.located)}"
         tiles.append({"name": "how sure", "value": sure, "note": note})
     for role, words in (("test", "test runs"), ("extrapolate", "extrapolation")):
@@ -198,7 +199,7 @@ def _sections(diagnosis: Diagnosis, files: Files) -> Iterator[dict[str, Any]]:
         where = place(diagnosis, finding.located)
         yield {
             "title": f"{where[0].upper()}{where[1:]}: {phrase(finding, finding in unstated)}",
-            "effect": effect_words(effect.name),
+            "effect": effect.title,
             "equation": effect.equation,
             "signature": effect.signature,
             "evidence": f"{finding.log_evidence:.0f}",
@@ -214,7 +215,7 @@ def _finding_figures(
     if len(rows.after) < 50:
         return
     channel = channels_in_words([finding.channel])
-    name = effect_words(finding.effect.name)
+    name = finding.effect.title
     yield _saved(
         regressor_figure(diagnosis, rows, finding),
         f"diagnosis_regressor_{number}",

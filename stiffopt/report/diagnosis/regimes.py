@@ -48,7 +48,7 @@ def regime_figure(diagnosis: Diagnosis, rows: ChannelRows, finding: Finding | No
     residual = rows.after + added
     factor, unit = scaled_unit(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
     sides = direction(diagnosis, rows)
-    electrical = finding is not None and finding.effect.name == "torque_ripple"
+    electrical = finding is not None and "pole_pairs" in finding.effect.needs
     shown = list(regimes(diagnosis, rows, electrical))
     noise = factor * float(np.median(rows.noise))
     with house_style():

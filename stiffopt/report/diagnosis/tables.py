@@ -12,7 +12,6 @@ from stiffopt.report.diagnosis.figures import channel_ratio
 from stiffopt.report.diagnosis.motion import Window
 from stiffopt.report.diagnosis.words import (
     channels_in_words,
-    effect_words,
     fall,
     is_unstated,
     own_unit,
@@ -26,8 +25,8 @@ from stiffopt.report.solve.tables import DASH, Table
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
+    from stiffopt.discovery.identifiable import EffectCheck
     from stiffopt.discovery.judging.detection import DetectionLimit
-    from stiffopt.recording.identifiable import EffectCheck
 
 # Standard deviations from which a nominal value that moved is marked.
 _FAR = 3.0
@@ -40,8 +39,7 @@ def findings_table(diagnosis: Diagnosis) -> Table | None:
     rows = [
         (
             place(diagnosis, f.located),
-            effect_words(f.effect.name)
-            + (" (no nominal value)" if is_unstated(diagnosis, f) else ""),
+            f.effect.title + (" (no nominal value)" if is_unstated(diagnosis, f) else ""),
             _parameters(diagnosis, f),
             f"{f.significance:.0f} sd",
             channels_in_words([f.channel])[4:],
@@ -80,7 +78,7 @@ def candidates_table(diagnosis: Diagnosis, finding: Finding) -> Table:
     rows = tuple(
         (
             str(rank),
-            effect_words(located.effect.name),
+            located.effect.title,
             place(diagnosis, located),
             percent_sure(share),
             located.effect.signature,
@@ -137,17 +135,15 @@ def limits_table(diagnosis: Diagnosis) -> Table | None:
     by_effect: dict[tuple[str, str], dict[int | None, str]] = {}
     for limit in diagnosis.detection_limits:
         slides = limit.joint is not None and joints[limit.joint - 1].prismatic
-        cells = by_effect.setdefault((limit.effect, limit.parameter), {})
+        cells = by_effect.setdefault((limit.effect.title, limit.parameter), {})
         cells[limit.joint] = _limit(limit, own_unit(limit.unit, slides))
     rows = []
     for (effect, parameter), cells in by_effect.items():
         if None in cells:
             line = [cells[None], *[DASH] * (n - 1)] if n > 1 else [cells[None]]
-            rows.append((f"{effect_words(effect)}, whole robot", parameter, *line))
+            rows.append((f"{effect}, whole robot", parameter, *line))
         else:
-            rows.append(
-                (effect_words(effect), parameter, *(cells.get(j + 1, DASH) for j in range(n)))
-            )
+            rows.append((effect, parameter, *(cells.get(j + 1, DASH) for j in range(n))))
     head = ("effect", "parameter", *(f"J{j + 1}" for j in range(n)))
     return Table(head, tuple(rows)) if rows else None
 
@@ -163,13 +159,12 @@ def sharpest(diagnosis: Diagnosis) -> list[str]:
     known = [limit for limit in diagnosis.detection_limits if limit.relative is not None]
     best: dict[str, DetectionLimit] = {}
     for limit in sorted(known, key=lambda each: each.relative or 0.0):
-        best.setdefault(limit.effect, limit)
-    words = {"coulomb": "dry friction", "viscous": "viscous friction"}
+        best.setdefault(limit.effect.nominal_words, limit)
     return [
-        f"A change of {words.get(effect, effect_words(effect))} above "
+        f"A change of {name} above "
         f"{significant(100 * (limit.relative or 0.0), 2)} % on joint {limit.joint} would have been "
         "seen."
-        for effect, limit in best.items()
+        for name, limit in best.items()
     ]
 
 
@@ -190,7 +185,7 @@ def calibration_table(diagnosis: Diagnosis) -> Table | None:
         sign = "+" if moved[k] > 0.0 else ""
         shown = f"{sign}{significant(factor * moved[k], 2)} {unit}"
         width = f"{significant(factor * sd[k], 2)} {unit}"
-        rows.append((effect_words(names[k]), shown, width, f"{far:+.1f}"))
+        rows.append((names[k].replace("_", " "), shown, width, f"{far:+.1f}"))
         if abs(far) > _FAR:
             bad.add(number)
     head = ("nominal value", "moved by", "tolerance, one sd", "in standard deviations")
@@ -222,14 +217,14 @@ def windows_table(windows: Sequence[Window]) -> Table | None:
 
 
 def undetectable_table(checks: Sequence[EffectCheck]) -> Table | None:
-    """Effects that could not be new_and_unstated, on which joints, and why."""
+    """Effects that could not have been found, on which joints, and why."""
     groups: dict[tuple[str, tuple[str, ...]], list[int]] = {}
     for check in checks:
         if not check.possible:
-            groups.setdefault((check.effect, check.lacks), []).append(check.joint or 0)
+            groups.setdefault((check.effect.title, check.lacks), []).append(check.joint or 0)
     merged: dict[tuple[tuple[str, ...], tuple[int, ...]], list[str]] = {}
     for (effect, lacks), joints in groups.items():
-        merged.setdefault((lacks, tuple(joints)), []).append(effect_words(effect))
+        merged.setdefault((lacks, tuple(joints)), []).append(effect)
     rows = tuple(
         (
             "robot" if joints == (0,) else ", ".join(f"J{j}" for j in joints),

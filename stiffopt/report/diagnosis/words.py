@@ -19,56 +19,6 @@ VERDICTS = {
     "nothing_missing": "nothing missing",
     "outside_catalogue": "outside the catalogue",
 }
-# Of effects with a sign: when the first amplitude is above and below zero.
-_SIGNED = {
-    "coulomb": ("more dry friction than nominal", "less dry friction than nominal"),
-    "viscous": ("more viscous friction than nominal", "less viscous friction than nominal"),
-    "rotor_inertia": ("more rotor inertia than nominal", "less rotor inertia than nominal"),
-    "stiffness_linear": ("softer than nominal", "stiffer than nominal"),
-    "payload": ("payload heavier than nominal", "payload lighter than nominal"),
-}
-_PHRASES = {
-    "stribeck": "friction that depends on low speed",
-    "load_friction": "friction that grows with the load",
-    "asym_friction": "friction that differs by direction",
-    "position_friction": "a tight place in the stroke",
-    "thermal_friction": "friction that falls with warmth",
-    "backlash": "backlash",
-    "hysteresis": "hysteresis of the wind-up",
-    "k1_softening": "lost stiffness near zero torque",
-    "preload_loss": "a connection that lost preload",
-    "belt_creep": "a belt that creeps",
-    "transmission_error": "transmission error",
-    "torque_ripple": "torque ripple of the motor",
-    "base_tilt": "a base that is not level",
-    "inertial_error": "wrong mass properties",
-    "gravity_spring": "a counterbalance other than nominal",
-    "cable_spring": "cables that pull like a spring",
-    "torque_gain": "torque reading off by a factor",
-    "torque_offset": "torque reading off by a constant",
-    "encoder_offset": "link encoder off by a constant",
-    "time_delay": "torque recorded late",
-    "saturation": "a drive that saturates",
-    "encoder_skew": "link encoders read late",
-    "encoder_zero_change": "encoder zero moved",
-    "wrist_coupling": "coupling with the joint before",
-    "external_contact": "contact with the surroundings",
-}
-# Names that read badly with their underscores replaced by spaces.
-_NAMES = {
-    "coulomb": "Coulomb friction",
-    "viscous": "viscous friction",
-    "stribeck": "Stribeck friction",
-    "asym_friction": "asymmetric friction",
-    "stiffness_linear": "stiffness",
-    "k1_softening": "K1 softening",
-}
-# What nominal values that a set does not give are called when they are found.
-_VALUES = {
-    "coulomb": "dry friction",
-    "viscous": "viscous friction",
-    "rotor_inertia": "rotor inertia",
-}
 _SLIDING = {
     "N m": "N",
     "N m s/rad": "N s/m",
@@ -90,11 +40,6 @@ _SCALES = {
 _SURE = 0.995
 # Residual over noise of held-out runs from which a reader is told that much is left.
 _MUCH_LEFT = 2.0
-
-
-def effect_words(name: str) -> str:
-    """Name of a catalogue effect as people write it."""
-    return _NAMES.get(name, name.replace("_", " "))
 
 
 def own_unit(unit: str, prismatic: bool) -> str:
@@ -146,8 +91,8 @@ def prismatic(diagnosis: Diagnosis, located: LocatedEffect) -> bool:
 
 def is_unstated(diagnosis: Diagnosis, finding: Finding) -> bool:
     """Whether a finding stands for a value that the nominal model does not give at all."""
-    name = finding.effect.name
-    return name in _VALUES and getattr(diagnosis.recordings.nominal, name) is None
+    field = finding.effect.nominal
+    return bool(field) and getattr(diagnosis.recordings.nominal, field) is None
 
 
 def new_and_unstated(diagnosis: Diagnosis) -> tuple[list[Finding], list[Finding]]:
@@ -158,12 +103,9 @@ def new_and_unstated(diagnosis: Diagnosis) -> tuple[list[Finding], list[Finding]
 
 def phrase(finding: Finding, unstated: bool = False) -> str:
     """What is missing, in plain words."""
-    name = finding.effect.name
-    if name in _VALUES and unstated:
-        return f"{_VALUES[name]}, for which there is no nominal value"
-    if name in _SIGNED:
-        return _SIGNED[name][finding.estimated.amplitudes[0] < 0.0]
-    return _PHRASES.get(name, effect_words(name))
+    if unstated:
+        return f"{finding.effect.nominal_words}, for which there is no nominal value"
+    return finding.effect.phrase_of(finding.estimated.amplitudes)
 
 
 def headline(diagnosis: Diagnosis) -> str:
@@ -215,13 +157,13 @@ def how_sure(finding: Finding) -> str:
     """Probability against rivals and deviations from nothing, in a sentence."""
     if finding.rivals:
         rival = finding.rivals[0]
-        other = effect_words(rival.located.effect.name)
+        other = rival.located.effect.title
         sure = f"{percent_sure(finding.probability)} sure; the nearest rival is {other}"
         if rival.located.joint not in (None, finding.located.joint):
             sure += f" of joint {rival.located.joint + 1}"
     else:
         sure = "no rival comes near"
-    name = effect_words(finding.effect.name)
+    name = finding.effect.title
     return (
         f"{name[0].upper()}{name[1:]}: {sure}; {finding.significance:.0f} standard deviations from "
         "nothing."
@@ -331,7 +273,7 @@ def regressor_words(name: str) -> str:
     }
     first, _, by = name.partition(" x ")
     kind, _, joint = first.rpartition("_")
-    text = f"the {names[kind]} {joint}" if kind in names else f"the {effect_words(first)}"
+    text = f"the {names[kind]} {joint}" if kind in names else f"the {first.replace('_', ' ')}"
     return f"{text} and the direction of motion" if by else text
 
 
@@ -345,8 +287,8 @@ def _unstated_words(unstated: Sequence[Finding]) -> str:
     joints: dict[str, list[int]] = {}
     for finding in unstated:
         if finding.joint is not None:
-            joints.setdefault(finding.effect.name, []).append(finding.joint)
-    return listed(f"{_VALUES[name]} of {_joints(sorted(own))}" for name, own in joints.items())
+            joints.setdefault(finding.effect.nominal_words, []).append(finding.joint)
+    return listed(f"{name} of {_joints(sorted(own))}" for name, own in joints.items())
 
 
 def _joints(numbers: list[int]) -> str:

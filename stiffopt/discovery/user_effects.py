@@ -12,8 +12,8 @@ from types import ModuleType
 from typing import Any
 
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.catalogue.soundness import faults
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.soundness import faults
 from stiffopt.errors import InputFileError
 
 _HOW = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import product
+from typing import get_args
 
 import casadi as ca
 import numpy as np
@@ -14,11 +15,11 @@ from stiffopt.discovery.comparison.signals import (
     RobotConstants,
     RobotSignals,
 )
-from stiffopt.discovery.effect import Effect, Term
+from stiffopt.discovery.effect import Effect, Need, Scope, Term
 from stiffopt.symbolic import is_symbolic
 
 PARTS = ("drive_torque", "link_torque", "deflection", "previous_torque")
-SCOPES = ("joint", "robot", "link", "run")
+SCOPES = get_args(Scope)
 # A scan of a catalogue tries every combination of starts at every place.
 MOST_STARTS = 30
 _JOINTS = 6
@@ -112,6 +113,13 @@ def signals_for(effect: Effect, robot: RobotSignals) -> JointSignals | RobotSign
     return robot if effect.scope in ("robot", "link") else robot.of_joint(4)
 
 
+def probed(effect: Effect) -> Term:
+    """Term of an effect of its typical size on the made-up arm."""
+    signals = signals_for(effect, sample_signals())
+    sizes = [a.size(signals.constants) for a in effect.amplitudes]
+    return effect.term(signals, sizes, _first(effect, signals))
+
+
 def faults(effect: Effect) -> Iterator[str]:
     """What is wrong with an effect, each in a sentence; nothing where it is sound."""
     signals = signals_for(effect, sample_signals())
@@ -130,6 +138,9 @@ def _faults_of_parameters(
 ) -> Iterator[str]:
     if effect.scope not in SCOPES:
         yield f"scope {effect.scope!r} is none of {', '.join(SCOPES)}."
+    unknown = [need for need in effect.needs if need not in get_args(Need)]
+    if unknown:
+        yield f"it needs {unknown[0]!r}; known are {', '.join(get_args(Need))}."
     if not effect.amplitudes:
         yield "it has no amplitude; at least one number must scale its term."
     names = [a.name for a in effect.amplitudes] + [s.name for s in effect.shapes]

@@ -1,0 +1,85 @@
+"""A belt that creeps under load: the standard linear solid in series with the joint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from stiffopt.discovery.catalogue.common import Constants, remember, winds_up, working_compliance
+from stiffopt.discovery.catalogue.robot_change import (
+    SHARES,
+    chain_of,
+    with_chain,
+    with_series_spring,
+)
+from stiffopt.discovery.comparison.extension import EstimatedEffect
+from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
+from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Shape, Term
+from stiffopt.robot.robot import Robot
+from stiffopt.symbolic import Quantity
+
+
+def belt_creep_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Wind-up C_now s + C_creep y, dy/dt = (s - y)/tau_r."""
+    s = signals.spring_torque
+    # A belt has settled under the load that the run begins with.
+    slow = remember(creep, [s], [s[0]], [np.exp(-signals.dt / shapes[0])])
+    return Term(deflection=amplitudes[0] * s + amplitudes[1] * slow)
+
+
+def creep(
+    state: Quantity, inputs: Sequence[Quantity], parameters: Sequence[Quantity]
+) -> tuple[Quantity, Quantity]:
+    """First-order lag whose step keeps the share `parameters[0]` of the distance."""
+    now = inputs[0] + (state[0] - inputs[0]) * parameters[0]
+    return now, now
+
+
+def _belt(
+    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
+) -> Mapping[str, float]:
+    return {"C": amplitudes[0] + amplitudes[1], "tau_r": shapes[0]}
+
+
+def _may_have_belt(constants: JointConstants) -> bool:
+    return winds_up(constants) and constants.belt is not False
+
+
+def put_belt_in_series(
+    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+) -> RobotChange | None:
+    """A spring in series as soft as the belt is once it has settled."""
+    compliance = float(sum(found.amplitudes))
+    if compliance <= 0.0:
+        return None
+    mean = compliance * float(np.mean(SHARES)) * constants.torque_rated
+    chain, sentence = with_series_spring(chain_of(robot, joint), mean, constants)
+    return with_chain(
+        robot, joint, chain, f"{sentence[:-1]}, a belt that has settled under its load."
+    )
+
+
+BELT_CREEP = Effect(
+    name="belt_creep",
+    family="elastic",
+    scope="joint",
+    equation="d += C_now*s + C_creep*y, dy/dt = (s - y)/tau_r",
+    signature="added wind-up that lags the load by a fixed time",
+    phrase="a belt that creeps",
+    needs=("link", "moves"),
+    change_robot=put_belt_in_series,
+    term=belt_creep_term,
+    amplitudes=(
+        Amplitude(name="C_now", unit="rad/(N m)", scale=working_compliance, lower=0.0, upper=2.0),
+        Amplitude(name="C_creep", unit="rad/(N m)", scale=working_compliance, lower=0.0, upper=2.0),
+    ),
+    shapes=(Shape(name="tau_r", unit="s", starts=(0.03, 0.1, 0.3, 1.0), lower=0.01, upper=5.0),),
+    report=_belt,
+    units={"C": "rad/(N m)"},
+    applies=_may_have_belt,
+    separate="Run one path fast and slowly: creep shows in the difference, a plain change of"
+    " stiffness and hysteresis do not.",
+)

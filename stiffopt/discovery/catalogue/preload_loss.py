@@ -1,0 +1,161 @@
+"""A connection that lost preload: contact stiffness that grows with a power of pressure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from stiffopt.discovery.catalogue.common import Constants, contact_compliance, winds_up
+from stiffopt.discovery.catalogue.robot_change import (
+    SHARES,
+    chain_of,
+    mean_windup,
+    with_chain,
+    with_series_spring,
+)
+from stiffopt.discovery.comparison.extension import EstimatedEffect
+from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
+from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Shape, Term
+from stiffopt.drivetrain.chain import Chain
+from stiffopt.exact.chain import windup_shares
+from stiffopt.robot.robot import Robot
+from stiffopt.symbolic import Quantity
+
+# Slip torque that a loosened connection keeps, over the largest torque of the joint.
+_HOLDS = 1.1
+# Of a share of preload that is as good as none lost.
+_WHOLE = 0.999
+
+
+def preload_loss_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Wind-up c ((|s| + tp)^b - tp^b) sgn(s) of contacts that load presses together."""
+    constants, s = signals.constants, signals.spring_torque
+    rated = constants.torque_rated
+    left, power = shapes
+    pressed = (np.abs(s) / rated + left) ** power - left**power
+    size = rated * contact_compliance(constants)
+    return Term(deflection=amplitudes[0] * size * np.sign(s) * pressed)
+
+
+def _preload_left(
+    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
+) -> Mapping[str, float]:
+    return {"tp": shapes[0] * constants.torque_rated}
+
+
+def lose_preload(
+    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+) -> RobotChange:
+    """Loosen the weakest preloaded connection until the joint winds up as found."""
+    chain, torques = chain_of(robot, joint), SHARES * constants.torque_rated
+    wanted = _found_windup(found, constants, torques)
+    position = _weakest(chain, constants.torque_rated)
+    if position is None:
+        return with_chain(robot, joint, *with_series_spring(chain, wanted, constants))
+    stage = chain.stages[position]
+    tight = stage.element.preload
+    assert tight is not None
+    before = mean_windup(chain, torques)
+
+    def loosened(share: float) -> Chain:
+        return chain.with_preloads({stage.element.name: share * tight})
+
+    def added(share: float) -> float:
+        return mean_windup(loosened(share), torques) - before
+
+    holds = float(np.asarray(stage.element.slip_torque(tight))) * stage.reduction
+    least = max(_HOLDS * constants.torque_max / holds, 1e-3)
+    if least >= _WHOLE:
+        return with_chain(robot, joint, *with_series_spring(chain, wanted, constants))
+    share = _share(added, wanted, least)
+    changed, rest = loosened(share), wanted - added(share)
+    sentence = (
+        f"preload of {stage.element.name} {tight:.4g} to {share * tight:.4g} N"
+        f" ({100.0 * share:.3g} %)."
+    )
+    if rest > 1e-2 * wanted:
+        changed, spring = with_series_spring(changed, rest, constants)
+        sentence += (
+            f" That still holds the largest torque and explains"
+            f" {100.0 * (1.0 - rest / wanted):.0f} % of the added wind-up; the rest: {spring}"
+        )
+    return with_chain(robot, joint, changed, sentence)
+
+
+def _share(added: Callable[[float], float], wanted: float, least: float) -> float:
+    """Share of the preload at which the added wind-up is as wanted, or the least allowed."""
+    from scipy.optimize import brentq
+
+    if added(least) <= wanted:
+        return least
+    # The looser, the more it winds up.
+    return float(brentq(lambda share: added(share) - wanted, least, 1.0, xtol=1e-6))
+
+
+def _weakest(chain: Chain, torque: float) -> int | None:
+    """Preloaded connection with the largest share of the wind-up, bolts before all others."""
+    candidates = [i for i, s in enumerate(chain.stages) if s.element.preload is not None]
+    bolted = [i for i in candidates if chain.stages[i].element.kind == "bolted_flange"]
+    candidates = bolted or candidates
+    if not candidates:
+        return None
+    shares = windup_shares(chain, torque)
+    return max(candidates, key=lambda i: shares[chain.stages[i].element.name])
+
+
+def _found_windup(found: EstimatedEffect, constants: JointConstants, torques: np.ndarray) -> float:
+    """Mean of the wind-up that a loss of preload adds [rad]."""
+    zero = np.zeros_like(torques)
+    still = dict.fromkeys(
+        (
+            "session_time",
+            "temperature_rise",
+            "motor_position",
+            "motor_velocity",
+            "motor_acceleration",
+            "link_position",
+            "link_velocity",
+            "link_acceleration",
+            "drive_torque_rate",
+            "previous_position",
+        ),
+        zero,
+    )
+    signals = JointSignals(
+        time=np.arange(len(torques), dtype=float),
+        dt=1.0,
+        spring_torque=torques,
+        windup=constants.windup(torques),
+        drive_torque=torques,
+        constants=constants,
+        **still,
+    )
+    term = preload_loss_term(signals, found.amplitudes, found.located.shapes)
+    return float(np.mean(np.asarray(term.deflection)))
+
+
+PRELOAD_LOSS = Effect(
+    name="preload_loss",
+    family="elastic",
+    scope="joint",
+    equation="d += c*((abs(s) + tp)^b - tp^b)*sgn(s)",
+    signature="wind-up off that is steep around zero torque and keeps growing, ever more slowly",
+    phrase="a connection that lost preload",
+    needs=("link", "moves"),
+    confused_with=("belt_creep",),
+    change_robot=lose_preload,
+    term=preload_loss_term,
+    amplitudes=(Amplitude(name="c", unit="", scale=1.0, lower=0.0, upper=20.0),),
+    shapes=(
+        Shape(name="left", unit="", starts=(0.005, 0.05, 0.5), lower=5e-4, upper=10.0),
+        Shape(name="power", unit="", starts=(0.35, 0.65), lower=0.3, upper=0.9),
+    ),
+    report=_preload_left,
+    units={"tp": "N m"},
+    applies=winds_up,
+    separate="Climb to the rated torque on both sides in steps: loosened contacts stiffen all the"
+    " way, a worn reducer only up to its corner.",
+)

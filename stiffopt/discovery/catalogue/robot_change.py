@@ -1,0 +1,93 @@
+"""How findings change the robot that a planner computes with: values, bodies, drivetrains."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from stiffopt.connection.connection import Connection
+from stiffopt.connection.constant import Constant
+from stiffopt.discovery.comparison.extension import EstimatedEffect
+from stiffopt.discovery.comparison.signals import JointConstants
+from stiffopt.discovery.effect import RobotChange
+from stiffopt.drivetrain.chain import Chain
+from stiffopt.drivetrain.stage import Stage
+from stiffopt.exact.chain import exact_windup
+from stiffopt.robot.robot import Robot
+
+# Torques up to the rated one at which wind-ups are matched, as shares of it.
+SHARES = np.linspace(0.05, 1.0, 20)
+ADDED = "found_compliance"
+
+
+def add_to_nominal_value(
+    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+) -> RobotChange:
+    """Add the first amplitude to the value of the robot that the effect names."""
+    effect = found.located.effect
+    values = np.array(getattr(robot, effect.nominal), dtype=float)
+    before = float(values[joint])
+    # A drive neither pushes itself nor has a rotor of negative inertia.
+    values[joint] = max(before + found.amplitudes[0], 0.0)
+    changed: dict[str, Any] = {effect.nominal: values}
+    return RobotChange(
+        replace(robot, **changed),
+        f"Joint {joint + 1}: {effect.nominal.replace('_', ' ')} {before:.4g} to"
+        f" {values[joint]:.4g} {effect.amplitudes[0].unit}.",
+    )
+
+
+def add_to_body(robot: Robot, found: EstimatedEffect, joint: int, what: str) -> RobotChange:
+    """Add inertial parameters to the body behind a joint (from 0)."""
+    before = robot.tree.bodies[joint]
+    values = before.inertial_parameters + np.asarray(found.amplitudes)
+    if values[0] <= 0.0:
+        return RobotChange(None, "it would leave no mass")
+    changed = robot.with_inertial_parameters(joint + 1, values)
+    body = changed.tree.bodies[joint]
+    centre = ", ".join(f"{1e3 * x:.0f}" for x in body.centre)
+    return RobotChange(
+        changed,
+        f"{what} of link {joint + 1}: {before.mass:.4g} to {body.mass:.4g} kg,"
+        f" centre at ({centre}) mm.",
+    )
+
+
+def chain_of(robot: Robot, joint: int) -> Chain:
+    """Drivetrain of a joint; one without stages where the joint is rigid."""
+    return robot.chains[joint] or Chain(())
+
+
+def with_chain(robot: Robot, joint: int, chain: Chain, sentence: str) -> RobotChange:
+    """The robot with another drivetrain in one joint."""
+    chains: list[Chain | None] = list(robot.chains)
+    chains[joint] = chain
+    return RobotChange(replace(robot, chains=tuple(chains)), f"Joint {joint + 1}: {sentence}")
+
+
+def mean_windup(chain: Chain, torques: np.ndarray) -> float:
+    """Mean wind-up [rad] of a drivetrain, by its exact law, over some torques [N m]."""
+    return float(np.mean(exact_windup(chain, torques))) if chain.stages else 0.0
+
+
+def with_element(chain: Chain, position: int, element: Connection) -> Chain:
+    """The drivetrain with another element in the place of one."""
+    stages = list(chain.stages)
+    stages[position] = replace(stages[position], element=element)
+    return replace(chain, stages=tuple(stages))
+
+
+def with_series_spring(chain: Chain, added: float, constants: JointConstants) -> tuple[Chain, str]:
+    """The drivetrain with a spring in series that adds a mean wind-up [rad], and a sentence."""
+    stiffness = float(np.mean(SHARES)) * constants.torque_rated / added
+    names = chain.elements
+    name = next(
+        n for k in range(len(names) + 1) if (n := ADDED + (f"_{k + 1}" if k else "")) not in names
+    )
+    element = Constant(name=name, torque_max=constants.torque_max, stiffness=stiffness)
+    return (
+        replace(chain, stages=(*chain.stages, Stage(element))),
+        f"a spring of {stiffness:.4g} N m/rad in series.",
+    )

@@ -1,0 +1,178 @@
+"""Springs of another stiffness than nominal: the whole joint, or the reducer's first slope."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stiffopt.connection.connection import Connection
+from stiffopt.connection.constant import Constant
+from stiffopt.connection.reducer import Reducer
+from stiffopt.discovery.catalogue.common import WEIGHT, Constants, winds_up
+from stiffopt.discovery.catalogue.robot_change import (
+    SHARES,
+    chain_of,
+    mean_windup,
+    with_chain,
+    with_element,
+    with_series_spring,
+)
+from stiffopt.discovery.comparison.extension import EstimatedEffect
+from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
+from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Shape, Term
+from stiffopt.exact.reducer import reducer_windup
+from stiffopt.robot.robot import Robot
+from stiffopt.symbolic import Quantity
+
+
+def stiffness_linear_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Wind-up x D(s)."""
+    return Term(deflection=amplitudes[0] * signals.windup)
+
+
+def _factor(
+    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
+) -> Mapping[str, float]:
+    return {"factor": 1.0 / (1.0 + amplitudes[0])}
+
+
+def scale_stiffness(
+    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+) -> RobotChange | None:
+    """Scale the reducer so that the joint's mean wind-up changes by the factor."""
+    chain = chain_of(robot, joint)
+    factor = 1.0 / (1.0 + found.amplitudes[0])
+    torques = SHARES * constants.torque_rated
+    whole = mean_windup(chain, torques)
+    if whole <= 0.0 or not np.isfinite(whole):
+        return None
+    for position, stage in enumerate(chain.stages):
+        if isinstance(stage.element, Reducer | Constant):
+            alone = mean_windup(replace(chain, stages=(stage,)), torques)
+            wanted = whole / factor - (whole - alone)
+            if wanted <= 0.0:
+                return None
+            element = _scaled(stage.element, alone / wanted)
+            return with_chain(
+                robot,
+                joint,
+                with_element(chain, position, element),
+                f"stiffness times {factor:.3g}, put into {element.name}"
+                f" (its own times {alone / wanted:.3g}).",
+            )
+    return with_chain(robot, joint, *with_series_spring(chain, whole / factor - whole, constants))
+
+
+def _scaled(element: Reducer | Constant, factor: float) -> Connection:
+    if isinstance(element, Constant):
+        return replace(element, stiffness=element.stiffness * factor)
+    return replace(
+        element,
+        K1=element.K1 * factor,
+        K2=element.K2 * factor,
+        K3=element.K3 * factor,
+    )
+
+
+def k1_softening_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Wind-up of a reducer with another first slope and corner, less the nominal one."""
+    constants, s = signals.constants, signals.spring_torque
+    if constants.slopes is None or constants.torques is None:
+        return Term(deflection=0.0 * s)
+    (k1, k2, k3), (t1, t2) = constants.slopes, constants.torques
+    k1_factor, t1_factor = shapes
+    first = t1 * t1_factor
+    # The second corner moves on only when the first passes it.
+    worn = reducer_windup(s, (k1 * k1_factor, k2, k3), (first, np.fmax(t2, first)))
+    added = worn - reducer_windup(s, constants.slopes, constants.torques)
+    return Term(deflection=amplitudes[0] * added)
+
+
+def _corners(
+    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
+) -> Mapping[str, float]:
+    # The slope at zero torque holds exactly, also where the weight is not 1.
+    softer = 1.0 + amplitudes[0] * (1.0 / shapes[0] - 1.0)
+    return {"k1_factor": 1.0 / softer, "t1_factor": shapes[1]}
+
+
+def _has_corners(constants: JointConstants) -> bool:
+    slopes = constants.slopes
+    return slopes is not None and constants.torques is not None and slopes[0] != slopes[2]
+
+
+def wear_reducer(
+    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+) -> RobotChange | None:
+    """Another first slope and corner of the reducer."""
+    values = _corners(found.amplitudes, found.located.shapes, constants)
+    chain = chain_of(robot, joint)
+    for position, stage in enumerate(chain.stages):
+        element = stage.element
+        if isinstance(element, Reducer):
+            first = element.T1 * values["t1_factor"]
+            worn = replace(
+                element,
+                K1=element.K1 * values["k1_factor"],
+                T1=first,
+                T2=max(element.T2, first * (1.0 + 1e-6)),
+            )
+            return with_chain(
+                robot,
+                joint,
+                with_element(chain, position, worn),
+                f"first slope of {element.name} times {values['k1_factor']:.3g},"
+                f" its corner times {values['t1_factor']:.3g}.",
+            )
+    return None
+
+
+STIFFNESS_LINEAR = Effect(
+    name="stiffness_linear",
+    family="elastic",
+    scope="joint",
+    equation="d += (1/factor - 1)*D(s)",
+    signature="wind-up off in proportion to the nominal one",
+    title="stiffness",
+    phrase=("softer than nominal", "stiffer than nominal"),
+    needs=("link", "moves"),
+    confused_with=("belt_creep", "preload_loss"),
+    change_robot=scale_stiffness,
+    term=stiffness_linear_term,
+    amplitudes=(Amplitude(name="x", unit="", scale=0.3, lower=-2.2, upper=7.8),),
+    report=_factor,
+    units={"factor": ""},
+    applies=winds_up,
+    separate="Use the whole range of torque on both sides, slowly and fast: an added belt is not"
+    " proportional where the reducer's slope changes, and lags.",
+)
+
+K1_SOFTENING = Effect(
+    name="k1_softening",
+    family="elastic",
+    scope="joint",
+    equation="d += D(s; k1_factor*K1, t1_factor*T1) - D(s)",
+    signature="wind-up off around zero torque that stops growing beyond the reducer's first corner",
+    title="K1 softening",
+    phrase="lost stiffness near zero torque",
+    needs=("link", "moves", "load_changes_sign"),
+    confused_with=("preload_loss",),
+    reference="HarmonicDriveCSF",
+    change_robot=wear_reducer,
+    term=k1_softening_term,
+    amplitudes=(WEIGHT,),
+    shapes=(
+        Shape(name="k1_factor", unit="", starts=(0.2, 0.35, 0.55, 0.8), lower=0.15, upper=1.2),
+        Shape(name="t1_factor", unit="", starts=(0.7, 1.0, 1.6), lower=0.5, upper=3.0),
+    ),
+    report=_corners,
+    applies=_has_corners,
+    separate="Reach torques well beyond the first corner: a worn reducer stops getting softer"
+    " there, loosened contacts keep growing, backlash has no width in torque.",
+)
