@@ -42,7 +42,8 @@ class CompactChain:
     chain : Chain
     torque_max : float
         Of the joint [N m]; the fit holds from 2e-5 to 1.3 of it, or to 0.95 of the torque at which
-        something slips. Beyond, the secant compliance stays constant.
+        something slips. Beyond, the secant compliance stays constant; it bends over to that within
+        the last tenth, 1 % off at the end.
 
     Raises
     ------
