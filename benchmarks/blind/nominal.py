@@ -52,7 +52,7 @@ def along(recordings: RecordingSet, run: Run, cutoff: float) -> Motion:
     cutoff : float
         Of the zero-phase low-pass on the motion [Hz].
     """
-    nominal, n = recordings.nominal, recordings.n
+    robot, order = recordings.robot, recordings.order
     step = float(np.median(np.diff(run.time)))
     low_pass = butter(3, cutoff, fs=1.0 / step, output="sos")
     position = sosfiltfilt(low_pass, _bridged(run.time, run.position), axis=0)
@@ -65,8 +65,8 @@ def along(recordings: RecordingSet, run: Run, cutoff: float) -> Motion:
     link_velocity = np.gradient(link, step, axis=0)
     link_acceleration = sosfiltfilt(low_pass, np.gradient(link_velocity, step, axis=0), axis=0)
     rigid = _rnea(recordings, link, link_velocity, link_acceleration)
-    friction = _values(nominal.coulomb, n) * np.tanh(velocity / SIGN_SPEED)
-    friction += _values(nominal.viscous, n) * velocity
+    friction = robot.coulomb[order] * np.tanh(velocity / SIGN_SPEED)
+    friction += robot.viscous[order] * velocity
     inside = (run.time > run.time[0] + _ENDS) & (run.time < run.time[-1] - _ENDS)
     recorded = velocity if run.velocity is None else run.velocity
     return Motion(
@@ -76,7 +76,7 @@ def along(recordings: RecordingSet, run: Run, cutoff: float) -> Motion:
         velocity=velocity,
         acceleration=acceleration,
         rigid=rigid,
-        torque=_values(nominal.rotor_inertia, n) * acceleration + rigid + friction,
+        torque=robot.rotor_inertia[order] * acceleration + rigid + friction,
         windup=_windup(recordings, rigid),
         moving=(np.abs(recorded) >= 3.0 * SIGN_SPEED) & inside[:, None],
         measured=run.torque,
@@ -92,14 +92,9 @@ def _bridged(time: np.ndarray, samples: np.ndarray) -> np.ndarray:
     return np.column_stack(columns)
 
 
-def _values(stated: np.ndarray | None, n: int) -> np.ndarray:
-    return np.zeros(n) if stated is None else np.nan_to_num(stated)
-
-
 def _rnea(recordings: RecordingSet, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
     """Inverse dynamics of the bodies (K, n) in the set's order of joints."""
-    model, order = recordings.robot.model.copy(), recordings.order
-    model.gravity.linear = recordings.gravity
+    model, order = recordings.robot.model, recordings.order
     data = model.createData()
     turned = [np.zeros_like(q) for _ in range(3)]
     for own, given in zip(turned, (q, v, a), strict=True):
@@ -110,14 +105,15 @@ def _rnea(recordings: RecordingSet, q: np.ndarray, v: np.ndarray, a: np.ndarray)
 
 def _windup(recordings: RecordingSet, torque: np.ndarray) -> np.ndarray:
     """Wind-up of reducers and contacts under a torque (K, n) [rad]."""
-    nominal = recordings.nominal
+    stated = recordings.stated
     total = np.zeros_like(torque)
-    if nominal.contact_stiffness is not None:
-        total += torque / nominal.contact_stiffness
-    if nominal.reducer is None:
+    if stated.contact_stiffness is not None:
+        total += torque / np.array(stated.contact_stiffness)
+    if stated.reducer is None:
         return total
-    r, size = nominal.reducer, np.abs(torque)
-    curve = np.minimum(size, r.T1) / r.K1
-    curve += np.clip(size - r.T1, 0.0, r.T2 - r.T1) / r.K2
-    curve += np.maximum(size - r.T2, 0.0) / r.K3
+    r, size = stated.reducer, np.abs(torque)
+    k1, k2, k3, t1, t2 = (np.array(numbers) for numbers in (r.K1, r.K2, r.K3, r.T1, r.T2))
+    curve = np.minimum(size, t1) / k1
+    curve += np.clip(size - t1, 0.0, t2 - t1) / k2
+    curve += np.maximum(size - t2, 0.0) / k3
     return np.asarray(total + np.sign(torque) * curve)

@@ -16,6 +16,7 @@ from stiffopt.discovery.comparison.signals import (
     RobotSignals,
 )
 from stiffopt.discovery.effect import Effect, Need, Scope, Term
+from stiffopt.recording.nominal_files import joint_chain
 from stiffopt.symbolic import is_symbolic
 
 PARTS = ("drive_torque", "link_torque", "deflection", "previous_torque")
@@ -89,10 +90,8 @@ def sample_constants(
             torque_rated=40.0,
             torque_max=120.0,
             rotor_inertia=0.36,
-            contact_stiffness=6.5e4,
+            chain=joint_chain((1.6e4, 2.5e4, 2.9e4, 7.0, 25.0), 6.5e4, 120.0),
             pole_pairs=4.0,
-            slopes=(1.6e4, 2.5e4, 2.9e4),
-            torques=(7.0, 25.0),
             stroke=(float(position[:, j].min()), float(position[:, j].max())),
             fastest=float(np.abs(velocity[:, j]).max()),
             largest_torque=float(np.abs(torque[:, j]).max()),

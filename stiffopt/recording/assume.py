@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
+from stiffopt.recording.nominal_files import unstated
 from stiffopt.recording.schema import RecordingsFile
+from stiffopt.robot.robot import Robot
 
 
-def assumptions(document: RecordingsFile, locked: Sequence[str]) -> tuple[str, ...]:
-    """Sentences, one a thing assumed, in the order of the file."""
+def assumptions(
+    document: RecordingsFile, described: Robot, locked: Sequence[str]
+) -> tuple[str, ...]:
+    """Sentences, one a thing assumed, in the order of the file.
+
+    Parameters
+    ----------
+    document : RecordingsFile
+    described : Robot
+        As its own file describes it.
+    locked : sequence of str
+        Joints that are not recorded.
+    """
     found = []
     if locked:
         found.append(f"Joints not recorded are held at zero: {', '.join(locked)}.")
@@ -16,17 +29,7 @@ def assumptions(document: RecordingsFile, locked: Sequence[str]) -> tuple[str, .
         found.append("Gravity is 9.81 m/s^2 along -z of the base.")
     if document.signals.torque_side is None:
         found.append("Torque is the motor's, from current, before friction.")
-    nominal = document.nominal
-    for key, meaning in (
-        ("gear_ratio", "nothing periodic in the rotor angle can be named"),
-        ("rotor_inertia", "the rotor inertia is not known and is estimated"),
-        ("coulomb", "the Coulomb friction is not known and is estimated"),
-        ("viscous", "the viscous friction is not known and is estimated"),
-    ):
-        if getattr(nominal, key) is None:
-            found.append(f"nominal.{key} is not given: {meaning}.")
-    if document.signals.link_position and nominal.reducer is None:
-        found.append("nominal.reducer is not given: the joints' stiffness is estimated.")
+    found += _of_nominal(document, described)
     tolerances = [key for key, value in document.tolerance.model_dump().items() if value is None]
     if tolerances:
         found.append(f"Tolerances not given, wide defaults hold: {', '.join(tolerances)}.")
@@ -37,3 +40,23 @@ def assumptions(document: RecordingsFile, locked: Sequence[str]) -> tuple[str, .
     if all(run.session_time is None for run in document.runs):
         found.append("Session times are not given: all runs are taken as equally warm.")
     return tuple(found)
+
+
+def _of_nominal(document: RecordingsFile, described: Robot) -> Iterator[str]:
+    nominal = document.nominal
+    if nominal.gear_ratio is None:
+        yield "nominal.gear_ratio is not given: nothing periodic in the rotor angle can be named."
+    for key, what in (
+        ("rotor_inertia", "the rotor inertia"),
+        ("coulomb", "the Coulomb friction"),
+        ("viscous", "the viscous friction"),
+    ):
+        if key in unstated(nominal, described):
+            yield f"nominal.{key} is not given: {what} is not known and is estimated."
+        elif getattr(nominal, key) is None:
+            yield f"nominal.{key} is not given: {what} is that of the robot's file."
+    if nominal.reducer is None:
+        if any(described.chains) and nominal.contact_stiffness is None:
+            yield "nominal.reducer is not given: drivetrains are those of the robot's file."
+        elif document.signals.link_position:
+            yield "nominal.reducer is not given: the joints' stiffness is estimated."

@@ -224,8 +224,7 @@ def _used(recordings: RecordingSet, kind: Kind, j: int, low: float, high: float)
     if kind == "velocity":
         limit = float(robot.velocity_max[row])
     elif kind == "torque":
-        torque = recordings.nominal.torque_max
-        limit = float(robot.torque_max[row] if torque is None else torque[j])
+        limit = float(robot.torque_max[row])
     else:
         limit, largest = float(robot.position_upper[row] - robot.position_lower[row]), high - low
     if not math.isfinite(limit) or limit <= 0.0 or not math.isfinite(largest):

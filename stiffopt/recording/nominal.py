@@ -1,4 +1,4 @@
-"""What today's simulation knows of the robot, how exactly, and how noisy the sensors are."""
+"""What a set knows beside its robot: drives, counterbalances, tolerances and sensor noise."""
 
 from __future__ import annotations
 
@@ -6,25 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Reducer:
-    """Wind-up curve of the reducers: slopes K1, K2, K3 between the torques T1 and T2.
-
-    Parameters
-    ----------
-    K1, K2, K3 : array (n,)
-        [N m/rad]; infinite is rigid.
-    T1, T2 : array (n,)
-        [N m]
-    """
-
-    K1: np.ndarray
-    K2: np.ndarray
-    K3: np.ndarray
-    T1: np.ndarray
-    T2: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,42 +45,30 @@ class Counterbalance:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Nominal:
-    """Parameters of the nominal model, None where the set is silent.
+    """What a set says of its robot that a `Robot` has no place for, None where it is silent.
 
     Parameters
     ----------
     gear_ratio : array (n,)
-    rotor_inertia : array (n,)
-        At the output side [kg m^2].
-    coulomb, viscous : array (n,)
-        [N m], [N m s/rad]
+        Turns of the motor for one of the joint.
     friction_temperature : float
-        At which these two were identified [degC].
-    torque_max, torque_rated : array (n,)
+        At which the nominal friction was identified [degC].
+    torque_rated : array (n,)
         [N m]
     pole_pairs : float
     joint_damping : array (n,)
         Of the elastic joint [N m s/rad].
-    contact_stiffness : array (n,)
-        Healthy connections of each joint in series [N m/rad]; infinite is rigid.
     connections : tuple of str (n,)
         What each drivetrain is built of, such as "belt+key+bolts".
-    reducer : Reducer
     counterbalance : tuple of Counterbalance
     """
 
     gear_ratio: np.ndarray | None = None
-    rotor_inertia: np.ndarray | None = None
-    coulomb: np.ndarray | None = None
-    viscous: np.ndarray | None = None
     friction_temperature: float | None = None
-    torque_max: np.ndarray | None = None
     torque_rated: np.ndarray | None = None
     pole_pairs: float | None = None
     joint_damping: np.ndarray | None = None
-    contact_stiffness: np.ndarray | None = None
     connections: tuple[str, ...] | None = None
-    reducer: Reducer | None = None
     counterbalance: tuple[Counterbalance, ...] = ()
 
 

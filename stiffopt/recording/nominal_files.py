@@ -1,33 +1,35 @@
-"""Nominal values, tolerances and noise from the sections of a set file."""
+"""Nominal robot, drives, tolerances and noise from the sections of a set file."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from stiffopt.connection.connection import Connection
+from stiffopt.connection.constant import Constant
+from stiffopt.connection.reducer import Reducer
+from stiffopt.drivetrain.chain import Chain
+from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import InputFileError, nearest
-from stiffopt.recording.nominal import Counterbalance, Noise, Nominal, Reducer, Tolerance
+from stiffopt.recording.nominal import Counterbalance, Noise, Nominal, Tolerance
 from stiffopt.recording.schema import (
     NoiseSection,
     NominalSection,
-    ReducerSection,
+    ReducerCurvesSection,
     SpringSection,
     TableSection,
     ToleranceSection,
 )
+from stiffopt.robot.elements import located
+from stiffopt.robot.robot import Robot
 
-_LISTS = (
-    "gear_ratio",
-    "rotor_inertia",
-    "coulomb",
-    "viscous",
-    "torque_max",
-    "torque_rated",
-    "joint_damping",
-    "contact_stiffness",
-)
+# Of the robot, of the drives: lists with a number a joint.
+_ROBOT_LISTS = ("rotor_inertia", "coulomb", "viscous", "torque_max")
+_DRIVE_LISTS = ("gear_ratio", "torque_rated", "joint_damping")
 
 
 def per_joint(
@@ -47,13 +49,9 @@ def per_joint(
 
 
 def as_nominal(section: NominalSection, joints: Sequence[str], path: Path) -> Nominal:
-    """Nominal values with one entry a joint."""
+    """What the section says beside the robot, with one entry a joint."""
     n = len(joints)
-    lists = {key: per_joint(getattr(section, key), n, path, f"nominal.{key}") for key in _LISTS}
-    for key, numbers in lists.items():
-        allowed = key == "contact_stiffness" or numbers is None or np.isfinite(numbers).all()
-        if not allowed:
-            raise InputFileError(path, f"nominal.{key}", f"got {list(numbers or ())}, not finite.")
+    lists = {key: _finite(section, key, n, path) for key in _DRIVE_LISTS}
     ratio = lists["gear_ratio"]
     if ratio is not None and not ratio.all():
         raise InputFileError(path, "nominal.gear_ratio", "a ratio of 0 turns nothing.")
@@ -68,13 +66,113 @@ def as_nominal(section: NominalSection, joints: Sequence[str], path: Path) -> No
         friction_temperature=section.friction_temperature,
         pole_pairs=section.pole_pairs,
         connections=section.connections,
-        reducer=None if section.reducer is None else _reducer(section.reducer, n, path),
         counterbalance=tuple(
             _counterbalance(one, joints, path)
             for one in (balance if isinstance(balance, tuple) else (balance,))
         ),
         **lists,
     )
+
+
+def check_nominal(section: NominalSection, joints: Sequence[str], path: Path) -> None:
+    """Raise `InputFileError` where a list of the section is of no use for these joints."""
+    as_nominal(section, joints, path)
+    for key in _ROBOT_LISTS:
+        _finite(section, key, len(joints), path)
+
+
+def as_nominal_robot(
+    described: Robot, order: np.ndarray, section: NominalSection, path: Path
+) -> Robot:
+    """The robot as its file describes it, with all that the section states in its place.
+
+    Parameters
+    ----------
+    described : Robot
+        With the joints of the set, in its own order.
+    order : array (n,) of int
+        Index of each joint of the set among those of the robot.
+    section : NominalSection
+    path : Path
+        Of the set's file, for messages.
+    """
+    of_set = np.argsort(order)
+    stated: dict[str, Any] = {}
+    for key in _ROBOT_LISTS:
+        numbers = _finite(section, key, described.n, path)
+        if numbers is not None:
+            stated[key] = numbers[of_set]
+    robot = replace(described, **stated)
+    chains = as_chains(section, robot.torque_max[order], path)
+    if chains is None:
+        return robot
+    return replace(robot, chains=tuple(chains[j] for j in of_set))
+
+
+def unstated(section: NominalSection, described: Robot) -> tuple[str, ...]:
+    """Which of coulomb, viscous and rotor_inertia neither a set nor its robot's file gives."""
+    return tuple(
+        key
+        for key in ("coulomb", "viscous", "rotor_inertia")
+        if getattr(section, key) is None and not np.any(getattr(described, key))
+    )
+
+
+def as_chains(
+    section: NominalSection, torque_max: np.ndarray, path: Path
+) -> tuple[Chain | None, ...] | None:
+    """Drivetrain of each joint: its reducer, and its contacts as one spring; None is rigid.
+
+    Parameters
+    ----------
+    section : NominalSection
+    torque_max : array (n,)
+        [N m]
+    path : Path
+
+    Returns
+    -------
+    tuple of Chain or None (n,), or None
+        None where the section says nothing of stiffness.
+    """
+    n = len(torque_max)
+    contacts = per_joint(section.contact_stiffness, n, path, "nominal.contact_stiffness")
+    curves = None if section.reducer is None else _curves(section.reducer, n, path)
+    if contacts is None and curves is None:
+        return None
+    chains: list[Chain | None] = []
+    for j, most in enumerate(torque_max):
+        curve = None if curves is None else curves[:, j]
+        with located(path, f"nominal.reducer, joint {j + 1}"):
+            chains.append(joint_chain(curve, np.inf if contacts is None else contacts[j], most))
+    return tuple(chains)
+
+
+def joint_chain(
+    curve: Sequence[float] | np.ndarray | None, contacts: float, torque_max: float
+) -> Chain | None:
+    """Drivetrain of a reducer K1, K2, K3, T1, T2 and a contact stiffness [N m/rad]; None is rigid.
+
+    A reducer without a finite slope everywhere, and infinite contacts, are rigid.
+    """
+    elements: list[Connection] = []
+    if curve is not None and np.isfinite(curve[:3]).all():
+        k1, k2, k3, t1, t2 = (float(value) for value in curve)
+        reducer = Reducer(
+            name="reducer",
+            torque_max=float(torque_max),
+            K1=k1,
+            K2=k2,
+            K3=k3,
+            T1=t1,
+            # The element has two corners; equal ones stand for a catalogue with two slopes.
+            T2=max(t2, t1 * (1.0 + 1e-9)),
+        )
+        elements.append(reducer)
+    if np.isfinite(contacts):
+        most, stiffness = float(torque_max), float(contacts)
+        elements.append(Constant(name="contacts", torque_max=most, stiffness=stiffness))
+    return Chain(tuple(Stage(element) for element in elements)) if elements else None
 
 
 def as_tolerance(section: ToleranceSection) -> Tolerance:
@@ -92,15 +190,23 @@ def as_noise(section: NoiseSection, n: int, path: Path) -> Noise:
     )
 
 
-def _reducer(section: ReducerSection, n: int, path: Path) -> Reducer:
-    columns: dict[str, np.ndarray] = {}
+def _finite(section: NominalSection, key: str, n: int, path: Path) -> np.ndarray | None:
+    numbers = per_joint(getattr(section, key), n, path, f"nominal.{key}")
+    if numbers is not None and not np.isfinite(numbers).all():
+        raise InputFileError(path, f"nominal.{key}", f"got {list(numbers)}, not finite.")
+    return numbers
+
+
+def _curves(section: ReducerCurvesSection, n: int, path: Path) -> np.ndarray:
+    """K1, K2, K3, T1, T2 of all joints (5, n)."""
+    rows = []
     for key in ("K1", "K2", "K3", "T1", "T2"):
         numbers = per_joint(getattr(section, key), n, path, f"nominal.reducer.{key}")
-        if numbers is not None:
-            columns[key] = numbers
-    if not (columns["T1"] <= columns["T2"]).all():
+        assert numbers is not None
+        rows.append(numbers)
+    if not (rows[3] <= rows[4]).all():
         raise InputFileError(path, "nominal.reducer.T2", "must not be below T1. Swap the two.")
-    return Reducer(**columns)
+    return np.array(rows)
 
 
 def _counterbalance(

@@ -25,7 +25,7 @@ class RecordedArm:
         Of its TOML file.
     name, title, citation, licence : str
     robot : Robot
-        The recorded joints in the robot's own order, which need not be that of the set.
+        Nominal: the recorded joints in the robot's own order, which need not be that of the set.
     joints : tuple of str (n,)
         In the order of the set.
     locked : tuple of str
@@ -49,12 +49,17 @@ class RecordedArm:
     @cached_property
     def order(self) -> np.ndarray:
         """Index of each joint of the set among those of the robot, (n,)."""
-        return np.array([self.robot.joint_names.index(name) for name in self.joints])
+        return joint_order(self.robot, self.joints)
 
     @property
     def prismatic(self) -> np.ndarray:
         """Which joints of the set slide, (n,) of bool."""
         return np.asarray(self.robot.prismatic[self.order])
+
+
+def joint_order(robot: Robot, joints: Sequence[str]) -> np.ndarray:
+    """Index of each of these joints among those of a robot, (n,)."""
+    return np.array([robot.joint_names.index(name) for name in joints])
 
 
 def load_arm(
@@ -83,9 +88,16 @@ def load_arm(
     ------
     InputFileError, RobotError
         A joint or frame that the robot lacks, a joint named twice, a robot that cannot be read.
+
+    Notes
+    -----
+    A robot of the package or of a robot TOML brings its drivetrain, friction and rotor inertia. The
+    friction that a bare URDF may name is left out: `<dynamics>` is a setting of simulators.
     """
     shipped = source in shipped_robots()
     robot = load_robot(source if shipped else inside(path, "robot", source))
+    if not (shipped or source.lower().endswith(".toml")):
+        robot = replace(robot, coulomb=np.zeros(robot.n), viscous=np.zeros(robot.n))
     names = robot.joint_names
     for number, name in enumerate(joints):
         if name not in names:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -14,12 +14,20 @@ from stiffopt.files import load_toml, validate
 from stiffopt.recording.assume import assumptions
 from stiffopt.recording.clean import clean
 from stiffopt.recording.nominal import Noise, Nominal, Tolerance
-from stiffopt.recording.nominal_files import as_noise, as_nominal, as_tolerance, per_joint
+from stiffopt.recording.nominal_files import (
+    as_noise,
+    as_nominal,
+    as_nominal_robot,
+    as_tolerance,
+    per_joint,
+    unstated,
+)
 from stiffopt.recording.readers.read import read_columns
-from stiffopt.recording.recorded_arm import RecordedArm, inside, load_arm
+from stiffopt.recording.recorded_arm import RecordedArm, inside, joint_order, load_arm
 from stiffopt.recording.run import Role, Run
-from stiffopt.recording.schema import RecordingsFile, RunSection, SignalsSection
+from stiffopt.recording.schema import NominalSection, RecordingsFile, RunSection, SignalsSection
 from stiffopt.recording.signals import KINDS, Signals
+from stiffopt.robot.robot import Robot
 
 FILE = "recordings.toml"
 
@@ -60,6 +68,10 @@ class RecordingSet(RecordedArm):
     gravity : array (3,)
         [m/s^2]
     signals : Signals
+    described : Robot
+        As its own file describes it, before what the set states of it.
+    stated : NominalSection
+        What the set states of the nominal robot.
     nominal : Nominal
     tolerance : Tolerance
     noise : Noise
@@ -71,6 +83,8 @@ class RecordingSet(RecordedArm):
     tool_frame: str | None
     gravity: np.ndarray
     signals: Signals
+    described: Robot
+    stated: NominalSection
     nominal: Nominal
     tolerance: Tolerance
     noise: Noise
@@ -81,6 +95,21 @@ class RecordingSet(RecordedArm):
     def torque_side(self) -> str:
         """Where torque is measured: "motor" or "link"."""
         return self.signals.torque_side
+
+    @property
+    def unstated(self) -> tuple[str, ...]:
+        """Which of coulomb, viscous and rotor_inertia neither the set nor its robot file gives."""
+        return unstated(self.stated, self.described)
+
+    def with_nominal(self, stated: NominalSection, path: str | os.PathLike[str]) -> RecordingSet:
+        """The set with another statement of the nominal robot, from the file at `path`."""
+        path = Path(path)
+        return replace(
+            self,
+            robot=as_nominal_robot(self.described, self.order, stated, path),
+            nominal=as_nominal(stated, self.joints, path),
+            stated=stated,
+        )
 
     def with_role(self, *roles: Role) -> tuple[RunEntry, ...]:
         """Runs of these roles, in the order of the set."""
@@ -127,10 +156,12 @@ def load_recordings(path: str | os.PathLike[str]) -> RecordingSet:
         raise InputFileError(path, "schema", f"this version reads schema = 1, {got}.")
     document = validate(RecordingsFile, data, path)
     n = len(document.joints)
-    robot, locked = load_arm(
+    described, locked = load_arm(
         document.robot, document.joints, path, document.tool_frame, document.gravity
     )
-    nominal = as_nominal(document.nominal, document.joints, path)
+    order, stated = joint_order(described, document.joints), document.nominal
+    robot = as_nominal_robot(described, order, stated, path)
+    nominal = as_nominal(stated, document.joints, path)
     tolerance = as_tolerance(document.tolerance)
     noise = as_noise(document.noise, n, path)
     signals = as_signals(document.signals, n, path)
@@ -146,13 +177,15 @@ def load_recordings(path: str | os.PathLike[str]) -> RecordingSet:
         locked=locked,
         joints=document.joints,
         tool_frame=document.tool_frame,
-        gravity=robot.tree.gravity,
+        gravity=described.tree.gravity,
         signals=signals,
+        described=described,
+        stated=stated,
         nominal=nominal,
         tolerance=tolerance,
         noise=noise,
         runs=runs,
-        assumptions=assumptions(document, locked),
+        assumptions=assumptions(document, described, locked),
     )
 
 

@@ -27,7 +27,7 @@ class SignalsSection(Section):
     torque_side: Literal["motor", "link"] | None = None
 
 
-class ReducerSection(Section):
+class ReducerCurvesSection(Section):
     """Catalogue curve of each reducer; infinite is rigid."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=True)
@@ -76,7 +76,7 @@ class NominalSection(Section):
     joint_damping: NotNegativeNumbers | None = None
     contact_stiffness: PositiveNumbers | None = None
     connections: Names | None = None
-    reducer: ReducerSection | None = None
+    reducer: ReducerCurvesSection | None = None
     counterbalance: CounterbalanceSection | tuple[CounterbalanceSection, ...] = ()
 
 

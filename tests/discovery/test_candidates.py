@@ -1,7 +1,5 @@
 """Candidates judged: what a candidate is about, and how large it may be."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from answered import COULOMB
@@ -41,7 +39,8 @@ def test_an_effect_of_a_joint_is_about_a_channel_of_its_joint(training):
 
 def test_friction_has_bounds_only_beside_a_nominal_value(training, tmp_path):
     recordings = load_recordings(write_case(simulated(COULOMB), tmp_path / "set"))
-    silent = replace(recordings, nominal=replace(recordings.nominal, coulomb=None))
+    stated = recordings.stated.model_copy(update={"coulomb": None})
+    silent = recordings.with_nominal(stated, recordings.path)
     for given, bounded in ((recordings, True), (silent, False)):
         catalogue = {effect.name: effect for effect in without_bounds(CATALOGUE, given)}
         assert np.isfinite(catalogue["coulomb"].amplitudes[0].upper) == bounded

@@ -29,7 +29,7 @@ def test_a_nominal_model_within_its_tolerances_lacks_nothing():
     assert document["outside"] is None
     # What would have been seen: friction of every joint, in numbers below its nominal value.
     limits = {(e["effect"], e["joint"]): e["value"] for e in document["detection_limits"]}
-    for joint, nominal in enumerate(diagnosis.recordings.nominal.coulomb, 1):
+    for joint, nominal in enumerate(diagnosis.recordings.robot.coulomb, 1):
         assert 0.0 < limits["coulomb", joint] < nominal
 
 

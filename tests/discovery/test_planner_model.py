@@ -142,7 +142,7 @@ def test_preload_found_is_the_preload_lost(arm: Robot, model: ExtendedModel) -> 
     added = exact_windup(loose, torques) - exact_windup(chain, torques)
     shapes = (0.05, 0.5)
     one = (torques / rated + shapes[0]) ** shapes[1] - shapes[0] ** shapes[1]
-    size = rated * (1.0 / joint_constants(model, 2).contact_stiffness)
+    size = rated * (1.0 / joint_constants(model, 2, None).contact_stiffness)
     amplitude = float(np.mean(added) / (size * np.mean(one)))
     changed = planner_model(arm, found(model, "preload_loss", (amplitude,), shapes, joint=2))
     after = changed.robot.chains[2]

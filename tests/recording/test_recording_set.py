@@ -11,7 +11,9 @@ import pytest
 from recording_sets import motion
 
 from stiffopt.errors import InputError, InputFileError
+from stiffopt.exact.chain import exact_windup
 from stiffopt.recording.recording_set import load_recordings, require_test_runs
+from stiffopt.robot.files import load_robot
 
 MakeSet = Callable[..., Path]
 
@@ -21,8 +23,8 @@ def test_what_the_file_says_is_in_the_set(make_set: MakeSet) -> None:
     assert recordings.joints == ("swing", "slide")
     assert recordings.prismatic.tolist() == [False, True]
     assert recordings.torque_side == "motor"
-    np.testing.assert_array_equal(recordings.nominal.coulomb, [1.0, 2.0])
-    assert recordings.nominal.viscous is None
+    np.testing.assert_array_equal(recordings.robot.coulomb, [1.0, 2.0])
+    assert recordings.unstated == ("viscous", "rotor_inertia")
     assert recordings.tolerance.mass == 0.01
     assert recordings.tolerance.com is None
     np.testing.assert_array_equal(recordings.noise.torque, [0.05, 0.05])
@@ -97,8 +99,6 @@ def test_a_shipped_robot_by_name_without_its_rotors(make_set: MakeSet) -> None:
         ('tool_frame = "tool0"\n', ""),
         ("[signals]", "gravity = [0.0, 0.0, 9.81]\n\n[signals]"),
     )
-    from stiffopt.robot.files import load_robot
-
     robot = load_robot("er3a_c60")
     names = list(robot.joint_names[:2])
     text = (folder / "recordings.toml").read_text()
@@ -132,9 +132,11 @@ REDUCER = "[nominal.reducer]\nK1 = [{0}, 1e4]\nK2 = [2e4, 2e4]\nK3 = [3e4, inf]\
 
 def test_a_rigid_reducer_is_infinite(make_set: MakeSet) -> None:
     text = REDUCER.format("1e4") + "T2 = [25.0, 25.0]\n\n[tolerance]"
-    reducer = load_recordings(make_set(("[tolerance]", text))).nominal.reducer
-    assert reducer is not None
-    assert reducer.K3.tolist() == [3e4, np.inf]
+    swing, slide = load_recordings(make_set(("[tolerance]", text))).robot.chains
+    assert swing is not None
+    assert slide is None
+    angle = 7.0 / 1e4 + 18.0 / 2e4 + 15.0 / 3e4
+    assert exact_windup(swing, np.array([40.0])) == pytest.approx([angle], rel=1e-12)
 
 
 WRONG = {
@@ -209,3 +211,33 @@ def test_no_set_at_all(tmp_path: Path) -> None:
         load_recordings(tmp_path)
     with pytest.raises(InputFileError, match="there is no folder"):
         load_recordings(tmp_path / "nowhere" / "recordings.toml")
+
+
+def shipped(make_set: MakeSet, *edits: tuple[str, str]) -> Path:
+    """A set of two joints of the ER3A, in the other order, that states friction alone."""
+    names = load_robot("er3a_c60").joint_names
+    return make_set(
+        ('robot = "robot.urdf"', 'robot = "er3a_c60"'),
+        ('joints = ["swing", "slide"]', f'joints = ["{names[2]}", "{names[1]}"]'),
+        ('tool_frame = "tool0"\n', ""),
+        *edits,
+    )
+
+
+def test_a_robot_file_counts_where_the_set_is_silent(make_set: MakeSet) -> None:
+    own = load_robot("er3a_c60")
+    recordings = load_recordings(shipped(make_set))
+    assert recordings.robot.joint_names == own.joint_names[1:3]
+    assert recordings.robot.chains == own.chains[1:3]
+    np.testing.assert_array_equal(recordings.robot.rotor_inertia, own.rotor_inertia[1:3])
+    # What the set states, in its own order of joints.
+    np.testing.assert_array_equal(recordings.robot.coulomb, [2.0, 1.0])
+    assert "drivetrains are those of the robot's file" in " ".join(recordings.assumptions)
+
+
+def test_a_set_that_states_stiffness_states_the_whole_drivetrain(make_set: MakeSet) -> None:
+    stated = ("[tolerance]", "contact_stiffness = [2e4, inf]\n\n[tolerance]")
+    first, second = load_recordings(shipped(make_set, stated)).robot.chains
+    assert first is None
+    assert second is not None
+    assert exact_windup(second, np.array([10.0])) == pytest.approx([10.0 / 2e4], rel=1e-9)

@@ -210,8 +210,9 @@ def test_rivals_are_ranked(friction):
 
 
 def test_values_without_a_nominal_one_are_no_surprise(friction):
-    nominal = replace(friction.recordings.nominal, coulomb=None)
-    silent = replace(friction, recordings=replace(friction.recordings, nominal=nominal))
+    recordings = friction.recordings
+    stated = recordings.stated.model_copy(update={"coulomb": None})
+    silent = replace(friction, recordings=recordings.with_nominal(stated, recordings.path))
     assert headline(silent) == "Found what the nominal model does not give: dry friction of joint 2"
 
 

@@ -83,14 +83,14 @@ def k1_softening_term(
 ) -> Term:
     """Wind-up of a reducer with another first slope and corner, less the nominal one."""
     constants, s = signals.constants, signals.spring_torque
-    if constants.slopes is None or constants.torques is None:
+    if constants.slopes is None or constants.corners is None:
         return Term(deflection=0.0 * s)
-    (k1, k2, k3), (t1, t2) = constants.slopes, constants.torques
+    (k1, k2, k3), (t1, t2) = constants.slopes, constants.corners
     k1_factor, t1_factor = shapes
     first = t1 * t1_factor
     # The second corner moves on only when the first passes it.
     worn = reducer_windup(s, (k1 * k1_factor, k2, k3), (first, np.fmax(t2, first)))
-    added = worn - reducer_windup(s, constants.slopes, constants.torques)
+    added = worn - reducer_windup(s, constants.slopes, constants.corners)
     return Term(deflection=amplitudes[0] * added)
 
 
@@ -104,7 +104,7 @@ def _corners(
 
 def _has_corners(constants: JointConstants) -> bool:
     slopes = constants.slopes
-    return slopes is not None and constants.torques is not None and slopes[0] != slopes[2]
+    return slopes is not None and constants.corners is not None and slopes[0] != slopes[2]
 
 
 def wear_reducer(

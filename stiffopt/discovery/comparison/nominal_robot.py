@@ -36,12 +36,10 @@ class RobotModel:
         self._bodies = self.arm.rigid_bodies()
         self.order = np.asarray(recordings.order)
         self.n = len(recordings.joints)
-        nominal = recordings.nominal
-        zero = np.zeros(self.n)
-        self.rotor_inertia = filled(nominal.rotor_inertia, zero)
-        self.coulomb = filled(nominal.coulomb, zero)
-        self.viscous = filled(nominal.viscous, zero)
-        self._balance = nominal.counterbalance
+        self.rotor_inertia = self.arm.rotor_inertia[self.order]
+        self.coulomb = self.arm.coulomb[self.order]
+        self.viscous = self.arm.viscous[self.order]
+        self._balance = recordings.nominal.counterbalance
 
     # ---- constants
 
@@ -49,12 +47,10 @@ class RobotModel:
     def constants(self) -> RobotConstants:
         """Constants without any range met."""
         nominal, connections = self.recordings.nominal, self.recordings.nominal.connections
-        stiff = np.full(self.n, np.inf)
-        torque_max = filled(nominal.torque_max, self.arm.torque_max[self.order])
+        torque_max = self.arm.torque_max[self.order]
         torque_max = np.where((torque_max > 0.0) & np.isfinite(torque_max), torque_max, np.nan)
         rated = filled(nominal.torque_rated, torque_max / 3.0)
         ratio = filled(nominal.gear_ratio, np.ones(self.n))
-        contact = filled(nominal.contact_stiffness, stiff)
         joints = tuple(
             JointConstants(
                 joint=j + 1,
@@ -64,12 +60,10 @@ class RobotModel:
                 torque_rated=float(rated[j]),
                 torque_max=float(torque_max[j]),
                 rotor_inertia=float(self.rotor_inertia[j]),
-                contact_stiffness=float(contact[j]),
+                chain=self.arm.chains[self.order[j]],
                 pole_pairs=nominal.pole_pairs,
                 prismatic=bool(self.recordings.prismatic[j]),
                 belt=None if connections is None else "belt" in connections[j],
-                slopes=self._slopes(j),
-                torques=self._knees(j),
             )
             for j in range(self.n)
         )
@@ -108,19 +102,6 @@ class RobotModel:
             )
         span = np.array([tool.min(axis=0), tool.max(axis=0)])
         return replace(base, joints=tuple(joints), tool_range=span)
-
-    def _slopes(self, j: int) -> tuple[float, float, float] | None:
-        reducer = self.recordings.nominal.reducer
-        if reducer is None:
-            return None
-        slopes = (float(reducer.K1[j]), float(reducer.K2[j]), float(reducer.K3[j]))
-        return slopes if np.isfinite(slopes).all() else None
-
-    def _knees(self, j: int) -> tuple[float, float] | None:
-        reducer = self.recordings.nominal.reducer
-        if reducer is None or self._slopes(j) is None:
-            return None
-        return float(reducer.T1[j]), float(reducer.T2[j])
 
     # ---- along a motion, (K, n) each, in the set's order
 

@@ -77,10 +77,10 @@ def _knees(
 ) -> Iterator[NuisanceColumn]:
     """Where the reducer's slope changes, and how roundly: catalogues idealise it as kinks."""
     constants = run.signals.constants.joints[j]
-    if constants.slopes is None or constants.torques is None:
+    if constants.slopes is None or constants.corners is None:
         return
     spring = run.signals.spring_torque[:, j]
-    (k1, k2, k3), (t1, t2) = constants.slopes, constants.torques
+    (k1, k2, k3), (t1, t2) = constants.slopes, constants.corners
     for name, knee, before, after in (("T1", t1, k1, k2), ("T2", t2, k2, k3)):
         fall = 1.0 / before - 1.0 / after
         beyond = np.sign(spring) * np.clip((np.abs(spring) - knee) / (_KNEE * knee), 0.0, 1.0)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from stiffopt.exact.reducer import reducer_compliance, reducer_windup
+from stiffopt.connection.reducer import Reducer
+from stiffopt.drivetrain.chain import Chain
+from stiffopt.drivetrain.stage import Stage
+from stiffopt.exact.reducer import Corners, Slopes, reducer_compliance, reducer_windup
 from stiffopt.symbolic import Quantity
 
 
@@ -27,13 +31,9 @@ class JointConstants:
         [N m]
     rotor_inertia : float
         At the output side [kg m^2].
-    contact_stiffness : float
-        Of the healthy connections in series [N m/rad]; inf where rigid or unknown.
+    chain : Chain or None
+        Nominal drivetrain; None where rigid or unknown.
     pole_pairs : float or None
-    slopes : (K1, K2, K3) or None
-        Of the reducer [N m/rad]; None where rigid or unknown.
-    torques : (T1, T2) or None
-        Where its slope changes [N m].
     stroke : (lowest, highest)
         Motor angle met in the recordings [rad].
     fastest : float
@@ -52,10 +52,8 @@ class JointConstants:
     torque_rated: float
     torque_max: float
     rotor_inertia: float
-    contact_stiffness: float = np.inf
+    chain: Chain | None = None
     pole_pairs: float | None = None
-    slopes: tuple[float, float, float] | None = None
-    torques: tuple[float, float] | None = None
     stroke: tuple[float, float] = (-np.pi, np.pi)
     fastest: float = 1.0
     largest_torque: float = 1.0
@@ -65,21 +63,62 @@ class JointConstants:
     @property
     def elastic(self) -> bool:
         """Whether the nominal joint winds up at all."""
-        return self.slopes is not None or np.isfinite(self.contact_stiffness)
+        return self.chain is not None and bool(self.chain.stages)
+
+    @cached_property
+    def _reducer(self) -> Stage | None:
+        """The first reducer that is in series with all the rest."""
+        groups = [] if self.chain is None else self.chain.groups()
+        alone = (group[0] for group in groups if len(group) == 1)
+        return next((stage for stage in alone if isinstance(stage.element, Reducer)), None)
+
+    @cached_property
+    def _contacts(self) -> Chain:
+        """The drivetrain without that reducer."""
+        if self.chain is None:
+            return Chain(())
+        stages = tuple(stage for stage in self.chain.stages if stage is not self._reducer)
+        return replace(self.chain, stages=stages)
+
+    @cached_property
+    def _curve(self) -> tuple[Slopes, Corners] | None:
+        if self._reducer is None:
+            return None
+        own, down, counts = self._reducer.element, self._reducer.reduction, self._reducer.counts
+        assert isinstance(own, Reducer)
+        slopes = (own.K1, own.K2, own.K3)
+        k1, k2, k3 = (stiffness * down / counts for stiffness in slopes)
+        return (k1, k2, k3), (own.T1 * down, own.T2 * down)
+
+    @property
+    def slopes(self) -> Slopes | None:
+        """K1, K2, K3 of the reducer, seen from the joint [N m/rad]; None without one."""
+        return None if self._curve is None else self._curve[0]
+
+    @property
+    def corners(self) -> Corners | None:
+        """T1, T2, where the reducer's slope changes, seen from the joint [N m]."""
+        return None if self._curve is None else self._curve[1]
+
+    @cached_property
+    def contact_stiffness(self) -> float:
+        """Of all but the reducer, secant at the rated torque [N m/rad]; inf where rigid."""
+        if not self._contacts.stages:
+            return np.inf
+        return float(self._contacts.secant_stiffness(self.torque_rated))
 
     def windup(self, torque: Quantity) -> Quantity:
-        """Nominal wind-up [rad] under a spring torque [N m]; takes symbols."""
-        angle = torque / self.contact_stiffness
-        if self.slopes is None or self.torques is None:
-            return angle
-        return angle + reducer_windup(torque, self.slopes, self.torques)
+        """Nominal wind-up [rad] under a spring torque [N m]; takes symbols.
+
+        The three slopes of the reducer are the catalogue's own, unsmoothed.
+        """
+        angle = self._contacts.windup(torque)
+        return angle if self._curve is None else angle + reducer_windup(torque, *self._curve)
 
     def compliance(self, torque: Quantity) -> Quantity:
         """Slope of the nominal wind-up [rad/(N m)]; takes symbols."""
-        slope = 1.0 / self.contact_stiffness + 0.0 * torque
-        if self.slopes is None or self.torques is None:
-            return slope
-        return slope + reducer_compliance(torque, self.slopes, self.torques)
+        slope = self._contacts.tangent_compliance(torque)
+        return slope if self._curve is None else slope + reducer_compliance(torque, *self._curve)
 
 
 @dataclass(frozen=True, kw_only=True)

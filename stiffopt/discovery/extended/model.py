@@ -49,11 +49,12 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.schema import EffectSection, ExtendedFile
+from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.files import check_header, load_toml, validate
-from stiffopt.recording.nominal import Nominal
-from stiffopt.recording.nominal_files import as_nominal
+from stiffopt.recording.nominal_files import as_chains, check_nominal
 from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.schema import NominalSection
 
 # Relative difference up to which reported values agree with the terms they come from.
 _AGREE = 1e-6
@@ -70,7 +71,10 @@ class ExtendedModel:
     name : str
         Of the recording set that it comes from.
     joints : tuple of str (n,)
-    nominal : Nominal
+    nominal : NominalSection
+        What it states of the nominal robot.
+    chains : tuple of Chain or None (n,), or None
+        Nominal drivetrains; None where it states none, those of the robot then.
     scales : dict of str to tuple of float (n,)
         torque_rated, torque_max [N m], fastest [rad/s].
     extension : Extension
@@ -81,7 +85,8 @@ class ExtendedModel:
     source: str
     name: str
     joints: tuple[str, ...]
-    nominal: Nominal
+    nominal: NominalSection
+    chains: tuple[Chain | None, ...] | None
     scales: dict[str, tuple[float, ...]]
     extension: Extension
     parameters: tuple[dict[str, float], ...]
@@ -101,7 +106,7 @@ class ExtendedModel:
                 f"this model is of {', '.join(self.joints)}, the recordings of"
                 f" {', '.join(recordings.joints)}. Give the model of the same robot.",
             )
-        return replace(recordings, nominal=self.nominal)
+        return recordings.with_nominal(self.nominal, self.source)
 
     def scaled(self, constants: RobotConstants) -> RobotConstants:
         """Constants with the scales that the effects were fitted with."""
@@ -135,7 +140,7 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
     check_header(data, path, "extended")
     document = validate(ExtendedFile, data, path)
     n = len(document.joints)
-    nominal = as_nominal(document.nominal, document.joints, Path(path))
+    check_nominal(document.nominal, document.joints, Path(path))
     scales = {
         name: _per_joint(values, n, path, f"scales.{name}")
         for name, values in document.scales.model_dump().items()
@@ -149,7 +154,8 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
         source=str(path),
         name=document.name,
         joints=document.joints,
-        nominal=nominal,
+        nominal=document.nominal,
+        chains=as_chains(document.nominal, np.array(scales["torque_max"]), Path(path)),
         scales=scales,
         extension=Extension(calibration=document.calibration, effects=tuple(read)),
         parameters=tuple(

@@ -15,6 +15,7 @@ import numpy as np
 from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.signals import JointConstants
 from stiffopt.discovery.extended.model import ExtendedModel
+from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputFileError
 from stiffopt.robot.robot import Robot
 
@@ -79,6 +80,7 @@ class _Planner:
 
     def __init__(self, robot: Robot, model: ExtendedModel) -> None:
         self.robot, self.model = robot, model
+        self.own_chains = robot.chains
         self.place = _places(robot, model)
         self.changes: list[str] = []
         self.left_out: list[str] = []
@@ -103,7 +105,7 @@ class _Planner:
         change = located.effect.change_robot
         changed = None
         if change is not None:
-            constants = joint_constants(self.model, own)
+            constants = joint_constants(self.model, own, self.own_chains[self.place[own]])
             changed = change(self.robot, estimated, self.place[own], constants)
         if changed is None:
             self.left_out.append(located.label)
@@ -129,7 +131,7 @@ def _places(robot: Robot, model: ExtendedModel) -> tuple[int, ...]:
     return tuple(range(len(names)))
 
 
-def joint_constants(model: ExtendedModel, joint: int) -> JointConstants:
+def joint_constants(model: ExtendedModel, joint: int, own: Chain | None) -> JointConstants:
     """Constants of a joint that the terms of an extended model were fitted with.
 
     Parameters
@@ -137,29 +139,23 @@ def joint_constants(model: ExtendedModel, joint: int) -> JointConstants:
     model : ExtendedModel
     joint : int
         From 0.
+    own : Chain or None
+        Drivetrain of the robot's own file, which counted where the model states none.
     """
     nominal = model.nominal
 
-    def own(values: np.ndarray | None, default: float) -> float:
-        return default if values is None or not np.isfinite(values[joint]) else float(values[joint])
+    def stated(values: Sequence[float] | None, default: float) -> float:
+        return default if values is None else values[joint]
 
-    slopes = torques = None
-    if nominal.reducer is not None:
-        r = nominal.reducer
-        k1, k2, k3, t1, t2 = (float(v[joint]) for v in (r.K1, r.K2, r.K3, r.T1, r.T2))
-        if np.isfinite([k1, k2, k3]).all():
-            slopes, torques = (k1, k2, k3), (t1, t2)
     return JointConstants(
         joint=joint + 1,
-        ratio=own(nominal.gear_ratio, 1.0),
-        coulomb=own(nominal.coulomb, 0.0),
-        viscous=own(nominal.viscous, 0.0),
+        ratio=stated(nominal.gear_ratio, 1.0),
+        coulomb=stated(nominal.coulomb, 0.0),
+        viscous=stated(nominal.viscous, 0.0),
         torque_rated=model.scales["torque_rated"][joint],
         torque_max=model.scales["torque_max"][joint],
-        rotor_inertia=own(nominal.rotor_inertia, 0.0),
-        contact_stiffness=own(nominal.contact_stiffness, np.inf),
+        rotor_inertia=stated(nominal.rotor_inertia, 0.0),
+        chain=own if model.chains is None else model.chains[joint],
         pole_pairs=nominal.pole_pairs,
         fastest=model.scales["fastest"][joint],
-        slopes=slopes,
-        torques=torques,
     )

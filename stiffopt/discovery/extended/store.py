@@ -11,9 +11,7 @@ import numpy as np
 from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.diagnosis import Diagnosis
-from stiffopt.recording.nominal import Counterbalance, Nominal
-
-_REDUCER = ("K1", "K2", "K3", "T1", "T2")
+from stiffopt.recording.schema import NominalSection
 
 
 def extended_text(diagnosis: Diagnosis) -> str:
@@ -36,7 +34,7 @@ def extended_text(diagnosis: Diagnosis) -> str:
                 "links": list(constants.links),
             },
         ),
-        *_nominal(recordings.nominal),
+        *_nominal(recordings.stated),
         _table(
             "scales",
             {
@@ -51,28 +49,14 @@ def extended_text(diagnosis: Diagnosis) -> str:
     return "\n".join(parts)
 
 
-def _nominal(nominal: Nominal) -> Iterable[str]:
-    entries = {
-        name: value
-        for name, value in vars(nominal).items()
-        if value is not None and name not in ("reducer", "counterbalance")
-    }
+def _nominal(stated: NominalSection) -> Iterable[str]:
+    entries = stated.model_dump(exclude_none=True)
+    reducer, balances = entries.pop("reducer", None), entries.pop("counterbalance")
     yield _table("nominal", entries)
-    if nominal.reducer is not None:
-        yield _table("nominal.reducer", {k: getattr(nominal.reducer, k) for k in _REDUCER})
-    for balance in nominal.counterbalance:
-        yield _table("[nominal.counterbalance]", _counterbalance(balance))
-
-
-def _counterbalance(balance: Counterbalance) -> dict[str, Any]:
-    place = {"joint": balance.joint + 1}
-    if balance.angle is not None:
-        return place | {"type": "table", "angle": balance.angle, "torque": balance.torque}
-    return place | {
-        "type": "spring",
-        "stiffness": balance.stiffness or 0.0,
-        "offset": balance.offset or 0.0,
-    }
+    if reducer is not None:
+        yield _table("nominal.reducer", reducer)
+    for balance in balances if isinstance(balances, tuple) else (balances,):
+        yield _table("[nominal.counterbalance]", balance)
 
 
 def _effect(

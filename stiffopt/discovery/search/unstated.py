@@ -33,7 +33,7 @@ def without_bounds(catalogue: Sequence[Effect], recordings: RecordingSet) -> tup
 
 
 def _stands_for_unstated(effect: Effect, recordings: RecordingSet) -> bool:
-    return bool(effect.nominal) and getattr(recordings.nominal, effect.nominal) is None
+    return effect.nominal in recordings.unstated
 
 
 def _unbounded(entry: Effect) -> Effect:

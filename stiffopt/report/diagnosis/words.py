@@ -91,8 +91,7 @@ def prismatic(diagnosis: Diagnosis, located: LocatedEffect) -> bool:
 
 def is_unstated(diagnosis: Diagnosis, finding: Finding) -> bool:
     """Whether a finding stands for a value that the nominal model does not give at all."""
-    field = finding.effect.nominal
-    return bool(field) and getattr(diagnosis.recordings.nominal, field) is None
+    return finding.effect.nominal in diagnosis.recordings.unstated
 
 
 def new_and_unstated(diagnosis: Diagnosis) -> tuple[list[Finding], list[Finding]]:
