@@ -20,20 +20,7 @@ def schema(
     kind
         Which file.
     """
-    from stiffopt.discovery.extended.schema import ExtendedFile
-    from stiffopt.files import Section
-    from stiffopt.preload.schema import PreloadFile
-    from stiffopt.problem.schema import ProblemFile
-    from stiffopt.recording.schema import RecordingsFile, StaticFile
-    from stiffopt.robot.schema import robot_file
+    from stiffopt.report.file_reference import file_schema
 
-    models: dict[str, type[Section]] = {
-        "trajectory": ProblemFile,
-        "robot": robot_file(),
-        "preload": PreloadFile,
-        "recordings": RecordingsFile,
-        "static": StaticFile,
-        "extended": ExtendedFile,
-    }
-    print_json(models[kind].model_json_schema(by_alias=True))
+    print_json(file_schema(kind))
     return 0

@@ -344,7 +344,9 @@ def _surface_section() -> type[SurfaceSection]:
         by_name: Any = Annotated[str, Named("material")]
         docs = keys[name][0].__metadata__
         keys[name] = (Annotated[by_name | Material, *docs], ...)
-    return create_model("SurfaceSection", __base__=SurfaceSection, **keys)
+    return create_model(
+        "SurfaceSection", __base__=SurfaceSection, __doc__=SurfaceSection.__doc__, **keys
+    )
 
 
 def _extended(section: type[Model], **keys: Any) -> type[Model]:

@@ -1,0 +1,217 @@
+"""Reference of the files: every key with its unit, default and sentence, from the declarations.
+
+`python -m stiffopt.report.file_reference` prints `.github/files.md`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from stiffopt.discovery.extended.schema import ExtendedFile
+from stiffopt.files import Section
+from stiffopt.preload.schema import PreloadFile
+from stiffopt.problem.schema import ProblemFile
+from stiffopt.recording.schema import RecordingsFile, StaticFile
+from stiffopt.robot.schema import robot_file
+
+# More names of the catalogue than these are not written out.
+_NAMES_SHOWN = 12
+
+_INTRODUCTION = """# Files
+
+Every key of the files that people write, generated from their declarations; `stiffopt schema KIND`
+gives the same as JSON Schema, for editors. A bare number is SI; where a unit is given, a text with
+another unit of the same kind is converted: `"45 deg"`, `"0.3 mm"`, `"12 kN"`, `"5 N*m/arcmin"`
+(not in recordings). A second unit in brackets is that of prismatic joints. Joints are numbered from
+1. Unknown keys are errors that name the nearest known one."""
+
+_TITLES = {
+    "trajectory": "Trajectory problem",
+    "preload": "Preload study",
+    "robot": "Robot",
+    "recordings": "Recording set (`recordings.toml`)",
+    "static": "Static deflections (`static.toml`)",
+    "extended": "Extended model (`extended.toml`, written by `stiffopt diagnose`)",
+}
+
+
+def file_models() -> dict[str, type[Section]]:
+    """Schema of each kind of file, as a pydantic model."""
+    return {
+        "trajectory": ProblemFile,
+        "preload": PreloadFile,
+        "robot": robot_file(),
+        "recordings": RecordingsFile,
+        "static": StaticFile,
+        "extended": ExtendedFile,
+    }
+
+
+def file_schema(kind: str) -> dict[str, Any]:
+    """JSON Schema of a kind of file."""
+    return file_models()[kind].model_json_schema(by_alias=True)
+
+
+def reference_page() -> str:
+    """Whole page, in Markdown."""
+    parts = [_INTRODUCTION]
+    for kind, title in _TITLES.items():
+        parts.append(f"## {title}")
+        parts.extend(_sections(file_schema(kind)))
+    return "\n\n".join(parts) + "\n"
+
+
+def fields(schema: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Section, key and JSON Schema of every key of a kind of file."""
+    for section in (schema, *schema.get("$defs", {}).values()):
+        for key, field in section.get("properties", {}).items():
+            yield section["title"], key, field
+
+
+def units(field: dict[str, Any]) -> list[str]:
+    """Units of a key, in brackets behind the first that of a prismatic joint."""
+    found = [
+        f"{form['unit']} ({form['unit_prismatic']})" if "unit_prismatic" in form else form["unit"]
+        for form in _forms(field)
+        if "unit" in form
+    ]
+    return list(dict.fromkeys(found))
+
+
+def _sections(schema: dict[str, Any]) -> Iterator[str]:
+    """Text and table of the file as a whole and of each of its sections."""
+    definitions = schema.get("$defs", {})
+    places: dict[str, list[str]] = {}
+    waiting = [(schema, "")]
+    while waiting:
+        section, place = waiting.pop(0)
+        for key, field in section["properties"].items():
+            for name, inside, heading in _references(field, f"{place}.{key}".lstrip(".")):
+                known = places.setdefault(name, [])
+                if not known:
+                    waiting.append((definitions[name], inside))
+                if heading not in known:
+                    known.append(heading)
+    yield _described(schema)
+    yield _table(schema)
+    for name, used in places.items():
+        kind = definitions[name]["properties"].get("type", {}).get("const")
+        tag = f', `type = "{kind}"`' if kind else ""
+        yield f"### {', '.join(f'`{place}`' for place in used)}{tag}"
+        yield _described(definitions[name])
+        yield _table(definitions[name])
+
+
+def _references(field: dict[str, Any], place: str) -> Iterator[tuple[str, str, str]]:
+    """Name, place and heading of the sections that a key holds."""
+    for form in _forms(field):
+        if "$ref" in form:
+            inside = f"{place}.NAME" if _named(field, form) else place
+            heading = f"[[{inside}]]" if _listed(field, form) else f"[{inside}]"
+            yield form["$ref"].rpartition("/")[2], inside, heading
+
+
+def _forms(field: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """A key's schema and all that it may hold."""
+    yield field
+    for word in ("anyOf", "oneOf", "prefixItems"):
+        for form in field.get(word, ()):
+            yield from _forms(form)
+    for word in ("items", "additionalProperties"):
+        if isinstance(field.get(word), dict):
+            yield from _forms(field[word])
+
+
+def _listed(field: dict[str, Any], form: dict[str, Any]) -> bool:
+    return any(form in _forms(f["items"]) for f in _forms(field) if "items" in f)
+
+
+def _named(field: dict[str, Any], form: dict[str, Any]) -> bool:
+    held = [f["additionalProperties"] for f in _forms(field) if "additionalProperties" in f]
+    return any(isinstance(inside, dict) and form in _forms(inside) for inside in held)
+
+
+def _described(section: dict[str, Any]) -> str:
+    return " ".join(section.get("description", "").split())
+
+
+def _table(section: dict[str, Any]) -> str:
+    required = section.get("required", ())
+    rows = ["| key | value | unit | default | |", "|---|---|---|---|---|"]
+    for key, field in section["properties"].items():
+        if "const" in field and key == "type":
+            continue
+        default = "required" if key in required else _default(field)
+        cells = (f"`{key}`", _value(field), ", ".join(units(field)), default, _sentence(field))
+        rows.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |")
+    return "\n".join(rows)
+
+
+def _value(field: dict[str, Any]) -> str:
+    """What may stand there, in words."""
+    if "const" in field:
+        return f"`{field['const']!r}`".replace("'", '"')
+    if "enum" in field:
+        return " or ".join(f'`"{word}"`' for word in field["enum"])
+    if "unit" in field:
+        return f"number{_limits(field)}"
+    if "$ref" in field or "oneOf" in field:
+        return "section"
+    if "anyOf" in field:
+        forms = [_value(form) for form in field["anyOf"] if form.get("type") != "null"]
+        return " or ".join(dict.fromkeys(forms))
+    kind = field.get("type")
+    if kind == "array":
+        if "prefixItems" in field:
+            entries = list(dict.fromkeys(_value(item) for item in field["prefixItems"]))
+            return f"{len(field['prefixItems'])} entries: {', '.join(entries)}"
+        return f"list: {_value(field.get('items', {}))}"
+    if kind == "object":
+        return f"by name: {_value(field.get('additionalProperties', {}))}"
+    words = {"number": "number", "integer": "whole number", "boolean": "true or false"}
+    return words.get(kind or "", "text") + _limits(field)
+
+
+def _limits(field: dict[str, Any]) -> str:
+    """Bounds of a number, of whichever of its forms has them."""
+    texts = {
+        "exclusiveMinimum": "above",
+        "minimum": "at least",
+        "exclusiveMaximum": "below",
+        "maximum": "at most",
+    }
+    found = [
+        f"{text} {form[word]:.4g}"
+        for form in _forms(field)
+        for word, text in texts.items()
+        if word in form
+    ]
+    return " " + " and ".join(found) if found else ""
+
+
+def _default(field: dict[str, Any]) -> str:
+    value = field.get("default")
+    if value is None or value in ("", [], {}) or isinstance(value, dict):
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, list):
+        return f"[{', '.join(_default({'default': entry}) for entry in value)}]"
+    return f"{value:.6g}"
+
+
+def _sentence(field: dict[str, Any]) -> str:
+    """Sentence of the declaration, and names that the catalogue has."""
+    text = " ".join(field.get("description", "").split())
+    names = [name for form in _forms(field) for name in form.get("examples", ())]
+    if names:
+        shown = ", ".join(names[:_NAMES_SHOWN])
+        text += f" One of {shown}{', ...' if len(names) > _NAMES_SHOWN else ''}."
+    return text
+
+
+if __name__ == "__main__":
+    print(reference_page(), end="")
