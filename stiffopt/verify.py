@@ -12,8 +12,7 @@ import numpy as np
 from stiffopt.errors import InputFileError
 from stiffopt.files import check_file, load_toml
 from stiffopt.preload.files import load_study
-from stiffopt.preload.study import preload_study
-from stiffopt.preload.values import named_values
+from stiffopt.preload.study import named_values, preload_study
 from stiffopt.problem.files import load_problem
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.monitor import Progress

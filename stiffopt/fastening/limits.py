@@ -13,7 +13,7 @@ from stiffopt.errors import InputError
 from stiffopt.fastening import bolts, set_screws
 from stiffopt.fastening.preload_limit import PreloadLimit as PreloadLimit
 from stiffopt.fastening.tightening import Tightening
-from stiffopt.fastening.workshop import WorkshopTorque as WorkshopTorque
+from stiffopt.fastening.tightening import WorkshopTorque as WorkshopTorque
 
 
 def _fastened(element: Connection) -> BoltedFlange | ClampingPins:

@@ -9,8 +9,7 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
 from stiffopt.fastening.compliance import tip_compliance
 from stiffopt.fastening.preload_limit import PreloadLimit
-from stiffopt.fastening.tightening import Tightening
-from stiffopt.fastening.workshop import WorkshopTorque
+from stiffopt.fastening.tightening import Tightening, WorkshopTorque
 
 # A flat tip sinks in at about 2.8 times the yield strength; 0.9 of it is permitted.
 _INDENTATION = 0.9 * 2.8

@@ -20,12 +20,12 @@ from stiffopt.preload.catalogue_table import (
     element_stoppers,
     requirement_stoppers,
 )
-from stiffopt.preload.conclude import conclude
+from stiffopt.preload.infeasibility import Stopper
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.optimise import Report, levels_of, optimise_preloads, with_worst_instants
 from stiffopt.preload.problem import PreloadProblem
-from stiffopt.preload.solution import PreloadSolution, Stopper
+from stiffopt.preload.solution import PreloadSolution, evaluate_design
 from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
@@ -240,7 +240,7 @@ class _Choosing:
         chosen = [own[i] for own, i in zip(self.feasible, picks, strict=True)]
         study = replace(self.problem, robot=_with_designs(self.problem.robot, chosen), choose=None)
         status = SolveStatus.OPTIMAL if proof.complete else SolveStatus.ACCEPTABLE
-        solution = conclude(
+        solution = evaluate_design(
             PreloadModel(study, self.cases), np.array([d.preload for d in chosen]), status
         )
         return CatalogueChoice(

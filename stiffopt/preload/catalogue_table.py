@@ -9,8 +9,8 @@ import numpy as np
 
 from stiffopt.preload.catalogue_designs import SLIP, CatalogueDesign
 from stiffopt.preload.catalogue_programme import ChoiceProgramme
+from stiffopt.preload.infeasibility import Stopper
 from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.solution import Stopper
 
 Designs = Sequence[Sequence[CatalogueDesign]]
 

@@ -16,16 +16,16 @@ from stiffopt.fastening.limits import check_preload
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.files import check_header, load_toml, validate
 from stiffopt.preload.load_case import LoadCase, LoadHistory
-from stiffopt.preload.load_cases import pose_case, trajectory_history
+from stiffopt.preload.load_sources import pose_case, trajectory_history
 from stiffopt.preload.problem import Choice, PreloadProblem, Requirements
 from stiffopt.preload.schema import (
     ChooseSection,
     ExpectedValueSection,
     LoadCaseSection,
-    MotionSection,
     PreloadFile,
+    StudyMotionSection,
 )
-from stiffopt.preload.values import value_units
+from stiffopt.preload.study import value_units
 from stiffopt.problem.files import JointLists, load_problem, read_robot
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.robot.elements import located
@@ -228,7 +228,7 @@ def _check_present_preloads(problem: PreloadProblem, path: Path) -> None:
             check_preload(element.stage.element, problem.tightening)
 
 
-def _motion(section: MotionSection, robot: Robot, path: Path) -> TrajectoryProblem:
+def _motion(section: StudyMotionSection, robot: Robot, path: Path) -> TrajectoryProblem:
     with located(path, "motion.problem"):
         motion = load_problem(path.parent / section.problem).problem
     if motion.robot.name != robot.name:

@@ -12,13 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.errors import NoSolutionFound
-from stiffopt.preload.conclude import conclude
+from stiffopt.preload.infeasibility import Stopper, find_stoppers
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import Levels, PreloadNlp
 from stiffopt.preload.problem import PreloadProblem
-from stiffopt.preload.solution import PreloadSolution, Stopper
-from stiffopt.preload.stoppers import find_stoppers
+from stiffopt.preload.solution import PreloadSolution, evaluate_design
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.ipopt import IpoptSolver, RawSolution
 from stiffopt.solver.kkt import kkt_residual
@@ -187,13 +186,13 @@ def _solve(model: PreloadModel, progress: Report | None) -> PreloadSolution:
     stoppers = find_stoppers(nlp)
     _, upper = nlp.bounds()
     if stoppers:
-        return conclude(model, upper, SolveStatus.INFEASIBLE, stoppers=stoppers)
+        return evaluate_design(model, upper, SolveStatus.INFEASIBLE, stoppers=stoppers)
     if problem.requirements.tool_deflection is not None:
         stoppers = _deflection_stopper(model, progress)
         if stoppers:
-            return conclude(model, upper, SolveStatus.INFEASIBLE, stoppers=stoppers)
+            return evaluate_design(model, upper, SolveStatus.INFEASIBLE, stoppers=stoppers)
     found = optimum(model, problem.objective, progress=progress)
-    return conclude(
+    return evaluate_design(
         model,
         found.preloads,
         found.status,

@@ -14,13 +14,13 @@ from itertools import pairwise
 import numpy as np
 
 from stiffopt.errors import NoSolutionFound
+from stiffopt.preload.infeasibility import find_stoppers
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import Levels, PreloadNlp
 from stiffopt.preload.optimise import Optimum, Report, levels_of, optimum
 from stiffopt.preload.problem import PreloadProblem
-from stiffopt.preload.rows import utilisation_rows
-from stiffopt.preload.stoppers import find_stoppers
+from stiffopt.preload.utilisation import utilisation_rows
 
 # Levels closer than this, relative, are one.
 _SAME = 1e-6

@@ -72,7 +72,7 @@ class TighteningSection(Section):
     embedding: Length = 3e-6
 
 
-class MinimiseSection(Section):
+class StudyObjectiveSection(Section):
     """[[minimise]] (required, one): joint_stiffness is maximised, min over joints of k / weight."""
 
     objective: Literal["total_preload", "bolt_utilisation", "joint_stiffness", "tool_deflection"]
@@ -104,7 +104,7 @@ class ParetoSection(Section):
     points: Annotated[int, Field(ge=0, le=200)] = 15
 
 
-class MotionSection(Section):
+class StudyMotionSection(Section):
     """[motion]: a trajectory problem beside the study, optimised together with the preloads.
 
     `intervals`: in place of the problem's own, since each round solves it anew.
@@ -124,7 +124,7 @@ class ExpectedValueSection(Section):
     source: Annotated[str, Field(min_length=1)]
 
 
-class ExpectedSection(Section):
+class StudyExpectedSection(Section):
     """[expected]."""
 
     values: dict[str, ExpectedValueSection] = Field(default_factory=dict)
@@ -145,12 +145,12 @@ class PreloadFile(Section):
     tool: ToolSection = ToolSection()
     load_case: Annotated[list[LoadCaseSection], Field(min_length=1)]
     tightening: TighteningSection = TighteningSection()
-    minimise: Annotated[list[MinimiseSection], Field(min_length=1)]
+    minimise: Annotated[list[StudyObjectiveSection], Field(min_length=1)]
     require: RequireSection = RequireSection()
     choose: ChooseSection | None = None
     pareto: ParetoSection = ParetoSection()
-    motion: MotionSection | None = None
-    expected: ExpectedSection = ExpectedSection()
+    motion: StudyMotionSection | None = None
+    expected: StudyExpectedSection = StudyExpectedSection()
 
     @model_validator(mode="after")
     def _one_objective(self) -> PreloadFile:

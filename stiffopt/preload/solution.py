@@ -1,4 +1,4 @@
-"""Outcome of a preload optimisation."""
+"""Outcome of a preload optimisation: a design evaluated by the exact law, and what it means."""
 
 from __future__ import annotations
 
@@ -7,64 +7,24 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from stiffopt.fastening.limits import WorkshopTorque
+from stiffopt.connection import ClampingPins
+from stiffopt.fastening.limits import WorkshopTorque, workshop_torque
+from stiffopt.fastening.tightening import Tightening
+from stiffopt.preload.infeasibility import Stopper
 from stiffopt.preload.load_case import LoadCase
-from stiffopt.preload.rows import UtilisationRow
+from stiffopt.preload.model import PreloadModel
+from stiffopt.preload.problem import FreeElement
+from stiffopt.preload.utilisation import UtilisationRow, utilisation_rows
 from stiffopt.result.status import SolveStatus
 
-
-@dataclass(frozen=True)
-class Stopper:
-    """Why no preload meets the study.
-
-    Parameters
-    ----------
-    limit : str
-        Name of the requirement that cannot be met.
-    best, required : float
-        Best reachable and required value, in `unit`.
-    unit : str
-    against : str
-        What stands against it; "" where nothing more is to be said.
-    remedy : str
-        What to change.
-    """
-
-    limit: str
-    best: float
-    required: float
-    unit: str
-    against: str
-    remedy: str
-
-    def __str__(self) -> str:
-        required, best = self.amounts
-        stop = f" What stops it: {self.against}." if self.against else ""
-        return (
-            f"{self.limit[:1].upper()}{self.limit[1:]}: required {required}, best reachable "
-            f"{best}.{stop} To change: {self.remedy}."
-        )
-
-    @property
-    def amounts(self) -> tuple[str, str]:
-        """Required and best value with unit, with the digits at which they differ."""
-        factor, unit = _READ_IN.get(self.unit, (1.0, self.unit))
-        for digits in range(4, 10):
-            required = f"{_significant(factor * self.required, digits)} {unit}".rstrip()
-            best = f"{_significant(factor * self.best, digits)} {unit}".rstrip()
-            if required != best:
-                break
-        return required, best
-
-
-# Units that read better than SI, with their factor.
-_READ_IN = {"m": (1e3, "mm"), "Pa": (1e-6, "MPa")}
-
-
-def _significant(value: float, digits: int) -> str:
-    """Without an exponent for what bolts and joints have."""
-    text = f"{value:.{digits}g}"
-    return f"{value:.0f}" if "e+" in text and abs(value) < 1e9 else text
+_SENTENCES = {
+    SolveStatus.OPTIMAL: "Solved; every requirement holds by the exact law.",
+    SolveStatus.ACCEPTABLE: "Solved to the looser tolerance; every requirement holds.",
+    SolveStatus.ITERATION_LIMIT: "The solver ended before the optimum; do not use these preloads.",
+    SolveStatus.TIME_LIMIT: "The time limit came before the optimum.",
+    SolveStatus.INTERRUPTED: "Stopped by the user; the preloads are those of the last iteration.",
+    SolveStatus.INFEASIBLE: "The requirements cannot be met together; relax one of them.",
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -128,3 +88,115 @@ class PreloadSolution:
     def active(self) -> tuple[str, ...]:
         """Names of the rows that the design lies at."""
         return tuple(row.name for row in self.rows if row.active)
+
+
+def evaluate_design(
+    model: PreloadModel,
+    preloads: np.ndarray,
+    status: SolveStatus,
+    *,
+    kkt_residual: float = float("nan"),
+    iterations: int = 0,
+    stoppers: tuple[Stopper, ...] = (),
+) -> PreloadSolution:
+    """Evaluate a design by the exact law and say what it means.
+
+    Parameters
+    ----------
+    model : PreloadModel
+    preloads : array (size,) [N]
+    status : SolveStatus
+        Of the solver; a usable one becomes `certificate_failed` where the exact law finds a
+        requirement exceeded.
+    """
+    rows = utilisation_rows(model, preloads)
+    if status.usable and not all(row.kept for row in rows):
+        status = SolveStatus.CERTIFICATE_FAILED
+    own = {
+        e.key: tuple(float(f) for f in preloads[part])
+        for e, part in zip(model.elements, model.slices, strict=True)
+    }
+    means = {key: float(np.mean(each)) for key, each in own.items()}
+    total = sum(e.count * means[e.key] for e in model.elements)
+    stiffness = model.exact_stiffness(preloads)
+    deflection = _sizes(model, preloads)
+    return PreloadSolution(
+        status=status,
+        message=_message(model, status, rows, stoppers),
+        preloads=means,
+        individual=own if model.problem.individual else {},
+        tightening={
+            e.key: _workshop_torque(e, means[e.key], model.problem.tightening)
+            for e in model.elements
+        },
+        vector=preloads,
+        cases=model.cases,
+        rows=rows,
+        rows_before=utilisation_rows(model, model.design),
+        stiffness=stiffness,
+        stiffness_before=model.exact_stiffness(model.design),
+        deflection=deflection,
+        deflection_before=_sizes(model, model.design),
+        objective={
+            "total_preload": total,
+            "bolt_utilisation": largest_utilisation(model, preloads),
+            "joint_stiffness": float(stiffness.min()),
+            "tool_deflection": _largest(deflection),
+        }[model.problem.objective],
+        total_preload=total,
+        kkt_residual=kkt_residual,
+        iterations=iterations,
+        stoppers=stoppers,
+    )
+
+
+def largest_utilisation(model: PreloadModel, preloads: np.ndarray) -> float:
+    """Largest utilisation of any limit of bolts and pins that depends on the preload [-]."""
+    return max(
+        float(limit.utilisation(preload))
+        for index, element in enumerate(model.elements)
+        for limit in element.limits
+        if np.isfinite(limit.capacity)
+        for preload in model.of_element(preloads, index)
+    )
+
+
+def _workshop_torque(
+    element: FreeElement, preload: float, tightening: Tightening
+) -> WorkshopTorque | None:
+    """Tightening torque; None where no screw is known that could be turned."""
+    fastened = element.stage.element
+    if isinstance(fastened, ClampingPins) and fastened.screw is None:
+        return None
+    return workshop_torque(fastened, preload, tightening)
+
+
+def _sizes(model: PreloadModel, preloads: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.norm(model.exact_deflection(preloads), axis=1))
+
+
+def _largest(deflection: np.ndarray) -> float:
+    posed = deflection[np.isfinite(deflection)]
+    return float(posed.max()) if posed.size else float("nan")
+
+
+def _message(
+    model: PreloadModel,
+    status: SolveStatus,
+    rows: tuple[UtilisationRow, ...],
+    stoppers: tuple[Stopper, ...],
+) -> str:
+    if stoppers:
+        return "No preload meets this study. " + " ".join(str(stop) for stop in stoppers)
+    if status is SolveStatus.CERTIFICATE_FAILED:
+        worst = max(rows, key=lambda row: row.utilisation)
+        return (
+            "The solver finished, but the exact law finds a requirement exceeded: "
+            f"{worst.name}, utilisation {worst.utilisation:.4f}. Do not use these preloads."
+        )
+    text = _SENTENCES[status]
+    if not status.usable:
+        return text
+    binding = list(dict.fromkeys(row.kind for row in rows if row.active))
+    what = " and ".join(binding) if binding else "none"
+    return f"{text} What binds: {what}."

@@ -21,8 +21,7 @@ from stiffopt.preload.motion_result import MotionStudy
 from stiffopt.preload.pareto import ParetoFront
 from stiffopt.preload.problem import OBJECTIVES
 from stiffopt.preload.solution import PreloadSolution
-from stiffopt.preload.study import PreloadStudy
-from stiffopt.preload.values import named_values
+from stiffopt.preload.study import PreloadStudy, named_values
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.store import plain
 

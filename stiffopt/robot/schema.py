@@ -228,9 +228,9 @@ def _summary(cls: type) -> str:
 
 
 def _kinds(base: type[Connection] = Connection) -> Iterator[type[Connection]]:
-    """Every connection that is defined, in alphabetical order of their kinds."""
+    """Every connection that has a kind of its own."""
     for cls in base.__subclasses__():
-        if not inspect.isabstract(cls):
+        if "kind" in vars(cls) and not inspect.isabstract(cls):
             yield cls
         yield from _kinds(cls)
 

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from stiffopt.connection import SetScrew
 from stiffopt.drivetrain import catalogue
-from stiffopt.fastening.bolt_strength import largest_assembly_preload
-from stiffopt.fastening.bolts import joint_compliance
+from stiffopt.fastening.bolts import joint_compliance, largest_assembly_preload
 from stiffopt.fastening.compliance import bolt_compliance, clamped_compliance, tip_compliance
 from stiffopt.fastening.limits import embedding_loss
 from stiffopt.fastening.tightening import Tightening

@@ -13,7 +13,7 @@ from stiffopt import load_robot
 from stiffopt.connection import Bolt, Key, SetScrew, Shaft
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
-from stiffopt.fastening.bolt_strength import largest_assembly_preload
+from stiffopt.fastening.bolts import largest_assembly_preload
 from stiffopt.fastening.limits import (
     assumed_lengths,
     check_preload,

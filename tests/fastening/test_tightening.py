@@ -15,7 +15,7 @@ from stiffopt.checks import check_derivative
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.catalogue import BoltData
 from stiffopt.errors import InputError
-from stiffopt.fastening.bolt_strength import largest_assembly_preload
+from stiffopt.fastening.bolts import largest_assembly_preload
 from stiffopt.fastening.limits import workshop_torque
 from stiffopt.fastening.tightening import (
     SCATTER,

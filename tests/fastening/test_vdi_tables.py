@@ -8,7 +8,7 @@ import pytest
 
 from stiffopt.connection import Bolt, BoltedFlange
 from stiffopt.drivetrain import catalogue
-from stiffopt.fastening.bolt_strength import largest_assembly_preload
+from stiffopt.fastening.bolts import largest_assembly_preload
 from stiffopt.fastening.tightening import preload_at_torque, tightening_torque
 
 # VDI 2230, friction 0.12 in thread and under the head: F_M,zul [kN] and M_A [N m] for 8.8, 10.9

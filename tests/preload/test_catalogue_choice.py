@@ -14,11 +14,11 @@ from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.catalogue_choice import choose_design
 from stiffopt.preload.catalogue_designs import catalogue_designs
 from stiffopt.preload.catalogue_search import CombinationSearch
-from stiffopt.preload.conclude import largest_utilisation
 from stiffopt.preload.load_case import LoadHistory
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.problem import Choice
-from stiffopt.preload.rows import utilisation_rows
+from stiffopt.preload.solution import largest_utilisation
+from stiffopt.preload.utilisation import utilisation_rows
 from stiffopt.result.status import SolveStatus
 
 OF_ISSUE = Choice(sizes=("M4", "M5", "M6"), grades=("10.9", "12.9"), counts=(6, 8, 9, 12))

@@ -12,8 +12,7 @@ from stiffopt.cli import run
 from stiffopt.errors import NoSolutionFound
 from stiffopt.preload.files import load_study
 from stiffopt.preload.store import study_document
-from stiffopt.preload.study import preload_study
-from stiffopt.preload.values import named_values, value_units
+from stiffopt.preload.study import named_values, preload_study, value_units
 from stiffopt.report.common.progress import StudyProgress
 
 MORE = """[pareto]

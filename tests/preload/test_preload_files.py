@@ -13,7 +13,7 @@ from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.files import load_study
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.problem import Choice, PreloadProblem, Requirements
-from stiffopt.preload.values import value_units
+from stiffopt.preload.study import value_units
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.robot.files import load_robot
 

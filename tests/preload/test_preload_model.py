@@ -17,7 +17,7 @@ from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import PreloadNlp
 from stiffopt.preload.optimise import levels_of
-from stiffopt.preload.rows import utilisation_rows
+from stiffopt.preload.utilisation import utilisation_rows
 
 CASES = (case("lift", j2=60.0), case("rest"), case("back", j2=-25.0))
 ELEMENTS = (

@@ -14,8 +14,7 @@ from stiffopt.exact.connection import tangent_compliance
 from stiffopt.fastening.limits import embedding_loss
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.files import load_study
-from stiffopt.preload.study import preload_study
-from stiffopt.preload.values import named_values
+from stiffopt.preload.study import named_values, preload_study
 from stiffopt.units import convert
 
 FILES = sorted((ROOT / "problems").glob("er3a_preload_*.toml"))

@@ -13,7 +13,7 @@ from stiffopt.report.preload.names import MARK, owner_name, quantity
 from stiffopt.report.solve.tables import Table
 
 if TYPE_CHECKING:
-    from stiffopt.preload.rows import UtilisationRow
+    from stiffopt.preload.utilisation import UtilisationRow
 
 # Kinds of rows whose value must be at least the limit; all others at most.
 _AT_LEAST = ("slip safety", "least preload", "joint stiffness")

@@ -11,7 +11,7 @@ from stiffopt.report.common.quantities import engineering, significant
 
 if TYPE_CHECKING:
     from stiffopt.preload.problem import FreeElement, PreloadProblem
-    from stiffopt.preload.rows import UtilisationRow
+    from stiffopt.preload.utilisation import UtilisationRow
 
 # Marks an estimated number.
 MARK = " *"

@@ -17,12 +17,13 @@ from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import objective_value
 from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.preload.load_case import LoadHistory
+from stiffopt.preload.load_sources import motion_histories
 from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.motion_loads import deflection_objective, load_histories
 from stiffopt.preload.motion_result import MotionRound, MotionStudy, meaning
 from stiffopt.preload.optimise import optimise_preloads
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.solution import PreloadSolution
+from stiffopt.problem.objectives import DEFLECTIONS
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.provenance import inputs_hash
@@ -32,8 +33,6 @@ from stiffopt.solver.guess import guess_along
 from stiffopt.solver.monitor import Progress
 from stiffopt.solver.solve import solve
 from stiffopt.solver.staging import SolveProgress
-
-__all__ = ["MotionRound", "MotionStudy", "motion_study"]
 
 # Relative change of the deflection that ends a repetition.
 SETTLED = 1e-4
@@ -79,6 +78,30 @@ def motion_study(
         No motion, or no preloads for it.
     """
     return _Study(problem, trajectory_problem, progress).run(rounds)
+
+
+def deflection_objective(problem: TrajectoryProblem) -> str:
+    """Name of the deflection that a motion minimises, which preloads must be able to change.
+
+    Raises
+    ------
+    ProblemError
+        The objective is not the peak of a tool deflection alone.
+    """
+    asked = [
+        f"{o.measure} {o.name}" if o.name in DEFLECTIONS else o.name for o in problem.objectives
+    ]
+    peaks = [f"peak {name}" for name in DEFLECTIONS]
+    if len(asked) == 1 and asked[0] in peaks:
+        return problem.objectives[0].name
+    reason = "preloads are chosen for the instant of the largest deflection"
+    if all(o.name not in DEFLECTIONS for o in problem.objectives):
+        reason = "preloads do not change it, or are best at their limits whatever the motion"
+    raise ProblemError(
+        f"The motion minimises {' + '.join(asked)}, which cannot be studied together with the "
+        f"preloads: {reason}. Minimise one of {', '.join(DEFLECTIONS)} alone, with measure = "
+        "'peak', or leave [motion] out."
+    )
 
 
 @dataclass(frozen=True)
@@ -232,7 +255,8 @@ class _Study:
 
     def _loads(self, design: _Design) -> tuple[LoadHistory, ...]:
         assert design.motion.assessment is not None
-        return load_histories(self._with_preloads(design.vector), design.motion.assessment)
+        problem = self._with_preloads(design.vector)
+        return motion_histories(problem, design.motion.assessment, self.objective)
 
     def _preload_problem(
         self, design: _Design, objective: str, loads: tuple[LoadHistory, ...]

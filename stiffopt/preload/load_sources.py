@@ -1,4 +1,4 @@
-"""Load cases from what is known: a pose at rest with a force on the tool, or a solved trajectory.
+"""Load cases from what is known: a pose at rest, a solved trajectory, an assessed motion.
 
 Which wind-up counts as deflection of the tool is the caller's choice: "total", "dynamic" (what a
 motion adds to the sag at rest) or "process" (what the force adds).
@@ -18,6 +18,8 @@ from stiffopt.files import read_table
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 
 if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.assessment import Assessment
     from stiffopt.robot.robot import Robot
 
 DEFLECTIONS = ("total", "dynamic", "process")
@@ -119,6 +121,54 @@ def trajectory_history(
         jacobian=body.jacobian,
         source=source,
     )
+
+
+def motion_histories(
+    problem: TrajectoryProblem, motion: Assessment, objective: str
+) -> tuple[LoadHistory, ...]:
+    """Torques and poses along a motion; pinocchio's, on the certificate's grid.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+        Robot and process force.
+    motion : Assessment
+    objective : str
+        Deflection that the problem minimises.
+
+    Returns
+    -------
+    tuple of LoadHistory
+        First the one whose wind-up is that deflection. With a process
+        force that does not count in it, a second one for the springs' full torque.
+    """
+    body = rigid_body_history(problem.robot, motion.position, motion.velocity, motion.acceleration)
+    # Dynamic: beyond the sag, without the force. Process: what the force adds. Total: all of it.
+    torque, reference = {
+        "dynamic_deflection": (body.link_torque, body.gravity_torque),
+        "process_deflection": (motion.spring_torque, body.link_torque),
+        "total_deflection": (motion.spring_torque, None),
+    }[objective]
+    found = [
+        LoadHistory(
+            name="motion",
+            time=motion.time,
+            torque=torque,
+            reference_torque=reference,
+            jacobian=body.jacobian,
+            source="motion of this study",
+        )
+    ]
+    if np.any(problem.process_force) and torque is body.link_torque:
+        found.append(
+            LoadHistory(
+                name="motion under the process force",
+                time=motion.time,
+                torque=motion.spring_torque,
+                source="motion of this study",
+            )
+        )
+    return tuple(found)
 
 
 def _reference(

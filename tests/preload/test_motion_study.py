@@ -13,11 +13,11 @@ from stiffopt.errors import NoSolutionFound, ProblemError, RobotError
 from stiffopt.exact.chain import exact_windup
 from stiffopt.preload.files import load_study
 from stiffopt.preload.load_case import LoadCase
+from stiffopt.preload.load_sources import motion_histories
 from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.motion_loads import deflection_objective, load_histories
 from stiffopt.preload.motion_result import meaning
+from stiffopt.preload.motion_study import deflection_objective, motion_study
 from stiffopt.preload.problem import PreloadProblem
-from stiffopt.preload.trajectory_study import motion_study
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.objectives import Objective
 from stiffopt.result.status import SolveStatus
@@ -273,7 +273,7 @@ def test_histories_give_the_deflection_of_the_certificate(tmp_path, name):
 
     trajectory.duration = 1.0
     motion_on_grid = assess(motion, trajectory, times=path[:, 0])
-    histories = load_histories(motion, motion_on_grid)
+    histories = motion_histories(motion, motion_on_grid, name)
     assert deflection_objective(motion) == name
     history = histories[0]
     chains = motion.robot.chains

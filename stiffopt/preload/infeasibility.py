@@ -2,14 +2,69 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from stiffopt.connection import BoltedFlange
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import PreloadNlp
 from stiffopt.preload.problem import FreeElement
-from stiffopt.preload.rows import UtilisationRow, utilisation_rows
-from stiffopt.preload.solution import Stopper
+from stiffopt.preload.utilisation import UtilisationRow, utilisation_rows
+
+
+@dataclass(frozen=True)
+class Stopper:
+    """Why no preload meets the study.
+
+    Parameters
+    ----------
+    limit : str
+        Name of the requirement that cannot be met.
+    best, required : float
+        Best reachable and required value, in `unit`.
+    unit : str
+    against : str
+        What stands against it; "" where nothing more is to be said.
+    remedy : str
+        What to change.
+    """
+
+    limit: str
+    best: float
+    required: float
+    unit: str
+    against: str
+    remedy: str
+
+    def __str__(self) -> str:
+        required, best = self.amounts
+        stop = f" What stops it: {self.against}." if self.against else ""
+        return (
+            f"{self.limit[:1].upper()}{self.limit[1:]}: required {required}, best reachable "
+            f"{best}.{stop} To change: {self.remedy}."
+        )
+
+    @property
+    def amounts(self) -> tuple[str, str]:
+        """Required and best value with unit, with the digits at which they differ."""
+        factor, unit = _READ_IN.get(self.unit, (1.0, self.unit))
+        for digits in range(4, 10):
+            required = f"{_significant(factor * self.required, digits)} {unit}".rstrip()
+            best = f"{_significant(factor * self.best, digits)} {unit}".rstrip()
+            if required != best:
+                break
+        return required, best
+
+
+# Units that read better than SI, with their factor.
+_READ_IN = {"m": (1e3, "mm"), "Pa": (1e-6, "MPa")}
+
+
+def _significant(value: float, digits: int) -> str:
+    """Without an exponent for what bolts and joints have."""
+    text = f"{value:.{digits}g}"
+    return f"{value:.0f}" if "e+" in text and abs(value) < 1e9 else text
 
 
 def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
