@@ -141,7 +141,7 @@ class _Study:
         first = self._start()
         separate = None if self.interrupted else self._with_best_preloads(first)
         if separate is None:
-            return self._conclude(first, None, first, ())
+            return self._result(first, None, first, ())
         last, pairs = separate, []
         for number in range(1, rounds + 1):
             self.stage = f"round {number} of {rounds}"
@@ -163,7 +163,7 @@ class _Study:
                 f"of them deflects {100 * nearest:.2f} % more."
             )
         first, separate = self._best_apart(first, separate, pairs)
-        return self._conclude(first, separate, best, pairs)
+        return self._result(first, separate, best, pairs)
 
     def _best_apart(
         self, first: _Design, separate: _Design, pairs: Sequence[tuple[_Design, _Design]]
@@ -353,7 +353,7 @@ class _Study:
 
         return forward
 
-    def _conclude(
+    def _result(
         self,
         first: _Design,
         separate: _Design | None,

@@ -148,18 +148,20 @@ def optimum(
     with the least total preload is taken.
     """
     levels = levels or levels_of(model)
-    first = _settled(PreloadNlp(model, objective, levels), progress)
+    first = _exact_optimum(PreloadNlp(model, objective, levels), progress)
     if objective not in ("bolt_utilisation", "tool_deflection") or not first.proved:
         return first
     ceiling = (objective, first.raw.objective * (1.0 + _TIE))
     least = PreloadNlp(model, "total_preload", levels, ceiling=ceiling)
-    second = _settled(least, progress, first.preloads)
+    second = _exact_optimum(least, progress, first.preloads)
     if not second.proved:
         return first
     return replace(second, iterations=first.iterations + second.iterations)
 
 
-def _settled(nlp: PreloadNlp, progress: Report | None, start: np.ndarray | None = None) -> Optimum:
+def _exact_optimum(
+    nlp: PreloadNlp, progress: Report | None, start: np.ndarray | None = None
+) -> Optimum:
     """Solve and shift the smooth law until its optimum is that of the exact law."""
     solver = IpoptSolver(nlp.nlp, _OPTIONS)
     size = nlp.model.size
@@ -219,7 +221,7 @@ def _deflection_stopper(model: PreloadModel, progress: Report | None) -> tuple[S
     free = PreloadModel(
         replace(model.problem, requirements=replace(needs, tool_deflection=None)), model.cases
     )
-    least = _settled(PreloadNlp(free, "tool_deflection", levels_of(free)), progress)
+    least = _exact_optimum(PreloadNlp(free, "tool_deflection", levels_of(free)), progress)
     if not least.proved:
         return ()
     sizes = np.linalg.norm(model.exact_deflection(least.preloads), axis=1)
