@@ -96,7 +96,7 @@ def preload(study: Path, *, out: Out | None = None, quiet: bool = False) -> int:
     from stiffopt.preload.store import write_curves, write_study
     from stiffopt.preload.study import preload_study
     from stiffopt.report.preload.page import write_preload_report
-    from stiffopt.report.solve.terminal import print_study
+    from stiffopt.report.preload.terminal import print_study
 
     loaded = load_study(study)
     with output_folder(out or Path("out") / study.stem) as folder:

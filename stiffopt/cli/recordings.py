@@ -56,7 +56,8 @@ def diagnose(
     from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
     from stiffopt.discovery.store import ANSWER_FILE, write_diagnosis
     from stiffopt.recording.recording_set import load_recordings
-    from stiffopt.report.diagnosis.terminal import Sentences, print_diagnosis
+    from stiffopt.report.common.progress import StepDisplay
+    from stiffopt.report.diagnosis.terminal import print_diagnosis
 
     loaded = load_recordings(recordings)
     home = loaded.path.parent.resolve()
@@ -66,7 +67,7 @@ def diagnose(
             chosen, "", f"lies in the recording set {home}, which is only read. Give another --out."
         )
     with output_folder(chosen) as folder:
-        with nullcontext() if quiet else Sentences(loaded.title) as progress:
+        with nullcontext() if quiet else StepDisplay(loaded.title) as progress:
             found = find(
                 loaded, effects=effects or (), model=model, experiment=experiment, progress=progress
             )

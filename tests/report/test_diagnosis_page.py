@@ -1,17 +1,16 @@
 """Pages of diagnoses: what they say agrees with the diagnosis, whatever the verdict."""
 
-import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from page_reader import Page
 
 from benchmarks.simulator import CaseSpec
 from stiffopt.discovery.diagnosis import Rival
 from stiffopt.discovery.judging.unexplained import Unexplained
-from stiffopt.report.common.quantities import significant
-from stiffopt.report.diagnosis.motion import trace, worst_windows
+from stiffopt.report.common.text import joint_unit, pm, significant
+from stiffopt.report.diagnosis.held_out import trace, worst_windows
 from stiffopt.report.diagnosis.page import write_diagnosis_report
 from stiffopt.report.diagnosis.residuals import (
     binned,
@@ -20,15 +19,12 @@ from stiffopt.report.diagnosis.residuals import (
     direction,
     regimes,
 )
-from stiffopt.report.diagnosis.tables import candidates_table, channels_table, limits_table
 from stiffopt.report.diagnosis.words import (
     channels_in_words,
     headline,
     lead,
-    own_unit,
     percent_sure,
     proof_sentence,
-    with_deviation,
 )
 from tests.discovery.simulated import diagnosed
 
@@ -50,30 +46,11 @@ def friction():
     return diagnosed(FRICTION)
 
 
-class Page(HTMLParser):
-    """Counts tags and collects what a page asks for from elsewhere."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.asked, self.count = [], [], {}
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs):
-        self.count[tag] = self.count.get(tag, 0) + 1
-        self.asked += [v for k, v in attrs if k in ("src", "href", "xlink:href")]
-        if tag not in ("meta", "br", "path", "use"):
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        if self.open and self.open[-1] == tag:
-            self.open.pop()
-
-
 def page_of(diagnosis, folder):
-    text = write_diagnosis_report(diagnosis, folder, png=True).read_text(encoding="utf-8")
-    assert not [each for each in Page(text).asked if not each.startswith(("#", "data:"))]
-    assert "nan" not in re.sub(r"<[^>]*>", " ", text).split()
-    return text
+    page = Page(write_diagnosis_report(diagnosis, folder, png=True).read_text(encoding="utf-8"))
+    assert not [each for each in page.outside if not each.startswith("data:")]
+    assert "nan" not in page.text.split()
+    return page
 
 
 def unexplained_in(diagnosis, **changes):
@@ -93,11 +70,11 @@ def unexplained_in(diagnosis, **changes):
 
 
 def test_page_says_what_was_found(friction, tmp_path):
-    text = page_of(friction, tmp_path)
+    text = page_of(friction, tmp_path).text
     (finding,) = friction.findings
     assert "Joint 2: more dry friction than nominal" in text
     parameter = finding.parameters[0]
-    assert f"dFc = {with_deviation(parameter.value, parameter.sd, parameter.unit)}" in text
+    assert f"dFc = {pm(parameter.value, parameter.sd, parameter.unit)}" in text
     for role in ("test", "extrapolate"):
         before, after = (significant(v, 3) for v in friction.nrmse(role))
         assert f"from {before} to {after} on" in text
@@ -109,7 +86,7 @@ def test_page_says_what_was_found(friction, tmp_path):
 
 def test_page_of_what_the_catalogue_lacks(friction, tmp_path):
     found = replace(unexplained_in(friction), held_out=friction.proofs("test"), faults=())
-    text = page_of(found, tmp_path)
+    text = page_of(found, tmp_path).text
     assert "Something outside the catalogue acts on the torque of joint 2" in text
     assert "repeats every 0.5 s, whatever the motion" in text
     assert "extrapolation, before" not in text
@@ -181,12 +158,15 @@ def test_means_by_bins():
     assert 0.0 < centre[0] < 1.0 < centre[1] < 3.0
 
 
-def test_nothing_missing_in_words(friction):
+def test_nothing_missing_in_words(friction, tmp_path):
     none = replace(friction, verdict="nothing_missing", findings=())
     assert headline(none) == "Nothing is missing within the tolerances"
     assert "No effect of the catalogue is needed" in lead(none)
-    assert channels_table(none).rows[0][0] == "torque of joint 1"
-    assert len(limits_table(none).head) == 2 + 2
+    page = page_of(none, tmp_path)
+    assert page.table("channel", "noise")[0][0] == "torque of joint 1"
+    limits = page.table("effect", "parameter", "J1", "J2")
+    assert len({tuple(row[:2]) for row in limits}) == len(limits)
+    assert "The worst channel" in page.text
 
 
 def test_what_a_remainder_follows_in_words(friction):
@@ -199,14 +179,15 @@ def test_what_a_remainder_follows_in_words(friction):
     assert "nothing that was recorded" in lead(unexplained_in(friction, period=None, regressors=()))
 
 
-def test_rivals_are_ranked(friction):
+def test_rivals_are_ranked(friction, tmp_path):
     (finding,) = friction.findings
     other = replace(finding.located, joint=0)
     shared = replace(finding, probability=0.4, rivals=(Rival(located=other, probability=0.6),))
-    table = candidates_table(friction, shared)
-    assert [row[2:4] for row in table.rows] == [("joint 1", "60 %"), ("joint 2", "40 %")]
-    assert "40 % sure" in lead(replace(friction, findings=(shared,)))
-    assert "Coulomb friction of joint 1" in lead(replace(friction, findings=(shared,)))
+    page = page_of(replace(friction, findings=(shared,)), tmp_path)
+    rivals = page.table("", "effect", "where", "probability")
+    assert [row[2:4] for row in rivals] == [["joint 1", "60 %"], ["joint 2", "40 %"]]
+    assert "40 % sure" in page.text
+    assert "Coulomb friction of joint 1" in page.text
 
 
 def test_values_without_a_nominal_one_are_no_surprise(friction):
@@ -236,14 +217,14 @@ def test_much_left_is_said(friction):
     ],
 )
 def test_value_and_deviation(value, sd, unit, text):
-    assert with_deviation(value, sd, unit) == text
+    assert pm(value, sd, unit) == text
 
 
 def test_words_of_channels_units_and_probability():
     assert channels_in_words(["torque_3", "link_position_12"]) == (
         "the torque of joint 3 and the link encoder of joint 12"
     )
-    assert own_unit("N m s/rad", prismatic=True) == "N s/m"
-    assert own_unit("N m s/rad", prismatic=False) == "N m s/rad"
+    assert joint_unit("N m s/rad", prismatic=True) == "N s/m"
+    assert joint_unit("N m s/rad", prismatic=False) == "N m s/rad"
     assert percent_sure(1.0) == "above 99 %"
     assert percent_sure(0.97) == "97 %"

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from synthetic_solution import assessment, problem, robot, solution
 
-from stiffopt.report.common.motions import compared_motions, robot_joint_units
+from stiffopt.report.common.robot import joint_units
 from stiffopt.report.common.svg import line_style, thin, to_png, to_svg
 from stiffopt.report.solve.figures import (
+    compared_motions,
     deflection_figure,
     motion_figure,
     stiffness_figure,
@@ -27,7 +28,7 @@ from stiffopt.report.stiffness.figures import (
 def figures(joints):
     stated, motions = problem(joints), compared_motions(solution(joints))
     motion = motions[0].assessment
-    return {
+    drawn = {
         "deflection": deflection_figure(motions),
         "motion": motion_figure(stated, motion, motions[1]),
         "torque": torque_figure(stated, motion),
@@ -35,6 +36,7 @@ def figures(joints):
         "path": path_figure(stated, motions, "dynamic"),
         "windup": windup_figure(stated, motion, "dynamic"),
     }
+    return {name: to_svg(figure, name, f"The {name}") for name, figure in drawn.items()}
 
 
 def stiffness_rows(joints=(1, 2)):
@@ -78,7 +80,7 @@ def test_axes_carry_units_of_the_joint_kind():
 
 def test_a_small_deflection_is_in_micrometres():
     motions = compared_motions(solution(assessment=assessment(size=2e-6), baselines={}))
-    assert "deflection [µm]" in deflection_figure(motions)
+    assert "deflection [µm]" in to_svg(deflection_figure(motions), "deflection", "")
 
 
 def test_an_infeasible_baseline_is_named_so():
@@ -88,14 +90,14 @@ def test_an_infeasible_baseline_is_named_so():
 def test_a_rigid_joint_leaves_the_stiffness_figure_whole():
     motion = assessment()
     motion.stiffness[:, 1] = np.inf
-    svg = stiffness_figure(problem(), motion)
+    svg = to_svg(stiffness_figure(problem(), motion), "stiffness", "")
     assert "J1: lowest" in svg
     assert "J2" not in svg
 
 
 def test_the_same_figure_is_the_same_text():
     again = deflection_figure(compared_motions(solution(2)))
-    assert again == figures(2)["deflection"]
+    assert to_svg(again, "deflection", "The deflection") == figures(2)["deflection"]
 
 
 def test_thin_keeps_ends_and_peaks():
@@ -125,7 +127,7 @@ def test_line_styles_differ():
 
 
 def test_stiffness_figures_take_rows_and_draw():
-    units, curves = robot_joint_units(robot(3)), stiffness_curves(stiffness_rows())
+    units, curves = joint_units(robot(3)), stiffness_curves(stiffness_rows())
     assert [curve.flanks for curve in curves[1]] == ["parallel", "series"]
     assert curves[2][0].at(0.01, curves[2][0].reducer_only) == pytest.approx(1e4)
     drawn = {

@@ -1,8 +1,7 @@
-import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import pytest
+from page_reader import Page
 from synthetic_solution import no_motion, problem, robot, solution
 from test_figures import stiffness_rows
 
@@ -16,41 +15,6 @@ from stiffopt.result.assessment import Violation
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.solution import ObjectiveValue
 from stiffopt.result.status import SolveStatus
-
-VOID = {"meta", "br", "link", "img", "hr", "input"}
-
-
-class Page(HTMLParser):
-    """Collects text and references of a page and checks that its tags are balanced."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.words, self.outside, self.tags = [], [], [], []
-        self.feed(text)
-        assert self.open == []
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        if tag not in VOID:
-            self.open.append(tag)
-        for name, value in attrs:
-            if name in ("src", "href", "xlink:href", "data") and not value.startswith("#"):
-                self.outside.append(value)
-
-    def handle_startendtag(self, tag, attrs):
-        self.handle_starttag(tag, attrs)
-        if tag not in VOID:
-            self.open.pop()
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.words.append(data)
-
-    @property
-    def text(self):
-        return re.sub(r"\s+", " ", " ".join(self.words))
 
 
 def page_of(stated, found, folder):

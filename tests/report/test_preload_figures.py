@@ -7,10 +7,10 @@ from matplotlib.text import Annotation
 from preload_report_studies import cannot, flange, several, stiff
 
 from stiffopt.preload.model import PreloadModel
-from stiffopt.report.common.motions import robot_joint_units
+from stiffopt.report.common.robot import joint_units
 from stiffopt.report.preload.curves_figure import curves_figure, preload_view
 from stiffopt.report.preload.figures import front_figure, loosening_figure, shares_figure
-from stiffopt.report.preload.tables import shares_by_joint
+from stiffopt.report.preload.overview import shares_by_joint
 
 
 def view_of(study):
@@ -20,7 +20,7 @@ def view_of(study):
 
 
 def curves_of(study):
-    units = robot_joint_units(study.problem.robot)
+    units = joint_units(study.problem.robot)
     return curves_figure(study.problem, study.solution, study.curves, units)
 
 
@@ -79,7 +79,7 @@ def test_dots_lie_on_the_curve_at_both_ends_of_the_scatter():
 
 def test_front_marks_its_knee():
     study = flange()
-    figure = front_figure(study.front, robot_joint_units(study.problem.robot), (2,))
+    figure = front_figure(study.front, joint_units(study.problem.robot), (2,))
     knee = study.front.points[study.front.knee]
     marker = figure.axes[0].lines[1]
     assert marker.get_xdata()[0] == pytest.approx(knee.total_preload / 1e3)

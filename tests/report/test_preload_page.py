@@ -3,15 +3,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from page_reader import Page
 from preload_report_studies import cannot, flange, several, stiff, with_motion
-from test_pages import Page
 
-from stiffopt.report.preload.bars import utilisation_bars, utilisation_matrix
-from stiffopt.report.preload.extras import choice_section, motion_section
-from stiffopt.report.preload.names import change, fastener_words, listed, prose, spoken
+from stiffopt.report.common.text import change, listed
+from stiffopt.report.preload.overview import most_used, utilisation_matrix
 from stiffopt.report.preload.page import write_preload_report
-from stiffopt.report.preload.tables import loosening_table, recommended_table
-from stiffopt.report.preload.wording import stiffness_sentence, weakest_sentence, what_binds
+from stiffopt.report.preload.words import (
+    fastener_words,
+    prose,
+    readable,
+    stiffness_sentence,
+    weakest_sentence,
+    what_binds,
+)
 
 FIGURES = ("preload_curves", "preload_front", "preload_loosening", "preload_shares")
 
@@ -71,20 +76,20 @@ def test_page_accounts_for_the_catalogue_search(flange_page):
     total = choice.proof.combinations
     assert f"The catalogue has {total} combinations" in flange_page.text
     assert "no better design is in the catalogue" in flange_page.text
-    account = choice_section(flange().problem, choice).account
-    *parts, (_, whole) = account.rows
+    *parts, (_, whole) = flange_page.table("excluded by")
     assert sum(int(count) for _, count in parts) == int(whole) == total
     design = choice.designs["flexspline_flange"]
     taken = f"{design.count} × {design.size} {design.grade} {design.torque:g} N m"
     assert taken in flange_page.text
 
 
-def test_unfinished_catalogue_search_claims_no_proof():
+def test_unfinished_catalogue_search_claims_no_proof(tmp_path):
     choice = flange().choice
     proof = replace(choice.proof, unvisited=7)
-    section = choice_section(flange().problem, replace(choice, proof=proof))
-    assert "7 were left open" in section.proof
-    assert "no better design is in the catalogue" not in section.proof
+    page = page_of(replace(flange(), choice=replace(choice, proof=proof)), tmp_path)
+    assert "7 were left open" in page.text
+    assert "no better design is in the catalogue" not in page.text
+    assert "standard torques cost" not in page.text
 
 
 def test_page_of_a_study_that_cannot_be_met_gives_reasons_and_recommends_nothing(tmp_path):
@@ -116,15 +121,21 @@ def test_page_of_several_joints_has_a_matrix_and_folds_the_rest(tmp_path):
     matrix = utilisation_matrix(study.solution.rows)
     assert len(matrix.rows) == len(study.problem.elements) + 1
     worst = max(r.utilisation for r in study.solution.rows if r.kind == "key pressure")
-    assert matrix.rows[-1][1][matrix.kinds.index("key pressure")].width == round(100 * worst, 1)
+    keys = list(matrix.rows.values())[-1]
+    assert keys[matrix.kinds.index("key pressure")].utilisation == worst
+    shown = page.table("", *matrix.kinds)
+    assert [name for name, *_ in shown] == list(matrix.rows)
+    assert float(shown[-1][1 + matrix.kinds.index("key pressure")]) == pytest.approx(
+        100 * worst, rel=5e-3
+    )
 
 
 @pytest.mark.parametrize("gain", [0.0004, 0.03])
-def test_joint_study_says_what_it_gains(gain):
-    study = with_motion(flange(), gain)
-    section = motion_section(study.problem, study.motion)
-    assert section.comparison.rows[-1][1] == f"{100 * gain:.2g} %"
-    assert ("not worth it here" in section.note) == (gain < 0.01)
+def test_joint_study_says_what_it_gains(gain, tmp_path):
+    page = page_of(with_motion(flange(), gain), tmp_path)
+    compared = page.table("", "peak dynamic deflection of the tool")
+    assert compared[-1][1] == f"{100 * gain:.2g} %"
+    assert ("not worth it here" in page.text) == (gain < 0.01)
 
 
 def test_page_without_front_and_choice(tmp_path):
@@ -171,32 +182,31 @@ def test_a_large_gain_is_never_called_slip_alone():
     assert "sets the preload" not in text
 
 
-def test_recommended_table_holds_least_and_largest_preload():
+def test_workshop_table_holds_least_and_largest_preload(flange_page):
     study = flange()
     element = study.problem.elements[0]
     largest = study.solution.preloads[element.key]
-    (row,) = recommended_table(study.problem, study.solution).rows
+    (row,) = flange_page.table("connection", "fasteners", "tighten to", "not below")
     least = largest / study.problem.tightening.alpha - element.embedding_loss
     assert float(row[5].split()[0]) == pytest.approx(largest / 1e3, rel=5e-3)
     assert float(row[6].split()[0]) == pytest.approx(least / 1e3, rel=5e-3)
 
 
-def test_bars_are_the_worst_of_each_owner():
-    rows = flange().solution.rows
-    bars = utilisation_bars(rows)
-    slip = [bar for bar in bars if bar.kind == "slip safety"]
-    assert [bar.case for bar in slip] == ["peak torque"]
-    assert slip[0].state == "active"
-    assert slip[0].limit == "≥ 1.2"
-    widths = [bar.width for bar in bars]
-    assert widths == sorted(widths, reverse=True)
-    exceeded = utilisation_bars(cannot().solution.rows)[0]
-    assert (exceeded.state, exceeded.width) == ("over", 100.0)
+def test_requirements_shown_are_the_worst_of_each_owner(flange_page):
+    rows = most_used(flange().solution.rows)
+    slip = [row for row in rows if row.kind == "slip safety"]
+    assert [row.case for row in slip] == ["peak torque"]
+    used = [row.utilisation for row in rows]
+    assert used == sorted(used, reverse=True)
+    cells = flange_page.table("connection", "requirement")
+    assert [row[1].removesuffix("binds") for row in cells[: len(rows)]] == [r.kind for r in rows]
+    (bound,) = (row for row in cells[: len(rows)] if row[1] == "slip safetybinds")
+    assert bound[4] == "≥ 1.2"
+    assert not most_used(cannot().solution.rows)[0].kept
 
 
-def test_loosening_table_counts_each_connection_once():
-    study = flange()
-    (row,) = loosening_table(study.loosening).rows
+def test_loosening_table_counts_each_connection_once(flange_page):
+    (row,) = flange_page.table("connection", "rim slips below")
     assert row[3].startswith("1.20")
     assert row[-1].endswith("slips")
 
@@ -216,8 +226,8 @@ def test_weakest_spring_is_named_with_its_share():
         ("a smaller require.least_preload, or", "a smaller require.least_preload, or"),
     ],
 )
-def test_keys_are_spoken_and_file_keys_stay(text, said):
-    assert spoken(text) == said
+def test_keys_are_words_and_file_keys_stay(text, said):
+    assert readable(text) == said
 
 
 def test_small_words():

@@ -5,7 +5,7 @@ import pytest
 from rich.console import Console
 
 from stiffopt.report.common.progress import ProgressDisplay
-from stiffopt.report.common.quantities import engineering, percent, significant
+from stiffopt.report.common.text import percent, si, significant
 
 
 def event(**changes):
@@ -89,8 +89,8 @@ def test_the_display_closes_when_the_solve_fails():
         (0.7, "", "0.7"),
     ],
 )
-def test_engineering_units(value, unit, text):
-    assert engineering(value, unit) == text
+def test_units_suit_the_size(value, unit, text):
+    assert si(value, unit) == text
 
 
 def test_significant_digits():

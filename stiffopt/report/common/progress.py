@@ -1,4 +1,4 @@
-"""Live progress of a solve in the terminal; plain lines where the output is no terminal.
+"""Live progress of a command in the terminal; plain lines where the output is no terminal.
 
 An event has the attributes `stage` (text such as "homotopy 2 of 3, 60 intervals"), `iteration`,
 `objective` (SI), `violation` (relative), `row` (name of the worst row) and `elapsed` [s]. Only the
@@ -15,10 +15,11 @@ from typing import Any, Protocol
 
 from rich.console import Console
 from rich.live import Live
+from rich.status import Status
 from rich.table import Table
 from rich.text import Text
 
-from stiffopt.report.common.quantities import engineering
+from stiffopt.report.common.text import si
 
 PLAIN_INTERVAL = 1.0
 DRAWS_PER_SECOND = 8
@@ -176,6 +177,61 @@ class StudyProgress:
             self._display(SimpleNamespace(**fields))
 
 
+class StepDisplay:
+    """Context manager that is called with a sentence at every step.
+
+    Parameters
+    ----------
+    title : str
+    console : rich.console.Console or None
+        None: standard error, so that standard output stays free for results.
+    clock : callable
+        Seconds; replaced in tests.
+
+    Notes
+    -----
+    On a terminal the step stands in one line that moves; elsewhere each is a line of its own.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        console: Console | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._title = title
+        self._console = Console(stderr=True) if console is None else console
+        self._clock = clock
+        self._begin = clock()
+        self._status: Status | None = None
+
+    def __enter__(self) -> StepDisplay:
+        if self._console.is_terminal:
+            self._status = self._console.status(Text(self._title))
+            self._status.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._status is not None:
+            self._status.__exit__(kind, error, traceback)
+            self._status = None
+
+    def __call__(self, sentence: str) -> None:
+        """Show a step; what was found stays on the screen."""
+        line = f"{self._clock() - self._begin:.1f} s  {sentence}"
+        if self._status is None:
+            self._console.print(Text(line), soft_wrap=True)
+            return
+        self._status.update(Text(f"{self._title}: {line}"))
+        if sentence.startswith("found "):
+            self._console.print(Text(line), soft_wrap=True)
+
+
 def _fields(event: ProgressEvent, unit: str) -> list[tuple[str, str]]:
     worst = "none"
     if event.violation > NEGLIGIBLE:
@@ -184,6 +240,6 @@ def _fields(event: ProgressEvent, unit: str) -> list[tuple[str, str]]:
         ("", f"{event.elapsed:.1f} s"),
         ("", event.stage),
         ("iteration", str(event.iteration)),
-        ("objective", engineering(event.objective, unit)),
+        ("objective", si(event.objective, unit)),
         ("violation", worst),
     ]

@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 
-from stiffopt.report.common.quantities import significant
 from stiffopt.report.common.svg import BLUE, GREY, ORANGE, PALE, VERMILLION, WIDTH, house_style
+from stiffopt.report.common.text import significant
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis

@@ -2,54 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from stiffopt.discovery.identifiable import effect_checks
-from stiffopt.files import atomic_write
 from stiffopt.recording.check import missing_signals
 from stiffopt.recording.facts import joint_facts
 from stiffopt.recording.run import counted
 from stiffopt.report.common.citations import diagnosis_references
-from stiffopt.report.common.quantities import significant
-from stiffopt.report.common.rendering import PageFigure, page_figure, write_page
-from stiffopt.report.common.svg import extent_of, to_png, to_svg
-from stiffopt.report.diagnosis.figures import balances_figure, held_out_figure
-from stiffopt.report.diagnosis.motion import overlay_figure, trace, worst_windows
+from stiffopt.report.common.page import Filters, PageFigures, write_page
+from stiffopt.report.diagnosis.figures import balances_figure, channel_ratio, held_out_figure
+from stiffopt.report.diagnosis.held_out import Trace, overlay_figure, trace, worst_windows
+from stiffopt.report.diagnosis.overview import (
+    candidates,
+    limits_by_effect,
+    moved_values,
+    sharpest_limits,
+    undetectable_effects,
+)
 from stiffopt.report.diagnosis.regimes import (
     map_figure,
     regime_figure,
     regressor_figure,
     spectrum_figure,
 )
-from stiffopt.report.diagnosis.residuals import channel_rows, worst_channel
-from stiffopt.report.diagnosis.tables import (
-    calibration_table,
-    candidates_table,
-    channels_table,
-    faults_table,
-    findings_table,
-    limits_table,
-    runs_table,
-    sharpest,
-    undetectable_table,
-    windows_table,
-)
+from stiffopt.report.diagnosis.residuals import channel_rows
 from stiffopt.report.diagnosis.words import (
     VERDICTS,
+    channel_words,
     channels_in_words,
+    fall,
     headline,
+    is_unstated,
     lead,
     new_and_unstated,
     percent_sure,
     phrase,
     place,
+    prismatic,
     proof_sentence,
     unexplained_sentence,
+    worst_channel,
     worst_ratio,
 )
 
@@ -57,16 +53,8 @@ if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 PAGE_FILE = "report.html"
-# Findings that are shown with figures of their own.
-_SHOWN = 3
-
-
-class Files(dict[str, str | bytes]):
-    """Contents of figures by file name; as PNG, too, where that is asked."""
-
-    def __init__(self, png: bool) -> None:
-        super().__init__()
-        self.png = png
+# Findings that are shown with figures of their own, from this many samples on.
+_SHOWN, _FEW_SAMPLES = 3, 50
 
 
 def write_diagnosis_report(
@@ -86,216 +74,98 @@ def write_diagnosis_report(
     -------
     Path
     """
-    files = Files(png)
-    recordings = diagnosis.recordings
+    recordings, search = diagnosis.recordings, diagnosis.search
     trained = diagnosis.training.recorded
-    runs = [*trained, *(proof.run for proof in diagnosis.held_out)]
-    checks = effect_checks(
-        recordings, joint_facts(recordings, trained), len(trained), diagnosis.catalogue
-    )
-    windows = worst_windows(diagnosis)
+    new, unstated = new_and_unstated(diagnosis)
+    shown = [*new, *unstated][:_SHOWN]
+    overlays = _overlays(diagnosis)
+    figures = PageFigures("diagnosis", png=png)
+    figures.draw("balances", balances_figure(diagnosis), "Residual over noise of all balances")
+    for number, finding in enumerate(shown, start=1):
+        _draw_finding(figures, diagnosis, finding, number)
+    _draw_unexplained(figures, diagnosis)
+    figures.draw("held_out", held_out_figure(diagnosis), "Residual over noise of held-out runs")
+    for role, (_, curve) in overlays.items():
+        figures.draw(role, overlay_figure(curve), "Measured and predicted, before and after")
     context = {
+        "diagnosis": diagnosis,
         "title": f"{recordings.title}: what the nominal model lacks",
         "headline": headline(diagnosis),
         "lead": lead(diagnosis),
         "verdict": VERDICTS[diagnosis.verdict],
-        "good": diagnosis.verdict == "nothing_missing",
         "proof": proof_sentence(diagnosis),
-        "base": diagnosis.model or "",
-        "tiles": _tiles(diagnosis),
-        "findings": findings_table(diagnosis),
-        "balances": _saved(
-            balances_figure(diagnosis),
-            "diagnosis_balances",
-            "Where it shows" if diagnosis.verdict != "nothing_missing" else "All balances",
-            "Training runs: root mean square of the filtered residual over noise, of the torque "
-            "and of the wind-up seen by the link encoder. 1 is the noise.",
-            files,
+        "unexplained": unexplained_sentence(diagnosis),
+        "shown": shown,
+        "leading": (new or unstated)[:2],
+        "overlays": overlays,
+        "worst": worst_channel(diagnosis, search.after) if _compared(search.after) else None,
+        "worst_ratio": worst_ratio(search.after),
+        "encoders": sum(bool(name) for name in recordings.signals.link_position or ()),
+        "channel_ratio": partial(channel_ratio, diagnosis),
+        "windows": worst_windows(diagnosis),
+        "limits": limits_by_effect(diagnosis),
+        "sharpest": sharpest_limits(diagnosis),
+        "moved": moved_values(diagnosis),
+        "missing": missing_signals(
+            recordings, [*trained, *(proof.run for proof in diagnosis.held_out)]
         ),
-        "sections": list(_sections(diagnosis, files)),
-        "outside": unexplained_sentence(diagnosis),
-        "outside_figures": _outside_figures(diagnosis, files),
-        "quiet": _quiet(diagnosis, files),
-        "held_out": _saved(
-            held_out_figure(diagnosis),
-            "diagnosis_held_out",
-            "",
-            "Runs that no fit has seen, as measured and not filtered. Torque counts while the "
-            "joint moves.",
-            files,
-        ),
-        "overlays": list(_overlays(diagnosis, files)),
-        "channels": channels_table(diagnosis),
-        "runs": runs_table(diagnosis),
-        "windows": windows_table(windows),
-        "sharpest": sharpest(diagnosis),
-        "limits": limits_table(diagnosis),
-        "calibration": calibration_table(diagnosis),
-        "missing": missing_signals(recordings, runs),
-        "untold": undetectable_table(checks),
-        "faults": faults_table(diagnosis),
-        "left_out": sum(fault.left_out for _, fault in diagnosis.faults),
-        "assumptions": diagnosis.assumptions,
-        "next": diagnosis.next_experiment,
-        "source": ". ".join(
-            part
-            for part in (
-                recordings.citation.rstrip("."),
-                f"Licence: {recordings.licence}" if recordings.licence else "",
+        "undetectable": undetectable_effects(
+            effect_checks(
+                recordings, joint_facts(recordings, trained), len(trained), diagnosis.catalogue
             )
-            if part
         ),
         "references": diagnosis_references(f.effect for f in diagnosis.findings),
-        "settings": diagnosis.settings,
     }
-    return _written(context, files, Path(directory))
+    filters: Filters = {
+        "place": partial(place, diagnosis),
+        "fall": partial(fall, diagnosis),
+        "prismatic": partial(prismatic, diagnosis),
+        "unstated": partial(is_unstated, diagnosis),
+        "phrase": lambda finding: phrase(finding, is_unstated(diagnosis, finding)),
+        "candidates": candidates,
+        "channel": channel_words,
+        "channels": channels_in_words,
+        "sure": percent_sure,
+        "counted": counted,
+    }
+    path = Path(directory) / PAGE_FILE
+    return write_page("diagnosis/page.html.j2", path, context, figures, filters)
 
 
-def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
-    tiles = []
-    new, unstated = new_and_unstated(diagnosis)
-    for finding in (new or unstated)[:2]:
-        sure = percent_sure(finding.probability) if finding.rivals else "no rival near"
-        name = finding.effect.title
-        note = f"{name}, {place(diagnosis, finding.located)}"
-        tiles.append({"name": "how sure", "value": sure, "note": note})
-    for role, words in (("test", "test runs"), ("extrapolate", "extrapolation")):
-        if diagnosis.proofs(role):
-            before, after = (significant(v, 2) for v in diagnosis.nrmse(role))
-            tiles.append(
-                {
-                    "name": f"residual over noise, {words}",
-                    "value": f"{before} → {after}",
-                    "note": "before → after; 1 is the noise",
-                }
-            )
-    tiles.append(
-        {
-            "name": "worst channel, training",
-            "value": f"{significant(worst_ratio(diagnosis.search.after), 2)} × noise",
-            "note": channels_in_words([worst_channel(diagnosis, diagnosis.search.after)])[4:]
-            + ", filtered",
-        }
-    )
-    recordings = diagnosis.recordings
-    link = recordings.signals.link_position
-    encoders = sum(bool(name) for name in link or ())
-    tiles.append(
-        {
-            "name": "recordings",
-            "value": f"{len(diagnosis.training.recorded)} + {len(diagnosis.held_out)} runs",
-            "note": f"to fit + held out; {counted(recordings.n, 'joint')}, "
-            + (counted(encoders, "link encoder") if encoders else "no link encoders"),
-        }
-    )
-    return tiles
+def _compared(ratios: np.ndarray) -> bool:
+    return bool(np.isfinite(ratios).any())
 
 
-def _sections(diagnosis: Diagnosis, files: Files) -> Iterator[dict[str, Any]]:
-    """One section a finding, those that say something new first."""
-    new, unstated = new_and_unstated(diagnosis)
-    for number, finding in enumerate([*new, *unstated][:_SHOWN], 1):
-        effect = finding.effect
-        where = place(diagnosis, finding.located)
-        yield {
-            "title": f"{where[0].upper()}{where[1:]}: {phrase(finding, finding in unstated)}",
-            "effect": effect.title,
-            "equation": effect.equation,
-            "signature": effect.signature,
-            "evidence": f"{finding.log_evidence:.0f}",
-            "candidates": candidates_table(diagnosis, finding),
-            "figures": list(_finding_figures(diagnosis, finding, number, files)),
-        }
-
-
-def _finding_figures(
-    diagnosis: Diagnosis, finding: Finding, number: int, files: Files
-) -> Iterator[PageFigure]:
+def _draw_finding(
+    figures: PageFigures, diagnosis: Diagnosis, finding: Finding, number: int
+) -> None:
     rows = channel_rows(diagnosis, finding.channel)
-    if len(rows.after) < 50:
-        return
-    channel = channels_in_words([finding.channel])
-    name = finding.effect.title
-    yield _saved(
-        regressor_figure(diagnosis, rows, finding),
-        f"diagnosis_regressor_{number}",
-        "Measured against the model of the finding",
-        f"Residual of {channel} in the training runs with everything else explained. Left: against "
-        f"what {name} adds by its fitted formula; points on the red line are explained. Right: its "
-        "distribution.",
-        files,
-    )
-    yield _saved(
-        regime_figure(diagnosis, rows, finding),
-        f"diagnosis_regimes_{number}",
-        "Where in the motion it shows",
-        f"Means of the same residual of {channel} with ±2 standard deviations of the mean, by "
-        "direction of motion. The lines are the fitted model of the finding; what they do not "
-        "follow, it does not explain.",
-        files,
-    )
-    yield _saved(
-        map_figure(diagnosis, rows, finding),
-        f"diagnosis_maps_{number}",
-        "",
-        f"Mean residual of {channel} over noise without and with the finding; white cells are "
-        "explained or were not visited.",
-        files,
-    )
+    if len(rows.after) >= _FEW_SAMPLES:
+        for name, figure, description in (
+            ("regressor", regressor_figure, "Measured against the model of the finding"),
+            ("regimes", regime_figure, "Residual by what the joint was doing"),
+            ("maps", map_figure, "Mean residual without and with the finding"),
+        ):
+            figures.draw(f"{name}_{number}", figure(diagnosis, rows, finding), description)
 
 
-def _outside_figures(diagnosis: Diagnosis, files: Files) -> list[PageFigure]:
-    unexplained = diagnosis.unexplained
-    if unexplained is None:
-        return []
-    rows = channel_rows(diagnosis, unexplained.channels[0])
-    channel = channels_in_words(unexplained.channels[:1])
-    figures = []
-    if unexplained.period is not None:
-        time = diagnosis.search.comparison.rows.sampled(lambda run: run.time)[rows.chosen]
-        figures.append(
-            _saved(
-                spectrum_figure(rows, time, unexplained.period),
-                "diagnosis_spectrum",
-                "It repeats in time",
-                f"Share of what is left of {channel} that a wave of each frequency explains, its "
-                "phase free in every run. The dashed line is the period that all runs share.",
-                files,
-            )
-        )
-    title = "It does not follow the motion" if unexplained.period else "What it follows"
-    if unexplained.brief:
-        title = "Below the filter's cutoff it leaves nothing"
-    figures.append(
-        _saved(
-            regime_figure(diagnosis, rows, None),
-            "diagnosis_outside",
-            title,
-            f"Mean of what is left of {channel}, with ±2 standard deviations of the mean, by "
-            "direction of motion.",
-            files,
-        )
-    )
-    return figures
+def _draw_unexplained(figures: PageFigures, diagnosis: Diagnosis) -> None:
+    """Of what is left, or of a set in which nothing is missing its worst channel."""
+    unexplained, after = diagnosis.unexplained, diagnosis.search.after
+    if unexplained is not None:
+        rows = channel_rows(diagnosis, unexplained.channels[0])
+        if unexplained.period is not None:
+            time = diagnosis.search.comparison.rows.sampled(lambda run: run.time)[rows.chosen]
+            spectrum = spectrum_figure(rows, time, unexplained.period)
+            figures.draw("spectrum", spectrum, "Share of the residual by frequency")
+        figures.draw("outside", regime_figure(diagnosis, rows, None), "What is left by regime")
+    if diagnosis.verdict == "nothing_missing" and _compared(after):
+        rows = channel_rows(diagnosis, worst_channel(diagnosis, after))
+        figures.draw("quiet", regime_figure(diagnosis, rows, None), "The worst channel by regime")
 
 
-def _quiet(diagnosis: Diagnosis, files: Files) -> PageFigure | None:
-    """Of a set in which nothing is missing: its worst channel, which should show no pattern."""
-    if diagnosis.verdict != "nothing_missing" or not np.isfinite(diagnosis.search.after).any():
-        return None
-    name = worst_channel(diagnosis, diagnosis.search.after)
-    return _saved(
-        regime_figure(diagnosis, channel_rows(diagnosis, name), None),
-        "diagnosis_quiet",
-        "The worst channel",
-        f"Mean of what is left of {channels_in_words([name])}, the channel with the largest "
-        "residual over noise, with ±2 standard deviations of the mean.",
-        files,
-    )
-
-
-def _overlays(diagnosis: Diagnosis, files: Files) -> Iterator[PageFigure]:
-    """One test run and one extrapolation run in the channel that the answer is about."""
+def _overlays(diagnosis: Diagnosis) -> dict[str, tuple[str, Trace]]:
+    """By role, the first run that has the channel that the answer is about."""
     new, unstated = new_and_unstated(diagnosis)
     if diagnosis.unexplained is not None and not new:
         name = diagnosis.unexplained.channels[0]
@@ -303,41 +173,11 @@ def _overlays(diagnosis: Diagnosis, files: Files) -> Iterator[PageFigure]:
         name = (new or unstated)[0].channel
     else:
         name = worst_channel(diagnosis, diagnosis.search.before)
-    for role, words in (("test", "Test run"), ("extrapolate", "Extrapolation run")):
+    found: dict[str, tuple[str, Trace]] = {}
+    for role in ("test", "extrapolate"):
         for proof in diagnosis.proofs(role):
-            shown = trace(diagnosis, proof, name)
-            if shown is None:
-                continue
-            kind = "" if shown.error.kind == "torque" else " Wind-up: motor less link angle."
-            yield _saved(
-                overlay_figure(shown),
-                f"diagnosis_{role}",
-                f"{words} {proof.run.name}, {channels_in_words([name])}",
-                "Measured and predicted from the motor's motion alone, before and after; below, "
-                f"what is left.{kind} Residuals of torque are shown while the joint moves.",
-                files,
-            )
-            break
-
-
-def _saved(figure: Figure, name: str, title: str, caption: str, files: Files) -> PageFigure:
-    extent = extent_of(figure)
-    svg = to_svg(figure, name, title or caption, extent)
-    files[f"{name}.svg"] = svg
-    if files.png:
-        files[f"{name}.png"] = to_png(figure, extent)
-    return page_figure(svg, caption, title)
-
-
-def _written(context: dict[str, Any], files: Files, folder: Path) -> Path:
-    """Write figures, then the page; an interruption takes back what is new."""
-    page = folder / PAGE_FILE
-    new = [path for name in (*files, PAGE_FILE) if not (path := folder / name).exists()]
-    try:
-        for name, content in files.items():
-            atomic_write(folder / name, content)
-        return write_page("diagnosis.html.j2", page, context)
-    except BaseException:
-        for path in new:
-            path.unlink(missing_ok=True)
-        raise
+            curve = trace(diagnosis, proof, name)
+            if curve is not None:
+                found[role] = proof.run.name, curve
+                break
+    return found

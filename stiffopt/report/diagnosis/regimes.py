@@ -19,6 +19,7 @@ from stiffopt.report.common.svg import (
     WIDTH,
     house_style,
 )
+from stiffopt.report.common.text import scale
 from stiffopt.report.diagnosis.residuals import (
     ChannelRows,
     Regime,
@@ -27,7 +28,6 @@ from stiffopt.report.diagnosis.residuals import (
     direction,
     regimes,
 )
-from stiffopt.report.diagnosis.words import scaled_unit
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
@@ -46,7 +46,7 @@ def regime_figure(diagnosis: Diagnosis, rows: ChannelRows, finding: Finding | No
     """
     added = np.zeros(len(rows.after)) if finding is None else contribution(diagnosis, finding, rows)
     residual = rows.after + added
-    factor, unit = scaled_unit(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
+    factor, unit = scale(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
     sides = direction(diagnosis, rows)
     electrical = finding is not None and "pole_pairs" in finding.effect.needs
     shown = list(regimes(diagnosis, rows, electrical))
@@ -152,7 +152,7 @@ def regressor_figure(diagnosis: Diagnosis, rows: ChannelRows, finding: Finding) 
     """Residual with everything else explained, against what the finding's model says."""
     added = contribution(diagnosis, finding, rows)
     residual = rows.after + added
-    factor, unit = scaled_unit(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
+    factor, unit = scale(float(np.quantile(np.abs(residual), 0.95)), rows.unit)
     x, y = factor * added, factor * residual
     step = max(1, len(x) // _POINTS)
     with house_style():

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.report.diagnosis.words import own_unit
+from stiffopt.report.common.text import joint_unit
+from stiffopt.report.diagnosis.words import channel_number
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
@@ -66,19 +67,6 @@ class Regime:
     apart: bool = False
 
 
-def channel_number(diagnosis: Diagnosis, name: str) -> int:
-    """Number of a channel among the torques and then the deflections of all joints."""
-    kind, _, joint = name.rpartition("_")
-    return int(joint) - 1 + (0 if kind == "torque" else diagnosis.recordings.n)
-
-
-def worst_channel(diagnosis: Diagnosis, ratios: np.ndarray) -> str:
-    """Name of the channel with the largest residual over noise."""
-    number = int(np.nanargmax(ratios))
-    n = diagnosis.recordings.n
-    return f"{'torque' if number < n else 'link_position'}_{number % n + 1}"
-
-
 def channel_rows(diagnosis: Diagnosis, name: str) -> ChannelRows:
     """Residuals of a channel before and after, in its own unit."""
     search = diagnosis.search
@@ -94,7 +82,7 @@ def channel_rows(diagnosis: Diagnosis, name: str) -> ChannelRows:
     return ChannelRows(
         name=name,
         joint=joint,
-        unit=own_unit("N m" if number < rows.n else "rad", slides),
+        unit=joint_unit("N m" if number < rows.n else "rad", slides),
         before=comparison.target[chosen] * comparison.inflation[number] * noise,
         after=search.fit.residual[chosen] * noise,
         noise=noise,
@@ -130,14 +118,14 @@ def regimes(diagnosis: Diagnosis, rows: ChannelRows, electrical: bool = False) -
     """
     sampled = diagnosis.search.comparison.rows.sampled
     constants = diagnosis.training.constants.joints[rows.joint]
-    length = own_unit("rad", constants.prismatic)
+    length = joint_unit("rad", constants.prismatic)
 
     def own(name: str) -> np.ndarray:
         whole = sampled(lambda run: getattr(run.signals, name)[:, rows.joint])
         return np.asarray(whole[rows.chosen])
 
     yield Regime("speed", f"joint speed [{length}/s]", own("motor_velocity"))
-    force = own_unit("N m", constants.prismatic)
+    force = joint_unit("N m", constants.prismatic)
     yield Regime("load", f"load of the joint, nominal [{force}]", own("spring_torque"))
     position = own("motor_position")
     yield Regime("position", f"joint position [{length}]", position)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.report.common.quantities import significant
+from stiffopt.report.common.text import capital, listed, significant, words
 
 if TYPE_CHECKING:
     from stiffopt.discovery.comparison.located_effect import LocatedEffect
@@ -19,59 +19,10 @@ VERDICTS = {
     "nothing_missing": "nothing missing",
     "outside_catalogue": "outside the catalogue",
 }
-_SLIDING = {
-    "N m": "N",
-    "N m s/rad": "N s/m",
-    "kg m^2": "kg",
-    "rad": "m",
-    "rad/s": "m/s",
-    "rad/(N m)": "m/N",
-    "N m/rad": "N/m",
-    "N m/rad^3": "N/m^3",
-}
-_SCALES = {
-    "rad": ((1.0, "rad"), (1e-3, "mrad"), (1e-6, "µrad")),
-    "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm")),
-    "s": ((1.0, "s"), (1e-3, "ms")),
-    "rad/(N m)": ((1.0, "rad/(N m)"), (1e-3, "mrad/(N m)"), (1e-6, "µrad/(N m)")),
-    "m/N": ((1.0, "m/N"), (1e-3, "mm/N"), (1e-6, "µm/N")),
-}
 # From here on more or fewer decimals say nothing to a reader.
 _SURE = 0.995
 # Residual over noise of held-out runs from which a reader is told that much is left.
 _MUCH_LEFT = 2.0
-
-
-def own_unit(unit: str, prismatic: bool) -> str:
-    """Unit of a joint that turns, or what stands for it where the joint slides."""
-    return _SLIDING.get(unit, unit) if prismatic else unit
-
-
-def scaled_unit(largest: float, unit: str) -> tuple[float, str]:
-    """Factor from SI and unit in which a value of this size is read easily."""
-    for scale, name in _SCALES.get(unit, ()):
-        if abs(largest) >= 0.5 * scale or (scale, name) == _SCALES[unit][-1]:
-            return 1.0 / scale, name
-    return 1.0, unit
-
-
-def with_deviation(value: float, sd: float, unit: str) -> str:
-    """Value and standard deviation in one unit, rounded alike.
-
-    >>> with_deviation(6.2134, 0.1312, "N m"), with_deviation(3.2e-4, 2e-6, "rad")
-    ('6.21 ± 0.13 N m', '320 ± 2 µrad')
-    """
-    factor, name = scaled_unit(value, unit)
-    value, sd = factor * value, factor * sd
-    if not (math.isfinite(sd) and sd > 0.0):
-        return f"{significant(value, 3)} {name}".strip()
-    digits = 2 if f"{sd:.1e}"[0] == "1" else 1
-    places = digits - 1 - math.floor(math.log10(sd))
-    if not -3 <= places <= 6:
-        return f"{significant(value, 3)} ± {significant(sd, 2)} {name}".strip()
-    # Plus zero: no minus before a value that rounds to zero.
-    shown = [f"{round(v, places) + 0.0:.{max(places, 0)}f}" for v in (value, sd)]
-    return f"{shown[0]} ± {shown[1]} {name}".strip()
 
 
 def place(diagnosis: Diagnosis, located: LocatedEffect) -> str:
@@ -123,7 +74,7 @@ def headline(diagnosis: Diagnosis) -> str:
     for finding in new:
         by_place.setdefault(place(diagnosis, finding.located), []).append(phrase(finding))
     text = "; ".join(f"{where}: {listed(what)}" for where, what in by_place.items())
-    return text[0].upper() + text[1:]
+    return capital(text)
 
 
 def lead(diagnosis: Diagnosis) -> str:
@@ -162,27 +113,22 @@ def how_sure(finding: Finding) -> str:
             sure += f" of joint {rival.located.joint + 1}"
     else:
         sure = "no rival comes near"
-    name = finding.effect.title
-    return (
-        f"{name[0].upper()}{name[1:]}: {sure}; {finding.significance:.0f} standard deviations from "
-        "nothing."
-    )
+    name = capital(finding.effect.title)
+    return f"{name}: {sure}; {finding.significance:.0f} standard deviations from nothing."
 
 
 def fall_sentence(diagnosis: Diagnosis, channel: str) -> str:
     """How far the residual of a channel falls in the training runs."""
     within, after = fall(diagnosis, channel)
-    words = channels_in_words([channel])
     return (
-        f"{words[0].upper()}{words[1:]} is left at {significant(within, 2)} times its noise by "
-        f"nominal values within tolerance, at {significant(after, 2)} with what was found."
+        f"{capital(channels_in_words([channel]))} is left at {significant(within, 2)} times its "
+        f"noise by nominal values within tolerance, at {significant(after, 2)} with what was found."
     )
 
 
 def fall(diagnosis: Diagnosis, channel: str) -> tuple[float, float]:
     """Residual over noise in training: nominal values within tolerance, then with findings."""
-    kind, _, joint = channel.rpartition("_")
-    number = int(joint) - 1 + (0 if kind == "torque" else diagnosis.recordings.n)
+    number = channel_number(diagnosis, channel)
     return float(diagnosis.search.calibrated[number]), float(diagnosis.search.after[number])
 
 
@@ -213,10 +159,10 @@ def unexplained_sentence(diagnosis: Diagnosis) -> str:
 def proof_sentence(diagnosis: Diagnosis) -> str:
     """Residual over noise on runs that were never fitted to."""
     parts = []
-    for role, words in (("test", "test runs"), ("extrapolate", "extrapolation runs")):
+    for role, runs in (("test", "test runs"), ("extrapolate", "extrapolation runs")):
         if diagnosis.proofs(role):
             before, after = diagnosis.nrmse(role)
-            parts.append(f"from {significant(before, 3)} to {significant(after, 3)} on {words}")
+            parts.append(f"from {significant(before, 3)} to {significant(after, 3)} on {runs}")
     if not parts:
         return ""
     text = (
@@ -225,12 +171,10 @@ def proof_sentence(diagnosis: Diagnosis) -> str:
     )
     left = [diagnosis.nrmse(role)[1] for role in ("test", "extrapolate") if diagnosis.proofs(role)]
     if max(left) > _MUCH_LEFT and diagnosis.verdict == "named":
-        ratios = diagnosis.search.after
-        number, n = int(np.nanargmax(ratios)), diagnosis.recordings.n
-        worst = f"{'torque' if number < n else 'link_position'}_{number % n + 1}"
+        worst = worst_channel(diagnosis, diagnosis.search.after)
         text += (
             f" So not all is explained: most is left in {channels_in_words([worst])}, at "
-            f"{significant(float(ratios[number]), 2)} times its noise in the training runs."
+            f"{significant(fall(diagnosis, worst)[1], 2)} times its noise in the training runs."
         )
     return text
 
@@ -250,15 +194,31 @@ def worst_ratio(ratios: np.ndarray) -> float:
 _DRIVES = {"torque": "gives no more than a limit", "dtorque": "changes its torque too slowly"}
 
 
+def channel_words(name: str) -> str:
+    """Channel such as "torque_3" in words."""
+    kind, _, joint = name.rpartition("_")
+    return f"{'torque' if kind == 'torque' else 'link encoder'} of joint {joint}"
+
+
 def channels_in_words(channels: Iterable[str]) -> str:
-    """Channels such as "torque_3", read aloud.
+    """Channels in a sentence.
 
     >>> channels_in_words(["torque_3", "link_position_1"])
     'the torque of joint 3 and the link encoder of joint 1'
     """
-    kinds = {"torque": "torque", "link_position": "link encoder"}
-    split = (name.rpartition("_") for name in channels)
-    return listed(f"the {kinds[kind]} of joint {joint}" for kind, _, joint in split)
+    return listed(f"the {channel_words(name)}" for name in channels)
+
+
+def channel_number(diagnosis: Diagnosis, name: str) -> int:
+    """Number of a channel among the torques and then the deflections of all joints."""
+    kind, _, joint = name.rpartition("_")
+    return int(joint) - 1 + (0 if kind == "torque" else diagnosis.recordings.n)
+
+
+def worst_channel(diagnosis: Diagnosis, ratios: np.ndarray) -> str:
+    """Name of the channel with the largest residual over noise."""
+    number, n = int(np.nanargmax(ratios)), diagnosis.recordings.n
+    return f"{'torque' if number < n else 'link_position'}_{number % n + 1}"
 
 
 def regressor_words(name: str) -> str:
@@ -272,14 +232,8 @@ def regressor_words(name: str) -> str:
     }
     first, _, by = name.partition(" x ")
     kind, _, joint = first.rpartition("_")
-    text = f"the {names[kind]} {joint}" if kind in names else f"the {first.replace('_', ' ')}"
+    text = f"the {names[kind]} {joint}" if kind in names else f"the {words(first)}"
     return f"{text} and the direction of motion" if by else text
-
-
-def listed(items: Iterable[str]) -> str:
-    """Items as a list in a sentence."""
-    every = list(items)
-    return every[0] if len(every) == 1 else f"{', '.join(every[:-1])} and {every[-1]}"
 
 
 def _unstated_words(unstated: Sequence[Finding]) -> str:

@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stiffopt.identification.result import StaticStiffness
-from stiffopt.report.common.quantities import length_scale
 from stiffopt.report.common.svg import (
     BLUE,
     GREEN,
@@ -17,6 +16,7 @@ from stiffopt.report.common.svg import (
     WIDTH,
     house_style,
 )
+from stiffopt.report.common.text import scale
 
 _MARKS = (
     ("stiffness", "identified, 95 % interval", "o", BLUE, 6),
@@ -70,7 +70,7 @@ def stiffness_figure(result: StaticStiffness) -> Figure:
 def prediction_figure(result: StaticStiffness) -> Figure:
     """Displacement of every pose as measured, against its prediction without that pose."""
     measured = result.rows.displacement
-    factor, unit = length_scale(float(np.max(np.abs(measured))))
+    factor, unit = scale(float(np.max(np.abs(measured))), "m")
     outlying = np.zeros(len(measured), dtype=bool)
     outlying[[pose - 1 for pose in result.outliers]] = True
     with house_style():
@@ -100,7 +100,7 @@ def poses_figure(result: StaticStiffness) -> Figure:
     """Error of every pose: left out of the fit, and with the nominal stiffness."""
     measured = result.rows.displacement
     error = np.linalg.norm(measured - result.left_out, axis=1)
-    factor, unit = length_scale(float(np.max(error)))
+    factor, unit = scale(float(np.max(error)), "m")
     pose = np.arange(1, len(measured) + 1)
     with house_style():
         figure = Figure(figsize=(WIDTH, 2.9))
@@ -128,7 +128,7 @@ def poses_figure(result: StaticStiffness) -> Figure:
 def models_figure(result: StaticStiffness) -> Figure:
     """Error on the poses fitted to and on poses left out, per model of the wind-up."""
     models = result.torque_dependence.models
-    factor, unit = length_scale(max(model.left_out for model in models))
+    factor, unit = scale(max(model.left_out for model in models), "m")
     with house_style():
         figure = Figure(figsize=(WIDTH, 0.8 + 0.36 * len(models)))
         axes = figure.subplots()

@@ -4,37 +4,37 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
 from stiffopt.identification.result import StaticStiffness
-from stiffopt.report.identification.page import error_sentence, headline, stiffness_table
+from stiffopt.report.common.terminal import print_lines, print_table
+from stiffopt.report.common.text import DASH, decades
+from stiffopt.report.identification.page import error_sentence, headline, interval, status_words
 
-# In a file or a log numbers must not be cut.
-_LOG_WIDTH = 160
+_NUMBERS = ("stiffness", "standard deviation", "95 % interval", "nominal", "softer by")
 
 
 def print_static(result: StaticStiffness, folder: Path) -> None:
     """Stiffness of the joints, errors, the verdict on torque dependence, where the files are."""
-    console = Console(highlight=False, soft_wrap=True)
-    console.print(f"{headline(result)}. {error_sentence(result)}", markup=False)
-    content = stiffness_table(result)
-    shown = [k for k in range(len(content.head)) if k != 1]
-    short = {7: "softer by"}
-    table = Table(box=None, pad_edge=False)
-    for k in shown:
-        table.add_column(short.get(k, content.head[k]), justify="left" if k in (0, 2) else "right")
-    for row in content.rows:
-        table.add_row(*(row[k] for k in shown))
-    wide = Console(highlight=False)
-    if not wide.is_terminal:
-        wide = Console(highlight=False, width=_LOG_WIDTH)
-    wide.print(table)
-    for joint in result.joints:
-        if joint.reason:
-            console.print(f"J{joint.joint}: {joint.reason}", markup=False)
-    if result.outliers:
-        poses = ", ".join(map(str, result.outliers))
-        console.print(f"Poses that do not fit the others: {poses}", markup=False)
-    console.print(f"Torque-dependent stiffness: {result.torque_dependence.sentence}", markup=False)
-    console.print(f"Report: {folder / 'report.html'}", markup=False)
+    print_lines([f"{headline(result)}. {error_sentence(result)}"])
+    rows = [
+        (
+            f"J{joint.joint}",
+            status_words(joint),
+            decades(joint.stiffness),
+            decades(joint.sd, 2),
+            interval(joint.lower, joint.upper),
+            decades(joint.nominal),
+            DASH if joint.z_nominal is None else f"{joint.z_nominal:+.1f}",
+            joint.unit,
+        )
+        for joint in result.joints
+    ]
+    print_table(("", "", *_NUMBERS, "unit"), rows, numbers=_NUMBERS)
+    outliers = ", ".join(map(str, result.outliers))
+    print_lines(
+        (
+            *(f"J{joint.joint}: {joint.reason}" for joint in result.joints if joint.reason),
+            f"Poses that do not fit the others: {outliers}" if outliers else "",
+            f"Torque-dependent stiffness: {result.torque_dependence.sentence}",
+            f"Report: {folder / 'report.html'}",
+        )
+    )

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stiffopt.report.common.motions import JointUnits
+from stiffopt.report.common.robot import JointUnits
 from stiffopt.report.common.svg import (
     BLACK,
     BLUE,
@@ -22,7 +22,7 @@ from stiffopt.report.common.svg import (
     WIDTH,
     house_style,
 )
-from stiffopt.report.preload.names import present_preload, spoken
+from stiffopt.report.preload.words import present_preload, readable
 
 if TYPE_CHECKING:
     from stiffopt.preload.curves import PreloadCurve
@@ -126,7 +126,7 @@ def curves_figure(
             own = [curve for curve in curves if curve.key == element.key]
             own.sort(key=lambda curve: -abs(curve.torque))
             _panel(axes, [preload_view(problem, solution, element, curve) for curve in own])
-            axes.set_title(f"{spoken(element.key).capitalize()} [{_unit(units, element)}]")
+            axes.set_title(f"{readable(element.key).capitalize()} [{_unit(units, element)}]")
             if place + columns >= count:
                 axes.set_xlabel("preload of one bolt or pin [kN]")
         handles, labels = grid[0].get_legend_handles_labels()

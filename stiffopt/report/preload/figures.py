@@ -14,11 +14,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from stiffopt.report.common.elements import ELEMENT_COLOURS
-from stiffopt.report.common.motions import JointUnits
-from stiffopt.report.common.quantities import significant
+from stiffopt.report.common.robot import ELEMENT_COLOURS, JointUnits
 from stiffopt.report.common.svg import BLUE, GREEN, GREY, ORANGE, VERMILLION, WIDTH, house_style
-from stiffopt.report.preload.names import spoken
+from stiffopt.report.common.text import percent, significant
+from stiffopt.report.preload.words import readable
 
 if TYPE_CHECKING:
     from stiffopt.preload.pareto import ParetoFront
@@ -112,14 +111,14 @@ def shares_figure(shares: Mapping[int, Sequence[WindupShare]], free: Sequence[st
                 colour = ELEMENT_COLOURS.get(each.kind, GREY)
                 axes.barh(row, 100 * each.share, height=0.7, color=colour)
                 axes.annotate(
-                    f"{significant(100 * each.share, 2)} %",
+                    percent(each.share),
                     (100 * each.share, row),
                     xytext=(4, 0),
                     textcoords="offset points",
                     va="center",
                     fontsize=8,
                 )
-            axes.set_yticks(range(len(ordered)), [spoken(each.element) for each in ordered])
+            axes.set_yticks(range(len(ordered)), [readable(each.element) for each in ordered])
             for label, each in zip(axes.get_yticklabels(), ordered, strict=True):
                 label.set_fontweight("bold" if each.element in free else "normal")
             axes.set_ylim(most - 0.4, -0.6)
@@ -166,7 +165,7 @@ def loosening_figure(first_slip: Mapping[str, float], slip: Mapping[str, float])
             axes.barh(row, 100 - rim, left=rim, color=GREEN, height=0.62, alpha=0.75)
         for colour, name in ((VERMILLION, "slips"), (ORANGE, "rim slips"), (GREEN, "holds")):
             axes.barh(0, 0, color=colour, label=name)
-        axes.set_yticks(range(len(keys)), [spoken(key) for key in keys])
+        axes.set_yticks(range(len(keys)), [readable(key) for key in keys])
         axes.set_ylim(len(keys) - 0.4, -0.6)
         axes.set_xlim(0.0, 100.0)
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g} %"))

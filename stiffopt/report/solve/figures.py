@@ -1,12 +1,13 @@
 """Figures of a solve over time: deflection, joint motion, torque, stiffness.
 
-Each function returns one SVG. Time in s, angles in deg, deflection in mm or µm, stiffness in
+Time in s, angles in deg, deflection in mm or µm, stiffness in
 N m/rad (prismatic joints: mm and N/m); bounds are drawn where they are near the curves.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,8 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from stiffopt.report.common.motions import PARTS, JointUnits, Motion, common_unit, joint_units
-from stiffopt.report.common.quantities import length_scale, significant
+from stiffopt.report.common.robot import JointUnits, common_unit, joint_units
 from stiffopt.report.common.svg import (
     BLACK,
     BLUE,
@@ -27,13 +27,15 @@ from stiffopt.report.common.svg import (
     line_style,
     shade_beyond,
     thin,
-    to_svg,
 )
+from stiffopt.report.common.text import scale, si, significant
 from stiffopt.result.assessment import Assessment
+from stiffopt.result.solution import Solution
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
 
+PARTS = ("dynamic", "static", "process", "total")
 _SMALL_POINTS = 240
 _MOTION_STYLES: tuple[dict[str, Any], ...] = (
     {"color": BLUE, "linestyle": "-", "linewidth": 2.2},
@@ -48,17 +50,54 @@ _PART_STYLES: dict[str, dict[str, Any]] = {
 }
 
 
+@dataclass(frozen=True)
+class ComparedMotion:
+    """A motion with the name it bears on the page."""
+
+    name: str
+    assessment: Assessment
+    feasible: bool
+
+    @property
+    def label(self) -> str:
+        """Name, marked where a limit is exceeded."""
+        return self.name if self.feasible else f"{self.name} (exceeds limits)"
+
+    def magnitude(self, part: str) -> np.ndarray:
+        """Magnitude of a part of the deflection, (K,) [m]."""
+        return np.asarray(np.linalg.norm(self.assessment.deflection[part], axis=1))
+
+
+def compared_motions(solution: Solution) -> list[ComparedMotion]:
+    """List the optimised motion first, then the baselines that exist."""
+    motions = []
+    if solution.assessment is not None:
+        motions.append(ComparedMotion("optimised", solution.assessment, solution.status.usable))
+    for name, baseline in solution.baselines.items():
+        if baseline.assessment is not None:
+            motions.append(ComparedMotion(name, baseline.assessment, baseline.feasible))
+    return motions
+
+
+def focus_part(problem: TrajectoryProblem) -> str:
+    """Part of the deflection that the problem is about; dynamic unless another is minimised."""
+    for objective in problem.objectives:
+        if objective.name.endswith("_deflection"):
+            return objective.name.removesuffix("_deflection")
+    return "dynamic"
+
+
 def motion_style(index: int) -> dict[str, Any]:
     """Line style of a compared motion: the optimised one is number 0."""
     return dict(_MOTION_STYLES[index % len(_MOTION_STYLES)])
 
 
-def deflection_figure(motions: Sequence[Motion], part: str = "dynamic") -> str:
+def deflection_figure(motions: Sequence[ComparedMotion], part: str = "dynamic") -> Figure:
     """Deflection of the tool over time: one part of all motions, and all parts of the first.
 
     Parameters
     ----------
-    motions : sequence of Motion
+    motions : sequence of ComparedMotion
         The optimised one first.
     part : str
         Key of `Assessment.deflection` that is compared.
@@ -66,14 +105,14 @@ def deflection_figure(motions: Sequence[Motion], part: str = "dynamic") -> str:
     with house_style():
         figure = Figure(figsize=(WIDTH, 3.7))
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))
-        factor, unit = length_scale(max(float(m.magnitude(part).max()) for m in motions))
+        factor, unit = scale(max(float(m.magnitude(part).max()) for m in motions), "m")
         for index, motion in enumerate(motions):
             _peak_curve(left, motion, part, factor, unit, motion.label, motion_style(index))
         left.set_title(f"{part.capitalize()} deflection of the tool, magnitude")
         first = motions[0]
         parts = [p for p in reversed(PARTS) if np.any(first.magnitude(p) > 0)]
         largest = max((float(first.magnitude(p).max()) for p in parts), default=0.0)
-        factor_all, unit_all = length_scale(largest)
+        factor_all, unit_all = scale(largest, "m")
         for name in parts:
             _peak_curve(right, first, name, factor_all, unit_all, name, dict(_PART_STYLES[name]))
         right.set_title(f"Parts of the deflection, {first.name} motion")
@@ -85,12 +124,12 @@ def deflection_figure(motions: Sequence[Motion], part: str = "dynamic") -> str:
             if axes.get_legend_handles_labels()[0]:
                 axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.17), borderaxespad=0.0)
         figure.subplots_adjust(left=0.06, right=0.995, wspace=0.2)
-        return to_svg(figure, "deflection", f"Tool deflection over time, {part} part and all parts")
+        return figure
 
 
 def _peak_curve(
     axes: Axes,
-    motion: Motion,
+    motion: ComparedMotion,
     part: str,
     factor: float,
     unit: str,
@@ -104,7 +143,9 @@ def _peak_curve(
     axes.plot(time[at], values[at], "o", color=style["color"], markersize=4.5)
 
 
-def motion_figure(problem: TrajectoryProblem, motion: Assessment, other: Motion | None) -> str:
+def motion_figure(
+    problem: TrajectoryProblem, motion: Assessment, other: ComparedMotion | None
+) -> Figure:
     """Position, velocity, acceleration and jerk of every joint with the bounds.
 
     Parameters
@@ -112,10 +153,10 @@ def motion_figure(problem: TrajectoryProblem, motion: Assessment, other: Motion 
     problem : TrajectoryProblem
         Its limits are drawn.
     motion : Assessment
-    other : Motion or None
+    other : ComparedMotion or None
         A baseline drawn thinly beside it; its jerk is left out.
     """
-    limits, units = problem.active_limits, joint_units(problem)
+    limits, units = problem.active_limits, joint_units(problem.robot)
     upper = (limits.position_upper, limits.velocity, limits.acceleration, limits.jerk)
     lower = (limits.position_lower, -limits.velocity, -limits.acceleration, -limits.jerk)
     with house_style():
@@ -125,7 +166,7 @@ def motion_figure(problem: TrajectoryProblem, motion: Assessment, other: Motion 
         for j, unit in enumerate(units):
             for column, quantity in enumerate(("position", "velocity", "acceleration", "jerk")):
                 axes = grid[j, column]
-                factor = unit.position[0] if column < 2 else 1.0
+                factor = scale(1.0, unit.position)[0] if column < 2 else 1.0
                 if other is not None and quantity != "jerk":
                     theirs = getattr(other.assessment, quantity)[:, j] * factor
                     curve = thin(other.assessment.time, theirs, _SMALL_POINTS)
@@ -142,12 +183,12 @@ def motion_figure(problem: TrajectoryProblem, motion: Assessment, other: Motion 
         for column, title in enumerate(_motion_titles(units)):
             grid[0, column].set_title(title)
         figure.subplots_adjust(left=0.08, right=0.995, wspace=0.26, hspace=0.2)
-        return to_svg(figure, "motion", "Joint positions, velocities, accelerations and jerks")
+        return figure
 
 
 def _motion_titles(units: Sequence[JointUnits]) -> list[str]:
-    position = common_unit([u.position[1] for u in units])
-    speed = common_unit([f"{u.position[1]}/s" for u in units])
+    position = common_unit([u.position for u in units])
+    speed = common_unit([f"{u.position}/s" for u in units])
     acceleration = common_unit([f"{u.rate}/s²" for u in units])
     jerk = common_unit([f"{u.rate}/s³" for u in units])
     return [
@@ -167,9 +208,9 @@ def _level_if_flat(axes: Axes) -> None:
         axes.set_ylim(middle - least, middle + least)
 
 
-def torque_figure(problem: TrajectoryProblem, motion: Assessment) -> str:
+def torque_figure(problem: TrajectoryProblem, motion: Assessment) -> Figure:
     """Drive torque of every joint with its bounds, and the torque in its spring."""
-    limit, units = problem.active_limits.torque, joint_units(problem)
+    limit, units = problem.active_limits.torque, joint_units(problem.robot)
     columns = min(3, len(units))
     rows = -(-len(units) // columns)
     with house_style():
@@ -192,12 +233,12 @@ def torque_figure(problem: TrajectoryProblem, motion: Assessment) -> str:
                 axes.set_xlabel("time [s]")
                 axes.tick_params(labelbottom=True)
         figure.subplots_adjust(left=0.06, right=0.995, wspace=0.16, hspace=0.34)
-        return to_svg(figure, "torque", "Drive torque of each joint with its bounds")
+        return figure
 
 
-def stiffness_figure(problem: TrajectoryProblem, motion: Assessment) -> str:
+def stiffness_figure(problem: TrajectoryProblem, motion: Assessment) -> Figure:
     """Tangent stiffness of every joint over time, lowest values marked, floors drawn."""
-    units = joint_units(problem)
+    units = joint_units(problem.robot)
     floors = problem.active_limits.joint_stiffness
     with house_style():
         figure = Figure(figsize=(WIDTH, 3.9))
@@ -208,8 +249,7 @@ def stiffness_figure(problem: TrajectoryProblem, motion: Assessment) -> str:
                 continue
             style = line_style(j)
             low = motion.lowest_stiffness[j]
-            lowest = f"{significant(low.value)} {unit.stiffness}"
-            text = f"{unit.label}: lowest {lowest} at {low.time:.3f} s"
+            text = f"{unit.label}: lowest {si(low.value, unit.stiffness)} at {low.time:.3f} s"
             axes.plot(*thin(motion.time, values), label=text, **style)
             axes.plot(low.time, low.value, "o", color=style["color"], markersize=5)
             if j + 1 in floors:
@@ -224,7 +264,7 @@ def stiffness_figure(problem: TrajectoryProblem, motion: Assessment) -> str:
         if axes.get_legend_handles_labels()[0]:
             place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (0.0, -0.16)}
             axes.legend(ncols=2 if len(units) < 4 else 3, **place)
-        return to_svg(figure, "stiffness", "Tangent stiffness of each joint over time")
+        return figure
 
 
 def _leading_digit(value: float, _: int) -> str:

@@ -10,11 +10,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stiffopt.report.common.elements import ELEMENT_COLOURS, windup_by_kind
-from stiffopt.report.common.motions import Motion, common_unit, joint_units
-from stiffopt.report.common.quantities import significant
-from stiffopt.report.common.svg import BLACK, GREY, WIDTH, house_style, to_svg
-from stiffopt.report.solve.figures import motion_style
+from stiffopt.report.common.robot import ELEMENT_COLOURS, common_unit, joint_units, windup_by_kind
+from stiffopt.report.common.svg import BLACK, GREY, WIDTH, house_style
+from stiffopt.report.common.text import number, si
+from stiffopt.report.solve.figures import ComparedMotion, motion_style
 from stiffopt.result.assessment import Assessment
 
 if TYPE_CHECKING:
@@ -30,14 +29,14 @@ _LEAST_HEIGHT = 1.1
 _GAP = 0.55
 
 
-def path_figure(problem: TrajectoryProblem, motions: Sequence[Motion], part: str) -> str:
+def path_figure(problem: TrajectoryProblem, motions: Sequence[ComparedMotion], part: str) -> Figure:
     """Path of the tool in two projections, planned and with the deflection exaggerated.
 
     Parameters
     ----------
     problem : TrajectoryProblem
         Its via points are marked.
-    motions : sequence of Motion
+    motions : sequence of ComparedMotion
         All with the same exaggeration.
     part : str
         Part of the deflection that is added to the planned path.
@@ -58,7 +57,7 @@ def path_figure(problem: TrajectoryProblem, motions: Sequence[Motion], part: str
         handles, labels = grid[0].get_legend_handles_labels()
         below = -0.5 / figure.get_figheight()
         figure.legend(handles, labels, loc="upper left", ncols=2, bbox_to_anchor=(0.06, below))
-        return to_svg(figure, "path", f"Tool path with {part} deflection {factor:g} times enlarged")
+        return figure
 
 
 def _fit(figure: Figure, grid: list[Axes], stacked: bool) -> None:
@@ -83,7 +82,7 @@ def _fit(figure: Figure, grid: list[Axes], stacked: bool) -> None:
 def _projection(
     axes: Axes,
     problem: TrajectoryProblem,
-    motions: Sequence[Motion],
+    motions: Sequence[ComparedMotion],
     part: str,
     factor: float,
     plane: tuple[int, int],
@@ -125,14 +124,14 @@ def exaggeration(extent: float, largest: float) -> float:
     return power * max(step for step in (1, 2, 5) if step * power <= wanted * (1 + 1e-12))
 
 
-def windup_figure(problem: TrajectoryProblem, motion: Assessment, part: str) -> str:
+def windup_figure(problem: TrajectoryProblem, motion: Assessment, part: str) -> Figure:
     """Wind-up of every joint at the instant of the largest deflection, split by element.
 
     The split needs the robot's chains; without them a bar is of one colour.
     """
     magnitude = np.linalg.norm(motion.deflection[part], axis=1)
     at = int(np.argmax(magnitude))
-    units = joint_units(problem)
+    units = joint_units(problem.robot)
     chains: Sequence[Any] = problem.robot.chains
     with house_style():
         figure = Figure(figsize=(WIDTH, 0.9 + max(0.36 * len(units), 1.4)))
@@ -149,18 +148,16 @@ def windup_figure(problem: TrajectoryProblem, motion: Assessment, part: str) -> 
                 colour = ELEMENT_COLOURS.get(kind, GREY)
                 axes.barh(j, width, left=left, height=0.62, color=colour, label=label)
                 left += width
-            text = f"{significant(windups[j], 3)} at {significant(torque, 3)} {unit.torque}"
+            text = f"{number(windups[j] / 1e3, unit.windup, 3)} at {si(torque, unit.torque, 3)}"
             place: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points"}
             axes.annotate(text, (windups[j], j), va="center", fontsize=8.5, **place)
         axes.set_yticks(range(len(units)), [unit.label for unit in units])
         axes.invert_yaxis()
         axes.set_xlim(0.0, 1.22 * max(float(windups.max()), 1e-9))
         axes.grid(visible=False, axis="y")
-        axes.set_xlabel(
-            f"wind-up [{common_unit(['mm' if u.prismatic else 'mrad' for u in units])}]"
-        )
+        axes.set_xlabel(f"wind-up [{common_unit([u.windup for u in units])}]")
         axes.set_title(f"At {motion.time[at]:.3f} s, where the {part} deflection is largest")
         figure.subplots_adjust(left=0.05, right=0.995)
         if shown:
             axes.legend(loc="lower right", borderaxespad=0.4)
-        return to_svg(figure, "windup", "Wind-up of each joint split by element")
+        return figure

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from stiffopt.baseline.baselines import better_baseline
 from stiffopt.certificate.objective_value import is_maximised
-from stiffopt.report.common.motions import better_baseline
-from stiffopt.report.common.quantities import engineering, significant
+from stiffopt.report.common.text import percent, si, significant, words
 from stiffopt.result.assessment import Violation
 from stiffopt.result.solution import ObjectiveValue, Solution
 
@@ -36,20 +36,20 @@ def objective_phrase(name: str, measure: str) -> str:
     >>> objective_phrase("dynamic_deflection", "peak"), objective_phrase("duration", "")
     ('peak dynamic tool deflection', 'duration')
     """
-    phrase = _PHRASES.get(name, name.replace("_", " "))
+    phrase = _PHRASES.get(name, words(name))
     return f"{measure} {phrase}" if name.endswith("_deflection") and measure else phrase
 
 
 def objective_text(objective: ObjectiveValue) -> str:
     """Phrase and value: "peak dynamic tool deflection 0.297 mm"."""
     phrase = objective_phrase(objective.name, objective.measure)
-    return f"{phrase} {engineering(objective.value, objective.unit, 3)}"
+    return f"{phrase} {si(objective.value, objective.unit, 3)}"
 
 
 def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
     """Sentence on the better feasible baseline; says so where there is none."""
     maximised = is_maximised(problem)
-    better = better_baseline(solution, maximised)
+    better = better_baseline(problem, solution.baselines)
     ratio = solution.ratio_to_better_baseline
     if solution.objective is None or solution.assessment is None:
         return "There is no motion to compare with the baselines."
@@ -59,12 +59,12 @@ def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
         return "This motion does not meet all limits, so it is not compared with the baselines."
     if better is None or ratio is None:
         return "No baseline meets all limits, so none is counted."
-    other = solution.baselines[better].assessment
-    motion = f"{better}'s motion" if better == "toppra" else f"the {better} motion"
+    other, name = better.assessment, better.name
+    motion = f"{name}'s motion" if name == "toppra" else f"the {name} motion"
     if other is not None and abs(other.duration - solution.assessment.duration) < 1e-6:
         motion += " of the same duration"
-    name = problem.objectives[0].name if len(problem.objectives) == 1 else ""
-    return f"{amount(ratio, name, maximised)} {motion}."
+    term = problem.objectives[0].name if len(problem.objectives) == 1 else ""
+    return f"{amount(ratio, term, maximised)} {motion}."
 
 
 def amount(ratio: float, name: str = "", maximised: bool = False) -> str:
@@ -99,7 +99,7 @@ def amount(ratio: float, name: str = "", maximised: bool = False) -> str:
 
 def limit_text(violation: Violation) -> str:
     """Name of a limit with its joint: "velocity, joint 1"."""
-    name = violation.limit.replace("_", " ")
+    name = words(violation.limit)
     return f"{name}, joint {violation.joint}" if violation.joint else name
 
 
@@ -107,5 +107,5 @@ def violation_text(violation: Violation) -> str:
     """Excess or margin of a limit in words: "exceeded by 0.12 %", "margin 8.5 %"."""
     if abs(violation.value) < _AT_LIMIT:
         return "at the limit"
-    size = f"{significant(100 * abs(violation.value), 2)} %"
+    size = percent(abs(violation.value))
     return f"exceeded by {size}" if violation.value > 0 else f"margin {size}"

@@ -10,8 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stiffopt.report.common.elements import ELEMENT_COLOURS, compliance_by_kind
-from stiffopt.report.common.motions import JointUnits
+from stiffopt.report.common.robot import ELEMENT_COLOURS, JointUnits, compliance_by_kind
 from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, house_style, line_style
 
 SHARE_RATIOS = (0.001, 0.01, 0.1, 1.0)

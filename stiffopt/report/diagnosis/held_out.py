@@ -11,9 +11,8 @@ from matplotlib.figure import Figure
 
 from stiffopt.discovery.proof.proof import MOVING
 from stiffopt.recording.facts import velocities
-from stiffopt.report.common.quantities import significant
 from stiffopt.report.common.svg import BLUE, INK, PALE, VERMILLION, WIDTH, house_style, thin
-from stiffopt.report.diagnosis.words import own_unit, scaled_unit
+from stiffopt.report.common.text import joint_unit, scale, significant
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 _WINDOW = 0.5
 # Points of a curve, and missing samples over which it is drawn all the same.
 _CURVE, _BRIDGED = 1400, 10
-# Residual over noise from which a window is told of, and how many at most.
+# Residual over noise from which a window is listed, and how many at most.
 _WORTH, _MOST = 2.0, 8
 
 
@@ -95,11 +94,11 @@ def trace(diagnosis: Diagnosis, proof: RunProof, name: str) -> Trace | None:
     speed = velocities(run)[:, j]
     slides = diagnosis.training.constants.joints[j].prismatic
     if error.kind == "torque":
-        measured, unit = run.torque[:, j], own_unit("N m", slides)
+        measured, unit = run.torque[:, j], joint_unit("N m", slides)
         used = np.isfinite(measured) & (np.abs(np.nan_to_num(speed)) >= MOVING)
     else:
         assert run.link_position is not None
-        measured, unit = run.position[:, j] - run.link_position[:, j], own_unit("rad", slides)
+        measured, unit = run.position[:, j] - run.link_position[:, j], joint_unit("rad", slides)
         predictions = [run.position[:, j] - p for p in predictions]
         used = np.isfinite(measured)
     return Trace(run.time, measured, predictions[0], predictions[1], used, speed, error, unit)
@@ -109,8 +108,8 @@ def overlay_figure(shown: Trace) -> Figure:
     """Measured channel with its predictions, and their residuals with the noise band."""
     largest = float(np.nanquantile(np.abs(shown.measured), 0.99))
     rest = float(np.nanquantile(np.abs(shown.measured - shown.before), 0.99))
-    factor, unit = scaled_unit(largest, shown.unit)
-    fine, small = scaled_unit(rest, shown.unit)
+    factor, unit = scale(largest, shown.unit)
+    fine, small = scale(rest, shown.unit)
     count, noise = shown.error.samples, shown.error.noise
     with house_style():
         figure = Figure(figsize=(WIDTH, 4.6))

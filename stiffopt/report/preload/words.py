@@ -1,27 +1,109 @@
-"""Sentences of a preload report: headline, what sets each preload, what stiffness gains."""
+"""Names and sentences of a preload study: what to tighten to, what binds, what stiffness gains."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Mapping, Sequence
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.report.common.quantities import significant
-from stiffopt.report.preload.names import UNCHANGED, change, fastener_words, listed, spoken
+from stiffopt.connection import BoltedFlange, ClampingPins
+from stiffopt.report.common.text import UNCHANGED, change, listed, percent, si, words
 
 if TYPE_CHECKING:
     from stiffopt.preload.pareto import ParetoFront
-    from stiffopt.preload.problem import PreloadProblem
+    from stiffopt.preload.problem import FreeElement, PreloadProblem
     from stiffopt.preload.sensitivity import WindupShare
     from stiffopt.preload.solution import PreloadSolution
+    from stiffopt.preload.utilisation import UtilisationRow
 
 # Below this relative change of stiffness the preload is set by something else.
 _SMALL = 0.02
+# Marks an estimated number.
+MARK = " *"
+OBJECTIVE_WORDS = {
+    "total_preload": "least total preload",
+    "bolt_utilisation": "least utilisation of bolts and pins",
+    "joint_stiffness": "most joint stiffness",
+    "tool_deflection": "least tool deflection",
+}
+METHOD_WORDS = {
+    "torque_wrench": "torque wrench",
+    "angle": "angle of rotation",
+    "yield": "yield-controlled",
+}
 
 
-def sets(solution: PreloadSolution, key: str, joint: int) -> str:
+def readable(text: str) -> str:
+    """Keys of elements in words, also within a sentence; keys of files stay.
+
+    >>> readable("joint_2.flexspline_flange"), readable("4.5 kN in motor_key.")
+    ('joint 2 flexspline flange', '4.5 kN in motor key.')
+    >>> readable("a smaller require.least_preload")
+    'a smaller require.least_preload'
+    """
+    return re.sub(r"[A-Za-z][\w.]*\w", _as_words, text)
+
+
+def _as_words(word: re.Match[str]) -> str:
+    """Dots and underscores of a key as spaces, unless it is a key of a study file."""
+    key = word[0]
+    return key if key.startswith("require.") else words(key.replace(".", " "))
+
+
+def prose(text: str) -> str:
+    """Sentence with keys of elements in words and a space before each per cent.
+
+    >>> prose("15% more in joint_2.motor_key")
+    '15 % more in joint 2 motor key'
+    """
+    return re.sub(r"(?<=\d)%", " %", readable(text))
+
+
+def owner_name(row: UtilisationRow) -> str:
+    """Element, else joint, else the tool."""
+    if row.element:
+        return readable(row.element)
+    return f"joint {row.joint}" if row.joint else "tool"
+
+
+def fasteners(element: FreeElement) -> str:
+    """Count, size and grade: "9 × M5 12.9"."""
+    connection = element.stage.element
+    if isinstance(connection, BoltedFlange) and connection.bolt is not None:
+        return f"{element.count} × {connection.bolt.size} {connection.bolt.grade}"
+    if isinstance(connection, ClampingPins) and connection.screw is not None:
+        return f"{element.count} × {connection.screw.size} set screw"
+    return f"{element.count} pins"
+
+
+def fastener_words(elements: Iterable[FreeElement]) -> str:
+    """Count bolts and pins: "12 bolts", "1 pin", "109 bolts and pins"."""
+    counts = {"bolt": 0, "pin": 0}
+    for element in elements:
+        name = "bolt" if element.stage.element.kind == "bolted_flange" else "pin"
+        counts[name] += element.count
+    if all(counts.values()):
+        return f"{sum(counts.values())} bolts and pins"
+    name = "bolt" if counts["bolt"] else "pin"
+    return f"{counts[name]} {name}{'s' if counts[name] > 1 else ''}"
+
+
+def present_preload(element: FreeElement) -> float:
+    """Preload that the robot file gives one bolt or pin of a connection [N]."""
+    preload = element.stage.element.preload
+    assert preload is not None  # bolted flanges and pins are not built without
+    return preload
+
+
+def amount(value: float, unit: str, digits: int = 4) -> str:
+    """Value as text; forces in kN, pressures in MPa."""
+    return si(value, {"N": "kN", "Pa": "MPa"}.get(unit, unit), digits)
+
+
+def set_by(solution: PreloadSolution, key: str, joint: int) -> str:
     """What an element's preload is set by: its own active limits, else its joint's, else a dash."""
     own = [row.kind for row in solution.rows if row.active and row.element == key]
     if not own:
@@ -35,17 +117,17 @@ def headline(problem: PreloadProblem, solution: PreloadSolution) -> str:
     if not solution.status.usable:
         if solution.stoppers:
             return "No preload meets this study"
-        return f"No design to use: {str(solution.status).replace('_', ' ')}"
+        return f"No design to use: {words(solution.status)}"
     if len(problem.elements) == 1:
         element = problem.elements[0]
         torque = solution.tightening[element.key]
-        what = f"the {fastener_words([element])} of the {spoken(element.key)}"
-        force = f"{significant(solution.preloads[element.key] / 1e3, 3)} kN"
+        what = f"the {fastener_words([element])} of the {readable(element.key)}"
+        force = f"{si(solution.preloads[element.key], 'kN', 3)}"
         if torque is None:
             return f"Press {what} with {force} each at most"
-        return f"Tighten {what} to {significant(torque.nominal, 3)} N m ({force} each at most)"
-    total = significant(solution.total_preload / 1e3, 3)
-    return f"Tighten {len(problem.elements)} connections as listed, {total} kN in all"
+        return f"Tighten {what} to {si(torque.nominal, 'N m', 3)} ({force} each at most)"
+    total = si(solution.total_preload, "kN", 3)
+    return f"Tighten {len(problem.elements)} connections as listed, {total} in all"
 
 
 def what_binds(problem: PreloadProblem, solution: PreloadSolution) -> str:
@@ -54,7 +136,7 @@ def what_binds(problem: PreloadProblem, solution: PreloadSolution) -> str:
         return ""
     counts: dict[str, int] = {}
     for element in problem.elements:
-        why = sets(solution, element.key, element.joint)
+        why = set_by(solution, element.key, element.joint)
         counts[why] = counts.get(why, 0) + 1
     free = counts.pop("–", 0)
     if not counts:
@@ -153,11 +235,11 @@ def weakest_sentence(shares: Mapping[int, Sequence[WindupShare]], free: Collecti
     sizes = [each.share for each in worst.values()]
     if len(names) == 1:
         where = "" if len(worst) == 1 else " in every joint"
-        low, high = (significant(100 * size, 2) for size in (min(sizes), max(sizes)))
-        size = low if low == high else f"{low} to {high}"
-        text = f"The weakest spring is the {spoken(names.pop())}{where}, with {size} % of wind-up"
+        low, high = (percent(size) for size in (min(sizes), max(sizes)))
+        size = high if low == high else f"{low.removesuffix(' %')} to {high}"
+        text = f"The weakest spring is the {readable(names.pop())}{where}, with {size} of wind-up"
     else:
-        each = (f"the {spoken(w.element)} in joint {joint}" for joint, w in worst.items())
+        each = (f"the {readable(w.element)} in joint {joint}" for joint, w in worst.items())
         text = f"The weakest spring is {listed(each)}"
     own = [each for each in itertools.chain(*shares.values()) if each.element in free]
     if not own or all(each.element in free for each in worst.values()):
@@ -165,13 +247,13 @@ def weakest_sentence(shares: Mapping[int, Sequence[WindupShare]], free: Collecti
     most = max(own, key=lambda each: each.share)
     joint = f" of joint {most.joint}" if len(worst) > 1 else ""
     return (
-        f"{text}; of what this study tightens it is the {spoken(most.element)}{joint}, with "
-        f"{significant(100 * most.share, 2)} %."
+        f"{text}; of what this study tightens it is the {readable(most.element)}{joint}, with "
+        f"{percent(most.share)}."
     )
 
 
 def _plus(gain: float) -> str:
-    return "no stiffness" if gain < UNCHANGED else f"{significant(100 * gain, 2)} % of stiffness"
+    return "no stiffness" if gain < UNCHANGED else f"{percent(gain)} of stiffness"
 
 
 def _changes(gains: dict[int, float]) -> str:

@@ -1,0 +1,116 @@
+"""What every report says of a robot: its joints' units, estimated inputs, kinds of elements."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from stiffopt.exact.chain import compliance_shares, windup_shares
+from stiffopt.report.common.svg import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION
+from stiffopt.report.common.text import joint_unit
+
+if TYPE_CHECKING:
+    from stiffopt.drivetrain.chain import Chain
+    from stiffopt.robot.robot import Robot
+
+ELEMENT_COLOURS = {
+    "reducer": BLUE,
+    "key": VERMILLION,
+    "bolted_flange": GREEN,
+    "clamping_pins": PURPLE,
+    "timing_belt": ORANGE,
+    "gear_pair": SKY,
+    "shaft": GREY,
+    "constant": BLACK,
+}
+
+
+@dataclass(frozen=True)
+class JointUnits:
+    """Name of a joint on a page and the units in which its quantities are shown."""
+
+    label: str
+    prismatic: bool
+
+    @property
+    def position(self) -> str:
+        """Degrees or millimetres."""
+        return joint_unit("deg", self.prismatic)
+
+    @property
+    def windup(self) -> str:
+        """Milliradians or millimetres."""
+        return joint_unit("mrad", self.prismatic)
+
+    @property
+    def rate(self) -> str:
+        """Unit of acceleration and jerk without the seconds; shown in SI."""
+        return joint_unit("rad", self.prismatic)
+
+    @property
+    def torque(self) -> str:
+        """Unit of torque or force."""
+        return joint_unit("N m", self.prismatic)
+
+    @property
+    def stiffness(self) -> str:
+        """Unit of stiffness."""
+        return joint_unit("N m/rad", self.prismatic)
+
+
+def joint_units(robot: Robot) -> list[JointUnits]:
+    """Labels J1.. and units of a robot's joints."""
+    return [
+        JointUnits(f"J{number}", bool(prismatic))
+        for number, prismatic in enumerate(robot.prismatic, start=1)
+    ]
+
+
+def common_unit(units: list[str]) -> str:
+    """One unit for an axis; several where the joints differ."""
+    return " or ".join(dict.fromkeys(units))
+
+
+@dataclass(frozen=True)
+class EstimatedInputs:
+    """Estimated inputs of one element (or of a joint, or the robot) from one source."""
+
+    joint: str
+    element: str
+    source: str
+    inputs: tuple[str, ...]
+
+
+def estimated_inputs(robot: Robot, joints: Container[str] | None = None) -> list[EstimatedInputs]:
+    """List the inputs of a robot that are estimated.
+
+    Parameters
+    ----------
+    robot : Robot
+    joints : container of str, optional
+        Names of the joints whose inputs count, with those of no joint; default: all.
+    """
+    keys: dict[tuple[str, str, str], list[str]] = {}
+    for each in robot.estimated():
+        if joints is None or not each.joint or each.joint in joints:
+            keys.setdefault((each.joint, each.element, each.source), []).append(each.key)
+    return [EstimatedInputs(*place, tuple(names)) for place, names in keys.items()]
+
+
+def windup_by_kind(chain: Chain | None, torque: float) -> dict[str, float]:
+    """Share of the wind-up at a torque by kind of element, largest first; empty if rigid."""
+    return {} if chain is None else _by_kind(chain, windup_shares(chain, torque))
+
+
+def compliance_by_kind(chain: Chain, torque: float) -> dict[str, float]:
+    """Share of the tangent compliance at a torque by kind of element, largest first."""
+    return _by_kind(chain, compliance_shares(chain, torque))
+
+
+def _by_kind(chain: Chain, shares: Mapping[str, float]) -> dict[str, float]:
+    totals: dict[str, float] = {}
+    for name, share in shares.items():
+        kind = chain.elements[name].kind
+        totals[kind] = totals.get(kind, 0.0) + float(share)
+    return dict(sorted(totals.items(), key=lambda item: -item[1]))

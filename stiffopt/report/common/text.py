@@ -1,0 +1,210 @@
+"""Numbers with units and lists as people read them: in sentences, on the terminal, on pages.
+
+Values are SI. The functions are also the filters of the templates: `{{ length | si("mm", 3) }}`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+DASH = "–"
+# Units that are asked for by name, alone or before a slash, in SI.
+_NAMED = {
+    "kN": 1e3,
+    "MPa": 1e6,
+    "mm": 1e-3,
+    "µm": 1e-6,
+    "mrad": 1e-3,
+    "deg": math.pi / 180.0,
+    "min": 60.0,
+}
+# SI units that are read in another size: the first row whose least value is reached counts.
+_SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
+    "m": ((0.5, 1.0, "m"), (5e-5, 1e-3, "mm"), (0.0, 1e-6, "µm")),
+    "rad": ((0.5, 1.0, "rad"), (5e-4, 1e-3, "mrad"), (0.0, 1e-6, "µrad")),
+    "s": ((0.1, 1.0, "s"), (0.0, 1e-3, "ms")),
+    "rad/(N m)": (
+        (0.5, 1.0, "rad/(N m)"),
+        (5e-4, 1e-3, "mrad/(N m)"),
+        (0.0, 1e-6, "µrad/(N m)"),
+    ),
+    "m/N": ((0.5, 1.0, "m/N"), (5e-4, 1e-3, "mm/N"), (0.0, 1e-6, "µm/N")),
+}
+# What stands for the unit of a joint that turns where the joint slides.
+_SLIDING = {
+    "N m": "N",
+    "N m s/rad": "N s/m",
+    "kg m^2": "kg",
+    "rad": "m",
+    "mrad": "mm",
+    "deg": "mm",
+    "rad/s": "m/s",
+    "rad/(N m)": "m/N",
+    "N m/rad": "N/m",
+    "N m/rad^3": "N/m^3",
+}
+# A relative change below this is none.
+UNCHANGED = 5e-5
+
+
+def scale(largest: float, unit: str) -> tuple[float, str]:
+    """Factor from SI and unit in which a value of this size is read easily.
+
+    >>> scale(3e-4, "m"), scale(20.0, "kN"), scale(0.2, "mm/s"), scale(0.2, "N m")
+    ((1000.0, 'mm'), (0.001, 'kN'), (1000.0, 'mm/s'), (1.0, 'N m'))
+    """
+    base = unit.partition("/")[0]
+    if base in _NAMED:
+        return 1.0 / _NAMED[base], unit
+    for least, size, name in _SCALES.get(unit, ()):
+        if abs(largest) >= least:
+            return 1.0 / size, name
+    return 1.0, unit
+
+
+def joint_unit(unit: str, prismatic: bool) -> str:
+    """Unit of a joint that turns, or what stands for it where the joint slides."""
+    return _SLIDING.get(unit, unit) if prismatic else unit
+
+
+def si(value: float | None, unit: str, digits: int = 4) -> str:
+    """Value [SI] as text with a unit that suits its size; a dash where there is none.
+
+    >>> si(2.97e-4, "m"), si(9100.0, "N m/rad"), si(7812.0, "kN", 3), si(None, "m")
+    ('0.297 mm', '9100 N m/rad', '7.81 kN', '–')
+    """
+    if value is None or not math.isfinite(value):
+        return DASH
+    factor, name = scale(value, unit)
+    return f"{significant(factor * value, digits)} {name}".strip()
+
+
+def number(value: float, unit: str, digits: int = 4) -> str:
+    """Value [SI] in a unit that stands elsewhere, such as in the heading of a column.
+
+    >>> number(0.0123, "mm")
+    '12.3'
+    """
+    return significant(scale(value, unit)[0] * value, digits)
+
+
+def pm(value: float, sd: float, unit: str) -> str:
+    """Value and standard deviation in one unit, rounded alike.
+
+    >>> pm(6.2134, 0.1312, "N m"), pm(3.2e-4, 2e-6, "rad")
+    ('6.21 ± 0.13 N m', '320 ± 2 µrad')
+    """
+    factor, name = scale(value, unit)
+    value, sd = factor * value, factor * sd
+    if not (math.isfinite(sd) and sd > 0.0):
+        return f"{significant(value, 3)} {name}".strip()
+    digits = 2 if f"{sd:.1e}"[0] == "1" else 1
+    places = digits - 1 - math.floor(math.log10(sd))
+    if not -3 <= places <= 6:
+        return f"{significant(value, 3)} ± {significant(sd, 2)} {name}".strip()
+    # Plus zero: no minus before a value that rounds to zero.
+    shown = [f"{round(v, places) + 0.0:.{max(places, 0)}f}" for v in (value, sd)]
+    return f"{shown[0]} ± {shown[1]} {name}".strip()
+
+
+def significant(value: float | None, digits: int = 4) -> str:
+    """Give a number its significant digits, no exponent between 1e-4 and 1e7.
+
+    >>> significant(12345.678), significant(0.00123456), significant(0.0)
+    ('12350', '0.001235', '0')
+    """
+    if value is None or not math.isfinite(value):
+        return DASH
+    if value == 0:
+        return "0"
+    size = math.floor(math.log10(abs(value)))
+    if not -5 < size < 7:
+        return f"{value:.{digits - 1}e}"
+    rounded = round(value, digits - 1 - size)
+    text = f"{rounded:.{max(digits - 1 - size, 0)}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def decades(value: float | None, digits: int = 3) -> str:
+    """Number such as 2.67e5, where those of one column span decades."""
+    if value is None:
+        return DASH
+    mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
+    return f"{mantissa}e{int(exponent)}"
+
+
+def whole(number: int) -> str:
+    """Whole number with thin spaces; a power of ten where nobody would count the digits."""
+    return f"{number:,}".replace(",", "\u202f") if number < 10**12 else f"{number:.2e}"
+
+
+def fixed(value: float, places: int) -> str:
+    """Number with this many decimals."""
+    return f"{value:.{places}f}"
+
+
+def percent(value: float | None, digits: int = 2) -> str:
+    """Relative value as a percentage.
+
+    >>> percent(0.0012), percent(-0.25)
+    ('0.12 %', '-25 %')
+    """
+    if value is None or not math.isfinite(value):
+        return DASH
+    return f"{significant(100 * value, digits)} %"
+
+
+def change(ratio: float) -> str:
+    """Relative change with its sign; a dash where there is none.
+
+    >>> change(1.0031), change(0.98), change(1.0)
+    ('+0.31 %', '−2 %', '0 %')
+    """
+    if not math.isfinite(ratio):
+        return DASH
+    size = ratio - 1.0
+    if abs(size) < UNCHANGED:
+        return "0 %"
+    return f"{'+' if size > 0 else '−'}{significant(100 * abs(size), 2)} %"
+
+
+def words(name: str) -> str:
+    """Name of a key as words: "tool_speed" is "tool speed"."""
+    return name.replace("_", " ")
+
+
+def listed(items: Iterable[str]) -> str:
+    """Join with commas and an "and".
+
+    >>> listed(["slip", "head pressure", "stiffness"]), listed(["slip"]), listed([])
+    ('slip, head pressure and stiffness', 'slip', '')
+    """
+    every = list(items)
+    return f"{', '.join(every[:-1])} and {every[-1]}" if len(every) > 1 else "".join(every)
+
+
+def capital(text: str) -> str:
+    """Sentence with a capital letter first; all others stay."""
+    return text[:1].upper() + text[1:]
+
+
+FILTERS = {
+    function.__name__: function
+    for function in (
+        scale,
+        joint_unit,
+        si,
+        number,
+        pm,
+        significant,
+        decades,
+        whole,
+        fixed,
+        percent,
+        change,
+        words,
+        listed,
+        capital,
+    )
+}

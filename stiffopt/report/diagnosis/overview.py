@@ -1,0 +1,105 @@
+"""What a page lists of a diagnosis beside its findings: limits, moved values, undetectable effects.
+
+All values are SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.report.common.text import percent
+
+if TYPE_CHECKING:
+    from stiffopt.discovery.comparison.located_effect import LocatedEffect
+    from stiffopt.discovery.diagnosis import Diagnosis, Finding
+    from stiffopt.discovery.identifiable import EffectCheck
+    from stiffopt.discovery.judging.detection import DetectionLimit
+
+# Nominal values that are shown at most.
+_MOST_MOVED = 12
+
+
+@dataclass(frozen=True)
+class MovedValue:
+    """A nominal value that was moved within its tolerance.
+
+    Parameters
+    ----------
+    name : str
+    unit : str
+        "" for a relative change.
+    change, tolerance : float
+        The tolerance is one standard deviation.
+    """
+
+    name: str
+    unit: str
+    change: float
+    tolerance: float
+
+
+@dataclass(frozen=True)
+class UndetectableEffects:
+    """Effects that cannot be seen on these joints (from 1; none: the robot), and why."""
+
+    joints: tuple[int, ...]
+    lacks: tuple[str, ...]
+    effects: tuple[str, ...]
+
+
+def candidates(finding: Finding) -> list[tuple[LocatedEffect, float]]:
+    """A finding and its rivals by probability."""
+    every = [(finding.located, finding.probability)]
+    every += [(rival.located, rival.probability) for rival in finding.rivals]
+    return sorted(every, key=lambda pair: -pair[1])
+
+
+def limits_by_effect(
+    diagnosis: Diagnosis,
+) -> dict[tuple[str, str], dict[int | None, DetectionLimit]]:
+    """Least value that would have been seen by effect and parameter, then joint (None: robot)."""
+    found: dict[tuple[str, str], dict[int | None, DetectionLimit]] = {}
+    for limit in diagnosis.detection_limits:
+        found.setdefault((limit.effect.title, limit.parameter), {})[limit.joint] = limit
+    return found
+
+
+def sharpest_limits(diagnosis: Diagnosis) -> list[str]:
+    """Sentences about the smallest relative changes that would have been seen."""
+    known = [limit for limit in diagnosis.detection_limits if limit.relative is not None]
+    best: dict[str, DetectionLimit] = {}
+    for limit in sorted(known, key=lambda each: each.relative or 0.0):
+        best.setdefault(limit.effect.nominal_words, limit)
+    return [
+        f"A change of {name} above {percent(limit.relative)} on joint {limit.joint} would have "
+        "been seen."
+        for name, limit in best.items()
+    ]
+
+
+def moved_values(diagnosis: Diagnosis) -> list[MovedValue]:
+    """Nominal values that were moved most, over their tolerances."""
+    names, sd, _ = diagnosis.search.comparison.nuisance
+    moved = diagnosis.search.fit.posterior.mean[: len(names)]
+    units = {"com": "m", "encoder_zero": "rad"}
+    return [
+        MovedValue(names[k], units.get(names[k].split()[0], ""), float(moved[k]), float(sd[k]))
+        for k in np.argsort(-np.abs(moved / sd))[:_MOST_MOVED]
+    ]
+
+
+def undetectable_effects(checks: Sequence[EffectCheck]) -> list[UndetectableEffects]:
+    """Effects that could not be seen, together where joints and reasons are the same."""
+    joints: dict[tuple[str, tuple[str, ...]], tuple[int, ...]] = {}
+    for check in checks:
+        if not check.possible:
+            reason = check.effect.title, check.lacks
+            joints[reason] = joints.get(reason, ()) + ((check.joint,) if check.joint else ())
+    effects: dict[tuple[tuple[int, ...], tuple[str, ...]], list[str]] = {}
+    for (effect, lacks), where in joints.items():
+        effects.setdefault((where, lacks), []).append(effect)
+    return [UndetectableEffects(*place, tuple(names)) for place, names in effects.items()]

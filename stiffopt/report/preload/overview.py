@@ -1,0 +1,208 @@
+"""What a page shows of a study's many rows: the worst of each requirement, joint, connection."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from stiffopt.report.common.robot import EstimatedInputs, estimated_inputs
+from stiffopt.report.preload.words import MARK, owner_name, readable
+
+if TYPE_CHECKING:
+    from stiffopt.preload.loosening import Loosened, Loosening
+    from stiffopt.preload.problem import FreeElement, PreloadProblem
+    from stiffopt.preload.sensitivity import PreloadWorth, Sensitivity, WindupShare
+    from stiffopt.preload.solution import PreloadSolution
+    from stiffopt.preload.utilisation import UtilisationRow
+
+Item = TypeVar("Item")
+_KEY = "key pressure"
+# With more rows than this a matrix gives the overview.
+_SHOWN_ROWS = 14
+
+
+@dataclass(frozen=True)
+class UtilisationMatrix:
+    """Utilisation of every requirement by owner and kind, each in its worst load case.
+
+    Parameters
+    ----------
+    kinds : tuple of str
+    rows : mapping of owner to tuple of UtilisationRow or None
+        One cell a kind.
+    """
+
+    kinds: tuple[str, ...]
+    rows: Mapping[str, tuple[UtilisationRow | None, ...]]
+
+
+@dataclass(frozen=True)
+class LimitSource:
+    """Where the limit of a kind of requirement comes from, and whose it is."""
+
+    kind: str
+    estimated: bool
+    source: str
+    owners: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class StiffnessChange:
+    """Stiffness of a joint [N m/rad], least over the load cases; 0 where it slips.
+
+    Parameters
+    ----------
+    joint : int
+        From 1.
+    case : str
+        Softest load case of the design.
+    before, after : float
+        With the present preload and with the design.
+    required : float or None
+    """
+
+    joint: int
+    case: str
+    before: float
+    after: float
+    required: float | None
+
+
+def _worst(
+    items: Iterable[Item], owner: Callable[[Item], Hashable], size: Callable[[Item], float]
+) -> dict[Hashable, Item]:
+    """Item of the largest size of each owner; the first where several are alike."""
+    worst: dict[Hashable, Item] = {}
+    for each in items:
+        if owner(each) not in worst or size(each) > size(worst[owner(each)]):
+            worst[owner(each)] = each
+    return worst
+
+
+def _used(row: UtilisationRow) -> float:
+    return row.utilisation
+
+
+def _by_owner(rows: Iterable[UtilisationRow]) -> list[UtilisationRow]:
+    return list(_worst(rows, lambda row: (row.kind, row.element, row.joint), _used).values())
+
+
+def most_used(rows: Sequence[UtilisationRow]) -> list[UtilisationRow]:
+    """Requirements to look at first, most used first.
+
+    The worst load case of each kind and owner; where these are too many, the worst owner of each
+    kind.
+    """
+    shown = _by_owner(rows)
+    if len(shown) > _SHOWN_ROWS:
+        shown = list(_worst(rows, lambda row: row.kind, _used).values())
+    return sorted(shown, key=lambda row: -row.utilisation)
+
+
+def utilisation_matrix(rows: Sequence[UtilisationRow]) -> UtilisationMatrix | None:
+    """Overview where there are too many requirements for a list; else None.
+
+    Keys have but one requirement, so the worst of them stands for all.
+    """
+    worst = _by_owner(rows)
+    if len(worst) <= _SHOWN_ROWS:
+        return None
+    kinds = tuple(dict.fromkeys(row.kind for row in worst))
+    keys = [row for row in worst if row.kind == _KEY]
+    if keys:
+        most = max(keys, key=_used)
+        worst = [row for row in worst if row.kind != _KEY or row is most]
+    cells: dict[str, dict[str, UtilisationRow]] = {}
+    for row in worst:
+        name = owner_name(row)
+        if row.kind == _KEY and len(keys) > 1:
+            name = f"{name}, worst of {len(keys)} keys"
+        cells.setdefault(name, {})[row.kind] = row
+    rows_of = {name: tuple(own.get(kind) for kind in kinds) for name, own in cells.items()}
+    return UtilisationMatrix(kinds, rows_of)
+
+
+def limit_sources(rows: Sequence[UtilisationRow]) -> list[LimitSource]:
+    """Where every kind of limit comes from, one for each source."""
+    owners: dict[tuple[str, bool, str], dict[str, None]] = {}
+    for row in rows:
+        if row.source:
+            where = (row.kind, row.provenance == "estimated", row.source)
+            owners.setdefault(where, {})[owner_name(row)] = None
+    return [LimitSource(*where, tuple(names)) for where, names in owners.items()]
+
+
+def stiffness_changes(problem: PreloadProblem, solution: PreloadSolution) -> list[StiffnessChange]:
+    """Stiffness of every joint in its softest load case, with present and recommended preload."""
+    return [
+        StiffnessChange(
+            joint=joint,
+            case=solution.cases[int(np.argmin(solution.stiffness[index]))].name,
+            before=float(solution.stiffness_before[index].min()),
+            after=float(solution.stiffness[index].min()),
+            required=problem.requirements.joint_stiffness.get(joint),
+        )
+        for index, joint in enumerate(problem.joints)
+    ]
+
+
+def loosened_connections(result: Loosening) -> dict[str, list[Loosened]]:
+    """The joint nearest to slip of each connection by fraction of preload left, most first."""
+    worst = _worst(result.rows, lambda r: (r.key, r.fraction), lambda r: -r.slip_safety)
+    fractions = sorted({row.fraction for row in result.rows}, reverse=True)
+    return {key: [worst[key, fraction] for fraction in fractions] for key in result.slip_fraction}
+
+
+def preload_worth(result: Sensitivity) -> list[PreloadWorth]:
+    """Of each connection, where one more newton is worth most."""
+    return list(_worst(result.worth, lambda w: w.key, lambda w: w.elasticity).values())
+
+
+def shares_by_joint(
+    result: Sensitivity, problem: PreloadProblem, solution: PreloadSolution
+) -> Mapping[int, list[WindupShare]]:
+    """Wind-up shares of each joint in the load case of its largest torque."""
+    found = {}
+    for joint in problem.joints:
+        torques = [abs(float(case.torque[joint - 1])) for case in solution.cases]
+        case = solution.cases[int(np.argmax(torques))].name
+        found[joint] = [s for s in result.shares if s.joint == joint and s.case == case]
+    return found
+
+
+def study_estimates(problem: PreloadProblem) -> list[EstimatedInputs]:
+    """Estimated inputs of the study's joints and of the robot as a whole, keys in words."""
+    names = {problem.robot.joint_names[joint - 1] for joint in problem.joints}
+    return [
+        replace(
+            each,
+            joint=readable(each.joint),
+            element=readable(each.element),
+            inputs=tuple(map(readable, each.inputs)),
+        )
+        for each in estimated_inputs(problem.robot, names)
+    ]
+
+
+class EstimateMarks:
+    """Marks numbers of elements that the robot file calls estimated.
+
+    Parameters
+    ----------
+    problem : PreloadProblem
+    """
+
+    def __init__(self, problem: PreloadProblem) -> None:
+        self._names = problem.robot.joint_names
+        self._keys: dict[tuple[str, str], set[str]] = {}
+        for each in problem.robot.estimated():
+            own = self._keys.setdefault((each.joint, each.element), set())
+            own.update(key.strip() for key in each.key.split(","))
+
+    def of(self, element: FreeElement, *keys: str) -> str:
+        """Mark, where one of these keys of an element is estimated; else nothing."""
+        own = self._keys.get((self._names[element.joint - 1], element.name), set())
+        return MARK if own.intersection(keys) else ""
