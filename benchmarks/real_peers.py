@@ -14,7 +14,7 @@ import numpy as np
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.proof.predict import Prediction, Predictor
 from stiffopt.discovery.settings import SIGN_SPEED
-from stiffopt.recording.run import Run
+from stiffopt.recording.run import RecordedRun
 
 # Samples that the Gaussian process is fitted to, and stretches its scales are chosen by.
 POINTS, STRETCHES = 800, 4
@@ -26,7 +26,7 @@ SLOW = 3.0 * SIGN_SPEED
 class Motion:
     """A run with its nominal prediction."""
 
-    run: Run
+    run: RecordedRun
     predictor: Predictor
     nominal: Prediction
     velocity: np.ndarray
@@ -46,7 +46,7 @@ class Motion:
         return np.column_stack([*columns, self.nominal.torque[self.places]])
 
 
-def motion(diagnosis: Diagnosis, run: Run) -> Motion:
+def motion(diagnosis: Diagnosis, run: RecordedRun) -> Motion:
     """A run predicted by the nominal model."""
     training = diagnosis.training
     predictor = Predictor(training.robot, run, training.constants, diagnosis.settings)

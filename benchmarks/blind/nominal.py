@@ -12,7 +12,7 @@ import pinocchio as pin
 from scipy.signal import butter, sosfiltfilt
 
 from stiffopt.recording.recording_set import RecordingSet
-from stiffopt.recording.run import Run
+from stiffopt.recording.run import RecordedRun
 
 # Of the smooth sign of a speed [rad/s].
 SIGN_SPEED = 0.01
@@ -41,13 +41,13 @@ class Motion:
     measured: np.ndarray
 
 
-def along(recordings: RecordingSet, run: Run, cutoff: float) -> Motion:
+def along(recordings: RecordingSet, run: RecordedRun, cutoff: float) -> Motion:
     """Evaluate the nominal model along a run.
 
     Parameters
     ----------
     recordings : RecordingSet
-    run : Run
+    run : RecordedRun
         Evenly sampled.
     cutoff : float
         Of the zero-phase low-pass on the motion [Hz].

@@ -125,7 +125,7 @@ def diagnose(
         unexplained=unexplained,
         next_experiment=_next_experiment(findings, plan),
         assumptions=training.assumptions,
-        faults=tuple((run.name, fault) for run in runs for fault in run.health),
+        faults=tuple((run.name, fault) for run in runs for fault in run.faults),
         experiment=plan,
     )
 

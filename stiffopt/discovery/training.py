@@ -17,7 +17,7 @@ from stiffopt.discovery.settings import Settings
 from stiffopt.errors import InputFileError
 from stiffopt.recording.nominal import Tolerance
 from stiffopt.recording.recording_set import RecordingSet
-from stiffopt.recording.run import Run
+from stiffopt.recording.run import RecordedRun
 
 Say = Callable[[str], object]
 
@@ -31,7 +31,7 @@ class Training:
     robot : RobotModel
     runs : tuple of PreparedRun
         With the nominal model, or with the model that the diagnosis started from.
-    recorded : tuple of Run
+    recorded : tuple of RecordedRun
         The same runs as they were read.
     constants : RobotConstants
         With the ranges that the runs meet.
@@ -44,7 +44,7 @@ class Training:
 
     robot: RobotModel
     runs: tuple[PreparedRun, ...]
-    recorded: tuple[Run, ...]
+    recorded: tuple[RecordedRun, ...]
     constants: RobotConstants
     noise: KnownNoise
     tolerance: Tolerance
@@ -74,7 +74,7 @@ def train(
         Called with a sentence at every step.
     """
     robot = RobotModel(recordings)
-    opened: list[Run] = []
+    opened: list[RecordedRun] = []
     prepared: list[PreparedRun] = []
     notes: list[str] = []
     for entry in recordings.with_role("train"):

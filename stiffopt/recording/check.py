@@ -13,7 +13,7 @@ from stiffopt.recording.channel import noise_level, resolution
 from stiffopt.recording.clock import GAP
 from stiffopt.recording.facts import JointFacts, joint_facts
 from stiffopt.recording.recording_set import RecordingSet
-from stiffopt.recording.run import Fault, Role, Run
+from stiffopt.recording.run import Fault, RecordedRun, Role
 from stiffopt.recording.signals import Kind
 
 # Of a revolute and of a prismatic joint.
@@ -169,7 +169,7 @@ def check_recordings(recordings: RecordingSet) -> RecordingReport:
     )
 
 
-def _run(recordings: RecordingSet, run: Run) -> RunCheck:
+def _run(recordings: RecordingSet, run: RecordedRun) -> RunCheck:
     spacing = np.diff(run.time)
     ordinary = spacing[spacing <= GAP * run.step]
     channels = []
@@ -188,7 +188,7 @@ def _run(recordings: RecordingSet, run: Run) -> RunCheck:
         longest_gap=float(spacing.max()),
         usable=run.usable,
         channels=tuple(channels),
-        faults=run.health,
+        faults=run.faults,
     )
 
 
@@ -232,7 +232,7 @@ def _used(recordings: RecordingSet, kind: Kind, j: int, low: float, high: float)
     return largest / limit
 
 
-def missing_signals(recordings: RecordingSet, runs: Sequence[Run]) -> tuple[str, ...]:
+def missing_signals(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[str, ...]:
     """What these recordings lack, and what cannot be said without it, a sentence each."""
     found = []
     for role, loss in (

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from stiffopt.recording.channel import noise_level, resolution
+from stiffopt.recording.channel_faults import JointChannels, check_joint, travel
 from stiffopt.recording.clock import Clock, read_clock
-from stiffopt.recording.health import JointChannels, check_joint, travel
-from stiffopt.recording.run import Fault, Role, Run, counted
+from stiffopt.recording.run import Fault, RecordedRun, Role, counted
 from stiffopt.recording.signals import KINDS, Signals
 
 
@@ -25,7 +25,7 @@ def clean(
     session_time: float | None = None,
     temperature: np.ndarray | None = None,
     prismatic: np.ndarray | None = None,
-) -> Run:
+) -> RecordedRun:
     """Check the clock and every channel; name the faults and take them out.
 
     Parameters
@@ -35,7 +35,7 @@ def clean(
     path : Path
         Of the file, for messages.
     name, file, role, session_time, temperature
-        As in `Run`.
+        As in `RecordedRun`.
     prismatic : array (n,) of bool, optional
 
     Raises
@@ -70,7 +70,7 @@ def clean(
     position, torque = arrays["position"], arrays["torque"]
     assert position is not None
     assert torque is not None
-    return Run(
+    return RecordedRun(
         name=name,
         file=file,
         role=role,
@@ -82,7 +82,7 @@ def clean(
         velocity=_any(arrays["velocity"]),
         link_position=_any(arrays["link_position"]),
         torque=torque,
-        health=tuple(faults),
+        faults=tuple(faults),
     )
 
 

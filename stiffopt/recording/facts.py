@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.recording.health import STILL
+from stiffopt.recording.channel_faults import STILL
 from stiffopt.recording.recording_set import RecordingSet
-from stiffopt.recording.run import Run
+from stiffopt.recording.run import RecordedRun
 
 # Slower is rest, up to the second it is slow [rad/s].
 _REST, _SLOW = 0.005, 0.1
@@ -61,13 +61,13 @@ class JointFacts:
         return ("motor", "link", "deflection") if self.link else ("torque",)
 
 
-def joint_facts(recordings: RecordingSet, runs: Sequence[Run]) -> tuple[JointFacts, ...]:
+def joint_facts(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[JointFacts, ...]:
     """Facts of every joint over some runs, in the order of the set."""
     gravity = [_gravity(recordings, run) for run in runs if run.usable]
     return tuple(_facts(recordings, runs, gravity, j) for j in range(recordings.n))
 
 
-def velocities(run: Run) -> np.ndarray:
+def velocities(run: RecordedRun) -> np.ndarray:
     """Recorded velocity, else that of the encoder over 20 ms, (K, n) [rad/s]."""
     width = max(1, round(0.01 / run.step))
     slope: np.ndarray = np.full_like(run.position, np.nan)
@@ -79,7 +79,7 @@ def velocities(run: Run) -> np.ndarray:
     return slope
 
 
-def _gravity(recordings: RecordingSet, run: Run) -> np.ndarray:
+def _gravity(recordings: RecordingSet, run: RecordedRun) -> np.ndarray:
     """Gravity torque of the nominal model at some samples, (m, n) [N m]."""
     bodies, order = recordings.robot.rigid_bodies(), recordings.order
     rows = run.position[::_GRAVITY_EVERY]
@@ -93,7 +93,7 @@ def _gravity(recordings: RecordingSet, run: Run) -> np.ndarray:
 
 
 def _facts(
-    recordings: RecordingSet, runs: Sequence[Run], gravity: Sequence[np.ndarray], j: int
+    recordings: RecordingSet, runs: Sequence[RecordedRun], gravity: Sequence[np.ndarray], j: int
 ) -> JointFacts:
     torque = _there([run.torque[:, j] for run in runs])
     links = [run.link_position[:, j] for run in runs if run.link_position is not None]
@@ -133,7 +133,7 @@ def _there(channels: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _resolved(
-    recordings: RecordingSet, runs: Sequence[Run], speed: np.ndarray, j: int, order: float
+    recordings: RecordingSet, runs: Sequence[RecordedRun], speed: np.ndarray, j: int, order: float
 ) -> bool:
     ratio = recordings.nominal.gear_ratio
     if ratio is None or not len(speed):
@@ -143,7 +143,7 @@ def _resolved(
     return bool((frequency < 0.5 * _KEPT * rate).mean() > _SOME)
 
 
-def _warmer(runs: Sequence[Run], j: int) -> bool:
+def _warmer(runs: Sequence[RecordedRun], j: int) -> bool:
     degrees = [float(run.temperature[j]) for run in runs if run.temperature is not None]
     times = [run.session_time for run in runs if run.session_time is not None]
     return (bool(degrees) and max(degrees) - min(degrees) >= 3.0) or (

@@ -11,7 +11,7 @@ import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import load_toml, validate
-from stiffopt.recording.assume import assumptions
+from stiffopt.recording.assumptions import assumptions
 from stiffopt.recording.clean import clean
 from stiffopt.recording.nominal import Noise, Nominal, Tolerance
 from stiffopt.recording.nominal_files import (
@@ -24,9 +24,9 @@ from stiffopt.recording.nominal_files import (
 )
 from stiffopt.recording.readers.read import read_columns
 from stiffopt.recording.recorded_arm import RecordedArm, inside, joint_order, load_arm
-from stiffopt.recording.run import Role, Run
-from stiffopt.recording.schema import NominalSection, RecordingsFile, RunSection, SignalsSection
-from stiffopt.recording.signals import KINDS, Signals
+from stiffopt.recording.run import RecordedRun, Role
+from stiffopt.recording.schema import NominalSection, RecordingsFile, RunSection
+from stiffopt.recording.signals import Signals, as_signals
 from stiffopt.robot.robot import Robot
 
 FILE = "recordings.toml"
@@ -115,7 +115,7 @@ class RecordingSet(RecordedArm):
         """Runs of these roles, in the order of the set."""
         return tuple(entry for entry in self.runs if entry.role in roles)
 
-    def open(self, entry: RunEntry) -> Run:
+    def open(self, entry: RunEntry) -> RecordedRun:
         """Read one run file and clean it.
 
         Raises
@@ -218,42 +218,6 @@ def require_usable(recordings: RecordingSet, usable: Set[str]) -> None:
                 f'no run of the role "{role}" can be used: in {", ".join(files)} a joint has no'
                 " position that can be trusted. Record anew, or give other runs that role.",
             )
-
-
-def as_signals(section: SignalsSection, n: int, path: Path) -> Signals:
-    """Column names, checked: one a joint, each used once, positions complete, some torque."""
-
-    def fail(key: str, reason: str) -> InputFileError:
-        return InputFileError(path, f"signals.{key}", reason)
-
-    used: dict[str, str] = {section.time: "time"} if section.time else {}
-    for kind in KINDS:
-        names = getattr(section, kind)
-        for joint, name in enumerate(names or ()):
-            if name and name in used:
-                raise fail(kind, f"the column {name!r} already stands for {used[name]}.")
-            used[name] = f"{kind} of joint {joint + 1}"
-        if names is not None and len(names) != n:
-            raise fail(
-                kind,
-                f'needs one column a joint ({n}), got {len(names)}; "" where a joint lacks it.',
-            )
-    if not all(section.position):
-        raise fail("position", "every joint needs a position; leave other joints out of `joints`.")
-    if not any(section.torque):
-        raise fail("torque", "no joint has a torque, and torque is what a recording must explain.")
-    return Signals(
-        time=section.time,
-        position=section.position,
-        velocity=_some(section.velocity),
-        link_position=_some(section.link_position),
-        torque=section.torque,
-        torque_side=section.torque_side or "motor",
-    )
-
-
-def _some(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
-    return names if names is not None and any(names) else None
 
 
 def _entry(section: RunSection, n: int, number: int, path: Path) -> RunEntry:

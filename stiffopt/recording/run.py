@@ -66,7 +66,7 @@ class Fault:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Run:
+class RecordedRun:
     """A recording of one motion, cleaned of what cannot be true.
 
     Parameters
@@ -91,12 +91,12 @@ class Run:
         [rad/s], [rad]; None if no joint has that signal.
     torque : array (K, n)
         Drive torque at the output side [N m].
-    health : tuple of Fault
+    faults : tuple of Fault
 
     Notes
     -----
     A column of nan is a signal that this joint lacks, or one that was left out as broken; a
-    single nan is a sample that was taken out. `health` tells which. A prismatic joint has metres
+    single nan is a sample that was taken out. `faults` tells which. A prismatic joint has metres
     for radians and newtons for newton metres.
     """
 
@@ -111,7 +111,7 @@ class Run:
     velocity: np.ndarray | None
     link_position: np.ndarray | None
     torque: np.ndarray
-    health: tuple[Fault, ...]
+    faults: tuple[Fault, ...]
 
     @property
     def n(self) -> int:

@@ -14,7 +14,6 @@ import pytest
 
 from stiffopt.recording.check import RecordingReport, check_recordings
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
-from stiffopt.recording.resample import uniform
 from stiffopt.recording.static_set import load_static_set
 
 BESIDE = Path(__file__).resolve().parents[3] / "shared" / "recordings"
@@ -63,18 +62,6 @@ def test_every_run_is_read_and_usable(name: str) -> None:
         assert not any(fault.left_out for fault in run.faults)
         # Whatever is taken out as a spike must be rare.
         assert sum(f.share for f in run.faults if f.kind == "outlier") < 2e-3
-
-
-@pytest.mark.parametrize("name", SETS)
-def test_runs_go_on_a_uniform_clock(name: str) -> None:
-    recordings, _ = checked(folder(name))
-    for entry in recordings.runs[-2:]:
-        run = recordings.open(entry)
-        even = uniform(run)
-        assert len(even.segments) == 1
-        assert np.isfinite(even.position).all()
-        assert np.isfinite(even.torque).all()
-        assert even.torque_valid.mean() > 0.99
 
 
 @pytest.mark.parametrize("name", ["dfki_a0815", "ur10e"])

@@ -44,7 +44,7 @@ def test_an_opened_run_holds_the_columns_as_recorded(make_set: MakeSet) -> None:
     recordings = load_recordings(make_set())
     run = recordings.open(recordings.runs[0])
     data = motion(seed=1)
-    assert run.health == ()
+    assert run.faults == ()
     assert (run.name, run.file, run.role) == ("one", "one.npz", "train")
     np.testing.assert_array_equal(run.time, data["t"])
     np.testing.assert_array_equal(run.stamps, data["t"])

@@ -311,6 +311,6 @@ def test_a_written_case_is_read_without_faults_or_assumptions(tmp_path):
     assert recordings.assumptions == ()
     for entry, made in zip(recordings.runs, case.runs, strict=True):
         run = recordings.open(entry)
-        assert run.health == ()
+        assert run.faults == ()
         np.testing.assert_array_equal(run.torque[:, 1], made.columns["tau2"])
         np.testing.assert_array_equal(run.link_position[:, 0], made.columns["ql1"])

@@ -11,7 +11,7 @@ import numpy as np
 from stiffopt.discovery.comparison.signals import JointConstants, RobotConstants
 from stiffopt.discovery.settings import SIGN_SPEED, filled
 from stiffopt.recording.recording_set import RecordingSet
-from stiffopt.recording.run import Run
+from stiffopt.recording.run import RecordedRun
 from stiffopt.robot.frames import first_link_of
 
 
@@ -169,7 +169,7 @@ class RobotModel:
             position[k] = self._bodies.pose(frame, row)[0]
         return position, np.einsum("kij,kj->ki", jacobian, v), jacobian
 
-    def temperature_rise(self, run: Run, count: int) -> np.ndarray:
+    def temperature_rise(self, run: RecordedRun, count: int) -> np.ndarray:
         """Housing temperature above that at which friction was identified (K, n) [K]."""
         reference = self.recordings.nominal.friction_temperature
         if run.temperature is None or reference is None:

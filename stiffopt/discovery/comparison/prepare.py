@@ -11,7 +11,7 @@ from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, derivative
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.signals import RobotConstants, RobotSignals
 from stiffopt.discovery.settings import SIGN_SPEED, Settings
-from stiffopt.recording.run import Run
+from stiffopt.recording.run import RecordedRun
 
 # Rounds of link motion = motor motion - wind-up; each shrinks the error by (f/resonance)^2.
 _ROUNDS = 3
@@ -57,7 +57,7 @@ class PreparedRun:
 
 def prepare(
     robot: RobotModel,
-    run: Run,
+    run: RecordedRun,
     index: int,
     constants: RobotConstants | None,
     settings: Settings,
@@ -69,7 +69,7 @@ def prepare(
     Parameters
     ----------
     robot : RobotModel
-    run : Run
+    run : RecordedRun
     index : int
     constants : RobotConstants or None
         Of the training runs; None takes the ranges met from this run alone.
@@ -153,7 +153,7 @@ def with_link_torque(prepared: PreparedRun, robot: RobotModel, added: np.ndarray
     )
 
 
-def _uniform(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _uniform(run: RecordedRun) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Channels on an even clock; linear between the stamps, which lie closer than any motion."""
     step = run.step
     count = int(np.floor((run.time[-1] - run.time[0]) / step + 1e-6)) + 1
@@ -213,7 +213,7 @@ def _widened(flags: np.ndarray, reach: int) -> np.ndarray:
     return np.asarray(padded[high] - padded[low] > 0.0)
 
 
-def _near_gaps(run: Run, time: np.ndarray, reach: int) -> np.ndarray:
+def _near_gaps(run: RecordedRun, time: np.ndarray, reach: int) -> np.ndarray:
     """Samples of the clock that no measurement is near."""
     steps = np.diff(run.time)
     gaps = np.flatnonzero(steps > 5.0 * run.step)

@@ -11,7 +11,7 @@ from stiffopt.discovery.comparison.prepare import PreparedRun, prepare
 from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
-from stiffopt.recording.run import Run
+from stiffopt.recording.run import RecordedRun
 from stiffopt.result.trajectory import Trajectory
 
 # Of the limits that a design uses, so that it keeps them between its nodes and on the real arm.
@@ -157,7 +157,7 @@ def prepared_motion(
             axis=0,
         )
         link = np.where(seen, position, np.nan)
-    run = Run(
+    run = RecordedRun(
         name="next_experiment",
         file="",
         role="train",
@@ -169,6 +169,6 @@ def prepared_motion(
         velocity=None,
         link_position=link,
         torque=np.where(has_torque, np.zeros_like(position), np.nan),
-        health=(),
+        faults=(),
     )
     return prepare(training.robot, run, 0, constants, settings)

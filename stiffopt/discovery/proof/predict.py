@@ -13,7 +13,7 @@ from stiffopt.discovery.comparison.prepare import PreparedRun, prepare, with_lin
 from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.proof.vibration import Vibration, posture_step, swings, vibration
 from stiffopt.discovery.settings import Settings
-from stiffopt.recording.run import Run
+from stiffopt.recording.run import RecordedRun
 
 # Of the motion of motors and of links that predictions follow [Hz]: wider than a fit's, since what
 # is predicted is not filtered; links' beyond it is for their vibration.
@@ -48,7 +48,7 @@ class Predictor:
     Parameters
     ----------
     robot : RobotModel
-    run : Run
+    run : RecordedRun
         Only its motor positions, temperature and times are used; that it has link encoders, not
         what they read.
     constants : RobotConstants
@@ -57,7 +57,7 @@ class Predictor:
     """
 
     def __init__(
-        self, robot: RobotModel, run: Run, constants: RobotConstants, settings: Settings
+        self, robot: RobotModel, run: RecordedRun, constants: RobotConstants, settings: Settings
     ) -> None:
         self.robot, self.run = robot, run
         # Links that were never seen have springs that nothing confirms.

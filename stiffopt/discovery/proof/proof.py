@@ -9,7 +9,7 @@ import numpy as np
 from stiffopt.discovery.comparison.channel_noise import KnownNoise
 from stiffopt.discovery.proof.predict import Prediction
 from stiffopt.discovery.settings import SIGN_SPEED
-from stiffopt.recording.run import Run
+from stiffopt.recording.run import RecordedRun
 
 # Slower than this a joint counts as standing, and its torque as undetermined [rad/s].
 MOVING = 3.0 * SIGN_SPEED
@@ -51,13 +51,13 @@ class RunProof:
 
     Parameters
     ----------
-    run : Run
+    run : RecordedRun
     before, after : Prediction
         Of the model that the diagnosis started from, and of the extended one.
     channels : tuple of ChannelError
     """
 
-    run: Run
+    run: RecordedRun
     before: Prediction
     after: Prediction
     channels: tuple[ChannelError, ...]
@@ -88,13 +88,13 @@ def nrmse(proofs: list[RunProof] | tuple[RunProof, ...], when: str) -> float:
 
 
 def prove(
-    run: Run, velocity: np.ndarray, before: Prediction, after: Prediction, noise: KnownNoise
+    run: RecordedRun, velocity: np.ndarray, before: Prediction, after: Prediction, noise: KnownNoise
 ) -> RunProof:
     """Compare a run with its predictions.
 
     Parameters
     ----------
-    run : Run
+    run : RecordedRun
     velocity : array (K, n)
         Of the joints, on the run's own samples [rad/s].
     before, after : Prediction

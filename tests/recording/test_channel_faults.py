@@ -10,7 +10,7 @@ from recording_sets import Columns, channels, motion
 
 from stiffopt.errors import InputFileError
 from stiffopt.recording.clean import clean
-from stiffopt.recording.run import Fault, Run
+from stiffopt.recording.run import Fault, RecordedRun
 from stiffopt.recording.signals import Signals
 
 SIGNALS = Signals(
@@ -22,7 +22,7 @@ SIGNALS = Signals(
 )
 
 
-def cleaned(columns: Columns, signals: Signals = SIGNALS) -> Run:
+def cleaned(columns: Columns, signals: Signals = SIGNALS) -> RecordedRun:
     return clean(
         columns,
         signals,
@@ -34,16 +34,16 @@ def cleaned(columns: Columns, signals: Signals = SIGNALS) -> Run:
     )
 
 
-def only_fault(run: Run) -> Fault:
-    assert len(run.health) == 1, [str(fault) for fault in run.health]
-    return run.health[0]
+def only_fault(run: RecordedRun) -> Fault:
+    assert len(run.faults) == 1, [str(fault) for fault in run.faults]
+    return run.faults[0]
 
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("rate", [100.0, 500.0])
 def test_a_sound_run_has_no_fault(seed: int, rate: float) -> None:
     run = cleaned(motion(rate=rate, seed=seed))
-    assert run.health == ()
+    assert run.faults == ()
     assert np.isfinite(run.torque).all()
 
 
@@ -94,13 +94,13 @@ def test_a_joint_that_stands_still_is_no_fault(columns: Columns) -> None:
     rng = np.random.default_rng(3)
     columns["q2"] = 0.2 + 1e-6 * rng.integers(-1, 2, len(columns["t"]))
     columns["qd2"] = np.zeros_like(columns["t"])
-    assert cleaned(columns).health == ()
+    assert cleaned(columns).faults == ()
 
 
 def test_a_dead_motor_encoder_makes_the_run_unusable(columns: Columns) -> None:
     columns["q1"] = np.full_like(columns["t"], 0.4)
     run = cleaned(columns)
-    assert (run.health[0].signal, run.health[0].kind) == ("position", "constant")
+    assert (run.faults[0].signal, run.faults[0].kind) == ("position", "constant")
     assert not run.usable
 
 
@@ -153,7 +153,7 @@ def test_spikes_are_taken_out_one_by_one(columns: Columns) -> None:
     columns["tau1"][places] += [6.0, -9.0, -9.0, 25.0]
     columns["q1"][[444]] += 0.002
     run = cleaned(columns)
-    assert {(fault.signal, fault.kind) for fault in run.health} == {
+    assert {(fault.signal, fault.kind) for fault in run.faults} == {
         ("torque", "outlier"),
         ("position", "outlier"),
     }
@@ -165,7 +165,7 @@ def test_friction_steps_and_contacts_are_no_spikes(columns: Columns) -> None:
     t = columns["t"]
     columns["tau1"] += np.where((t > 3.0) & (t < 3.4), 12.0, 0.0)
     columns["tau2"] += 8.0 * np.sign(np.sin(3.0 * t))
-    assert cleaned(columns).health == ()
+    assert cleaned(columns).faults == ()
 
 
 def test_a_torque_limit_is_named_and_kept(columns: Columns) -> None:
@@ -185,7 +185,7 @@ def test_angles_that_wrap_are_made_continuous(columns: Columns) -> None:
         columns[name] = np.mod(full + np.pi, 2.0 * np.pi) - np.pi
     columns["qd1"] = 3.25 * np.cos(1.3 * t) + 1.5 + 1e-3 * rng.normal(size=len(t))
     run = cleaned(columns)
-    assert {(f.signal, f.kind, f.left_out) for f in run.health} == {
+    assert {(f.signal, f.kind, f.left_out) for f in run.faults} == {
         ("position", "wrapped", False),
         ("link_position", "wrapped", False),
     }
@@ -207,7 +207,7 @@ def test_samples_that_are_no_numbers(columns: Columns) -> None:
     columns["tau1"][5:9] = np.nan
     columns["ql1"][:] = np.inf
     run = cleaned(columns)
-    told = {(fault.signal, fault.kind, fault.left_out) for fault in run.health}
+    told = {(fault.signal, fault.kind, fault.left_out) for fault in run.faults}
     assert told == {
         ("torque", "not finite", False),
         ("link_position", "not finite", True),
@@ -232,7 +232,7 @@ def test_missing_samples_and_gaps_are_told_apart() -> None:
     keep[[300, 901, 902, 1500]] = False
     keep[2000:2100] = False
     run = cleaned(stamped(0.004 * np.arange(2500)[keep]))
-    faults = {fault.kind: fault for fault in run.health}
+    faults = {fault.kind: fault for fault in run.faults}
     assert set(faults) == {"dropped", "gap"}
     assert "about 4 samples" in faults["dropped"].detail
     assert "1 gap " in faults["gap"].detail
@@ -289,6 +289,6 @@ def test_clocks_that_cannot_be_used(stamps: np.ndarray, says: str) -> None:
 def test_rows_without_a_stamp_get_one_for_predictions(columns: Columns) -> None:
     columns["t"][[40, 41]] = np.nan
     run = cleaned(columns)
-    assert {fault.kind for fault in run.health} == {"not finite", "dropped"}
+    assert {fault.kind for fault in run.faults} == {"not finite", "dropped"}
     assert len(run.time) == 2498
     np.testing.assert_allclose(run.stamps, 0.004 * np.arange(2500), atol=1e-12)

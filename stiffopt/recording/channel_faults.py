@@ -11,11 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from stiffopt.recording import stuck
+from stiffopt.recording.bad_samples import at_limit, spikes, stuck
 from stiffopt.recording.channel import resolution, slope_to, stretches, travelled
 from stiffopt.recording.run import Fault, FaultKind, counted
 from stiffopt.recording.signals import Kind
-from stiffopt.recording.spikes import spikes
 
 # A joint that travels less stands still: [rad], [m].
 STILL = (1e-3, 1e-4)
@@ -205,9 +204,9 @@ def _stuck(joint: JointChannels, signal: Kind) -> None:
     least = joint.still
     if signal != "torque":
         least = max(least, _STUCK_COUNTS * (resolution(values) or 0.0))
-    bad = stuck.samples(values, other, least)
+    bad = stuck(values, other, least)
     if signal == "torque":
-        bad &= ~stuck.at_limit(values)
+        bad &= ~at_limit(values)
     if bad.any():
         found = stretches(bad)
         longest = max(joint.time[end - 1] - joint.time[begin] for begin, end in found)
@@ -240,7 +239,7 @@ def _saturated(joint: JointChannels) -> None:
     torque = joint.there("torque")
     if torque is None:
         return
-    bad = stuck.at_limit(torque)
+    bad = at_limit(torque)
     if bad.any():
         joint.report(
             "torque",
