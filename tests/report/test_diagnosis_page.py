@@ -14,7 +14,7 @@ from stiffopt.report.diagnosis.held_out import trace, worst_windows
 from stiffopt.report.diagnosis.page import write_diagnosis_report
 from stiffopt.report.diagnosis.residuals import (
     binned,
-    channel_rows,
+    channel_residuals,
     contribution,
     direction,
     regimes,
@@ -100,7 +100,7 @@ def test_figures_as_png_only_where_asked(friction, tmp_path):
 
 def test_rows_are_those_of_the_search(friction):
     for name, number in (("torque_2", 1), ("link_position_1", 2)):
-        rows = channel_rows(friction, name)
+        rows = channel_residuals(friction, name)
         for residual, ratios in ((rows.before, friction.search.before), (rows.after, None)):
             expected = (friction.search.after if ratios is None else ratios)[number]
             found = np.sqrt(np.mean((residual / rows.noise) ** 2))
@@ -109,7 +109,7 @@ def test_rows_are_those_of_the_search(friction):
 
 def test_contribution_is_the_friction_that_was_found(friction):
     (finding,) = friction.findings
-    rows = channel_rows(friction, "torque_2")
+    rows = channel_residuals(friction, "torque_2")
     added = contribution(friction, finding, rows)
     speed = next(r.values for r in regimes(friction, rows) if r.name == "speed")
 
@@ -120,7 +120,7 @@ def test_contribution_is_the_friction_that_was_found(friction):
     assert added == pytest.approx(finding.parameters[0].value * filtered, rel=1e-6, abs=1e-9)
     assert np.array_equal(direction(friction, rows), np.sign(speed))
     # Friction of one joint is no business of another's.
-    assert not contribution(friction, finding, channel_rows(friction, "torque_1")).any()
+    assert not contribution(friction, finding, channel_residuals(friction, "torque_1")).any()
 
 
 def test_squares_of_a_trace_are_those_of_the_proof(friction):

@@ -29,7 +29,7 @@ from stiffopt.report.diagnosis.regimes import (
     regressor_figure,
     spectrum_figure,
 )
-from stiffopt.report.diagnosis.residuals import channel_rows
+from stiffopt.report.diagnosis.residuals import channel_residuals
 from stiffopt.report.diagnosis.words import (
     VERDICTS,
     channel_words,
@@ -139,7 +139,7 @@ def _compared(ratios: np.ndarray) -> bool:
 def _draw_finding(
     figures: PageFigures, diagnosis: Diagnosis, finding: Finding, number: int
 ) -> None:
-    rows = channel_rows(diagnosis, finding.channel)
+    rows = channel_residuals(diagnosis, finding.channel)
     if len(rows.after) >= _FEW_SAMPLES:
         for name, figure, description in (
             ("regressor", regressor_figure, "Measured against the model of the finding"),
@@ -153,14 +153,14 @@ def _draw_unexplained(figures: PageFigures, diagnosis: Diagnosis) -> None:
     """Of what is left, or of a set in which nothing is missing its worst channel."""
     unexplained, after = diagnosis.unexplained, diagnosis.search.after
     if unexplained is not None:
-        rows = channel_rows(diagnosis, unexplained.channels[0])
+        rows = channel_residuals(diagnosis, unexplained.channels[0])
         if unexplained.period is not None:
             time = diagnosis.search.comparison.rows.sampled(lambda run: run.time)[rows.chosen]
             spectrum = spectrum_figure(rows, time, unexplained.period)
             figures.draw("spectrum", spectrum, "Share of the residual by frequency")
         figures.draw("outside", regime_figure(diagnosis, rows, None), "What is left by regime")
     if diagnosis.verdict == "nothing_missing" and _compared(after):
-        rows = channel_rows(diagnosis, worst_channel(diagnosis, after))
+        rows = channel_residuals(diagnosis, worst_channel(diagnosis, after))
         figures.draw("quiet", regime_figure(diagnosis, rows, None), "The worst channel by regime")
 
 

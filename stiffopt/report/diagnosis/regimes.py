@@ -21,7 +21,7 @@ from stiffopt.report.common.svg import (
 )
 from stiffopt.report.common.text import scale
 from stiffopt.report.diagnosis.residuals import (
-    ChannelRows,
+    ChannelResiduals,
     Regime,
     binned,
     contribution,
@@ -38,7 +38,7 @@ _POINTS = 1500
 _SIDES = ((1, VERMILLION, "positive direction"), (-1, BLUE, "negative direction"))
 
 
-def regime_figure(diagnosis: Diagnosis, rows: ChannelRows, finding: Finding | None) -> Figure:
+def regime_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding | None) -> Figure:
     """Mean residual over speed, load, position, acceleration, session time and rotor angle.
 
     With a finding: the residual that is left with everything else explained, and the finding's
@@ -102,7 +102,7 @@ def _one_side(
             axes.plot(centre, model, color=colour, linewidth=1.4, alpha=0.75)
 
 
-def map_figure(diagnosis: Diagnosis, rows: ChannelRows, finding: Finding | None) -> Figure:
+def map_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding | None) -> Figure:
     """Mean residual over noise in the planes of speed with load and position, without and with."""
     by_name = {regime.name: regime for regime in regimes(diagnosis, rows)}
     stages = (
@@ -148,7 +148,7 @@ def _cells(
     return edges[0], edges[1], means
 
 
-def regressor_figure(diagnosis: Diagnosis, rows: ChannelRows, finding: Finding) -> Figure:
+def regressor_figure(diagnosis: Diagnosis, rows: ChannelResiduals, finding: Finding) -> Figure:
     """Residual with everything else explained, against what the finding's model says."""
     added = contribution(diagnosis, finding, rows)
     residual = rows.after + added
@@ -182,7 +182,7 @@ def regressor_figure(diagnosis: Diagnosis, rows: ChannelRows, finding: Finding) 
         return figure
 
 
-def _histogram(axes: Axes, rows: ChannelRows, residual: np.ndarray) -> None:
+def _histogram(axes: Axes, rows: ChannelResiduals, residual: np.ndarray) -> None:
     """Distribution of the residual over noise, without and with the finding, beside the normal."""
     without, with_it = residual / rows.noise, rows.after / rows.noise
     reach = float(np.clip(np.quantile(np.abs(without), 0.99), 4.0, 40.0))
@@ -201,7 +201,7 @@ def _histogram(axes: Axes, rows: ChannelRows, residual: np.ndarray) -> None:
     axes.legend(loc="upper left")
 
 
-def spectrum_figure(rows: ChannelRows, time: np.ndarray, period: float) -> Figure:
+def spectrum_figure(rows: ChannelResiduals, time: np.ndarray, period: float) -> Figure:
     """Wave in time that best fits each run by frequency, as a share of the residual's squares."""
     runs = [rows.run == r for r in np.unique(rows.run)]
     span = min(float(np.ptp(time[own])) for own in runs)

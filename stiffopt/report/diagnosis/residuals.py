@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class ChannelRows:
+class ChannelResiduals:
     """Filtered samples of one channel that a search has compared.
 
     Parameters
@@ -67,7 +67,7 @@ class Regime:
     apart: bool = False
 
 
-def channel_rows(diagnosis: Diagnosis, name: str) -> ChannelRows:
+def channel_residuals(diagnosis: Diagnosis, name: str) -> ChannelResiduals:
     """Residuals of a channel before and after, in its own unit."""
     search = diagnosis.search
     rows, comparison = search.comparison.rows, search.comparison
@@ -79,7 +79,7 @@ def channel_rows(diagnosis: Diagnosis, name: str) -> ChannelRows:
     gain = rows.sampled(lambda run: np.full(len(run.time), run.low_pass.noise_gain))[chosen]
     noise = sd * gain
     slides = diagnosis.training.constants.joints[joint].prismatic
-    return ChannelRows(
+    return ChannelResiduals(
         name=name,
         joint=joint,
         unit=joint_unit("N m" if number < rows.n else "rad", slides),
@@ -91,7 +91,7 @@ def channel_rows(diagnosis: Diagnosis, name: str) -> ChannelRows:
     )
 
 
-def contribution(diagnosis: Diagnosis, finding: Finding, rows: ChannelRows) -> np.ndarray:
+def contribution(diagnosis: Diagnosis, finding: Finding, rows: ChannelResiduals) -> np.ndarray:
     """What a finding adds to a channel, as fitted beside all others (m,)."""
     search = diagnosis.search
     begin = 0
@@ -106,13 +106,15 @@ def contribution(diagnosis: Diagnosis, finding: Finding, rows: ChannelRows) -> n
     return np.zeros(len(rows.chosen))
 
 
-def regimes(diagnosis: Diagnosis, rows: ChannelRows, electrical: bool = False) -> Iterator[Regime]:
+def regimes(
+    diagnosis: Diagnosis, rows: ChannelResiduals, electrical: bool = False
+) -> Iterator[Regime]:
     """Speed, load, position, acceleration, session time and rotor angle of a channel's joint.
 
     Parameters
     ----------
     diagnosis : Diagnosis
-    rows : ChannelRows
+    rows : ChannelResiduals
     electrical : bool
         Fold the rotor angle by electrical turns of the motor, where its pole pairs are known.
     """
@@ -145,7 +147,7 @@ def regimes(diagnosis: Diagnosis, rows: ChannelRows, electrical: bool = False) -
         yield Regime("time", "time in the run [s]", time)
 
 
-def direction(diagnosis: Diagnosis, rows: ChannelRows) -> np.ndarray:
+def direction(diagnosis: Diagnosis, rows: ChannelResiduals) -> np.ndarray:
     """Direction of the joint's motion at every row, -1 or 1."""
     speed = diagnosis.search.comparison.rows.sampled(
         lambda run: run.signals.motor_velocity[:, rows.joint]
