@@ -95,21 +95,26 @@ def _compared(problem: Any, motion: Any, believed: Believed) -> Iterator[Disagre
     if believed.windup is not None:
         slight = joint_windup(robot, _IDLE_WINDUP * np.asarray(robot.torque_max)[None])[0]
         size = np.maximum(np.max(np.abs(true.windup), axis=0), slight)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            share = (believed.windup - true.windup) / size
-        yield from _joints("wind-up", np.where(size > 0.0, share, 0.0), time, WINDUP)
+        shares = _shares(believed.windup - true.windup, size)
+        yield from _joints("wind-up", shares, time, WINDUP)
     largest = max(part.peak for part in true.deflection_summary().values())
     for part, vectors in believed.deflection.items():
         away = np.linalg.norm(vectors - true.deflection[part], axis=1)
-        if np.any(away):
-            k = int(np.argmax(np.where(np.isnan(away), np.inf, away)))
-            share = float(away[k] / largest) if largest > 0.0 else np.inf
-            yield Disagreement(f"{part} deflection", None, float(time[k]), share, DEFLECTION)
+        shares = _shares(away, largest)
+        k = int(np.argmax(shares))
+        yield Disagreement(f"{part} deflection", None, float(time[k]), float(shares[k]), DEFLECTION)
 
 
 def _joints(
     quantity: str, shares: np.ndarray, time: np.ndarray, tolerance: float
 ) -> Iterator[Disagreement]:
     for j, share in enumerate(shares.T):
-        k = int(np.argmax(np.where(np.isnan(share), np.inf, np.abs(share))))
+        k = int(np.argmax(np.abs(share)))
         yield Disagreement(quantity, j + 1, float(time[k]), float(share[k]), tolerance)
+
+
+def _shares(difference: np.ndarray, size: np.ndarray | float) -> np.ndarray:
+    """Difference over size: 0 where there is none, infinite where a connection slips."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shares = np.where(difference == 0.0, 0.0, difference / size)
+    return np.where(np.isnan(shares), np.inf, shares)

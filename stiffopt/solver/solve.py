@@ -2,7 +2,8 @@
 
 The optimiser sees the smoothed model at nodes and midpoints; the certificate judges the motion with
 the exact model on a fine grid. Where it finds a limit exceeded, the mesh is refined, then the limit
-tightened by the excess, up to three times in all, or the solve ends as `certificate_failed`.
+tightened by the excess, up to three times in all, or the solve ends as `certificate_failed`. What
+the optimiser believed of its motion is compared with the exact model before it is called optimal.
 """
 
 from __future__ import annotations

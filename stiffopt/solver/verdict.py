@@ -57,11 +57,13 @@ def verdict(problem: TrajectoryProblem, outcome: Outcome, beside: dict[str, Base
                 f"wrong: it differs in {listed}. The motion is not the optimum; please report the "
                 "robot and the problem.",
             )
+        advice = "Please report the robot and the problem."
+        if _contact_laws(problem) != {"log_cubic"}:
+            advice = "contact_law = 'log_cubic' follows the true law most closely."
         return Verdict(
             SolveStatus.ACCEPTABLE,
             "Solved and certified: every limit holds on the fine grid. But the optimiser's smooth "
-            f"model of this motion differs in {listed}, so it is only near the optimum. "
-            "contact_law = 'log_cubic' follows the true law most closely.",
+            f"model of this motion differs in {listed}, so it is only near the optimum. {advice}",
         )
     better = _better_baseline(problem, outcome, beside)
     if better is not None and status.usable:
@@ -84,6 +86,12 @@ def _disagreements(problem: TrajectoryProblem, outcome: Outcome) -> list[Disagre
         elastic=len(widths) > 1,
     )
     return [d for d in differences(problem, outcome.trajectory, believed) if d.excess > 1.0]
+
+
+def _contact_laws(problem: TrajectoryProblem) -> set[object]:
+    """Fits of contacts in the robot's drivetrains."""
+    elements = [e for c in problem.robot.chains if c is not None for e in c.elements.values()]
+    return {e.contact_law for e in elements if hasattr(e, "contact_law")}
 
 
 def _better_baseline(

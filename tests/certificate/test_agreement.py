@@ -1,0 +1,80 @@
+"""What counts as the optimiser believing what is true, and what does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_arms import joint, load, reducer, write_problem, write_robot
+
+from stiffopt.certificate.agreement import differences
+from stiffopt.connection import BoltedFlange
+from stiffopt.drivetrain import catalogue
+from stiffopt.drivetrain.chain import Chain
+from stiffopt.drivetrain.stage import Stage
+from stiffopt.problem.belief import believed_of
+from stiffopt.problem.files import load_problem
+from stiffopt.result.trajectory import Trajectory
+
+
+def swing(problem, duration=0.5):
+    """From rest to rest in 20 pieces of linear acceleration, some of them backwards."""
+    way = problem.end.joints - problem.start.joints
+    t = np.linspace(0.0, duration, 21)
+    s = t / duration
+    profile = 6.0 * (1.0 - 2.0 * s) + 20.0 * np.sin(4.0 * np.pi * s)
+    acceleration = profile[:, None] * way / duration**2
+    return Trajectory.piecewise_linear_acceleration(
+        t, acceleration, problem.start.joints, np.zeros(len(way))
+    )
+
+
+@pytest.fixture
+def rubbing(tmp_path):
+    """The planar arm with dry friction."""
+    path = write_problem(tmp_path, "planar")
+    friction = {"coulomb": 3.0, "viscous": 0.5}
+    joints = [joint(name, reducer(), **friction) for name in ("shoulder", "elbow")]
+    write_robot(tmp_path, "planar", joints)
+    return load_problem(path).problem
+
+
+def test_smooth_friction_and_corners_are_honest(rubbing):
+    motion = swing(rubbing)
+    assert np.min(motion(np.linspace(0.0, 0.5, 200), 1) * (rubbing.end.joints > 0)) < 0.0
+    found = differences(rubbing, motion, believed_of(rubbing, motion, 0.25, elastic=True))
+    assert {d.quantity for d in found if d.joint} == {"spring torque", "drive torque", "wind-up"}
+    assert found[0].excess < 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "quantity"),
+    [("coulomb", "drive torque"), ("viscous", "drive torque"), ("rotor_inertia", "drive torque")],
+)
+def test_other_numbers_are_seen_in_motion(rubbing, name, quantity):
+    motion = swing(rubbing)
+    other = replace(rubbing.robot, **{name: getattr(rubbing.robot, name) + 0.01})
+    believed = believed_of(replace(rubbing, robot=other), motion, 0.25, elastic=True)
+    found = [d.quantity for d in differences(rubbing, motion, believed) if d.excess > 1.0]
+    assert set(found) == {quantity}
+
+
+def test_a_connection_that_slips_is_no_agreement(tmp_path):
+    """The smooth law goes on beyond slip, the true one has no end there."""
+    problem = load(tmp_path, "pendulum")
+    element = BoltedFlange(
+        name="flange",
+        torque_max=60.0,
+        bolt_count=9,
+        circle_diameter=17e-3,
+        inner_radius=5.5e-3,
+        outer_radius=11.5e-3,
+        preload=200.0,
+        surface=catalogue.surface("rough_steel"),
+    )
+    robot = replace(problem.robot, chains=(Chain((Stage(element),)),))
+    problem, motion = replace(problem, robot=robot), swing(problem)
+    found = differences(problem, motion, believed_of(problem, motion, 0.25, elastic=True))
+    wrong = {d.quantity for d in found if d.excess > 1.0}
+    assert "wind-up" in wrong
+    assert "total deflection" in wrong
+    assert np.isinf(found[0].value)
