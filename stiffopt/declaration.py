@@ -63,6 +63,7 @@ DIMENSIONS = {
         Dimension("stiffness per width", "N/m^2", "20 N/(mm*um)"),
         Dimension("viscous friction", "N*m*s/rad", "5 N*m*s/rad", -1),
         Dimension("linear viscous friction", "N*s/m", "5 N*s/m"),
+        Dimension("temperature", "degC", "22 degC"),
         Dimension("ratio", "", "0.12"),
     )
 }
@@ -100,10 +101,13 @@ class Unit:
         A name in `DIMENSIONS`.
     joint : bool
         Of a joint: a prismatic one takes the counterpart of the dimension in `PRISMATIC`.
+    bare : bool
+        Always in SI, as recordings are: a text is no number.
     """
 
     dimension: str
     joint: bool = False
+    bare: bool = False
     # How a file's entry becomes an SI number; set by `stiffopt.files`.
     reader: ClassVar[Callable[[Unit], Callable[[object], float]]]
 
@@ -115,10 +119,14 @@ class Unit:
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         from pydantic_core import core_schema
 
+        if self.bare:
+            return handler(source)
         return core_schema.no_info_plain_validator_function(Unit.reader(self))
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
-        schema: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "string"}]}
+        schema: dict[str, Any] = {"type": "number"}
+        if not self.bare:
+            schema = {"anyOf": [schema, {"type": "string"}]}
         schema["unit"] = self.unit
         if self.joint:
             schema["unit_prismatic"] = DIMENSIONS[PRISMATIC[self.dimension]].unit
@@ -127,7 +135,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Between which values a number must lie; it must be finite.
+    """Between which values a number must lie.
 
     Parameters
     ----------
@@ -135,18 +143,22 @@ class Bounds:
         Bounds that are excluded.
     least, most : float
         Bounds that are included.
+    finite : bool
+        Whether it must be finite.
     """
 
     above: float = -math.inf
     least: float = -math.inf
     most: float = math.inf
     below: float = math.inf
+    finite: bool = True
 
     def check(self, name: str, value: Any) -> None:
         """Raise `InputError` unless every number in `value` lies within; others pass."""
         for number in _numbers(value):
-            inside = self.above < number < self.below and self.least <= number <= self.most
-            if not (inside and math.isfinite(number)):
+            low = self.above < number and self.least <= number
+            high = number <= self.most and (number < self.below or self.below == math.inf)
+            if not (low and high and (math.isfinite(number) or not self.finite)):
                 self._refuse(name, number)
 
     def _refuse(self, name: str, number: float) -> None:
@@ -164,8 +176,9 @@ class Bounds:
             if math.isfinite(bound)
         ]
         comma = "," if math.isfinite(self.least) else ""
+        kind = "a finite number" if self.finite else "a number"
         raise InputError(
-            f"{name} = {number:g} cannot be used; allowed is a finite number{comma} "
+            f"{name} = {number:g} cannot be used; allowed is {kind}{comma} "
             f"{' and '.join(words)}. Correct {name.rpartition(' ')[2]} (SI units)."
         )
 

@@ -50,6 +50,8 @@ def _factor(unit: str, dimension: Dimension) -> float:
         raise ValueError(f"the unit {unit!r} is not known") from error
     except Exception as error:  # pint's parser lets Python's tokenizer errors through
         raise ValueError(f"the unit {unit!r} cannot be read") from error
+    if dimension.unit == "degC" and unit != "degC":
+        raise ValueError(f"temperatures are given in degC, not in {unit!r}")
     angle = sum(power for name, power in parsed._units.items() if str(name).endswith(_ANGLE_UNITS))
     target = _registry().parse_units(dimension.unit)
     if parsed.dimensionality != target.dimensionality or angle != dimension.angle:

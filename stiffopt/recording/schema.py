@@ -1,4 +1,4 @@
-"""Schema of recordings.toml and static.toml."""
+"""Schema of recordings.toml and static.toml; numbers are bare, in SI, one a joint in lists."""
 
 from __future__ import annotations
 
@@ -6,153 +6,251 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
 
+from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Bounds, Doc, Unit
 from stiffopt.files import Section
 
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
-Numbers = tuple[float, ...]
-PositiveNumbers = tuple[Positive, ...]
-NotNegativeNumbers = tuple[NotNegative, ...]
 Names = tuple[str, ...]
+Text = Annotated[str, Field(min_length=1)]
+
+Ratio = Annotated[float, Unit("ratio", bare=True)]
+Length = Annotated[float, Unit("length", bare=True)]
+Time = Annotated[float, Unit("time", bare=True)]
+Acceleration = Annotated[float, Unit("acceleration", bare=True)]
+Temperature = Annotated[float, Unit("temperature", bare=True)]
+JointPosition = Annotated[float, Unit("angle", joint=True, bare=True)]
+JointVelocity = Annotated[float, Unit("angular velocity", joint=True, bare=True)]
+JointTorque = Annotated[float, Unit("torque", joint=True, bare=True)]
+JointInertia = Annotated[float, Unit("inertia", joint=True, bare=True)]
+JointViscous = Annotated[float, Unit("viscous friction", joint=True, bare=True)]
+JointStiffness = Annotated[float, Unit("stiffness", joint=True, bare=True)]
+
+# Infinite is rigid.
+_RIGID = Bounds(above=0.0, finite=False)
+
+_Position = Annotated[JointPosition, NOT_NEGATIVE]
+_Velocity = Annotated[JointVelocity, NOT_NEGATIVE]
+_Torque = Annotated[JointTorque, NOT_NEGATIVE]
 
 
 class SignalsSection(Section):
-    """Columns of the run files."""
+    """Columns of the run files, "" where a joint lacks that signal."""
 
-    time: str = ""
-    position: Names
-    velocity: Names | None = None
-    link_position: Names | None = None
-    torque: Names
-    torque_side: Literal["motor", "link"] | None = None
+    time: Annotated[str, Doc("Time in s, increasing; may be jittered and have gaps.")] = ""
+    position: Annotated[Names, Doc("Motor encoders through the ratios, in rad.")]
+    velocity: Annotated[Names | None, Doc("Velocities in rad/s.")] = None
+    link_position: Annotated[Names | None, Doc("Encoders on the link's side, in rad.")] = None
+    torque: Annotated[Names, Doc("Torques of the drives at the output side, in N m.")]
+    torque_side: Annotated[
+        Literal["motor", "link"] | None,
+        Doc(
+            'Where torque is measured: "motor" before friction, from the current; "link" by a '
+            "joint torque sensor."
+        ),
+    ] = None
 
 
 class ReducerCurvesSection(Section):
-    """Catalogue curve of each reducer; infinite is rigid."""
+    """Catalogue curve of each reducer: slopes K between torques T; infinite is rigid."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=True)
 
-    K1: PositiveNumbers
-    K2: PositiveNumbers
-    K3: PositiveNumbers
-    T1: PositiveNumbers
-    T2: PositiveNumbers
+    K1: Annotated[tuple[Annotated[JointStiffness, _RIGID], ...], Doc("Slopes below T1.")]
+    K2: Annotated[tuple[Annotated[JointStiffness, _RIGID], ...], Doc("Slopes between T1 and T2.")]
+    K3: Annotated[tuple[Annotated[JointStiffness, _RIGID], ...], Doc("Slopes above T2.")]
+    T1: Annotated[
+        tuple[Annotated[JointTorque, _RIGID], ...], Doc("Torques where the first range ends.")
+    ]
+    T2: Annotated[
+        tuple[Annotated[JointTorque, _RIGID], ...], Doc("Torques where the second range ends.")
+    ]
+
+
+_BALANCED = Doc("Joint that is balanced: its name, or its number from 1.")
 
 
 class SpringSection(Section):
     """Spring that balances a joint."""
 
     type: Literal["spring"]
-    joint: int | str
-    stiffness: float
-    offset: float = 0.0
+    joint: Annotated[int | str, _BALANCED]
+    stiffness: Annotated[JointStiffness, Doc("Stiffness of the spring.")]
+    offset: Annotated[JointPosition, Doc("Position at which it is relaxed.")] = 0.0
 
 
 class TableSection(Section):
-    """Torque that balances a joint, by its angle."""
+    """Torque that balances a joint, by its position."""
 
     type: Literal["table"]
-    joint: int | str
-    angle: Numbers
-    torque: Numbers
+    joint: Annotated[int | str, _BALANCED]
+    angle: Annotated[tuple[JointPosition, ...], Doc("Positions, increasing; two or more.")]
+    torque: Annotated[
+        tuple[JointTorque, ...],
+        Doc("Torques at these positions, which the drive no longer has to give."),
+    ]
 
 
 CounterbalanceSection = Annotated[SpringSection | TableSection, Field(discriminator="type")]
 
 
 class NominalSection(Section):
-    """What today's simulation knows."""
+    """What today's simulation knows; every key is optional."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=True)
 
-    gear_ratio: Numbers | None = None
-    rotor_inertia: NotNegativeNumbers | None = None
-    coulomb: NotNegativeNumbers | None = None
-    viscous: NotNegativeNumbers | None = None
-    friction_temperature: float | None = None
-    torque_max: PositiveNumbers | None = None
-    torque_rated: PositiveNumbers | None = None
-    pole_pairs: Positive | None = None
-    joint_damping: NotNegativeNumbers | None = None
-    contact_stiffness: PositiveNumbers | None = None
-    connections: Names | None = None
+    gear_ratio: Annotated[
+        tuple[Ratio, ...] | None, Doc("Turns of the motor for one turn of the joint.")
+    ] = None
+    rotor_inertia: Annotated[
+        tuple[Annotated[JointInertia, NOT_NEGATIVE], ...] | None,
+        Doc("Inertia of the rotors, at the output side."),
+    ] = None
+    coulomb: Annotated[
+        tuple[Annotated[JointTorque, NOT_NEGATIVE], ...] | None,
+        Doc("Coulomb friction, at the output side."),
+    ] = None
+    viscous: Annotated[
+        tuple[Annotated[JointViscous, NOT_NEGATIVE], ...] | None,
+        Doc("Viscous friction, at the output side."),
+    ] = None
+    friction_temperature: Annotated[
+        Temperature | None, Doc("Temperature at which friction was identified.")
+    ] = None
+    torque_max: Annotated[
+        tuple[Annotated[JointTorque, POSITIVE], ...] | None,
+        Doc("Largest torques, at the output side."),
+    ] = None
+    torque_rated: Annotated[
+        tuple[Annotated[JointTorque, POSITIVE], ...] | None,
+        Doc("Rated torques, at the output side."),
+    ] = None
+    pole_pairs: Annotated[Ratio | None, POSITIVE, Doc("Pole pairs of the motors.")] = None
+    joint_damping: Annotated[
+        tuple[Annotated[JointViscous, NOT_NEGATIVE], ...] | None,
+        Doc("Damping of the elastic joints."),
+    ] = None
+    contact_stiffness: Annotated[
+        tuple[Annotated[JointStiffness, _RIGID], ...] | None,
+        Doc("Healthy connections of each joint, lumped in series; infinite is rigid."),
+    ] = None
+    connections: Annotated[
+        Names | None, Doc('What each drivetrain is built of, such as "belt+key+bolts".')
+    ] = None
     reducer: ReducerCurvesSection | None = None
-    counterbalance: CounterbalanceSection | tuple[CounterbalanceSection, ...] = ()
+    counterbalance: Annotated[
+        CounterbalanceSection | tuple[CounterbalanceSection, ...],
+        Doc("Known elements that balance gravity."),
+    ] = ()
 
 
 class ToleranceSection(Section):
     """One standard deviation of the nominal values."""
 
-    mass: NotNegative | None = None
-    com: NotNegative | None = None
-    rotor_inertia: NotNegative | None = None
-    coulomb: NotNegative | None = None
-    viscous: NotNegative | None = None
-    stiffness: NotNegative | None = None
-    torque_constant: NotNegative | None = None
-    encoder_zero: NotNegative | None = None
+    mass: Annotated[Ratio | None, NOT_NEGATIVE, Doc("Of masses, relative.")] = None
+    com: Annotated[Length | None, NOT_NEGATIVE, Doc("Of each coordinate of a centre of mass.")] = (
+        None
+    )
+    rotor_inertia: Annotated[Ratio | None, NOT_NEGATIVE, Doc("Relative.")] = None
+    coulomb: Annotated[Ratio | None, NOT_NEGATIVE, Doc("Relative.")] = None
+    viscous: Annotated[Ratio | None, NOT_NEGATIVE, Doc("Relative.")] = None
+    stiffness: Annotated[Ratio | None, NOT_NEGATIVE, Doc("Relative.")] = None
+    torque_constant: Annotated[Ratio | None, NOT_NEGATIVE, Doc("Relative.")] = None
+    encoder_zero: Annotated[
+        JointPosition | None, NOT_NEGATIVE, Doc("Of the zero of an encoder.")
+    ] = None
 
 
 class NoiseSection(Section):
     """One standard deviation of the sensors' noise; one number holds for all joints."""
 
-    torque: NotNegative | NotNegativeNumbers | None = None
-    velocity: NotNegative | NotNegativeNumbers | None = None
-    link_position: NotNegative | NotNegativeNumbers | None = None
-    position_resolution: NotNegative | NotNegativeNumbers | None = None
-    link_position_resolution: NotNegative | NotNegativeNumbers | None = None
+    torque: Annotated[
+        JointTorque | tuple[Annotated[JointTorque, NOT_NEGATIVE], ...] | None, Doc("Of torques.")
+    ] = None
+    velocity: Annotated[
+        JointVelocity | tuple[Annotated[JointVelocity, NOT_NEGATIVE], ...] | None,
+        Doc("Of velocities."),
+    ] = None
+    link_position: Annotated[
+        _Position | tuple[_Position, ...] | None, Doc("Of the encoders on the link's side.")
+    ] = None
+    position_resolution: Annotated[
+        _Position | tuple[_Position, ...] | None, Doc("One count of the motor encoders.")
+    ] = None
+    link_position_resolution: Annotated[
+        _Position | tuple[_Position, ...] | None,
+        Doc("One count of the encoders on the link's side."),
+    ] = None
 
 
 class RunSection(Section):
     """One run file."""
 
-    file: str = Field(min_length=1)
-    role: Literal["train", "test", "extrapolate"]
-    session_time: float | None = None
-    housing_temperature: float | Numbers | None = None
+    file: Annotated[Text, Doc("CSV, NPZ, Parquet, MCAP or rosbag2, relative to this file.")]
+    role: Annotated[
+        Literal["train", "test", "extrapolate"],
+        Doc("Test runs are never used to fit; extrapolate: test outside the training range."),
+    ]
+    session_time: Annotated[
+        Time | None, Doc("Since the robot was switched on, at the run's beginning.")
+    ] = None
+    housing_temperature: Annotated[
+        Temperature | tuple[Temperature, ...] | None,
+        Doc("Of the joints' housings; one number holds for all."),
+    ] = None
 
 
-class RecordingsFile(Section):
-    """A whole recordings.toml."""
+class ArmSection(Section):
+    """Arm that was recorded, and where the recordings come from."""
 
-    schema_: int = Field(alias="schema")
-    name: str = Field(min_length=1)
-    title: str = ""
-    citation: str = ""
-    licence: str = ""
-    robot: str = Field(min_length=1)
-    joints: Names = Field(min_length=1)
-    tool_frame: str | None = None
-    gravity: tuple[float, float, float] | None = None
+    schema_: Annotated[int, Doc("Version of the format: 1.")] = Field(alias="schema")
+    name: Annotated[Text, Doc("Name of the set.")]
+    title: Annotated[str, Doc("Title in reports.")] = ""
+    citation: Annotated[str, Doc("Who recorded it, and where it is published.")] = ""
+    licence: Annotated[str, Doc("Licence of the recordings.")] = ""
+    robot: Annotated[
+        Text, Doc("A shipped robot, or the path of a robot file or URDF beside this file.")
+    ]
+    joints: Annotated[
+        Names, Field(min_length=1), Doc("Joints of the URDF, in the order of every list.")
+    ]
+    gravity: Annotated[
+        tuple[Acceleration, Acceleration, Acceleration] | None,
+        Doc("Gravity in the base frame; default that of the robot."),
+    ] = None
+
+
+class RecordingsFile(ArmSection):
+    """Recordings of a robot, and the nominal model that a simulation of it uses today."""
+
+    tool_frame: Annotated[str | None, Doc("Link or frame of the tool.")] = None
     signals: SignalsSection
     nominal: NominalSection = NominalSection()
     tolerance: ToleranceSection = ToleranceSection()
     noise: NoiseSection = NoiseSection()
-    runs: tuple[RunSection, ...] = Field(min_length=1)
+    runs: Annotated[tuple[RunSection, ...], Field(min_length=1), Doc("The runs.")]
 
 
 class StaticNominalSection(Section):
     """What is known of the joints' stiffness."""
 
-    stiffness: PositiveNumbers | None = None
+    stiffness: Annotated[
+        tuple[Annotated[JointStiffness, POSITIVE], ...] | None, Doc("Stiffness of each joint.")
+    ] = None
 
 
-class StaticFile(Section):
-    """A whole static.toml."""
+class StaticFile(ArmSection):
+    """Poses with a known force and a measured displacement of the tool."""
 
-    schema_: int = Field(alias="schema")
-    kind: Literal["static"]
-    name: str = Field(min_length=1)
-    title: str = ""
-    citation: str = ""
-    licence: str = ""
-    robot: str = Field(min_length=1)
-    joints: Names = Field(min_length=1)
-    tool_frame: str
-    poses: str = Field(min_length=1)
-    position: Names
-    force: tuple[str, str, str]
-    displacement: tuple[str, str, str]
-    difference: bool
-    gravity: tuple[float, float, float] | None = None
+    kind: Annotated[Literal["static"], Doc("Kind of file.")]
+    tool_frame: Annotated[str, Doc("Link or frame of the tool.")]
+    poses: Annotated[Text, Doc("CSV file with a line a pose, relative to this file.")]
+    position: Annotated[Names, Doc("Columns of the joint positions, in rad.")]
+    force: Annotated[
+        tuple[str, str, str], Doc("Columns of the force on the tool, base frame, in N.")
+    ]
+    displacement: Annotated[
+        tuple[str, str, str], Doc("Columns of the tool's displacement, base frame, in m.")
+    ]
+    difference: Annotated[
+        bool, Doc("Whether each line is a difference of two load states: gravity is out.")
+    ]
     nominal: StaticNominalSection = StaticNominalSection()

@@ -62,21 +62,33 @@ def reference_page() -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def fields(schema: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Section, key and JSON Schema of every key of a kind of file."""
-    for section in (schema, *schema.get("$defs", {}).values()):
-        for key, field in section.get("properties", {}).items():
-            yield section["title"], key, field
+def sentence(field: dict[str, Any], definitions: dict[str, Any]) -> str:
+    """What a key is: its own sentence, else that of the section that it holds."""
+    if "description" in field:
+        return " ".join(field["description"].split())
+    held = [form["$ref"].rpartition("/")[2] for form in forms(field) if "$ref" in form]
+    return _described(definitions[held[0]]) if len(held) == 1 else ""
 
 
 def units(field: dict[str, Any]) -> list[str]:
     """Units of a key, in brackets behind the first that of a prismatic joint."""
     found = [
         f"{form['unit']} ({form['unit_prismatic']})" if "unit_prismatic" in form else form["unit"]
-        for form in _forms(field)
+        for form in forms(field)
         if "unit" in form
     ]
     return list(dict.fromkeys(found))
+
+
+def forms(field: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """A key's schema and all that it may hold."""
+    yield field
+    for word in ("anyOf", "oneOf", "prefixItems"):
+        for form in field.get(word, ()):
+            yield from forms(form)
+    for word in ("items", "additionalProperties"):
+        if isinstance(field.get(word), dict):
+            yield from forms(field[word])
 
 
 def _sections(schema: dict[str, Any]) -> Iterator[str]:
@@ -94,56 +106,46 @@ def _sections(schema: dict[str, Any]) -> Iterator[str]:
                 if heading not in known:
                     known.append(heading)
     yield _described(schema)
-    yield _table(schema)
+    yield _table(schema, definitions)
     for name, used in places.items():
         kind = definitions[name]["properties"].get("type", {}).get("const")
         tag = f', `type = "{kind}"`' if kind else ""
         yield f"### {', '.join(f'`{place}`' for place in used)}{tag}"
         yield _described(definitions[name])
-        yield _table(definitions[name])
+        yield _table(definitions[name], definitions)
 
 
 def _references(field: dict[str, Any], place: str) -> Iterator[tuple[str, str, str]]:
     """Name, place and heading of the sections that a key holds."""
-    for form in _forms(field):
+    for form in forms(field):
         if "$ref" in form:
             inside = f"{place}.NAME" if _named(field, form) else place
             heading = f"[[{inside}]]" if _listed(field, form) else f"[{inside}]"
             yield form["$ref"].rpartition("/")[2], inside, heading
 
 
-def _forms(field: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """A key's schema and all that it may hold."""
-    yield field
-    for word in ("anyOf", "oneOf", "prefixItems"):
-        for form in field.get(word, ()):
-            yield from _forms(form)
-    for word in ("items", "additionalProperties"):
-        if isinstance(field.get(word), dict):
-            yield from _forms(field[word])
-
-
 def _listed(field: dict[str, Any], form: dict[str, Any]) -> bool:
-    return any(form in _forms(f["items"]) for f in _forms(field) if "items" in f)
+    return any(form in forms(f["items"]) for f in forms(field) if "items" in f)
 
 
 def _named(field: dict[str, Any], form: dict[str, Any]) -> bool:
-    held = [f["additionalProperties"] for f in _forms(field) if "additionalProperties" in f]
-    return any(isinstance(inside, dict) and form in _forms(inside) for inside in held)
+    held = [f["additionalProperties"] for f in forms(field) if "additionalProperties" in f]
+    return any(isinstance(inside, dict) and form in forms(inside) for inside in held)
 
 
 def _described(section: dict[str, Any]) -> str:
     return " ".join(section.get("description", "").split())
 
 
-def _table(section: dict[str, Any]) -> str:
+def _table(section: dict[str, Any], definitions: dict[str, Any]) -> str:
     required = section.get("required", ())
     rows = ["| key | value | unit | default | |", "|---|---|---|---|---|"]
     for key, field in section["properties"].items():
         if "const" in field and key == "type":
             continue
         default = "required" if key in required else _default(field)
-        cells = (f"`{key}`", _value(field), ", ".join(units(field)), default, _sentence(field))
+        text = sentence(field, definitions) + _names(field)
+        cells = (f"`{key}`", _value(field), ", ".join(units(field)), default, text)
         rows.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |")
     return "\n".join(rows)
 
@@ -183,7 +185,7 @@ def _limits(field: dict[str, Any]) -> str:
     }
     found = [
         f"{text} {form[word]:.4g}"
-        for form in _forms(field)
+        for form in forms(field)
         for word, text in texts.items()
         if word in form
     ]
@@ -203,14 +205,11 @@ def _default(field: dict[str, Any]) -> str:
     return f"{value:.6g}"
 
 
-def _sentence(field: dict[str, Any]) -> str:
-    """Sentence of the declaration, and names that the catalogue has."""
-    text = " ".join(field.get("description", "").split())
-    names = [name for form in _forms(field) for name in form.get("examples", ())]
-    if names:
-        shown = ", ".join(names[:_NAMES_SHOWN])
-        text += f" One of {shown}{', ...' if len(names) > _NAMES_SHOWN else ''}."
-    return text
+def _names(field: dict[str, Any]) -> str:
+    """Names that the catalogue has for a key."""
+    names = [name for form in forms(field) for name in form.get("examples", ())]
+    more = ", ..." if len(names) > _NAMES_SHOWN else ""
+    return f" One of {', '.join(names[:_NAMES_SHOWN])}{more}." if names else ""
 
 
 if __name__ == "__main__":

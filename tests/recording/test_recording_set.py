@@ -154,7 +154,7 @@ WRONG = {
     "frame": ('"tool0"', '"tool"', r"tool_frame: .* no frame 'tool'.*mean 'tool0'"),
     "key": ("coulomb =", "coulom =", r"nominal\.coulom: unknown key.*mean 'coulomb'"),
     "list": ("[1.0, 2.0]", "[1.0]", r"nominal\.coulomb: needs one number a joint \(2\), got 1"),
-    "sign": ("[1.0, 2.0]", "[1.0, -2.0]", r"nominal\.coulomb\[2\].* greater than or equal to 0"),
+    "sign": ("[1.0, 2.0]", "[1.0, -2.0]", r"nominal\.coulomb\[2\].*finite number, 0 or above"),
     "ratio": ("[101.0, 50.0]", "[101.0, 0.0]", r"gear_ratio: a ratio of 0 turns nothing"),
     "role": ('role = "test"', 'role = "tests"', r"runs\[2\]\.role: got 'tests'.*mean 'test'"),
     "names": ('file = "two.npz"', 'file = "one.csv"', r"runs\[2\]\.file: 'one.csv' has the name"),
@@ -166,7 +166,7 @@ WRONG = {
     "soft": (
         "[tolerance]",
         REDUCER.format("0.0") + "T2 = [25.0, 25.0]\n[tolerance]",
-        r"reducer\.K1\[1\].*greater than 0",
+        r"reducer\.K1\[1\].*number above 0",
     ),
 }
 

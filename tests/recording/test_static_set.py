@@ -62,7 +62,11 @@ def test_what_the_files_say_is_in_the_set(tmp_path: Path) -> None:
     [
         (('"static"', '"dynamic"'), ("", ""), 'needs kind = "static"'),
         (("[1e5, 2e6]", "[1e5]"), ("", ""), r"nominal\.stiffness: needs one number a joint"),
-        (("[1e5, 2e6]", "[1e5, -1.0]"), ("", ""), r"nominal\.stiffness\[2\].*greater than 0"),
+        (
+            ("[1e5, 2e6]", "[1e5, -1.0]"),
+            ("", ""),
+            r"nominal\.stiffness\[2\].*finite number above 0",
+        ),
         (('["q1", "q2"]', '["q1"]'), ("", ""), r"position: needs one column a joint \(2\), got 1"),
         (('"fz"]', '"fx"]'), ("", ""), "one column stands for two things"),
         (('"slide"]', '"elbow"]'), ("", ""), "no moving joint 'elbow'"),

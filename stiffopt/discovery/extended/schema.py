@@ -2,49 +2,65 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import Field
 
+from stiffopt.declaration import POSITIVE, Doc
 from stiffopt.files import Section
-from stiffopt.recording.schema import Names, NominalSection, PositiveNumbers
+from stiffopt.recording.schema import JointTorque, JointVelocity, Names, NominalSection, Ratio
 
 
 class ParameterSection(Section):
     """Reported value of an effect."""
 
-    value: float
-    sd: float | None = None
-    unit: str = ""
+    value: Annotated[float, Doc("Value, in `unit`.")]
+    sd: Annotated[float | None, Doc("One standard deviation, in `unit`.")] = None
+    unit: Annotated[str, Doc("Unit of value and sd.")] = ""
 
 
 class EffectSection(Section):
     """An effect at a place."""
 
-    name: str
-    joint: int | None = None
-    link: str | None = None
-    run: str | None = None
-    probability: float | None = None
-    term: dict[str, float]
-    parameters: dict[str, ParameterSection] = Field(default_factory=dict)
+    name: Annotated[str, Doc("Effect of the catalogue, or of one's own file.")]
+    joint: Annotated[int | None, Doc("Joint, numbered from 1.")] = None
+    link: Annotated[str | None, Doc("Link of the URDF.")] = None
+    run: Annotated[str | None, Doc("Run that it belongs to.")] = None
+    probability: Annotated[Ratio | None, Doc("Of the effect against its rivals.")] = None
+    term: Annotated[
+        dict[str, Ratio],
+        Doc("Amplitudes and shapes of the effect's terms, over the scales; read by `solve`."),
+    ]
+    parameters: Annotated[
+        dict[str, ParameterSection], Doc("Parameters of the effect, for people.")
+    ] = Field(default_factory=dict)
 
 
 class ScalesSection(Section):
-    """What the terms of effects are measured against."""
+    """What the terms of effects are measured against, one number a joint."""
 
-    torque_rated: PositiveNumbers
-    torque_max: PositiveNumbers
-    fastest: PositiveNumbers
+    torque_rated: Annotated[tuple[Annotated[JointTorque, POSITIVE], ...], Doc("Rated torques.")]
+    torque_max: Annotated[tuple[Annotated[JointTorque, POSITIVE], ...], Doc("Largest torques.")]
+    fastest: Annotated[
+        tuple[Annotated[JointVelocity, POSITIVE], ...],
+        Doc("Fastest velocities of the training runs."),
+    ]
 
 
 class ExtendedFile(Section):
-    """A whole extended.toml."""
+    """The nominal model with what a diagnosis found."""
 
-    schema_: int = Field(alias="schema")
-    kind: str
-    name: str
-    joints: Names = Field(min_length=1)
-    links: Names = Field(min_length=1)
+    schema_: Annotated[int, Doc("Version of the format: 1.")] = Field(alias="schema")
+    kind: Annotated[str, Doc('Kind of file: "extended".')]
+    name: Annotated[str, Doc("Name of the recording set.")]
+    joints: Annotated[
+        Names, Field(min_length=1), Doc("Joints of the URDF, in the order of every list.")
+    ]
+    links: Annotated[Names, Field(min_length=1), Doc("Links behind these joints.")]
     nominal: NominalSection = NominalSection()
     scales: ScalesSection
-    calibration: dict[str, float] = Field(default_factory=dict)
-    effect: tuple[EffectSection, ...] = ()
+    calibration: Annotated[
+        dict[str, Ratio],
+        Doc("Nominal values as estimated within their tolerances, over their tolerances."),
+    ] = Field(default_factory=dict)
+    effect: Annotated[tuple[EffectSection, ...], Doc("Effects that were found.")] = ()

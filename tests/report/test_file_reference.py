@@ -1,0 +1,61 @@
+"""Every key of every file says what it is and in which unit, and the page says the same."""
+
+import pytest
+from small_arms import ROOT
+
+from stiffopt.report.file_reference import (
+    file_models,
+    file_schema,
+    forms,
+    reference_page,
+    sentence,
+    units,
+)
+
+# Numbers whose unit is another key's, or that belong to no dimension.
+PURE = {
+    ("ParameterSection", "value"),
+    ("ParameterSection", "sd"),
+    ("ExpectedSection", "objective"),
+    ("ExpectedValueSection", "value"),
+}
+
+
+def keys(kind):
+    """Definitions of a kind of file, and section, key and schema of every key."""
+    schema = file_schema(kind)
+    definitions = schema.get("$defs", {})
+    found = [
+        (section["title"], key, field)
+        for section in (schema, *definitions.values())
+        for key, field in section["properties"].items()
+    ]
+    assert len(found) > 10
+    return definitions, found
+
+
+@pytest.mark.parametrize("kind", file_models())
+def test_every_key_has_a_sentence(kind):
+    definitions, found = keys(kind)
+    silent = [(s, k) for s, k, f in found if k != "type" and not sentence(f, definitions)]
+    assert silent == []
+    for section in definitions.values():
+        assert section.get("description"), section["title"]
+
+
+@pytest.mark.parametrize("kind", file_models())
+def test_every_number_has_a_unit(kind):
+    _, found = keys(kind)
+    bare = [
+        (section, key)
+        for section, key, field in found
+        if (section, key) not in PURE
+        and not units(field)
+        and any(form.get("type") == "number" for form in forms(field))
+    ]
+    assert bare == []
+
+
+def test_the_page_is_the_one_that_is_generated():
+    page = (ROOT / ".github" / "files.md").read_text(encoding="utf-8")
+    assert page == reference_page(), "run: python -m stiffopt.report.file_reference"
