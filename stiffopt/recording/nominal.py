@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+
+from stiffopt.declaration import NOT_NEGATIVE, Doc, Unit, check_fields
+
+_Share = Annotated[float, Unit("ratio", bare=True), NOT_NEGATIVE]
+_Length = Annotated[float, Unit("length", bare=True), NOT_NEGATIVE]
+_Position = Annotated[float, Unit("angle", joint=True, bare=True), NOT_NEGATIVE]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,26 +80,19 @@ class Nominal:
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerance:
-    """One standard deviation of the nominal values, None where the set is silent.
+    """One standard deviation of the nominal values, None where the set is silent."""
 
-    Parameters
-    ----------
-    mass, rotor_inertia, coulomb, viscous, stiffness, torque_constant : float
-        Relative.
-    com : float
-        Of each coordinate of a centre of mass [m].
-    encoder_zero : float
-        [rad]
-    """
+    mass: Annotated[_Share | None, Doc("Of masses, relative.")] = None
+    com: Annotated[_Length | None, Doc("Of each coordinate of a centre of mass.")] = None
+    rotor_inertia: Annotated[_Share | None, Doc("Of rotor inertias, relative.")] = None
+    coulomb: Annotated[_Share | None, Doc("Of Coulomb friction, relative.")] = None
+    viscous: Annotated[_Share | None, Doc("Of viscous friction, relative.")] = None
+    stiffness: Annotated[_Share | None, Doc("Of stiffnesses, relative.")] = None
+    torque_constant: Annotated[_Share | None, Doc("Of torque constants, relative.")] = None
+    encoder_zero: Annotated[_Position | None, Doc("Of the zero of an encoder.")] = None
 
-    mass: float | None = None
-    com: float | None = None
-    rotor_inertia: float | None = None
-    coulomb: float | None = None
-    viscous: float | None = None
-    stiffness: float | None = None
-    torque_constant: float | None = None
-    encoder_zero: float | None = None
+    def __post_init__(self) -> None:
+        check_fields(self, "tolerance")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

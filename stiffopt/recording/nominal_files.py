@@ -15,14 +15,13 @@ from stiffopt.connection.reducer import Reducer
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import InputFileError, nearest
-from stiffopt.recording.nominal import Counterbalance, Noise, Nominal, Tolerance
+from stiffopt.recording.nominal import Counterbalance, Noise, Nominal
 from stiffopt.recording.schema import (
     NoiseSection,
     NominalSection,
     ReducerCurvesSection,
     SpringSection,
     TableSection,
-    ToleranceSection,
 )
 from stiffopt.robot.elements import located
 from stiffopt.robot.robot import Robot
@@ -173,11 +172,6 @@ def joint_chain(
         most, stiffness = float(torque_max), float(contacts)
         elements.append(Constant(name="contacts", torque_max=most, stiffness=stiffness))
     return Chain(tuple(Stage(element) for element in elements)) if elements else None
-
-
-def as_tolerance(section: ToleranceSection) -> Tolerance:
-    """Tolerances as the set gives them."""
-    return Tolerance(**section.model_dump())
 
 
 def as_noise(section: NoiseSection, n: int, path: Path) -> Noise:

@@ -18,7 +18,6 @@ from stiffopt.recording.nominal_files import (
     as_noise,
     as_nominal,
     as_nominal_robot,
-    as_tolerance,
     per_joint,
     unstated,
 )
@@ -162,7 +161,7 @@ def load_recordings(path: str | os.PathLike[str]) -> RecordingSet:
     order, stated = joint_order(described, document.joints), document.nominal
     robot = as_nominal_robot(described, order, stated, path)
     nominal = as_nominal(stated, document.joints, path)
-    tolerance = as_tolerance(document.tolerance)
+    tolerance = document.tolerance
     noise = as_noise(document.noise, n, path)
     signals = as_signals(document.signals, n, path)
     runs = tuple(_entry(section, n, number, path) for number, section in enumerate(document.runs))

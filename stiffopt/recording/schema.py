@@ -8,12 +8,12 @@ from pydantic import ConfigDict, Field
 
 from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Bounds, Doc, Unit
 from stiffopt.files import Section
+from stiffopt.recording.nominal import Tolerance
 
 Names = tuple[str, ...]
 Text = Annotated[str, Field(min_length=1)]
 
 Ratio = Annotated[float, Unit("ratio", bare=True)]
-Length = Annotated[float, Unit("length", bare=True)]
 Time = Annotated[float, Unit("time", bare=True)]
 Acceleration = Annotated[float, Unit("acceleration", bare=True)]
 Temperature = Annotated[float, Unit("temperature", bare=True)]
@@ -142,23 +142,6 @@ class NominalSection(Section):
     ] = ()
 
 
-class ToleranceSection(Section):
-    """One standard deviation of the nominal values."""
-
-    mass: Annotated[Ratio | None, NOT_NEGATIVE, Doc("Of masses, relative.")] = None
-    com: Annotated[Length | None, NOT_NEGATIVE, Doc("Of each coordinate of a centre of mass.")] = (
-        None
-    )
-    rotor_inertia: Annotated[Ratio | None, NOT_NEGATIVE, Doc("Relative.")] = None
-    coulomb: Annotated[Ratio | None, NOT_NEGATIVE, Doc("Relative.")] = None
-    viscous: Annotated[Ratio | None, NOT_NEGATIVE, Doc("Relative.")] = None
-    stiffness: Annotated[Ratio | None, NOT_NEGATIVE, Doc("Relative.")] = None
-    torque_constant: Annotated[Ratio | None, NOT_NEGATIVE, Doc("Relative.")] = None
-    encoder_zero: Annotated[
-        JointPosition | None, NOT_NEGATIVE, Doc("Of the zero of an encoder.")
-    ] = None
-
-
 class NoiseSection(Section):
     """One standard deviation of the sensors' noise; one number holds for all joints."""
 
@@ -224,7 +207,7 @@ class RecordingsFile(ArmSection):
     tool_frame: Annotated[str | None, Doc("Link or frame of the tool.")] = None
     signals: SignalsSection
     nominal: NominalSection = NominalSection()
-    tolerance: ToleranceSection = ToleranceSection()
+    tolerance: Tolerance = Tolerance()
     noise: NoiseSection = NoiseSection()
     runs: Annotated[tuple[RunSection, ...], Field(min_length=1), Doc("The runs.")]
 
