@@ -30,7 +30,7 @@ def assumptions(
     if document.signals.torque_side is None:
         found.append("Torque is the motor's, from current, before friction.")
     found += _of_nominal(document, described)
-    tolerances = [key for key, value in document.tolerance.model_dump().items() if value is None]
+    tolerances = [key for key, value in vars(document.tolerance).items() if value is None]
     if tolerances:
         found.append(f"Tolerances not given, wide defaults hold: {', '.join(tolerances)}.")
     if document.noise.torque is None:
