@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from stiffopt.problem.objectives import Objective
-from stiffopt.problem.trajectory import Limits, Method, Target, TrajectoryProblem
+from stiffopt.problem.limit import Limits
+from stiffopt.problem.objective import Objective
+from stiffopt.problem.trajectory import Method, Target, TrajectoryProblem
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.robot import Robot
 

@@ -24,7 +24,7 @@ from common import Row, deflection_problem, main
 from standin import standin_robot
 
 from stiffopt.exact.chain import exact_compliance, exact_windup
-from stiffopt.problem.objectives import Objective
+from stiffopt.problem.objective import Objective
 from stiffopt.problem.trajectory import Method
 from stiffopt.result.assessment import Assessment
 from stiffopt.robot.robot import Robot

@@ -8,7 +8,7 @@ import numpy as np
 from common import Row, loaded_ur10, main, numbers, ur10_problem
 
 from stiffopt.baseline.toppra_motion import toppra_baseline
-from stiffopt.problem.objectives import Objective
+from stiffopt.problem.objective import Objective
 from stiffopt.problem.trajectory import Method
 from stiffopt.result.joint_path import JointPath
 from stiffopt.solver.solve import solve

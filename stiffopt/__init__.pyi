@@ -18,8 +18,8 @@ from stiffopt.preload.problem import PreloadProblem as PreloadProblem
 from stiffopt.preload.problem import Requirements as Requirements
 from stiffopt.preload.study import preload_study as preload_study
 from stiffopt.problem.files import load_problem as load_problem
-from stiffopt.problem.objectives import Objective as Objective
-from stiffopt.problem.trajectory import Limits as Limits
+from stiffopt.problem.limit import Limits as Limits
+from stiffopt.problem.objective import Objective as Objective
 from stiffopt.problem.trajectory import Method as Method
 from stiffopt.problem.trajectory import Target as Target
 from stiffopt.problem.trajectory import TrajectoryProblem as TrajectoryProblem

@@ -7,8 +7,9 @@ import numpy as np
 from stiffopt.connection import Reducer, Shaft
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.stage import Stage
-from stiffopt.problem.objectives import Objective
-from stiffopt.problem.trajectory import Limits, Target, TrajectoryProblem
+from stiffopt.problem.limit import Limits
+from stiffopt.problem.objective import Objective
+from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
 from stiffopt.result.solution import Baseline, ObjectiveValue, Solution, SolverRecord
 from stiffopt.result.status import SolveStatus

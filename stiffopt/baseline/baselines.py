@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stiffopt.baseline.motion import Baseline as BaselineMotion
+from stiffopt.baseline.motion import BaselineMotion
 from stiffopt.baseline.quintic import quintic_baseline
 from stiffopt.baseline.toppra_motion import toppra_baseline
 from stiffopt.certificate.assess import assess
@@ -49,10 +49,8 @@ def baselines(problem: TrajectoryProblem, motion: ResolvedMotion) -> dict[str, B
 def better_baseline(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> Baseline | None:
     """The feasible baseline with the better objective; None where neither is feasible."""
     feasible = [b for b in beside.values() if b.feasible and b.objective is not None]
-    if not feasible:
-        return None
     sign = -1.0 if is_maximised(problem) else 1.0
-    return min(feasible, key=lambda b: sign * (b.objective or 0.0))
+    return min(feasible, key=lambda b: sign * (b.objective or 0.0), default=None)
 
 
 def _assessed(

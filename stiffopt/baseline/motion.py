@@ -8,7 +8,7 @@ from stiffopt.result.trajectory import Trajectory
 
 
 @dataclass(frozen=True, kw_only=True)
-class Baseline:
+class BaselineMotion:
     """A motion to compare with.
 
     Parameters

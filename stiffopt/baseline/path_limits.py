@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.problem.limits.velocity_by_position import velocity_at
 from stiffopt.result.joint_path import JointPath
 
 if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import Limits
+    from stiffopt.problem.limit import Limits
     from stiffopt.robot.robot import Robot
 
 # Largest squared path speed: toppra's solver bounds its variables by 1e8.
@@ -137,9 +138,7 @@ def _squared_speed_max(
 ) -> np.ndarray:
     velocity = np.broadcast_to(limits.velocity, q.shape)
     if limits.velocity_map is not None:
-        at, allowed = limits.velocity_map
-        mapped = [np.interp(q[:, j], at[:, j], allowed[:, j]) for j in range(q.shape[1])]
-        velocity = np.minimum(velocity, np.column_stack(mapped))
+        velocity = np.minimum(velocity, velocity_at(limits.velocity_map, q))
     with np.errstate(divide="ignore"):
         ratios = [velocity / np.abs(dq), (limits.tool_speed / tool_speed)[:, None]]
     fastest = np.min(np.hstack(ratios), axis=1)

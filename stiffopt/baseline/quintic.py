@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stiffopt.baseline.motion import Baseline
+from stiffopt.baseline.motion import BaselineMotion
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
 
@@ -18,7 +18,7 @@ def quintic_law(duration: float) -> Trajectory:
     return Trajectory.from_acceleration([0.0, t], acceleration, [0.0], [0.0])
 
 
-def quintic_baseline(path: JointPath, duration: float) -> Baseline:
+def quintic_baseline(path: JointPath, duration: float) -> BaselineMotion:
     """Motion along `path` by the quintic time law; its violations are for the assessment to find.
 
     Parameters
@@ -27,4 +27,4 @@ def quintic_baseline(path: JointPath, duration: float) -> Baseline:
     duration : float
         [s]
     """
-    return Baseline(name="quintic", motion=path.follow(quintic_law(duration)))
+    return BaselineMotion(name="quintic", motion=path.follow(quintic_law(duration)))

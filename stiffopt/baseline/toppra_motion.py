@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stiffopt.baseline.motion import Baseline
+from stiffopt.baseline.motion import BaselineMotion
 from stiffopt.baseline.path_limits import PathLimits, path_limits
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from stiffopt.problem.trajectory import Limits
+    from stiffopt.problem.limit import Limits
     from stiffopt.robot.robot import Robot
 
 _PASSES = 12
@@ -37,7 +37,7 @@ def toppra_baseline(
     duration: float | None = None,
     process_force: object = (0.0, 0.0, 0.0),
     intervals: int = 1000,
-) -> Baseline:
+) -> BaselineMotion:
     """Time-optimal rest-to-rest motion along `path`, slowed uniformly to `duration`.
 
     Limits on joint velocity (with its map over position), acceleration, drive torque and tool
@@ -60,7 +60,7 @@ def toppra_baseline(
 
     Returns
     -------
-    Baseline
+    BaselineMotion
         Without a motion, and with the reason, where the path cannot be followed within the limits
         or not within `duration`.
     """
@@ -79,18 +79,18 @@ def toppra_baseline(
     motion = path.follow(law)
     fastest = motion.duration
     if duration is None:
-        return Baseline(name="toppra", motion=motion, fastest=fastest)
+        return BaselineMotion(name="toppra", motion=motion, fastest=fastest)
     if duration < fastest:
         return _absent(
             f"The fastest motion along this path takes {fastest:.4g} s, longer than the "
             f"{duration:.4g} s asked for.",
             fastest,
         )
-    return Baseline(name="toppra", motion=motion.scaled_to(duration), fastest=fastest)
+    return BaselineMotion(name="toppra", motion=motion.scaled_to(duration), fastest=fastest)
 
 
-def _absent(reason: str, fastest: float | None = None) -> Baseline:
-    return Baseline(name="toppra", motion=None, reason=reason, fastest=fastest)
+def _absent(reason: str, fastest: float | None = None) -> BaselineMotion:
+    return BaselineMotion(name="toppra", motion=None, reason=reason, fastest=fastest)
 
 
 def _grid(knots: np.ndarray, intervals: int) -> np.ndarray:

@@ -6,16 +6,20 @@ from quadrature of the exact contact and reducer laws, friction from its unsmoot
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.certificate.rigid_body import rigid_body_history
 from stiffopt.certificate.violations import find_violations
 from stiffopt.exact.chain import exact_compliance, exact_windup
+from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.result.assessment import Assessment, LowestStiffness
+from stiffopt.result.trajectory import JointMotion
 
 if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.robot.robot import Robot
 
 POINTS = 6001
@@ -23,8 +27,8 @@ _STANDSTILL = 1e-9
 
 
 def assess(
-    problem: Any,
-    motion: Any,
+    problem: TrajectoryProblem,
+    motion: JointMotion,
     *,
     times: np.ndarray | None = None,
 ) -> Assessment:
@@ -34,8 +38,8 @@ def assess(
     ----------
     problem : TrajectoryProblem
         Robot, limits and process force.
-    motion : callable with attribute `duration`
-        motion(t, order) -> (len(t), n) for order 0 to 3.
+    motion : JointMotion
+        A `Trajectory`, or what can be called like one for orders 0 to 3.
     times : array, optional [s]
         Default: 6001 equal steps and, where the motion has them, its own break times.
 
@@ -43,7 +47,7 @@ def assess(
     -------
     Assessment
     """
-    robot: Robot = problem.robot
+    robot = problem.robot
     if times is None:
         times = fine_grid(motion)
     position, velocity, acceleration, jerk = (np.asarray(motion(times, k)) for k in range(4))
@@ -68,15 +72,6 @@ def assess(
         LowestStiffness(float(stiffness[k, j]), j + 1, float(times[k]))
         for j, k in enumerate(np.argmin(stiffness, axis=0))
     )
-    relative = torque / robot.torque_max
-    integrals: dict[str, float] = {}
-    for j in range(torque.shape[1]):
-        for name, integrand in (
-            ("torque_squared", relative[:, j] ** 2),
-            ("acceleration_squared", acceleration[:, j] ** 2),
-            ("mean_compliance", compliance[:, j] / times[-1]),
-        ):
-            integrals[f"{name}_{j + 1}"] = float(np.trapezoid(integrand, times))
     assessment = Assessment(
         time=times,
         position=position,
@@ -92,9 +87,15 @@ def assess(
         deflection=deflection,
         violations=(),
         lowest_stiffness=lowest,
-        integrals=integrals,
     )
-    return find_violations(problem, assessment)
+    integrals = {name: kind.joint_integrals(robot, assessment) for name, kind in OBJECTIVES.items()}
+    named = {
+        f"{name}_{j}": float(value)
+        for name, values in integrals.items()
+        if values is not None
+        for j, value in enumerate(values, start=1)
+    }
+    return find_violations(problem, replace(assessment, integrals=named))
 
 
 def _deflection(
@@ -115,7 +116,7 @@ def _deflection(
     return {part: np.where(np.isnan(v), np.inf, v) for part, v in vectors.items()}
 
 
-def fine_grid(motion: Any) -> np.ndarray:
+def fine_grid(motion: JointMotion) -> np.ndarray:
     """Instants at which a motion is judged: 6001 equal steps and the motion's own break times."""
     grid = np.linspace(0.0, motion.duration, POINTS)
     breaks = np.asarray(getattr(motion, "times", ()), dtype=float)

@@ -23,7 +23,7 @@ from stiffopt.preload.motion_result import MotionRound, MotionStudy, meaning
 from stiffopt.preload.optimise import optimise_preloads
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.solution import PreloadSolution
-from stiffopt.problem.objectives import DEFLECTIONS
+from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.provenance import inputs_hash
@@ -32,7 +32,7 @@ from stiffopt.result.status import SolveStatus
 from stiffopt.solver.guess import guess_along
 from stiffopt.solver.monitor import Progress
 from stiffopt.solver.solve import solve
-from stiffopt.solver.staging import SolveProgress
+from stiffopt.solver.stages import SolveProgress
 
 # Relative change of the deflection that ends a repetition.
 SETTLED = 1e-4
@@ -88,18 +88,17 @@ def deflection_objective(problem: TrajectoryProblem) -> str:
     ProblemError
         The objective is not the peak of a tool deflection alone.
     """
-    asked = [
-        f"{o.measure} {o.name}" if o.name in DEFLECTIONS else o.name for o in problem.objectives
-    ]
-    peaks = [f"peak {name}" for name in DEFLECTIONS]
-    if len(asked) == 1 and asked[0] in peaks:
-        return problem.objectives[0].name
+    first = problem.objectives[0]
+    if len(problem.objectives) == 1 and first.kind.deflection_part and first.measure == "peak":
+        return first.name
     reason = "preloads are chosen for the instant of the largest deflection"
-    if all(o.name not in DEFLECTIONS for o in problem.objectives):
+    if not any(objective.kind.deflection_part for objective in problem.objectives):
         reason = "preloads do not change it, or are best at their limits whatever the motion"
+    asked = [f"{o.shown_measure} {o.name}".strip() for o in problem.objectives]
+    deflections = [name for name, kind in OBJECTIVES.items() if kind.deflection_part]
     raise ProblemError(
         f"The motion minimises {' + '.join(asked)}, which cannot be studied together with the "
-        f"preloads: {reason}. Minimise one of {', '.join(DEFLECTIONS)} alone, with measure = "
+        f"preloads: {reason}. Minimise one of {', '.join(deflections)} alone, with measure = "
         "'peak', or leave [motion] out."
     )
 
@@ -284,6 +283,7 @@ class _Study:
         self, vector: np.ndarray, motion: Solution, preloads: PreloadSolution | None = None
     ) -> _Design:
         """A motion, certified anew with other preloads."""
+        assert motion.trajectory is not None
         problem = self._with_preloads(vector)
         assessment = assess(problem, motion.trajectory)
         value = objective_value(problem, assessment)

@@ -19,10 +19,9 @@ from stiffopt.preload.nlp import Levels, PreloadNlp
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.solution import PreloadSolution, evaluate_design
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver.ipopt import IpoptSolver, RawSolution
+from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver, RawSolution
 from stiffopt.solver.kkt import kkt_residual
 from stiffopt.solver.monitor import Progress
-from stiffopt.solver.options import IpoptOptions
 
 Report = Callable[[Progress], object]
 

@@ -9,8 +9,9 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.errors import ProblemError
+from stiffopt.problem.limit import Limits, derivative_bounds
 from stiffopt.problem.resolve import ResolvedMotion
-from stiffopt.problem.trajectory import Limits, TrajectoryProblem
+from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.joint_path import JointPath
 from stiffopt.symbolic import Quantity
 
@@ -40,12 +41,12 @@ class Coordinates(ABC):
         """Lower and upper bounds of the states."""
 
     @abstractmethod
-    def control_bound(self, margins: Mapping[str, float]) -> np.ndarray:
-        """Bound of the controls' magnitude."""
+    def control_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds of the controls."""
 
     @abstractmethod
-    def rate_bound(self, margins: Mapping[str, float]) -> np.ndarray:
-        """Bound of the magnitude of the controls' rate."""
+    def rate_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds of the controls' rate."""
 
     @abstractmethod
     def boundary_states(self, motion: ResolvedMotion) -> tuple[np.ndarray, np.ndarray]:
@@ -80,21 +81,17 @@ class JointCoordinates(Coordinates):
         return x[: self.size], x[self.size :], u
 
     def state_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-        """Position and velocity limits; a margin narrows the range of the position."""
-        limits = self.limits
-        span = limits.position_upper - limits.position_lower
-        inset = margins.get("position", 0.0) * np.where(np.isfinite(span), span, 0.0)
-        speed = limits.velocity * (1.0 - margins.get("velocity", 0.0))
-        lower = np.concatenate([limits.position_lower + inset, -speed])
-        return lower, np.concatenate([limits.position_upper - inset, speed])
+        """Limits on position and velocity."""
+        (low, high), (back, forth) = (derivative_bounds(self.limits, k, margins) for k in (0, 1))
+        return np.concatenate([low, back]), np.concatenate([high, forth])
 
-    def control_bound(self, margins: Mapping[str, float]) -> np.ndarray:
-        """Acceleration limits."""
-        return self.limits.acceleration * (1.0 - margins.get("acceleration", 0.0))
+    def control_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Limits on acceleration."""
+        return derivative_bounds(self.limits, 2, margins)
 
-    def rate_bound(self, margins: Mapping[str, float]) -> np.ndarray:
-        """Jerk limits."""
-        return self.limits.jerk * (1.0 - margins.get("jerk", 0.0))
+    def rate_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Limits on jerk."""
+        return derivative_bounds(self.limits, 3, margins)
 
     def boundary_states(self, motion: ResolvedMotion) -> tuple[np.ndarray, np.ndarray]:
         """Resolved poses with the boundary velocities."""
@@ -110,12 +107,6 @@ class PathCoordinates(Coordinates):
         assert problem.path is not None
         self.problem = problem
         self.limits = problem.active_limits
-        if np.any(np.isfinite(self.limits.jerk)):
-            raise ProblemError(
-                "Jerk limits cannot be kept on a fixed path: the path coordinate has a limited "
-                "acceleration only. Leave limits.jerk out (set it to inf), or give poses instead "
-                "of motion.path."
-            )
         if problem.boundary_velocity is not None:
             raise ProblemError(
                 "A motion on a fixed path starts and ends at rest; remove motion.boundary_velocity."
@@ -156,13 +147,13 @@ class PathCoordinates(Coordinates):
         """The whole path, never backwards."""
         return np.array([0.0, 0.0]), np.array([1.0, np.inf])
 
-    def control_bound(self, margins: Mapping[str, float]) -> np.ndarray:
+    def control_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         """None: joint limits are path rows."""
-        return np.array([np.inf])
+        return np.array([-np.inf]), np.array([np.inf])
 
-    def rate_bound(self, margins: Mapping[str, float]) -> np.ndarray:
+    def rate_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         """None."""
-        return np.array([np.inf])
+        return np.array([-np.inf]), np.array([np.inf])
 
     def boundary_states(self, motion: ResolvedMotion) -> tuple[np.ndarray, np.ndarray]:
         """Rest at both ends of the path."""

@@ -6,12 +6,14 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import check_header, load_toml, validate
-from stiffopt.problem.objectives import Objective
+from stiffopt.problem.limit import LIMITS, Limits
+from stiffopt.problem.objective import Objective
 from stiffopt.problem.schema import (
     ExpectedSection,
     LimitsSection,
@@ -19,10 +21,9 @@ from stiffopt.problem.schema import (
     ProblemFile,
     TargetSection,
     ToolSection,
+    problem_file,
 )
-from stiffopt.problem.speed_map import read_speed_map
 from stiffopt.problem.trajectory import (
-    Limits,
     Method,
     Target,
     TrajectoryProblem,
@@ -32,9 +33,6 @@ from stiffopt.robot.elements import located
 from stiffopt.robot.files import load_robot, shipped_robots
 from stiffopt.robot.robot import Robot
 from stiffopt.units import convert, fit_joint
-
-# Beyond this a number is a slip, and it would spoil the scales of the optimisation.
-_LARGEST_LIMIT = 1e9
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,7 @@ def load_problem(path: str | os.PathLike[str]) -> LoadedProblem:
     path = Path(path)
     data = load_toml(path)
     check_header(data, path, "trajectory")
-    document = validate(ProblemFile, data, path)
+    document = validate(problem_file(), data, path)
     with located(path, ""):
         problem = _build(document, path)
     if document.expected is not None and len(problem.objectives) == 1:
@@ -125,7 +123,7 @@ def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
             )
             for term in document.minimise
         ),
-        limits=_limits(document.limits, robot, joints, path),
+        limits=_limits(document.limits, joints),
         boundary_velocity=velocity,
         boundary_acceleration=motion.boundary_acceleration,
         process_force=np.array(document.tool.process_force),
@@ -205,56 +203,8 @@ def _target(section: TargetSection, joints: JointLists, where: str) -> Target:
         )
 
 
-def _limits(section: LimitsSection, robot: Robot, joints: JointLists, path: Path) -> Limits:
-    own = Limits.of(robot)
-    values: dict[str, np.ndarray] = {}
-    for name, dimension in (
-        ("velocity", "angular velocity"),
-        ("acceleration", "angular acceleration"),
-        ("jerk", "angular jerk"),
-        ("torque", "torque"),
-    ):
-        given = getattr(section, name)
-        if given is None:
-            array = getattr(own, name)
-        elif given == "none":
-            array = np.full(len(robot.joint_names), np.inf)
-        else:
-            array = joints(given, dimension, f"limits.{name}")
-            if np.any(array <= 0) or np.any(array > _LARGEST_LIMIT):
-                raise InputFileError(
-                    path,
-                    f"limits.{name}",
-                    f"every limit must be greater than zero and at most {_LARGEST_LIMIT:g}; "
-                    f'got {array.tolist()}. Write "none" where there is no limit.',
-                )
-        values[name] = array * getattr(section.scale, name)
-    for name in ("position_lower", "position_upper"):
-        given = getattr(section, name)
-        values[name] = (
-            getattr(own, name) if given is None else joints(given, "angle", f"limits.{name}")
-        )
-    for j in np.flatnonzero(values["position_lower"] >= values["position_upper"]):
-        raise InputFileError(
-            path,
-            "limits",
-            f"joint {j + 1} has position_lower = {values['position_lower'][j]:g} and "
-            f"position_upper = {values['position_upper'][j]:g}; lower must be below upper.",
-        )
-    for joint in section.joint_stiffness:
-        joints.check_number(joint, "limits.joint_stiffness")
-    speed_map = section.velocity_by_position
-    return Limits(
-        **values,
-        velocity_map=None
-        if speed_map is None
-        else read_speed_map(path.parent / speed_map, len(robot.joint_names)),
-        tool_speed=np.inf if section.tool_speed is None else section.tool_speed,
-        dynamic_deflection=_or_inf(section.dynamic_deflection),
-        total_deflection=_or_inf(section.total_deflection),
-        joint_stiffness=dict(section.joint_stiffness),
-    )
-
-
-def _or_inf(value: float | None) -> float:
-    return np.inf if value is None else value
+def _limits(section: LimitsSection, joints: JointLists) -> Limits:
+    values: dict[str, Any] = {}
+    for kind in LIMITS.values():
+        values |= kind.read(section, joints)
+    return Limits(values)

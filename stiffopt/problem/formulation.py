@@ -7,22 +7,22 @@ the smoothing widths of the stiffness model.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from stiffopt.problem.bounds import torque_sides
 from stiffopt.problem.coordinates import Coordinates, coordinates_of
-from stiffopt.problem.limit_rows import limit_rows
-from stiffopt.problem.objective_terms import Terms, objective_terms
 from stiffopt.problem.resolve import ResolvedMotion
+from stiffopt.problem.rest import torque_sides
 from stiffopt.problem.stage_model import StageModel
+from stiffopt.problem.stage_terms import IntegralRow, ObjectiveTerms, PathRows, StaticVariable
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.problem.waypoints import boundary_waypoint, via_waypoint
-from stiffopt.transcription.ocp import OptimalControlProblem
+from stiffopt.symbolic import Quantity
+from stiffopt.transcription.ocp import OptimalControlProblem, Rows
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,7 @@ def formulate(
     x, u = ca.SX.sym("x", 2 * coordinates.size), ca.SX.sym("u", coordinates.size)
     p = ca.SX.sym("smoothing")
     position, velocity, acceleration = coordinates.joint_motion(x, u)
+    sides = torque_sides(problem, motion)
     model = StageModel(
         problem.robot,
         position,
@@ -72,14 +73,12 @@ def formulate(
         acceleration,
         problem.process_force,
         smoothing=p,
-        sides=torque_sides(problem, motion),
+        sides=sides,
     )
-    terms = objective_terms(problem, model, scales)
-    rows = limit_rows(problem, model, coordinates, margins)
-    blocks = [*rows, *terms.path_rows]
-    path = ca.vertcat(*(expression for _, expression in blocks)) if blocks else ca.SX(0, 1)
-    integrands = ca.vertcat(*terms.integrands) if terms.integrands else ca.SX(0, 1)
-    stage = ca.Function("stage", [x, u, terms.statics, p], [integrands, path])
+    goal = _WeightedSum(problem, model, scales)
+    blocks = [*_limit_rows(problem, model, coordinates, margins), *goal.path_rows]
+    path = _stacked([row for block in blocks for row in block.expressions])
+    stage = ca.Function("stage", [x, u, goal.statics, p], [_stacked(goal.integrands), path])
     dynamics = ca.Function("dynamics", [x, u, p], [ca.vertcat(x[coordinates.size :], u)])
     return OptimalControlProblem(
         name=problem.title or "trajectory",
@@ -87,22 +86,115 @@ def formulate(
         controls=coordinates.control_names,
         dynamics=dynamics,
         stage=stage,
-        objective=_objective(terms, 2 * coordinates.size, p),
+        objective=goal.function(2 * coordinates.size, p),
         duration=problem.duration,
-        statics=terms.names,
-        path_rows=tuple(block for block, _ in blocks),
-        integral_function=_integral_function(terms, p),
-        integral_rows=terms.integral_rows,
+        statics=tuple(variable.name for variable in goal.variables),
+        path_rows=tuple(
+            Rows.make(block.name, block.labels, block.lower, block.upper, midpoints=True)
+            for block in blocks
+        ),
+        integral_function=goal.integral_function(p),
+        integral_rows=tuple(
+            Rows.make(row.name, [row.label], -np.inf, 0.0) for _, row in goal.integral_rows
+        ),
         start=None if motion.start_fixed else boundary_waypoint(problem, problem.start, "start"),
         end=None if motion.end_fixed else boundary_waypoint(problem, problem.end, "end"),
         vias=tuple(via_waypoint(problem, via, k) for k, via in enumerate(problem.vias, start=1)),
-        static_lower=terms.lower,
-        static_upper=terms.upper,
-        static_scale=terms.scale,
+        static_lower=np.zeros(len(goal.variables)),
+        static_upper=np.full(len(goal.variables), np.inf),
+        static_scale=np.array(goal.static_scales),
         second_order=tuple((i, coordinates.size + i, i) for i in range(coordinates.size)),
         parameters=np.ones(1),
         **_bounds(problem, motion, coordinates, margins),
     )
+
+
+def static_variables(
+    problem: TrajectoryProblem, motion: ResolvedMotion
+) -> tuple[StaticVariable, ...]:
+    """Static variables of all objectives, in the order of the optimal-control problem."""
+    sides = torque_sides(problem, motion)
+    return tuple(
+        variable
+        for objective in problem.objectives
+        for variable in objective.kind.static_variables(objective, problem, sides)
+    )
+
+
+def smoothing_stages(problem: TrajectoryProblem) -> tuple[float, ...]:
+    """Factors on the smoothing widths, wide to narrow: those of what needs most of them."""
+    asked = [objective.kind.smoothing for objective in problem.objectives]
+    asked += [kind.smoothing for kind in problem.active_limits.kinds]
+    return max(asked, key=len)
+
+
+def _limit_rows(
+    problem: TrajectoryProblem,
+    model: StageModel,
+    coordinates: Coordinates,
+    margins: Mapping[str, float],
+) -> list[PathRows]:
+    """Rows of the limits that are not bounds of states and controls, those of joints first."""
+    blocks = [
+        rows
+        for kind in problem.active_limits.kinds
+        if kind.order is None or not coordinates.bounds_joints
+        for rows in kind.rows(problem, model, margins.get(kind.name, 0.0))
+    ]
+    # The linear solver's pivots, and so which of two near optima is found, follow the order.
+    return sorted(blocks, key=lambda rows: rows.labels[0] == "tool")
+
+
+def _stacked(entries: Sequence[Quantity]) -> Quantity:
+    return ca.vertcat(ca.SX(0, 1), *entries)
+
+
+class _WeightedSum:
+    """All objectives of a problem in pieces, scaled so that the first is about one."""
+
+    def __init__(self, problem: TrajectoryProblem, model: StageModel, scales: Scales) -> None:
+        self.variables: list[StaticVariable] = []
+        self.static_scales: list[float] = []
+        self.integrands: list[Quantity] = []
+        self.path_rows: list[PathRows] = []
+        # With the number of the first integral of the objective that the row belongs to.
+        self.integral_rows: list[tuple[int, IntegralRow]] = []
+        self._values: list[tuple[float, int, ObjectiveTerms]] = []
+        symbols: list[Quantity] = []
+        first = problem.objectives[0]
+        unit = 1.0 / (first.weight * scales.of(first.name))
+        for objective in problem.objectives:
+            scale = scales.of(objective.name)
+            variables = objective.kind.static_variables(objective, problem, model.sides)
+            statics = tuple(ca.SX.sym(variable.name) for variable in variables)
+            terms = objective.kind.terms(objective, problem, model, statics, scale)
+            start = len(self.integrands)
+            sign = -1.0 if objective.maximised else 1.0
+            self._values.append((sign * objective.weight * unit, start, terms))
+            self.variables += variables
+            self.static_scales += [scale if v.scale is None else v.scale for v in variables]
+            self.integrands += terms.integrands
+            self.path_rows += terms.path_rows
+            self.integral_rows += [(start, row) for row in terms.integral_rows]
+            symbols += statics
+        self.statics = _stacked(symbols)
+
+    def function(self, states: int, p: ca.SX) -> ca.Function:
+        """The weighted sum, of integrals, duration, statics, first and last state."""
+        integral, duration = ca.SX.sym("integral", len(self.integrands)), ca.SX.sym("duration")
+        x0, xf = ca.SX.sym("x0", states), ca.SX.sym("xf", states)
+        value: Quantity = 0.0
+        for weight, start, terms in self._values:
+            value = value + weight * terms.value(integral[start:], duration)
+        return ca.Function("objective", [integral, duration, self.statics, x0, xf, p], [value])
+
+    def integral_function(self, p: ca.SX) -> ca.Function | None:
+        """The integral rows, stacked; None where there are none."""
+        if not self.integral_rows:
+            return None
+        integral, duration = ca.SX.sym("integral", len(self.integrands)), ca.SX.sym("duration")
+        rows = [row.expression(integral[start:], duration) for start, row in self.integral_rows]
+        return ca.Function("integral_rows", [integral, duration, self.statics, p], [_stacked(rows)])
 
 
 def _bounds(
@@ -113,17 +205,18 @@ def _bounds(
 ) -> dict[str, Any]:
     """Bounds and scales of states and controls."""
     lower, upper = coordinates.state_bounds(margins)
-    control = coordinates.control_bound(margins)
-    rate = coordinates.rate_bound(margins)
+    control = coordinates.control_bounds(margins)
+    rate = coordinates.rate_bounds(margins)
+    limited = bool(np.any(np.isfinite(rate)))
     start, end = coordinates.boundary_states(motion)
     free = (slice(0, coordinates.size),)
     bounds: dict[str, Any] = {
         "state_lower": lower,
         "state_upper": upper,
-        "control_lower": -control,
-        "control_upper": control,
-        "control_rate_lower": None if np.all(np.isinf(rate)) else -rate,
-        "control_rate_upper": None if np.all(np.isinf(rate)) else rate,
+        "control_lower": control[0],
+        "control_upper": control[1],
+        "control_rate_lower": rate[0] if limited else None,
+        "control_rate_upper": rate[1] if limited else None,
         "state_scale": coordinates.state_scale,
         "control_scale": coordinates.control_scale,
     }
@@ -138,20 +231,3 @@ def _bounds(
         rest = np.zeros(coordinates.size) if problem.boundary_acceleration == "zero" else None
         bounds[f"{side}_control_lower"] = bounds[f"{side}_control_upper"] = rest
     return bounds
-
-
-def _objective(terms: Terms, states: int, p: ca.SX) -> ca.Function:
-    integral = ca.SX.sym("integral", len(terms.integrands))
-    duration = ca.SX.sym("duration")
-    x0, xf = ca.SX.sym("x0", states), ca.SX.sym("xf", states)
-    value = terms.value(integral, duration)
-    return ca.Function("objective", [integral, duration, terms.statics, x0, xf, p], [value])
-
-
-def _integral_function(terms: Terms, p: ca.SX) -> ca.Function | None:
-    if not terms.integral_rows:
-        return None
-    integral = ca.SX.sym("integral", len(terms.integrands))
-    duration = ca.SX.sym("duration")
-    rows = terms.integral_expressions(integral, duration)
-    return ca.Function("integral_rows", [integral, duration, terms.statics, p], [rows])

@@ -13,6 +13,7 @@ import numpy as np
 
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
+from stiffopt.problem.rest import gravity_torque
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.robot.rotations import rotation_between, rotation_from_rpy, rpy_from_rotation
 
@@ -78,20 +79,6 @@ def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
         if via.joints is not None:
             _check_range(problem, f"motion.via[{number}]", angles)
     return motion
-
-
-def gravity_torque(problem: TrajectoryProblem, angles: np.ndarray) -> np.ndarray:
-    """Torque (n,) [N m] that holds a pose at rest, with the process force."""
-    torque = problem.robot.rigid_bodies().gravity_torque(angles)
-    if np.any(problem.process_force):
-        return np.asarray(torque - tool_jacobian(problem, angles).T @ problem.process_force)
-    return torque
-
-
-def tool_jacobian(problem: TrajectoryProblem, angles: np.ndarray) -> np.ndarray:
-    """Position Jacobian (3, n) of the tool in base axes."""
-    robot = problem.robot
-    return np.asarray(robot.rigid_bodies().jacobian(robot.tool, angles)[:3])
 
 
 def _is_fixed(target: Target) -> bool:

@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import functools
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, create_model, model_validator
 
 from stiffopt.declaration import (
     Angle,
     Force,
     Inertia,
-    JointAcceleration,
-    JointJerk,
     JointPosition,
-    JointStiffness,
-    JointTorque,
     JointVelocity,
     Length,
     Mass,
-    Speed,
     Time,
 )
 from stiffopt.files import Section
+from stiffopt.problem.limit import LIMITS, LimitKey
+from stiffopt.problem.objective import OBJECTIVES
 
 Vector3 = tuple[Length, Length, Length]
-Unlimited = Literal["none"]
 Positive = Annotated[float, Field(gt=0, le=1e15)]
 
 
@@ -104,16 +101,7 @@ class MotionSection(Section):
 class MinimiseSection(Section):
     """[[minimise]] (required): one term of the objective."""
 
-    objective: Literal[
-        "dynamic_deflection",
-        "total_deflection",
-        "process_deflection",
-        "joint_stiffness",
-        "mean_compliance",
-        "duration",
-        "torque_squared",
-        "acceleration_squared",
-    ]
+    objective: str
     measure: Literal["peak", "rms"] = "peak"
     weight: Positive = 1.0
     joints: tuple[Annotated[int, Field(ge=1)], ...] = ()
@@ -121,30 +109,8 @@ class MinimiseSection(Section):
     accept_bound: bool = False
 
 
-class ScaleSection(Section):
-    """limits.scale: factors on the robot's own limits."""
-
-    velocity: Positive = 1.0
-    acceleration: Positive = 1.0
-    jerk: Positive = 1.0
-    torque: Positive = 1.0
-
-
 class LimitsSection(Section):
     """[limits]: the robot's own where a key is left out; "none" removes a limit."""
-
-    position_lower: list[JointPosition] | None = None
-    position_upper: list[JointPosition] | None = None
-    velocity: list[JointVelocity] | Unlimited | None = None
-    acceleration: list[JointAcceleration] | Unlimited | None = None
-    jerk: list[JointJerk] | Unlimited | None = None
-    torque: list[JointTorque] | Unlimited | None = None
-    scale: ScaleSection = ScaleSection()
-    velocity_by_position: str | None = None
-    tool_speed: Annotated[Speed, Field(gt=0)] | None = None
-    dynamic_deflection: Annotated[Length, Field(gt=0)] | None = None
-    total_deflection: Annotated[Length, Field(gt=0)] | None = None
-    joint_stiffness: dict[int, Annotated[JointStiffness, Field(gt=0)]] = Field(default_factory=dict)
 
 
 class MethodSection(Section):
@@ -184,3 +150,51 @@ class ProblemFile(Section):
     limits: LimitsSection = LimitsSection()
     method: MethodSection = MethodSection()
     expected: ExpectedSection | None = None
+
+
+def problem_file() -> type[ProblemFile]:
+    """`ProblemFile` with the objectives and the limits that are registered now."""
+    keys = tuple(key for kind in LIMITS.values() for key in kind.keys)
+    return _problem_file(tuple(OBJECTIVES), keys)
+
+
+@functools.cache
+def _problem_file(objectives: tuple[str, ...], keys: tuple[LimitKey, ...]) -> type[ProblemFile]:
+    names: Any = Literal[objectives]
+    kinds = (f"{name}: {OBJECTIVES[name].description}" for name in objectives)
+    objective = Field(description="What is minimised. " + " ".join(kinds))
+    minimise: Any = create_model(
+        "MinimiseSection",
+        __base__=MinimiseSection,
+        __doc__=MinimiseSection.__doc__,
+        objective=(names, objective),
+    )
+    factors: dict[str, Any] = {
+        key.key: (Positive, Field(1.0, description=f"Factor on {key.key} [-]."))
+        for key in keys
+        if key.scaled
+    }
+    scale = create_model(
+        "ScaleSection",
+        __base__=Section,
+        __doc__="limits.scale: factors on the robot's own limits.",
+        **factors,
+    )
+    fields: dict[str, Any] = {
+        key.key: (key.form, Field(None, description=key.description)) for key in keys
+    }
+    limits = create_model(
+        "LimitsSection",
+        __base__=LimitsSection,
+        __doc__=LimitsSection.__doc__,
+        scale=(scale, scale()),
+        **fields,
+    )
+    terms: Any = Annotated[list[minimise], Field(min_length=1)]
+    return create_model(
+        "ProblemFile",
+        __base__=ProblemFile,
+        __doc__=ProblemFile.__doc__,
+        minimise=(terms, ...),
+        limits=(limits, limits()),
+    )

@@ -5,7 +5,6 @@ Rotor inertia and friction load the drive, not the spring.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -23,7 +22,6 @@ from stiffopt.dynamics.friction import drive_torque, smoothing_width
 from stiffopt.dynamics.kinematics import point_jacobian
 from stiffopt.errors import ProblemError
 from stiffopt.symbolic import Quantity
-from stiffopt.transcription.ocp import Rows
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
@@ -144,23 +142,6 @@ class StageModel:
                 "Describe its elements in the robot file, or leave the joint out."
             )
         return chain.tangent_compliance(self.torques.spring[joint - 1], smoothing=self.smoothing)
-
-    def one_sided(self, joints: Sequence[int], relief: Quantity) -> tuple[Rows, Quantity]:
-        """Rows that keep the spring torque of `joints` (1-based) on the side of their rest torque.
-
-        A joint whose torque changes sign has its stiffness at zero torque as the minimum. A motion
-        with a higher one stays on one side; without these rows it could change over between nodes.
-        `relief` [-] is the share of the largest torque that may act on the other side: a motion
-        too quick to stay on one needs some.
-        """
-        kept = [j for j in joints if self.sides[j - 1] != 0]
-        expressions = [
-            self.sides[j - 1] * self.torques.spring[j - 1] / self.robot.torque_max[j - 1] + relief
-            for j in kept
-        ]
-        labels = [f"joint {j}" for j in kept]
-        rows = Rows.make("torque on one side", labels, 0.0, np.inf, midpoints=True)
-        return rows, ca.vertcat(*expressions)
 
     @cached_property
     def deflection(self) -> Deflection:

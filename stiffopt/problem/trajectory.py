@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.errors import ProblemError
-from stiffopt.problem.objectives import Objective
+from stiffopt.problem.limit import Limits
+from stiffopt.problem.objective import Objective
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
@@ -85,49 +85,6 @@ def check_duration(duration: tuple[float, float]) -> None:
         raise ProblemError(
             f"a duration from lower = {lower:g} s to upper = {upper:g} s cannot be used; allowed: "
             f"{shortest:g} <= lower <= upper <= {longest:g} s, or no upper bound."
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Limits:
-    """Limits of the motion; arrays (n,), inf where there is none.
-
-    Parameters
-    ----------
-    position_lower, position_upper : array (n,) [rad]
-    velocity, acceleration, jerk, torque : array (n,) [rad/s, rad/s^2, rad/s^3, N m]
-        Magnitudes; torque is that of the drive.
-    velocity_map : (positions (k, n), limits (k, n)) or None
-        Velocity limit of each joint as a function of that joint's own position [rad, rad/s].
-    tool_speed : float [m/s]
-    dynamic_deflection, total_deflection : float [m]
-        Peak of the tool's deflection over the motion.
-    joint_stiffness : mapping joint number -> float [N m/rad]
-        Lowest tangent stiffness allowed; joints are numbered from 1.
-    """
-
-    position_lower: np.ndarray
-    position_upper: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    jerk: np.ndarray
-    torque: np.ndarray
-    velocity_map: tuple[np.ndarray, np.ndarray] | None = None
-    tool_speed: float = np.inf
-    dynamic_deflection: float = np.inf
-    total_deflection: float = np.inf
-    joint_stiffness: Mapping[int, float] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, robot: Robot) -> Limits:
-        """The robot's own limits."""
-        return cls(
-            position_lower=robot.position_lower,
-            position_upper=robot.position_upper,
-            velocity=robot.velocity_max,
-            acceleration=robot.acceleration_max,
-            jerk=robot.jerk_max,
-            torque=robot.torque_max,
         )
 
 
@@ -232,16 +189,7 @@ class TrajectoryProblem:
                 raise ProblemError(
                     f"{objective.name} names joint {joint}; allowed: 1 to {self.joints}."
                 )
-        if objective.name == "process_deflection" and not np.any(self.process_force):
-            raise ProblemError(
-                "process_deflection is the deflection that a force on the tool causes, and there "
-                "is none. Give tool.process_force, or minimise 'dynamic_deflection'."
-            )
-        if objective.name == "duration" and self.duration[0] == self.duration[1]:
-            raise ProblemError(
-                f"The duration is fixed at {self.duration[0]:g} s, so it cannot be minimised. Give "
-                "motion.duration as { lower, upper }, or minimise something else."
-            )
+        objective.kind.check(objective, self)
 
     @property
     def active_limits(self) -> Limits:

@@ -11,7 +11,7 @@ from typing import Any
 from stiffopt.discovery.extended.schema import ExtendedFile
 from stiffopt.files import Section
 from stiffopt.preload.schema import PreloadFile
-from stiffopt.problem.schema import ProblemFile
+from stiffopt.problem.schema import problem_file
 from stiffopt.recording.schema import RecordingsFile, StaticFile
 from stiffopt.robot.schema import robot_file
 
@@ -39,7 +39,7 @@ _TITLES = {
 def file_models() -> dict[str, type[Section]]:
     """Schema of each kind of file, as a pydantic model."""
     return {
-        "trajectory": ProblemFile,
+        "trajectory": problem_file(),
         "preload": PreloadFile,
         "robot": robot_file(),
         "recordings": RecordingsFile,

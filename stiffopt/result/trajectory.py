@@ -6,6 +6,7 @@ A trajectory is called like toppra's: `trajectory(t, order)`; both plot with the
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -13,6 +14,17 @@ from stiffopt.errors import OutOfValidityError, ProblemError
 
 # Rounding of a time computed elsewhere; not a licence to extrapolate.
 _TIME_SLACK = 1e-9
+
+
+class JointMotion(Protocol):
+    """A motion of n joints that can be sampled, `motion(times, order)` like a `Trajectory`."""
+
+    @property
+    def duration(self) -> float:
+        """Time from start to end [s]."""
+
+    def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
+        """Position (order 0) or its derivative at the times (K,), shape (K, n)."""
 
 
 @dataclass(frozen=True, eq=False)

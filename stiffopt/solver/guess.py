@@ -6,9 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from stiffopt.certificate.objective_value import term_value
-from stiffopt.problem.bounds import torque_sides
-from stiffopt.problem.objectives import DEFLECTIONS
+from stiffopt.problem.formulation import static_variables
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
@@ -67,19 +65,8 @@ def _path_guess(source: Assessment, statics: np.ndarray) -> Guess:
 
 
 def _statics(problem: TrajectoryProblem, motion: ResolvedMotion, source: Assessment) -> np.ndarray:
-    """Bounds of peaks, root mean squares and stiffness: those of the motion."""
-    sides = torque_sides(problem, motion)
-    values: list[float] = []
-    for objective in problem.objectives:
-        if objective.name in DEFLECTIONS or objective.name == "joint_stiffness":
-            values.append(term_value(objective, source, problem.joints))
-        if objective.name == "joint_stiffness":
-            numbers = objective.joints or range(1, problem.joints + 1)
-            kept = [j - 1 for j in numbers if sides[j - 1] != 0]
-            if kept:
-                turned = -sides[kept] * source.spring_torque[:, kept]
-                share = turned / problem.robot.torque_max[kept]
-                values.append(float(max(np.max(share), 0.0)))
+    """Static variables as they are on the motion."""
+    values = [variable.start(source) for variable in static_variables(problem, motion)]
     # A baseline far too fast makes connections slip: any finite bound will do then.
     return np.asarray(np.nan_to_num(np.array(values), nan=1e-3, posinf=1e-3))
 

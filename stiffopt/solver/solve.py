@@ -8,7 +8,7 @@ the optimiser believed of its motion is compared with the exact model before it 
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,12 +17,11 @@ from stiffopt.certificate.objective_value import (
     improvement,
     is_maximised,
     objective_value,
-    term_value,
 )
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.errors import NoSolutionFound
 from stiffopt.problem.bounds import check_bounds, shortest_duration
-from stiffopt.problem.formulation import Scales
+from stiffopt.problem.formulation import Scales, smoothing_stages
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
@@ -30,14 +29,21 @@ from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.guess import initial_guess
-from stiffopt.solver.stages import Stage, smoothing_widths, stages
-from stiffopt.solver.staging import Outcome, ProgressCallback, Run, run_stages
+from stiffopt.solver.stages import (
+    Outcome,
+    ProgressCallback,
+    SolveRun,
+    SolveStage,
+    run_stages,
+    stages,
+)
 from stiffopt.solver.verdict import TRUE_OBJECTIVE, verdict
 from stiffopt.transcription.ocp import Guess
 from stiffopt.transcription.refine import refine_mesh
 
-# Motions are tightened until the excess is below this, so that 0.5 % is never only just met.
-_AIM = 4e-3
+# Motions are tightened until the excess is below this, so that the certificate's tolerance is never
+# only just met.
+_AIM = 0.8 * CERTIFIED
 _REFINEMENTS = 3
 _GROWTH = 1.25
 
@@ -75,7 +81,7 @@ def solve(
     motion = resolve(problem)
     notes = check_bounds(problem, motion)
     beside = baselines(problem, motion)
-    run = Run(problem, motion, _scales(problem, beside), progress)
+    run = SolveRun(problem, motion, _scales(problem, beside), progress)
     needed, why = shortest_duration(problem, motion)
     if problem.duration[1] < needed:
         solution = _hopeless(run, beside, notes, why)
@@ -92,13 +98,11 @@ def _scales(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> Scales:
     for baseline in beside.values():
         if baseline.assessment is not None:
             motion = baseline.assessment
-            return Scales(
-                {o.name: term_value(o, motion, problem.joints) for o in problem.objectives}
-            )
+            return Scales({o.name: o.kind.certified_value(o, motion) for o in problem.objectives})
     return Scales()
 
 
-def _best_of_starts(run: Run, guess: Guess) -> Outcome:
+def _best_of_starts(run: SolveRun, guess: Guess) -> Outcome:
     """The best certified outcome of the problem's number of starts."""
     problem = run.problem
     random = np.random.default_rng(problem.method.seed)
@@ -118,12 +122,12 @@ def _rank(problem: TrajectoryProblem, outcome: Outcome) -> tuple[bool, float]:
     return not feasible, -value if is_maximised(problem) else value
 
 
-def _certified_solve(run: Run, guess: Guess) -> Outcome:
+def _certified_solve(run: SolveRun, guess: Guess) -> Outcome:
     """Solve in stages; while the certificate finds excess, refine the mesh, then tighten limits."""
     margins: dict[str, float] = {}
     method = run.problem.method
     outcome = run_stages(run, stages(run.problem, method.intervals), guess, margins)
-    final = smoothing_widths(run.problem)[-1]
+    final = smoothing_stages(run.problem)[-1]
     for attempt in range(1, _REFINEMENTS + 1):
         excess = _excess(outcome.assessment)
         if not outcome.raw.converged or not (excess or outcome.objective_gap > TRUE_OBJECTIVE):
@@ -132,14 +136,16 @@ def _certified_solve(run: Run, guess: Guess) -> Outcome:
             for name, value in excess.items():
                 margins[name] = margins.get(name, 0.0) + value
         intervals = int(np.ceil(method.intervals * _GROWTH**attempt))
-        refined = _refined(run, outcome, Stage(intervals, final), margins)
+        refined = _refined(run, outcome, SolveStage(intervals, final), margins)
         if not refined.raw.converged and refined.raw.status not in ("interrupted", "time_limit"):
             break
         outcome = refined
     return outcome
 
 
-def _refined(run: Run, outcome: Outcome, stage: Stage, margins: dict[str, float]) -> Outcome:
+def _refined(
+    run: SolveRun, outcome: Outcome, stage: SolveStage, margins: dict[str, float]
+) -> Outcome:
     """Solve again from an outcome, with short intervals where its controls change."""
     mesh = refine_mesh(outcome.transcription, outcome.raw.x, stage.intervals)
     guess = outcome.transcription.guess_from(outcome.raw.x)
@@ -158,29 +164,22 @@ def _excess(assessment: Assessment) -> dict[str, float]:
 
 def _perturbed(guess: Guess, problem: TrajectoryProblem, random: np.random.Generator) -> Guess:
     """The guess with a smooth random detour that vanishes at both ends."""
-    states: Any = guess.states
     n = problem.joints if problem.path is None else 1
     amplitude = random.normal(scale=0.2 if problem.path is None else 0.0, size=n)
 
     def moved(s: np.ndarray) -> np.ndarray:
-        values = np.array(states(s))
+        values = np.array(guess.states(s))
         bump = 16.0 * (np.asarray(s) * (1.0 - np.asarray(s))) ** 2
         slope = 32.0 * np.asarray(s) * (1.0 - np.asarray(s)) * (1.0 - 2.0 * np.asarray(s))
         values[:, :n] += bump[:, None] * amplitude
         values[:, n:] += slope[:, None] * amplitude / guess.duration
         return values
 
-    return Guess(
-        states=moved,
-        controls=guess.controls,
-        duration=guess.duration,
-        statics=guess.statics,
-        phase_fractions=guess.phase_fractions,
-    )
+    return replace(guess, states=moved)
 
 
 def _conclude(
-    run: Run, outcome: Outcome, beside: dict[str, Baseline], notes: tuple[str, ...]
+    run: SolveRun, outcome: Outcome, beside: dict[str, Baseline], notes: tuple[str, ...]
 ) -> Solution:
     problem, assessment = run.problem, outcome.assessment
     end = verdict(problem, outcome, beside)
@@ -208,7 +207,9 @@ def _conclude(
     )
 
 
-def _hopeless(run: Run, beside: dict[str, Baseline], notes: tuple[str, ...], why: str) -> Solution:
+def _hopeless(
+    run: SolveRun, beside: dict[str, Baseline], notes: tuple[str, ...], why: str
+) -> Solution:
     """No solve where the kinematics of one joint already rule every motion out."""
     return Solution(
         status=SolveStatus.INFEASIBLE,
@@ -225,7 +226,7 @@ def _hopeless(run: Run, beside: dict[str, Baseline], notes: tuple[str, ...], why
     )
 
 
-def _record(run: Run, intervals: int) -> SolverRecord:
+def _record(run: SolveRun, intervals: int) -> SolverRecord:
     return SolverRecord(
         iterations=run.iterations,
         build_s=run.build_s,

@@ -1,21 +1,36 @@
-"""Stages of one solve: coarse before fine, wide smoothing before narrow."""
+"""One staged solve: coarse before fine, wide smoothing before narrow; then the motion assessed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
 
-from stiffopt.problem.objectives import SMOOTHED
+import numpy as np
+
+from stiffopt.certificate.assess import assess
+from stiffopt.certificate.objective_value import is_maximised, objective_value
+from stiffopt.problem.formulation import Scales, formulate, smoothing_stages
+from stiffopt.problem.resolve import ResolvedMotion
+from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
 from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import Assessment
+from stiffopt.result.joint_path import JointPath
+from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver, RawSolution
+from stiffopt.solver.monitor import Progress
+from stiffopt.transcription.build import transcribe
+from stiffopt.transcription.mesh import Mesh, uniform_mesh
+from stiffopt.transcription.ocp import Guess, OptimalControlProblem
+from stiffopt.transcription.refine import refine_mesh
+from stiffopt.transcription.transcription import Transcription
 
-# Reducer steps blur the tangent stiffness far more than the wind-up, so that a stiffness objective
-# or floor ends with a narrower smoothing than a deflection.
-_DEFLECTION_WIDTHS = (4.0, 1.0, 0.25)
-_STIFFNESS_WIDTHS = (4.0, 1.0, 0.25, 0.05)
 _LEAST_INTERVALS = 16
 
 
 @dataclass(frozen=True)
-class Stage:
+class SolveStage:
     """One NLP solve.
 
     Parameters
@@ -32,28 +47,225 @@ class Stage:
     new_mesh: bool = False
 
 
-def stages(problem: TrajectoryProblem, intervals: int) -> tuple[Stage, ...]:
+def stages(problem: TrajectoryProblem, intervals: int) -> tuple[SolveStage, ...]:
     """Stages that end at `intervals` with the narrowest smoothing the problem needs."""
     coarse = max(intervals // 2, min(_LEAST_INTERVALS, intervals))
-    widths = smoothing_widths(problem)
+    widths = smoothing_stages(problem)
     if len(widths) == 1:
         # Smooth problems converge from the guess at once; a coarse mesh would only cost time.
-        return (Stage(intervals, 1.0),)
-    first = [Stage(coarse, width) for width in widths[:2]]
-    fine = [Stage(intervals, width) for width in widths[1:]]
+        return (SolveStage(intervals, 1.0),)
+    first = [SolveStage(coarse, width) for width in widths[:2]]
+    fine = [SolveStage(intervals, width) for width in widths[1:]]
     # On the first fine mesh the intervals follow the coarse motion.
     fine[0] = replace(fine[0], new_mesh=True)
-    if widths == _DEFLECTION_WIDTHS:
+    if widths == WINDUP_SMOOTHING:
         # Placing them once more by the fine motion lowers a peak deflection by 2 %.
         fine[-1] = replace(fine[-1], new_mesh=True)
     return (*first, *fine)
 
 
-def smoothing_widths(problem: TrajectoryProblem) -> tuple[float, ...]:
-    """Factors on the smoothing widths, wide to narrow; (1,) where stiffness plays no part."""
-    names = {objective.name for objective in problem.objectives}
-    limits = problem.active_limits
-    if names & {"joint_stiffness", "mean_compliance"} or limits.joint_stiffness:
-        return _STIFFNESS_WIDTHS
-    capped = min(limits.dynamic_deflection, limits.total_deflection) < float("inf")
-    return _DEFLECTION_WIDTHS if names & set(SMOOTHED) or capped else (1.0,)
+@dataclass(frozen=True)
+class SolveProgress:
+    """One iteration, for displays.
+
+    Attributes
+    ----------
+    stage : str
+        Which of how many, intervals and smoothing.
+    iteration : int
+    objective : float
+        In SI, of the smoothed model at the nodes.
+    violation : float
+        Worst row, relative to its scale.
+    row : str
+        Its name; empty when nothing is violated.
+    elapsed : float
+        Since the solve began [s].
+    """
+
+    stage: str
+    iteration: int
+    objective: float
+    violation: float
+    row: str
+    elapsed: float
+
+
+ProgressCallback = Callable[[SolveProgress], object]
+
+
+@dataclass
+class SolveRun:
+    """One solve in progress: its clock, its record and what it found so far."""
+
+    problem: TrajectoryProblem
+    motion: ResolvedMotion
+    scales: Scales
+    progress: ProgressCallback | None
+    begin: float = field(default_factory=time.perf_counter)
+    build_s: float = 0.0
+    solve_s: float = 0.0
+    iterations: int = 0
+    homotopy: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the solve began."""
+        return time.perf_counter() - self.begin
+
+    @property
+    def remaining(self) -> float:
+        """Seconds left of the time limit."""
+        return max(self.problem.method.time_limit - self.elapsed, 0.1)
+
+    def in_si(self, objective: float) -> float:
+        """The objective of an NLP in the unit that people see."""
+        first = self.problem.objectives[0]
+        sign = -1.0 if is_maximised(self.problem) else 1.0
+        return sign * objective * first.weight * self.scales.of(first.name)
+
+    def record(self, stage: SolveStage, raw: RawSolution) -> None:
+        """Add one NLP solve to the record."""
+        self.solve_s += raw.solve_s
+        self.iterations += raw.iterations
+        self.homotopy.append(
+            {
+                "intervals": stage.intervals,
+                "smoothing": stage.smoothing,
+                "iterations": raw.iterations,
+                "status": raw.status,
+                "solve_s": round(raw.solve_s, 4),
+            }
+        )
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """End of one staged solve: the last NLP and what its motion is worth.
+
+    Parameters
+    ----------
+    raw : RawSolution
+    transcription : Transcription
+    trajectory : Trajectory
+    assessment : Assessment
+    objective_gap : float
+        How much worse the certified objective is than the one at the nodes, relative.
+    """
+
+    raw: RawSolution
+    transcription: Transcription
+    trajectory: Trajectory
+    assessment: Assessment
+    objective_gap: float
+
+
+def run_stages(
+    run: SolveRun,
+    plan: tuple[SolveStage, ...],
+    guess: Guess,
+    margins: dict[str, float],
+    mesh: Mesh | None = None,
+) -> Outcome:
+    """Solve the stages one after another, each from the last.
+
+    Parameters
+    ----------
+    run : SolveRun
+    plan : tuple of SolveStage
+    guess : Guess
+    margins : dict
+        Shares by which limits are tightened.
+    mesh : Mesh, optional
+        Of the first stage; uniform if left out.
+    """
+    ocp = formulate(run.problem, run.motion, run.scales, margins)
+    last = len(plan) - 1
+    index, made, raw = 0, None, None
+    while index <= last:
+        stage = plan[index]
+        if made is None or raw is None:
+            made = _make(run, ocp, mesh or _uniform(ocp, stage, guess))
+            x, warm = made.transcription.pack(guess), None
+        elif stage.new_mesh:
+            guess = made.transcription.guess_from(raw.x)
+            made = _make(run, ocp, refine_mesh(made.transcription, raw.x, stage.intervals))
+            x, warm = made.transcription.pack(guess), None
+        else:
+            x, warm = raw.x, raw if raw.converged else None
+        label = (
+            f"stage {index + 1} of {len(plan)}, {stage.intervals} intervals, "
+            f"smoothing {stage.smoothing:g}"
+        )
+        raw = made.solver.solve(
+            x,
+            np.array([stage.smoothing]),
+            warm=warm,
+            report=_reporter(run, label),
+            max_seconds=run.remaining,
+        )
+        run.record(stage, raw)
+        if raw.status in ("interrupted", "time_limit"):
+            break
+        # A coarse mesh may be infeasible where the fine one is not: ask the last stage at once.
+        index = last if raw.status == "infeasible" and index < last else index + 1
+    assert made is not None
+    assert raw is not None
+    trajectory = _trajectory(run.problem, made.transcription, raw.x)
+    assessment = assess(run.problem, trajectory)
+    gap = _objective_gap(run, raw, assessment)
+    return Outcome(raw, made.transcription, trajectory, assessment, gap)
+
+
+def _objective_gap(run: SolveRun, raw: RawSolution, assessment: Assessment) -> float:
+    """How much worse the certified objective is than the one at the nodes, relative."""
+    problem = run.problem
+    claimed, certified = run.in_si(raw.objective), objective_value(problem, assessment).value
+    worse = claimed - certified if is_maximised(problem) else certified - claimed
+    return float(worse / max(abs(claimed), abs(certified), 1e-300))
+
+
+@dataclass(frozen=True)
+class _Made:
+    """A transcribed problem with its solver."""
+
+    transcription: Transcription
+    solver: IpoptSolver
+
+
+def _make(run: SolveRun, ocp: OptimalControlProblem, mesh: Mesh) -> _Made:
+    begin = time.perf_counter()
+    method = run.problem.method
+    transcription = transcribe(ocp, method.transcription, mesh)
+    options = IpoptOptions(tol=method.tolerance, max_iterations=method.max_iterations)
+    made = _Made(transcription, IpoptSolver(transcription.nlp, options))
+    run.build_s += time.perf_counter() - begin
+    return made
+
+
+def _uniform(ocp: OptimalControlProblem, stage: SolveStage, guess: Guess) -> Mesh:
+    return uniform_mesh(stage.intervals, ocp.phases, tuple(guess.phase_fractions))
+
+
+def _trajectory(
+    problem: TrajectoryProblem, transcription: Transcription, x: np.ndarray
+) -> Trajectory:
+    """The motion of the joints, exactly as the transcription integrates it."""
+    motion = Trajectory.from_acceleration(*transcription.acceleration_polynomials(x))
+    if problem.path is None:
+        return motion
+    return JointPath.through(problem.path).follow(motion)
+
+
+def _reporter(run: SolveRun, label: str) -> Callable[[Progress], None] | None:
+    if run.progress is None:
+        return None
+    report = run.progress
+
+    def forward(event: Progress) -> None:
+        value = run.in_si(event.objective)
+        report(
+            SolveProgress(label, event.iteration, value, event.violation, event.row, run.elapsed)
+        )
+
+    return forward

@@ -13,12 +13,12 @@ from stiffopt.certificate.agreement import Disagreement, differences
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.problem.belief import believed_of
+from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.solution import Baseline
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.stages import smoothing_widths
-from stiffopt.solver.staging import Outcome
+from stiffopt.solver.stages import Outcome
 
 # An objective worse on the fine grid than at the nodes by more than this share asks for refinement,
 # and is never called optimal.
@@ -77,7 +77,7 @@ def verdict(problem: TrajectoryProblem, outcome: Outcome, beside: dict[str, Base
 
 def _disagreements(problem: TrajectoryProblem, outcome: Outcome) -> list[Disagreement]:
     """What the optimiser believed of its motion and is not true, the worst first."""
-    widths = smoothing_widths(problem)
+    widths = smoothing_stages(problem)
     polynomials = outcome.transcription.acceleration_polynomials(outcome.raw.x)
     believed = believed_of(
         problem,

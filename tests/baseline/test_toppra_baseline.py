@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 from stiffopt.baseline.toppra_motion import toppra_baseline
-from stiffopt.problem.trajectory import Limits
+from stiffopt.problem.limit import Limits
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.robot.frames import LinkFrame

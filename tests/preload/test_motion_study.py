@@ -19,7 +19,7 @@ from stiffopt.preload.motion_result import meaning
 from stiffopt.preload.motion_study import deflection_objective, motion_study
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.problem.files import load_problem
-from stiffopt.problem.objectives import Objective
+from stiffopt.problem.objective import Objective
 from stiffopt.result.status import SolveStatus
 from stiffopt.robot.files import load_robot
 

@@ -6,7 +6,7 @@ from synthetic_solution import no_motion, problem, robot, solution
 from test_figures import stiffness_rows
 
 from stiffopt.errors import InputError, InputFileError
-from stiffopt.problem.objectives import Objective
+from stiffopt.problem.objective import Objective
 from stiffopt.report.common.citations import cited, references
 from stiffopt.report.solve.page import write_solve_report
 from stiffopt.report.solve.wording import amount, comparison

@@ -10,8 +10,7 @@ import pytest
 
 import stiffopt.symbolic  # noqa: F401 - CasADi conventions
 from stiffopt.errors import InputError
-from stiffopt.solver.ipopt import IpoptSolver
-from stiffopt.solver.options import IpoptOptions
+from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver
 from stiffopt.transcription import Guess, OptimalControlProblem, Rows, transcribe, uniform_mesh
 
 INF = np.inf

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from textbook import block_move, guess, problem, second_order
 
-from stiffopt.solver.ipopt import IpoptSolver
-from stiffopt.solver.options import IpoptOptions
+from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver
 from stiffopt.transcription import transcribe, uniform_mesh
 
 TIGHT = IpoptOptions(tol=1e-12)

@@ -4,8 +4,7 @@ import pytest
 from textbook import CASES
 
 from stiffopt.errors import ProblemError
-from stiffopt.solver.ipopt import IpoptSolver
-from stiffopt.solver.options import IpoptOptions
+from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver
 from stiffopt.transcription import transcribe, uniform_mesh
 
 # IPOPT cannot do better than 1e-8 on these (singular arc, free controls at the ends).

@@ -16,8 +16,7 @@ from stiffopt.discovery.experiment.motion import MotionLimits
 from stiffopt.discovery.experiment.separation import Separation
 from stiffopt.dynamics.newton_euler import newton_euler
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.ipopt import IpoptSolver
-from stiffopt.solver.options import IpoptOptions
+from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver
 from stiffopt.symbolic import Quantity
 from stiffopt.transcription import (
     Guess,

@@ -82,8 +82,8 @@ def compared_motions(solution: Solution) -> list[ComparedMotion]:
 def focus_part(problem: TrajectoryProblem) -> str:
     """Part of the deflection that the problem is about; dynamic unless another is minimised."""
     for objective in problem.objectives:
-        if objective.name.endswith("_deflection"):
-            return objective.name.removesuffix("_deflection")
+        if objective.kind.deflection_part:
+            return objective.kind.deflection_part
     return "dynamic"
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from stiffopt.baseline.baselines import better_baseline
 from stiffopt.certificate.violations import CERTIFIED
-from stiffopt.problem.objectives import UNITS
+from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.report.common.citations import solve_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.common.robot import estimated_inputs, joint_units
@@ -102,7 +102,7 @@ def _headline(solution: Solution) -> str:
 def _terms(terms: dict[str, float]) -> list[tuple[str, float, str]]:
     """Phrase, value and unit of each term of a weighted sum."""
     split = [(*term.partition(" ")[::2], value) for term, value in terms.items()]
-    return [(objective_phrase(name, by), value, UNITS.get(name, "")) for name, by, value in split]
+    return [(objective_phrase(name, by), value, OBJECTIVES[name].unit) for name, by, value in split]
 
 
 def _figures(problem: TrajectoryProblem, solution: Solution, part: str) -> PageFigures:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from stiffopt.baseline.baselines import better_baseline
 from stiffopt.certificate.objective_value import is_maximised
+from stiffopt.problem.objective import OBJECTIVES, ObjectiveKind
 from stiffopt.report.common.text import percent, si, significant, words
 from stiffopt.result.assessment import Violation
 from stiffopt.result.solution import ObjectiveValue, Solution
@@ -13,16 +14,6 @@ from stiffopt.result.solution import ObjectiveValue, Solution
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
 
-_PHRASES = {
-    "dynamic_deflection": "dynamic tool deflection",
-    "total_deflection": "total tool deflection",
-    "process_deflection": "tool deflection under the process force",
-    "joint_stiffness": "lowest weighted joint stiffness",
-    "mean_compliance": "mean joint compliance",
-    "duration": "duration",
-    "torque_squared": "integral of the squared torque ratios",
-    "acceleration_squared": "integral of the squared accelerations",
-}
 # Below this ratio a gain reads better as "3.4 times less" than as a percentage.
 _TIMES_BELOW = 0.6
 _EQUAL_WITHIN = 5e-4
@@ -36,8 +27,10 @@ def objective_phrase(name: str, measure: str) -> str:
     >>> objective_phrase("dynamic_deflection", "peak"), objective_phrase("duration", "")
     ('peak dynamic tool deflection', 'duration')
     """
-    phrase = _PHRASES.get(name, words(name))
-    return f"{measure} {phrase}" if name.endswith("_deflection") and measure else phrase
+    kind = OBJECTIVES.get(name)
+    if kind is None:
+        return words(name)
+    return f"{measure} {kind.phrase}" if kind.measured and measure else kind.phrase
 
 
 def objective_text(objective: ObjectiveValue) -> str:
@@ -88,11 +81,12 @@ def amount(ratio: float, name: str = "", maximised: bool = False) -> str:
     value = 1.0 / ratio if maximised else ratio
     if abs(value - 1.0) < _EQUAL_WITHIN:
         return "The same as"
-    if name != "duration" and value < _TIMES_BELOW:
+    kind = OBJECTIVES.get(name, ObjectiveKind)
+    if kind.compared_as_ratio and value < _TIMES_BELOW:
         return f"{significant(1.0 / value, 2)} times less than"
-    if name != "duration" and value > 1.0 / _TIMES_BELOW:
+    if kind.compared_as_ratio and value > 1.0 / _TIMES_BELOW:
         return f"{significant(value, 2)} times as much as"
-    less, more = ("shorter", "longer") if name == "duration" else ("less", "more")
+    less, more = kind.comparatives
     change = 100.0 * abs(value - 1.0)
     return f"{significant(change, 2)} % {less if value < 1 else more} than"
 

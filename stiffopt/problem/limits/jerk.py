@@ -1,0 +1,49 @@
+"""Largest jerk of every joint."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.declaration import JointJerk
+from stiffopt.errors import ProblemError
+from stiffopt.problem.limit import LIMITS, Limits
+from stiffopt.problem.limits.joint_magnitude import JointMagnitude
+from stiffopt.problem.stage_terms import PathRows
+from stiffopt.result.assessment import Assessment, Violation
+
+if TYPE_CHECKING:
+    from stiffopt.problem.stage_model import StageModel
+    from stiffopt.problem.trajectory import TrajectoryProblem
+
+
+class Jerk(JointMagnitude):
+    """Bound of the controls' rate; a jump of the acceleration exceeds any."""
+
+    def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
+        """None can be kept on a fixed path, where it bounds no rate of a control."""
+        raise ProblemError(
+            "Jerk limits cannot be kept on a fixed path: the path coordinate has a limited "
+            "acceleration only. Leave limits.jerk out (set it to inf), or give poses instead "
+            "of motion.path."
+        )
+
+    def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
+        """The worst joint, at a jump of the acceleration as steep as the grid can show it."""
+        slope = np.abs(np.diff(motion.acceleration, axis=0)) / np.diff(motion.time)[:, None]
+        jerk = np.abs(motion.jerk)
+        jerk[:-1] = np.maximum(jerk[:-1], slope)
+        return [self._worst(limits, motion, jerk)]
+
+
+LIMITS.add(
+    Jerk(
+        "jerk",
+        JointJerk,
+        "angular jerk",
+        "Largest jerk of each joint [rad/s^3, m/s^3]; the robot's own if left out, "
+        '"none" for none.',
+        order=3,
+    )
+)

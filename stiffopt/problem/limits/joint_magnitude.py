@@ -1,0 +1,109 @@
+"""Limits on the magnitude of a quantity of every joint, on which the others build."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from stiffopt.errors import InputFileError
+from stiffopt.problem.limit import LimitKey, LimitKind, Limits
+from stiffopt.problem.stage_terms import PathRows
+from stiffopt.result.assessment import Assessment, Violation
+
+if TYPE_CHECKING:
+    from stiffopt.problem.files import JointLists
+    from stiffopt.problem.stage_model import StageModel
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.symbolic import Quantity
+
+# Beyond this a number is a slip, and it would spoil the scales of the optimisation.
+_LARGEST = 1e9
+
+
+class JointMagnitude(LimitKind):
+    """|quantity| <= limit for every joint; the robot's own where the file gives none.
+
+    Parameters
+    ----------
+    name : str
+        Of the key, of the attribute of `Assessment`, and NAME_max of the robot.
+    form : type
+        Of one entry in a file.
+    dimension : str
+        Of a revolute joint.
+    description : str
+    order : int or None
+    """
+
+    def __init__(
+        self, name: str, form: Any, dimension: str, description: str, order: int | None = None
+    ) -> None:
+        self.name, self.dimension, self.order = name, dimension, order
+        self.keys = (
+            LimitKey(
+                key=name,
+                form=list[form] | Literal["none"] | None,
+                description=description,
+                value=lambda robot: getattr(robot, f"{name}_max"),
+                of_robot=True,
+                scaled=True,
+            ),
+        )
+
+    def active(self, limits: Limits) -> bool:
+        """Whether any joint has one."""
+        return bool(np.any(np.isfinite(getattr(limits, self.name))))
+
+    def read(self, section: Any, joints: JointLists) -> dict[str, Any]:
+        """List, "none" or the robot's own, times the factor of limits.scale."""
+        given = getattr(section, self.name)
+        if given is None:
+            array = self.keys[0].value(joints.robot)
+        elif given == "none":
+            array = np.full(len(joints.names), np.inf)
+        else:
+            array = joints(given, self.dimension, f"limits.{self.name}")
+            if np.any(array <= 0) or np.any(array > _LARGEST):
+                raise InputFileError(
+                    joints.path,
+                    f"limits.{self.name}",
+                    f"every limit must be greater than zero and at most {_LARGEST:g}; "
+                    f'got {array.tolist()}. Write "none" where there is no limit.',
+                )
+        return {self.name: array * getattr(section.scale, self.name)}
+
+    def bounds(self, limits: Limits, margin: float) -> tuple[np.ndarray, np.ndarray]:
+        """The same magnitude either way."""
+        bound = getattr(limits, self.name) * (1.0 - margin)
+        return -bound, bound
+
+    def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
+        """One row for each joint with a finite limit."""
+        bound = getattr(problem.active_limits, self.name)
+        return [magnitude_rows(self.name, getattr(model, self.name), bound, margin)]
+
+    def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
+        """The worst joint and instant."""
+        return [self._worst(limits, motion, np.abs(getattr(motion, self.name)))]
+
+    def _worst(self, limits: Limits, motion: Assessment, magnitude: np.ndarray) -> Violation:
+        return worst_joint(self.name, magnitude / getattr(limits, self.name) - 1.0, motion)
+
+
+def magnitude_rows(name: str, values: Quantity, bound: np.ndarray, margin: float) -> PathRows:
+    """|value| <= bound (n,) for every joint with a finite bound, relative to it."""
+    joints = np.flatnonzero(np.isfinite(bound))
+    return PathRows(
+        name=name,
+        labels=tuple(f"joint {j + 1}" for j in joints),
+        expressions=tuple(values[int(j)] / bound[j] for j in joints),
+        lower=margin - 1.0,
+        upper=1.0 - margin,
+    )
+
+
+def worst_joint(name: str, excess: np.ndarray, motion: Assessment) -> Violation:
+    """The largest entry of an excess (K, n)."""
+    k, j = np.unravel_index(int(np.argmax(excess)), excess.shape)
+    return Violation(float(excess[k, j]), name, int(j) + 1, float(motion.time[k]))

@@ -1,0 +1,153 @@
+"""Lowest tangent stiffness allowed, joint by joint."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from stiffopt.declaration import JointStiffness
+from stiffopt.errors import ProblemError
+from stiffopt.problem.limit import LIMITS, LimitKey, LimitKind, Limits
+from stiffopt.problem.rest import gravity_torque, rest_poses, sign_change, stiffness_at
+from stiffopt.problem.stage_terms import STIFFNESS_SMOOTHING, PathRows
+from stiffopt.result.assessment import Assessment, Violation
+
+if TYPE_CHECKING:
+    from stiffopt.problem.files import JointLists
+    from stiffopt.problem.resolve import ResolvedMotion
+    from stiffopt.problem.stage_model import StageModel
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.robot.robot import Robot
+    from stiffopt.symbolic import Quantity
+
+# Share of the torque at which the exact stiffness jumps.
+_BESIDE_JUMP = 2e-3
+# Factor on the smoothing widths at which a reducer's step is as good as a jump.
+_SHARP = 1e-6
+
+
+class JointStiffnessFloor(LimitKind):
+    """Tangent stiffness above a floor, as torque where a torque separates stiff from soft.
+
+    The stiffness of a reducer jumps at two torques. A bound on the torque is smooth where one on
+    the smoothed stiffness is flat, then steep, and still meets the jump only nearly.
+    """
+
+    name = "joint_stiffness"
+    smoothing = STIFFNESS_SMOOTHING
+    keys = (
+        LimitKey(
+            key="joint_stiffness",
+            form=dict[int, Annotated[JointStiffness, Field(gt=0)]] | None,
+            description="Lowest tangent stiffness allowed, by joint number from 1 [N m/rad, N/m].",
+            value=lambda robot: {},
+        ),
+    )
+
+    def active(self, limits: Limits) -> bool:
+        """Whether any joint has a floor."""
+        return bool(limits.joint_stiffness)
+
+    def read(self, section: Any, joints: JointLists) -> dict[str, Any]:
+        """Floors of joints that exist."""
+        floors = section.joint_stiffness or {}
+        for joint in floors:
+            joints.check_number(joint, "limits.joint_stiffness")
+        return {"joint_stiffness": dict(floors)}
+
+    def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
+        """One row a joint with a floor."""
+        labels, expressions = [], []
+        for j, floor in sorted(problem.active_limits.joint_stiffness.items()):
+            labels.append(f"joint {j}")
+            needed = _torque_of_stiffness(model, j, floor)
+            if needed and model.sides[j - 1]:
+                # A little beyond the jump, so that rounding does not fall off it.
+                share = model.sides[j - 1] * model.torques.spring[j - 1] / needed
+                expressions.append(1.0 + _BESIDE_JUMP + margin - share)
+            else:
+                # In compliance, which is bounded where stiffness is steep.
+                expressions.append(floor * model.compliance(j) - (1.0 - margin))
+        return [PathRows(name=self.name, labels=tuple(labels), expressions=tuple(expressions))]
+
+    def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
+        """One a joint with a floor."""
+        found = []
+        for joint, floor in limits.joint_stiffness.items():
+            low = motion.lowest_stiffness[joint - 1]
+            found.append(Violation(1.0 - low.value / floor, self.name, joint, low.time))
+        return found
+
+    def check(self, problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
+        """A sign change or a pose at rest may rule a floor out."""
+        floors = problem.active_limits.joint_stiffness
+        for joint, floor in floors.items():
+            if not 1 <= joint <= problem.joints:
+                raise ProblemError(
+                    f"limits.joint_stiffness names joint {joint}; allowed: 1 to {problem.joints}."
+                )
+            cause = sign_change(problem, motion, joint)
+            value = stiffness_at(problem, joint, 0.0)
+            if cause and value < floor:
+                raise ProblemError(
+                    f"limits.joint_stiffness: joint {joint} cannot stay above {floor:.4g} N m/rad, "
+                    f"because its torque must change sign ({cause}) and its stiffness at zero "
+                    f"torque is {value:.4g} N m/rad. Lower the limit or leave the joint out."
+                )
+        for pose in rest_poses(problem, motion):
+            if not pose.fixed:
+                continue
+            torque = gravity_torque(problem, pose.angles)
+            for joint, floor in floors.items():
+                value = stiffness_at(problem, joint, float(torque[joint - 1]))
+                if value < floor:
+                    raise ProblemError(
+                        f"limits.joint_stiffness: joint {joint} has {value:.4g} N m/rad at rest in "
+                        f"the {pose.name} pose, below the limit {floor:.4g} N m/rad, whatever the "
+                        "motion. Lower the limit, choose another pose, or free the boundary "
+                        "acceleration."
+                    )
+
+    def statements(self, limits: Limits, robot: Robot) -> list[tuple[str, float, str]]:
+        """One line a joint with a floor."""
+        return [
+            (
+                f"stiffness of joint {joint} at least",
+                floor,
+                "N/m" if robot.prismatic[joint - 1] else "N m/rad",
+            )
+            for joint, floor in limits.joint_stiffness.items()
+        ]
+
+
+def _torque_of_stiffness(model: StageModel, joint: int, floor: float) -> float | None:
+    """Torque [N m] from which on a joint is at least as stiff as `floor` [N m/rad].
+
+    None where no such torque separates the stiff from the soft: the stiffness falls again within
+    one and a half times the joint's largest torque, or the joint is rigid.
+    """
+    chain = model.robot.chains[joint - 1]
+    if chain is None:
+        return None
+
+    def stiff(torque: Quantity) -> Quantity:
+        return chain.tangent_stiffness(torque, smoothing=_SHARP) >= floor
+
+    largest = 1.5 * float(model.robot.torque_max[joint - 1])
+    torques = np.array([0.0, *np.geomspace(1e-4 * largest, largest, 1000)])
+    enough = stiff(torques)
+    first = int(np.argmax(enough))
+    if not np.all(enough[first:]):
+        return None
+    if first == 0:
+        return 0.0
+    low, high = torques[first - 1], torques[first]
+    while high - low > 1e-9 * largest:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if stiff(middle) else (middle, high)
+    return float(high)
+
+
+LIMITS.add(JointStiffnessFloor())

@@ -1,0 +1,201 @@
+"""What can be minimised: the statement of one term, and what each kind of objective must know.
+
+A kind is one class in one file of `problem/objectives/`; schema, optimiser, certificate, report and
+reference ask the registry, so that a new objective is a new file and nothing else.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.errors import ProblemError, nearest
+from stiffopt.problem.registry import Registry
+from stiffopt.problem.stage_terms import UNSMOOTHED, ObjectiveTerms, StaticVariable
+
+if TYPE_CHECKING:
+    from stiffopt.problem.resolve import ResolvedMotion
+    from stiffopt.problem.stage_model import StageModel
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.assessment import Assessment
+    from stiffopt.robot.robot import Robot
+    from stiffopt.symbolic import Quantity
+
+MEASURES = ("peak", "rms")
+ACCEPT = ", or set minimise.accept_bound = true."
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A value that the objective cannot beat.
+
+    Parameters
+    ----------
+    objective : str
+    value : float
+        In the objective's SI unit; inf where it has no optimum.
+    text : str
+        A sentence with the value and its cause.
+    degenerate : bool
+        Whether the objective is pinned to it, so that the motion is left undetermined.
+    """
+
+    objective: str
+    value: float
+    text: str
+    degenerate: bool
+
+
+class ObjectiveKind(ABC):
+    """All that is known about the objectives of one name.
+
+    Attributes
+    ----------
+    name : str
+        In files and results.
+    unit : str
+        SI unit of the value.
+    description : str
+        One sentence, for the file reference.
+    phrase : str
+        As people say it, without the measure.
+    maximised : bool
+        Whether a larger value is better.
+    measured : bool
+        Whether it is a peak or a root mean square over time.
+    ends_motion : bool
+        Whether it has an optimum with a free duration; False: a slower motion is always better.
+    smoothing : tuple of float
+        Factors on the smoothing widths, stage by stage.
+    deflection_part : str
+        Part of the tool's deflection that it is about; "" for none.
+    comparatives : (str, str)
+        Of a smaller and of a larger value.
+    compared_as_ratio : bool
+        Whether "3 times less" is said of a large change; else always a percentage.
+    """
+
+    name: str
+    unit: str
+    description: str
+    phrase: str
+    maximised = False
+    measured = False
+    ends_motion = False
+    smoothing: tuple[float, ...] = UNSMOOTHED
+    deflection_part = ""
+    comparatives = ("less", "more")
+    compared_as_ratio = True
+
+    def check(self, objective: Objective, problem: TrajectoryProblem) -> None:
+        """Raise `ProblemError` where the problem has nothing for this objective to change."""
+        return None
+
+    def bounds(
+        self, objective: Objective, problem: TrajectoryProblem, motion: ResolvedMotion
+    ) -> list[Bound]:
+        """Values that no motion can beat, known before solving."""
+        return []
+
+    def static_variables(
+        self, objective: Objective, problem: TrajectoryProblem, sides: np.ndarray
+    ) -> tuple[StaticVariable, ...]:
+        """Static variables in the order in which `terms` gets them.
+
+        `sides` (n,) is the sign of the spring torque of joints that need not change it.
+        """
+        return ()
+
+    @abstractmethod
+    def terms(
+        self,
+        objective: Objective,
+        problem: TrajectoryProblem,
+        model: StageModel,
+        statics: tuple[Quantity, ...],
+        scale: float,
+    ) -> ObjectiveTerms:
+        """Pieces of the optimal-control problem; `scale` is a typical value in SI."""
+
+    @abstractmethod
+    def certified_value(self, objective: Objective, motion: Assessment) -> float:
+        """The value [SI] on the fine grid of an assessed motion."""
+
+    def joint_integrals(self, robot: Robot, motion: Assessment) -> np.ndarray | None:
+        """Integrals over an assessed motion, one a joint (n,), where it is a sum of such."""
+        return None
+
+
+OBJECTIVES: Registry[ObjectiveKind] = Registry("stiffopt.problem.objectives")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Objective:
+    """One term of the objective.
+
+    Parameters
+    ----------
+    name : str
+        Of a kind in `problem/objectives/`.
+    measure : "peak" or "rms"
+        Of a deflection.
+    weight : float
+        In the weighted sum.
+    joints : tuple of int
+        1-based; empty for all joints.
+    joint_weights : mapping joint number -> float
+        For joint_stiffness: k_j / weight_j is compared; 1 where not given.
+    accept_bound : bool
+        Solve even where the objective cannot get past a value that no motion changes.
+    """
+
+    name: str = "dynamic_deflection"
+    measure: str = "peak"
+    weight: float = 1.0
+    joints: tuple[int, ...] = ()
+    joint_weights: Mapping[int, float] = field(default_factory=dict)
+    accept_bound: bool = False
+
+    def __post_init__(self) -> None:
+        if self.name not in OBJECTIVES:
+            raise ProblemError(f"Unknown objective {self.name!r}. {nearest(self.name, OBJECTIVES)}")
+        if self.measure not in MEASURES:
+            raise ProblemError(f"Unknown measure {self.measure!r}; allowed: 'peak' or 'rms'.")
+        if not self.weight > 0:
+            raise ProblemError(
+                f"The weight of {self.name} is {self.weight:g}; allowed: greater than zero."
+            )
+        if any(not weight > 0 for weight in self.joint_weights.values()):
+            raise ProblemError("joint_weights must all be greater than zero.")
+
+    @property
+    def kind(self) -> ObjectiveKind:
+        """What is known about objectives of this name."""
+        return OBJECTIVES[self.name]
+
+    @property
+    def maximised(self) -> bool:
+        """Whether a larger value is better."""
+        return self.kind.maximised
+
+    @property
+    def unit(self) -> str:
+        """SI unit of the value."""
+        return self.kind.unit
+
+    @property
+    def shown_measure(self) -> str:
+        """The measure where the kind has one, else ""."""
+        return self.measure if self.kind.measured else ""
+
+    def numbers(self, joints: int) -> tuple[int, ...]:
+        """Numbers (1-based) of the joints that count, of an arm with so many."""
+        return tuple(self.joints) or tuple(range(1, joints + 1))
+
+    def weight_of(self, joint: int) -> float:
+        """Weight of a joint (1-based) in joint_stiffness."""
+        return float(self.joint_weights.get(joint, 1.0))

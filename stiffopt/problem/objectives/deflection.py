@@ -1,0 +1,154 @@
+"""Deflection of the tool: what the motion adds, all of it, or what the process force adds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.errors import ProblemError
+from stiffopt.problem.objective import ACCEPT, OBJECTIVES, Bound, Objective, ObjectiveKind
+from stiffopt.problem.rest import rest_deflection, rest_poses
+from stiffopt.problem.stage_terms import (
+    WINDUP_SMOOTHING,
+    IntegralRow,
+    ObjectiveTerms,
+    PathRows,
+    StaticVariable,
+    squared_length,
+)
+
+if TYPE_CHECKING:
+    from stiffopt.problem.resolve import ResolvedMotion
+    from stiffopt.problem.stage_model import StageModel
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.assessment import Assessment
+    from stiffopt.symbolic import Quantity
+
+
+class ToolDeflection(ObjectiveKind):
+    """Peak or root mean square over time of one part of the tool's deflection.
+
+    A peak is minimised through an upper bound on it (epigraph); a root mean square through a bound
+    on the integral, so that the Hessian stays sparse.
+
+    Parameters
+    ----------
+    part : str
+        "dynamic", "total" or "process".
+    phrase, description : str
+    pinned_by : str
+        What fixes the peak in a pose at rest; "" where nothing does.
+    instead : str
+        Choice to be named where the peak is pinned.
+    """
+
+    unit = "m"
+    measured = True
+    smoothing = WINDUP_SMOOTHING
+
+    def __init__(
+        self, part: str, *, phrase: str, description: str, pinned_by: str = "", instead: str = ""
+    ) -> None:
+        self.name = f"{part}_deflection"
+        self.deflection_part = part
+        self.phrase, self.description = phrase, description
+        self.pinned_by, self.instead = pinned_by, instead
+
+    def check(self, objective: Objective, problem: TrajectoryProblem) -> None:
+        """A deflection by the process force needs one."""
+        if self.deflection_part == "process" and not np.any(problem.process_force):
+            raise ProblemError(
+                "process_deflection is the deflection that a force on the tool causes, and there "
+                "is none. Give tool.process_force, or minimise 'dynamic_deflection'."
+            )
+
+    def bounds(
+        self, objective: Objective, problem: TrajectoryProblem, motion: ResolvedMotion
+    ) -> list[Bound]:
+        """Deflections of given rest poses, below which the peak over the motion cannot be."""
+        if not self.pinned_by or objective.measure != "peak":
+            return []
+        values = [
+            (rest_deflection(problem, pose.angles, self.deflection_part), pose.name)
+            for pose in rest_poses(problem, motion)
+            if pose.fixed
+        ]
+        if not values:
+            return []
+        value, where = max(values)
+        text = (
+            f"The peak {self.name.replace('_', ' ')} cannot be below {self.pinned_by} of the "
+            f"{where} pose, {1e3 * value:.4g} mm, whatever the motion. Minimise {self.instead}its "
+            f"rms{ACCEPT}"
+        )
+        return [Bound(self.name, value, text, True)]
+
+    def static_variables(
+        self, objective: Objective, problem: TrajectoryProblem, sides: np.ndarray
+    ) -> tuple[StaticVariable, ...]:
+        """The bound on the peak or root mean square [m]."""
+        return (
+            StaticVariable(
+                name=f"{objective.measure} {self.deflection_part} deflection",
+                start=lambda motion: self.certified_value(objective, motion),
+            ),
+        )
+
+    def terms(
+        self,
+        objective: Objective,
+        problem: TrajectoryProblem,
+        model: StageModel,
+        statics: tuple[Quantity, ...],
+        scale: float,
+    ) -> ObjectiveTerms:
+        """The bound itself, and the row that holds the deflection below it."""
+        (bound,) = statics
+        name = f"{self.deflection_part} deflection {objective.measure}"
+        square = squared_length(getattr(model.deflection, self.deflection_part) / scale)
+        allowed = (bound / scale) ** 2
+        if objective.measure == "peak":
+            row = PathRows(name=name, labels=("tool",), expressions=(square - allowed,))
+            return ObjectiveTerms(value=lambda integrals, duration: bound, path_rows=(row,))
+        mean = IntegralRow(
+            name=name,
+            label="tool",
+            expression=lambda integrals, duration: integrals[0] / duration - allowed,
+        )
+        return ObjectiveTerms(
+            value=lambda integrals, duration: bound,
+            integrands=(square,),
+            integral_rows=(mean,),
+        )
+
+    def certified_value(self, objective: Objective, motion: Assessment) -> float:
+        """Peak or root mean square on the fine grid [m]."""
+        return float(getattr(motion.deflection_summary()[self.deflection_part], objective.measure))
+
+
+OBJECTIVES.add(
+    ToolDeflection(
+        "dynamic",
+        phrase="dynamic tool deflection",
+        description="Deviation of the tool from the static sag of the same pose: what calibration "
+        "cannot remove.",
+    )
+)
+OBJECTIVES.add(
+    ToolDeflection(
+        "total",
+        phrase="total tool deflection",
+        description="Deflection of the tool with the static sag and the process force.",
+        pinned_by="the static sag",
+        instead="'dynamic_deflection' (what the motion adds), or ",
+    )
+)
+OBJECTIVES.add(
+    ToolDeflection(
+        "process",
+        phrase="tool deflection under the process force",
+        description="Further deflection of the tool under the process force.",
+        pinned_by="what the process force does at rest",
+    )
+)

@@ -1,0 +1,53 @@
+"""Duration of the motion."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from stiffopt.errors import ProblemError
+from stiffopt.problem.objective import OBJECTIVES, Objective, ObjectiveKind
+from stiffopt.problem.stage_terms import ObjectiveTerms
+
+if TYPE_CHECKING:
+    from stiffopt.problem.stage_model import StageModel
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.assessment import Assessment
+    from stiffopt.symbolic import Quantity
+
+
+class Duration(ObjectiveKind):
+    """Time from start to end."""
+
+    name = "duration"
+    unit = "s"
+    description = "Time from start to end, within the range that motion.duration gives."
+    phrase = "duration"
+    ends_motion = True
+    comparatives = ("shorter", "longer")
+    compared_as_ratio = False
+
+    def check(self, objective: Objective, problem: TrajectoryProblem) -> None:
+        """A fixed duration cannot be minimised."""
+        if problem.duration[0] == problem.duration[1]:
+            raise ProblemError(
+                f"The duration is fixed at {problem.duration[0]:g} s, so it cannot be minimised. "
+                "Give motion.duration as { lower, upper }, or minimise something else."
+            )
+
+    def terms(
+        self,
+        objective: Objective,
+        problem: TrajectoryProblem,
+        model: StageModel,
+        statics: tuple[Quantity, ...],
+        scale: float,
+    ) -> ObjectiveTerms:
+        """The duration itself."""
+        return ObjectiveTerms(value=lambda integrals, duration: duration)
+
+    def certified_value(self, objective: Objective, motion: Assessment) -> float:
+        """Duration [s]."""
+        return motion.duration
+
+
+OBJECTIVES.add(Duration())

@@ -1,0 +1,121 @@
+"""Sums over the joints of integrals over time: torque, acceleration, compliance."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.problem.objective import OBJECTIVES, Objective, ObjectiveKind
+from stiffopt.problem.stage_terms import STIFFNESS_SMOOTHING, ObjectiveTerms
+
+if TYPE_CHECKING:
+    from stiffopt.problem.stage_model import StageModel
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.assessment import Assessment
+    from stiffopt.robot.robot import Robot
+    from stiffopt.symbolic import Quantity
+
+
+class JointIntegral(ObjectiveKind):
+    """Integral over time, or mean over time, summed over the joints that count."""
+
+    mean = False
+
+    @abstractmethod
+    def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
+        """What is integrated for a joint (1-based), symbolic."""
+
+    @abstractmethod
+    def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
+        """The same on the fine grid, (K, n)."""
+
+    def terms(
+        self,
+        objective: Objective,
+        problem: TrajectoryProblem,
+        model: StageModel,
+        statics: tuple[Quantity, ...],
+        scale: float,
+    ) -> ObjectiveTerms:
+        """One integral over the sum of the joints."""
+        joints = objective.numbers(problem.joints)
+        total = sum(self.integrand(problem, model, joint) for joint in joints)
+        if self.mean:
+            return ObjectiveTerms(
+                value=lambda integrals, duration: integrals[0] / duration, integrands=(total,)
+            )
+        return ObjectiveTerms(value=lambda integrals, duration: integrals[0], integrands=(total,))
+
+    def certified_value(self, objective: Objective, motion: Assessment) -> float:
+        """Sum of the joints' integrals."""
+        numbers = objective.numbers(motion.position.shape[1])
+        return float(sum(motion.integrals[f"{self.name}_{j}"] for j in numbers))
+
+    def joint_integrals(self, robot: Robot, motion: Assessment) -> np.ndarray:
+        """By the trapezoidal rule on the fine grid (n,)."""
+        integrand = self.certified_integrand(robot, motion)
+        if self.mean:
+            integrand = integrand / motion.duration
+        return np.asarray(np.trapezoid(integrand, motion.time, axis=0))
+
+
+class TorqueSquared(JointIntegral):
+    """Integral of the sum of (torque / largest torque)^2."""
+
+    name = "torque_squared"
+    unit = "s"
+    description = "Integral over time of the sum over `joints` of (drive torque / torque_max)^2."
+    phrase = "integral of the squared torque ratios"
+
+    def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
+        """Square of the share of the largest drive torque."""
+        ratio = model.drive_torque[joint - 1] / problem.robot.torque_max[joint - 1]
+        return ratio * ratio
+
+    def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
+        """The same from the certificate's torques."""
+        return np.asarray((motion.torque / robot.torque_max) ** 2)
+
+
+class AccelerationSquared(JointIntegral):
+    """Integral of the sum of squared accelerations."""
+
+    name = "acceleration_squared"
+    unit = "rad^2/s^3"
+    description = "Integral over time of the sum over `joints` of the squared acceleration."
+    phrase = "integral of the squared accelerations"
+
+    def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
+        """Square of the acceleration."""
+        return model.acceleration[joint - 1] ** 2
+
+    def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
+        """The same on the fine grid."""
+        return np.asarray(motion.acceleration**2)
+
+
+class MeanCompliance(JointIntegral):
+    """Time average of the summed tangent compliance."""
+
+    name = "mean_compliance"
+    unit = "rad/(N m)"
+    description = "Average over time of the tangent compliance, summed over `joints`."
+    phrase = "mean joint compliance"
+    smoothing = STIFFNESS_SMOOTHING
+    mean = True
+
+    def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
+        """Tangent compliance at the spring torque."""
+        return model.compliance(joint)
+
+    def certified_integrand(self, robot: Robot, motion: Assessment) -> np.ndarray:
+        """The same by the exact law."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(1.0 / motion.stiffness)
+
+
+OBJECTIVES.add(TorqueSquared())
+OBJECTIVES.add(AccelerationSquared())
+OBJECTIVES.add(MeanCompliance())

@@ -1,0 +1,156 @@
+"""Lowest tangent stiffness of the joints over the motion, which is maximised."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.errors import ProblemError
+from stiffopt.problem.objective import ACCEPT, OBJECTIVES, Bound, Objective, ObjectiveKind
+from stiffopt.problem.rest import gravity_torque, rest_poses, sign_change, stiffness_at
+from stiffopt.problem.stage_terms import (
+    STIFFNESS_SMOOTHING,
+    ObjectiveTerms,
+    PathRows,
+    StaticVariable,
+)
+
+if TYPE_CHECKING:
+    from stiffopt.problem.resolve import ResolvedMotion
+    from stiffopt.problem.stage_model import StageModel
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.assessment import Assessment
+    from stiffopt.symbolic import Quantity
+
+# Relative loss of stiffness that outweighs a torque of torque_max on the other side.
+_RELIEF_PRICE = 10.0
+
+
+class LowestJointStiffness(ObjectiveKind):
+    """The smallest of k_j / weight_j over time and joints, through a lower bound on it.
+
+    A joint whose torque changes sign has its stiffness at zero torque as the minimum. A motion with
+    a higher one stays on one side; further rows hold it there, because it could change over
+    between nodes. A motion too quick to stay on one side needs some relief from them, at a price.
+    """
+
+    name = "joint_stiffness"
+    unit = "N m/rad"
+    description = (
+        "MAXIMISES the smallest k_j / weight_j over time and `joints`, k_j the tangent stiffness "
+        "of joint j and weight_j its entry of `joint_weights`."
+    )
+    phrase = "lowest weighted joint stiffness"
+    maximised = True
+    ends_motion = True
+    smoothing = STIFFNESS_SMOOTHING
+
+    def bounds(
+        self, objective: Objective, problem: TrajectoryProblem, motion: ResolvedMotion
+    ) -> list[Bound]:
+        """Stiffness at zero torque where the torque must change sign, else that of a rest pose."""
+        found = []
+        for joint in objective.numbers(problem.joints):
+            if problem.robot.chains[joint - 1] is None:
+                raise ProblemError(
+                    f"Joint {joint} of {problem.robot.name} has no drivetrain, so it has no "
+                    "stiffness. Describe its elements in the robot file, or leave it out of "
+                    "minimise.joints."
+                )
+            cause = sign_change(problem, motion, joint)
+            weight = objective.weight_of(joint)
+            if cause:
+                value = stiffness_at(problem, joint, 0.0)
+                text = (
+                    f"The torque of joint {joint} must change sign ({cause}), so its lowest "
+                    f"stiffness is the one at zero torque, {value:.4g} N m/rad, whatever the "
+                    f"motion. Leave joint {joint} out (minimise.joints), minimise "
+                    f"'mean_compliance' or 'dynamic_deflection' instead{ACCEPT}"
+                )
+                found.append(Bound(self.name, value / weight, text, True))
+                continue
+            for pose in rest_poses(problem, motion):
+                if pose.fixed:
+                    torque = float(gravity_torque(problem, pose.angles)[joint - 1])
+                    value = stiffness_at(problem, joint, torque)
+                    text = (
+                        f"The lowest stiffness of joint {joint} cannot exceed {value:.4g} N m/rad, "
+                        f"its value at rest in the {pose.name} pose ({torque:.3g} N m)."
+                    )
+                    found.append(Bound(self.name, value / weight, text, False))
+        return found
+
+    def static_variables(
+        self, objective: Objective, problem: TrajectoryProblem, sides: np.ndarray
+    ) -> tuple[StaticVariable, ...]:
+        """The lower bound [N m/rad], and the relief [-] where a joint can stay on one side."""
+        bound = StaticVariable(
+            name="minimum joint stiffness",
+            start=lambda motion: self.certified_value(objective, motion),
+        )
+        kept = _one_sided(objective, problem, sides)
+        if not kept:
+            return (bound,)
+        columns = np.array(kept) - 1
+
+        def relief(motion: Assessment) -> float:
+            turned = -sides[columns] * motion.spring_torque[:, columns]
+            return float(max(np.max(turned / problem.robot.torque_max[columns]), 0.0))
+
+        return bound, StaticVariable(name="torque on the other side", start=relief, scale=1.0)
+
+    def terms(
+        self,
+        objective: Objective,
+        problem: TrajectoryProblem,
+        model: StageModel,
+        statics: tuple[Quantity, ...],
+        scale: float,
+    ) -> ObjectiveTerms:
+        """The bound less the price of relief."""
+        bound = statics[0]
+        joints = objective.numbers(problem.joints)
+        stiff = PathRows(
+            name="minimum joint stiffness",
+            labels=tuple(f"joint {j}" for j in joints),
+            # In compliance, not stiffness: 1/k is smooth and bounded where k is steep.
+            expressions=tuple(
+                bound * objective.weight_of(j) * model.compliance(j) - 1.0 for j in joints
+            ),
+        )
+        kept = _one_sided(objective, problem, model.sides)
+        if not kept:
+            return ObjectiveTerms(value=lambda integrals, duration: bound, path_rows=(stiff,))
+        relief = statics[1]
+        torque, largest = model.torques.spring, problem.robot.torque_max
+        one_sided = PathRows(
+            name="torque on one side",
+            labels=tuple(f"joint {j}" for j in kept),
+            expressions=tuple(
+                model.sides[j - 1] * torque[j - 1] / largest[j - 1] + relief for j in kept
+            ),
+            lower=0.0,
+            upper=np.inf,
+        )
+        return ObjectiveTerms(
+            value=lambda integrals, duration: bound - _RELIEF_PRICE * scale * relief,
+            path_rows=(stiff, one_sided),
+        )
+
+    def certified_value(self, objective: Objective, motion: Assessment) -> float:
+        """Lowest weighted stiffness on the fine grid [N m/rad]."""
+        return min(
+            motion.lowest_stiffness[j - 1].value / objective.weight_of(j)
+            for j in objective.numbers(motion.position.shape[1])
+        )
+
+
+def _one_sided(
+    objective: Objective, problem: TrajectoryProblem, sides: np.ndarray
+) -> tuple[int, ...]:
+    """Joints (1-based) that count and can keep their spring torque on one side."""
+    return tuple(j for j in objective.numbers(problem.joints) if sides[j - 1] != 0)
+
+
+OBJECTIVES.add(LowestJointStiffness())

@@ -1,0 +1,59 @@
+"""Kinds of one thing, found by name: every file of a package adds its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from pkgutil import iter_modules
+from typing import Protocol, TypeVar
+
+
+class Named(Protocol):
+    """What a registry holds."""
+
+    @property
+    def name(self) -> str:
+        """Key in files and results."""
+
+
+Kind = TypeVar("Kind", bound=Named)
+
+
+class Registry(Mapping[str, Kind]):
+    """Kinds by name, in the order of the package's files.
+
+    Parameters
+    ----------
+    package : str
+        Its modules are imported when the registry is first read; each calls `add`.
+    """
+
+    def __init__(self, package: str) -> None:
+        self._package = package
+        self._kinds: dict[str, Kind] = {}
+        self._read = False
+
+    def add(self, kind: Kind) -> None:
+        """Make a kind known."""
+        self._kinds[kind.name] = kind
+
+    def discard(self, name: str) -> None:
+        """Forget a kind."""
+        self._kinds.pop(name, None)
+
+    def _all(self) -> dict[str, Kind]:
+        if not self._read:
+            self._read = True
+            package = import_module(self._package)
+            for module in iter_modules(package.__path__):
+                import_module(f"{self._package}.{module.name}")
+        return self._kinds
+
+    def __getitem__(self, name: str) -> Kind:
+        return self._all()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._all())
+
+    def __len__(self) -> int:
+        return len(self._all())

@@ -1,0 +1,119 @@
+"""The arm at rest in the poses that a problem gives, by the exact laws.
+
+What a pose at rest fixes, no motion can change: torque, stiffness and sag there, and whether the
+torque of a joint must change sign between two such poses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.exact.chain import exact_compliance, exact_windup
+
+if TYPE_CHECKING:
+    from stiffopt.problem.resolve import ResolvedMotion
+    from stiffopt.problem.trajectory import TrajectoryProblem
+
+
+@dataclass(frozen=True)
+class RestPose:
+    """Start or end of a motion.
+
+    Parameters
+    ----------
+    name : str
+        "start" or "end".
+    angles : array (n,) [rad]
+    fixed : bool
+        Whether the arm rests in just this pose.
+    """
+
+    name: str
+    angles: np.ndarray
+    fixed: bool
+
+
+def rest_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[RestPose, RestPose]:
+    """Start and end of the motion."""
+    rest = problem.boundary_acceleration == "zero" and problem.boundary_velocity is None
+    return (
+        RestPose("start", motion.start, motion.start_fixed and rest),
+        RestPose("end", motion.end, motion.end_fixed and rest),
+    )
+
+
+def gravity_torque(problem: TrajectoryProblem, angles: np.ndarray) -> np.ndarray:
+    """Torque (n,) [N m] that holds a pose at rest, with the process force."""
+    torque = problem.robot.rigid_bodies().gravity_torque(angles)
+    if np.any(problem.process_force):
+        return np.asarray(torque - tool_jacobian(problem, angles).T @ problem.process_force)
+    return torque
+
+
+def tool_jacobian(problem: TrajectoryProblem, angles: np.ndarray) -> np.ndarray:
+    """Position Jacobian (3, n) of the tool in base axes."""
+    robot = problem.robot
+    return np.asarray(robot.rigid_bodies().jacobian(robot.tool, angles)[:3])
+
+
+def stiffness_at(problem: TrajectoryProblem, joint: int, torque: float) -> float:
+    """Tangent stiffness [N m/rad] of a joint by the exact law."""
+    chain = problem.robot.chains[joint - 1]
+    if chain is None:
+        return np.inf
+    return float(1.0 / np.asarray(exact_compliance(chain, np.array([torque])))[0])
+
+
+def rest_deflection(problem: TrajectoryProblem, angles: np.ndarray, part: str) -> float:
+    """Length [m] of the "total" or "process" part of the tool's deflection at rest in a pose."""
+    torque = gravity_torque(problem, angles)
+    without_force = torque + tool_jacobian(problem, angles).T @ problem.process_force
+    windup = np.zeros(problem.joints)
+    for j, chain in enumerate(problem.robot.chains):
+        if chain is not None:
+            loaded, unloaded = exact_windup(chain, np.array([torque[j], without_force[j]]))
+            windup[j] = loaded - (unloaded if part == "process" else 0.0)
+    return float(np.linalg.norm(tool_jacobian(problem, angles) @ windup))
+
+
+def sign_change(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) -> str:
+    """Why the spring torque of a joint must pass zero; empty where it need not."""
+    poses = rest_poses(problem, motion)
+    if problem.boundary_acceleration == "zero" and all(p.fixed for p in poses):
+        start, end = (gravity_torque(problem, p.angles)[joint - 1] for p in poses)
+        # Angles solved numerically leave a residue of the order of 1e-6 of the torque.
+        threshold = 1e-5 * float(problem.robot.torque_max[joint - 1])
+        if start * end < 0 and min(abs(start), abs(end)) > threshold:
+            return f"{start:.3g} N m at rest at the start, {end:.3g} N m at the end"
+        for where, torque in (("start", start), ("end", end)):
+            if abs(torque) <= threshold:
+                return f"it is zero at rest in the {where} pose"
+    if (
+        problem.robot.tree.bodies[joint - 1].parent == 0
+        and problem.boundary_velocity is None
+        and not np.any(problem.process_force)
+        and _never_loaded_by_gravity(problem, joint)
+    ):
+        return "gravity does not load it, and it has no momentum at either end"
+    return ""
+
+
+def torque_sides(problem: TrajectoryProblem, motion: ResolvedMotion) -> np.ndarray:
+    """Sign of each joint's torque at rest in the start pose; 0 where it must change (n,)."""
+    signs = np.sign(gravity_torque(problem, motion.start))
+    forced = [bool(sign_change(problem, motion, j + 1)) for j in range(problem.joints)]
+    return np.asarray(np.where(forced, 0.0, signs))
+
+
+def _never_loaded_by_gravity(problem: TrajectoryProblem, joint: int) -> bool:
+    """Whether a first joint's gravity torque is zero in all of many poses."""
+    random = np.random.default_rng(0)
+    limits = problem.active_limits
+    low = np.where(np.isfinite(limits.position_lower), limits.position_lower, -np.pi)
+    high = np.where(np.isfinite(limits.position_upper), limits.position_upper, np.pi)
+    poses = low + (high - low) * random.random((20, problem.joints))
+    torques = [abs(gravity_torque(problem, pose)[joint - 1]) for pose in poses]
+    return bool(max(torques) < 1e-9 * float(problem.robot.torque_max[joint - 1]))
