@@ -12,7 +12,8 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import InputError, InputFileError, nearest
-from stiffopt.robot.schema import AssemblySection, ElementSection, JointSection, SurfaceSection
+from stiffopt.robot.element_sections import ElementSection
+from stiffopt.robot.schema import AssemblySection, JointSection, SurfaceSection
 from stiffopt.units import JointNumber, fit_joint
 
 

@@ -15,10 +15,11 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError, InputFileError, nearest
 from stiffopt.files import check_header, load_toml, validate
 from stiffopt.robot.body_tree import body_tree
+from stiffopt.robot.element_sections import Cited
 from stiffopt.robot.elements import ElementBuilder, located
 from stiffopt.robot.frames import LinkFrame, link_frame, link_names
 from stiffopt.robot.robot import Robot, Source
-from stiffopt.robot.schema import Cited, JointSection, PlaceSection, RobotFile, robot_file
+from stiffopt.robot.schema import JointSection, PlaceSection, RobotFile, robot_file
 from stiffopt.robot.urdf import UNLIMITED, load_urdf
 from stiffopt.units import fit_joint
 
