@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
 
-from stiffopt.contact.validate import require_at_least, require_not_negative, require_positive
+from stiffopt.contact.validate import require_positive
+from stiffopt.declaration import NOT_NEGATIVE, Bounds, Doc, Length, Ratio, check_fields
 from stiffopt.drivetrain.catalogue import BoltData
-from stiffopt.errors import InputError, nearest
 from stiffopt.symbolic import Quantity
 
 # alpha_A = F_max/F_min at assembly, by method: the range of VDI 2230 for friction classes known
 # from experience is 1.4 to 1.6 for torque wrenches (its unfavourable end is taken), 1.2 to 1.4 for
 # angle and for yield control (middle and favourable end: the bolt itself ends the tightening).
 SCATTER = {"torque_wrench": 1.6, "angle": 1.3, "yield": 1.2}
+
+# Customary are 0.08 to 0.2.
+_FRICTION = Bounds(above=0.0, below=1.0)
 
 # Preferred numbers R20 of ISO 3 between 1 and 10.
 _R20 = (
@@ -26,41 +30,34 @@ _R20 = (
 
 @dataclass(frozen=True, kw_only=True)
 class Tightening:
-    """How bolts and pins are tightened.
+    """How bolts and pins are tightened."""
 
-    Parameters
-    ----------
-    method : {"torque_wrench", "angle", "yield"}
-    scatter : float or None
-        alpha_A = F_max/F_min at assembly [-]; None: by method.
-    thread_friction, head_friction : float
-        Lowest coefficients to be expected; higher friction is part of the scatter.
-    embedding : float
-        f_Z, by which all faces of one fastener together settle [m].
-    """
-
-    method: str = "torque_wrench"
-    scatter: float | None = None
-    thread_friction: float = 0.12
-    head_friction: float = 0.12
-    embedding: float = 3e-6
+    method: Annotated[
+        Literal["torque_wrench", "angle", "yield"], Doc("How tightening is controlled.")
+    ] = "torque_wrench"
+    scatter: Annotated[
+        Ratio | None,
+        Bounds(least=1.0),
+        Doc("alpha_A, largest over least preload at assembly; default that of the method."),
+    ] = None
+    thread_friction: Annotated[
+        Ratio,
+        _FRICTION,
+        Doc("Lowest coefficient to be expected in the thread; higher is part of the scatter."),
+    ] = 0.12
+    head_friction: Annotated[
+        Ratio,
+        _FRICTION,
+        Doc("Lowest coefficient to be expected under the head; higher is part of the scatter."),
+    ] = 0.12
+    embedding: Annotated[
+        Length,
+        NOT_NEGATIVE,
+        Doc("f_Z, by which all faces of one fastener together settle after assembly."),
+    ] = 3e-6
 
     def __post_init__(self) -> None:
-        if self.method not in SCATTER:
-            raise InputError(
-                f"tightening: no method {self.method!r}. {nearest(self.method, SCATTER)}"
-            )
-        if self.scatter is not None:
-            require_at_least("tightening", 1.0, scatter=self.scatter)
-        for name in ("thread_friction", "head_friction"):
-            value = getattr(self, name)
-            require_positive("tightening", **{name: value})
-            if value >= 1.0:
-                raise InputError(
-                    f"tightening: {name} = {value:g} is no coefficient of friction of a bolt; "
-                    "allowed is above 0 and below 1, customary 0.08 to 0.2. Correct it."
-                )
-        require_not_negative("tightening", embedding=self.embedding)
+        check_fields(self, "tightening")
 
     @property
     def alpha(self) -> float:

@@ -9,17 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from stiffopt.drivetrain import catalogue
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.fastening.limits import check_preload
-from stiffopt.fastening.tightening import Tightening
 from stiffopt.files import check_header, load_toml, validate
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.load_sources import pose_case, trajectory_history
-from stiffopt.preload.problem import Choice, PreloadProblem, Requirements
+from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.schema import (
-    ChooseSection,
     ExpectedValueSection,
     LoadCaseSection,
     PreloadFile,
@@ -97,10 +94,8 @@ def _build(document: PreloadFile, robot: Robot, path: Path) -> PreloadProblem:
         joints = [j for j, chain in enumerate(robot.chains, start=1) if chain is not None]
     for joint in joints:
         lists.check_number(joint, "joints")
-    tightening = Tightening(**document.tightening.model_dump())
     objective, needs = document.minimise[0], document.require
     stiffness = _by_joint(needs.joint_stiffness, lists, "require.joint_stiffness")
-    requirements = Requirements(**(needs.model_dump() | {"joint_stiffness": stiffness}))
     wanted = objective.objective == "tool_deflection" or needs.tool_deflection is not None
     builder = _LoadCases(document, lists, wanted)
     loads = [builder(case, k) for k, case in enumerate(document.load_case, start=1)]
@@ -111,13 +106,13 @@ def _build(document: PreloadFile, robot: Robot, path: Path) -> PreloadProblem:
         joints=tuple(joints),
         load_cases=tuple(load for load in loads if isinstance(load, LoadCase)),
         histories=tuple(load for load in loads if isinstance(load, LoadHistory)),
-        tightening=tightening,
+        tightening=document.tightening,
         objective=objective.objective,
         joint_weights=_by_joint(objective.joint_weights, lists, "minimise[1].joint_weights"),
-        requirements=requirements,
-        free=tuple(document.free),
+        requirements=replace(needs, joint_stiffness=stiffness),
+        free=document.free,
         individual=document.individual,
-        choose=None if document.choose is None else _choice(document.choose, path),
+        choose=document.choose,
         title=document.title or path.stem,
     )
 
@@ -205,20 +200,6 @@ def _by_joint(values: Mapping[int, float], lists: JointLists, where: str) -> dic
             name = lists.names[joint - 1]
             found[joint] = fit_joint(value, bool(lists.prismatic[joint - 1]), "stiffness", name)
     return found
-
-
-def _choice(section: ChooseSection, path: Path) -> Choice:
-    for key, look_up in (("sizes", catalogue.bolt), ("grades", catalogue.proof_stress)):
-        with located(path, f"choose.{key}"):
-            for name in getattr(section, key):
-                look_up(name)
-    with located(path, "choose"):
-        return Choice(
-            sizes=tuple(section.sizes),
-            grades=tuple(section.grades),
-            counts=tuple(section.counts),
-            torques=tuple(section.torques),
-        )
 
 
 def _check_present_preloads(problem: PreloadProblem, path: Path) -> None:

@@ -5,10 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
+from stiffopt.declaration import (
+    FRACTION,
+    POSITIVE,
+    Bounds,
+    Doc,
+    JointStiffness,
+    Length,
+    Named,
+    Ratio,
+    Torque,
+    check_fields,
+)
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import ProblemError, nearest
 from stiffopt.fastening.limits import PreloadLimit, embedding_loss, fastener_count, preload_limits
@@ -29,80 +41,69 @@ OBJECTIVES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Requirements:
-    """What every design of the study must keep.
+    """What every design of the study must keep."""
 
-    Parameters
-    ----------
-    joint_stiffness : mapping of joint number to float
-        Least tangent stiffness in every load case [N m/rad].
-    tool_deflection : float or None
-        Largest deflection of the tool over the load cases that have a pose [m].
-    slip_safety : float
-        Slip torque over torque, for every friction connection and load case, with the least
-        preload that tightening leaves.
-    bolt_utilisation : float
-        Share of the permissible tightening stress, at the largest preload.
-    least_preload : float
-        Share of the permissible preload that is tightened at least: a hardly tightened bolt works
-        loose, whatever the torque.
-    """
-
-    joint_stiffness: Mapping[int, float] = field(default_factory=dict)
-    tool_deflection: float | None = None
-    slip_safety: float = 1.2
-    bolt_utilisation: float = 1.0
-    least_preload: float = 0.3
+    joint_stiffness: Annotated[
+        Mapping[int, JointStiffness],
+        POSITIVE,
+        Doc("Least tangent stiffness in every load case, by joint number."),
+    ] = field(default_factory=dict)
+    tool_deflection: Annotated[
+        Length | None,
+        POSITIVE,
+        Doc("Largest deflection of the tool over the load cases that have a pose."),
+    ] = None
+    slip_safety: Annotated[
+        Ratio,
+        Bounds(least=1.0),
+        Doc(
+            "Slip torque over torque, for every friction connection and load case, with the least "
+            "preload that tightening leaves."
+        ),
+    ] = 1.2
+    bolt_utilisation: Annotated[
+        Ratio,
+        FRACTION,
+        Doc(
+            "Share of the permissible tightening stress, 90 % of the yield strength, at the "
+            "largest preload."
+        ),
+    ] = 1.0
+    least_preload: Annotated[
+        Ratio,
+        Bounds(above=0.0, below=1.0),
+        Doc(
+            "Share of the permissible preload that is tightened at least: a hardly tightened bolt "
+            "works loose, whatever the torque."
+        ),
+    ] = 0.3
 
     def __post_init__(self) -> None:
-        values = {f"joint_stiffness of joint {j}": k for j, k in self.joint_stiffness.items()}
-        if self.tool_deflection is not None:
-            values["tool_deflection"] = self.tool_deflection
-        for name, value in values.items():
-            if not (np.isfinite(value) and value > 0.0):
-                raise ProblemError(f"require.{name} = {value:g} must be above 0.")
-        if not (np.isfinite(self.slip_safety) and self.slip_safety >= 1.0):
-            raise ProblemError(
-                f"require.slip_safety = {self.slip_safety:g} must be 1 or above: below 1 the "
-                "connection slips."
-            )
-        if not 0.0 < self.bolt_utilisation <= 1.0:
-            raise ProblemError(
-                f"require.bolt_utilisation = {self.bolt_utilisation:g} must be above 0 and at "
-                "most 1, which is 90 % of the yield strength while tightening."
-            )
-        if not 0.0 < self.least_preload < 1.0:
-            raise ProblemError(
-                f"require.least_preload = {self.least_preload:g} must be above 0 and below 1, the "
-                "share of the permissible preload."
-            )
+        check_fields(self, "require")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
     """Catalogue designs to choose from, for every free bolted flange of the study.
 
-    Parameters
-    ----------
-    sizes, grades : tuple of str
-    counts : tuple of int
-    torques : tuple of float
-        Tightening torques of the workshop [N m]; empty: the R20 preferred numbers.
-
-    Notes
-    -----
-    An empty tuple keeps what the flange has.
+    What is left out stays as the flange has it.
     """
 
-    sizes: tuple[str, ...] = ()
-    grades: tuple[str, ...] = ()
-    counts: tuple[int, ...] = ()
-    torques: tuple[float, ...] = ()
+    sizes: Annotated[
+        tuple[Annotated[str, Named("bolt")], ...], Doc("Sizes of bolts, such as M5.")
+    ] = ()
+    grades: Annotated[
+        tuple[Annotated[str, Named("bolt grade")], ...], Doc("Strength classes, such as 12.9.")
+    ] = ()
+    counts: Annotated[tuple[int, ...], Bounds(least=1), Doc("Numbers of bolts in the ring.")] = ()
+    torques: Annotated[
+        tuple[Torque, ...],
+        POSITIVE,
+        Doc("Tightening torques of the workshop; default the preferred numbers R20 of ISO 3."),
+    ] = ()
 
     def __post_init__(self) -> None:
-        if any(count < 1 for count in self.counts):
-            raise ProblemError("choose.counts must be whole numbers of 1 or above.")
-        if any(not torque > 0.0 for torque in self.torques):
-            raise ProblemError("choose.torques must be above 0 N m.")
+        check_fields(self, "choose")
 
 
 @dataclass(frozen=True)

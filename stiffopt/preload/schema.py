@@ -7,42 +7,45 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from stiffopt.declaration import (
+    POSITIVE,
     Angle,
+    Bounds,
+    Doc,
     Force,
     JointPosition,
     JointStiffness,
     JointTorque,
-    Length,
-    Ratio,
-    Torque,
 )
+from stiffopt.fastening.tightening import Tightening
 from stiffopt.files import Section
+from stiffopt.preload.problem import Choice, Requirements
 from stiffopt.problem.schema import PayloadSection, ToolSection, Vector3
-
-JointNumber = Annotated[int, Field(ge=1)]
-StiffnessByJoint = dict[int, Annotated[JointStiffness, Field(gt=0)]]
 
 # Keys of a load case of which exactly one says where its torques come from.
 _KINDS = ("torque", "trajectory", "joints", "position")
 
 
 class LoadCaseSection(Section):
-    """[[load_case]] (required): joint torques, a solved trajectory, or a pose at rest.
+    """[[load_case]] (required): joint torques, a solved trajectory, or a pose at rest."""
 
-    `torque`: magnitudes, one a joint. `trajectory`: trajectory.csv of a solve, relative to the
-    study file. `joints`, or `position` with or without `rpy`: a pose; `near` chooses between the
-    solutions of the inverse kinematics. `force` acts ON the tool, base axes; default that of
-    [tool].
-    """
-
-    name: Annotated[str, Field(min_length=1)]
-    torque: list[JointTorque] | None = None
-    trajectory: str | None = None
-    joints: list[JointPosition] | None = None
-    position: Vector3 | None = None
-    rpy: tuple[Angle, Angle, Angle] | None = None
-    near: list[JointPosition] | None = None
-    force: tuple[Force, Force, Force] | None = None
+    name: Annotated[str, Field(min_length=1), Doc("Name in results.")]
+    torque: Annotated[list[JointTorque] | None, Doc("Magnitudes, one a joint.")] = None
+    trajectory: Annotated[
+        str | None, Doc("trajectory.csv of a solve, relative to the study file.")
+    ] = None
+    joints: Annotated[list[JointPosition] | None, Doc("Pose at rest, one a joint.")] = None
+    position: Annotated[Vector3 | None, Doc("Place of the tool in a pose at rest.")] = None
+    rpy: Annotated[
+        tuple[Angle, Angle, Angle] | None, Doc("Roll, pitch and yaw of the tool at `position`.")
+    ] = None
+    near: Annotated[
+        list[JointPosition] | None,
+        Doc("Chooses between the solutions of the inverse kinematics for `position`."),
+    ] = None
+    force: Annotated[
+        tuple[Force, Force, Force] | None,
+        Doc("Acts ON the tool, base axes; default that of [tool]."),
+    ] = None
 
     @model_validator(mode="after")
     def _one_kind(self) -> LoadCaseSection:
@@ -62,95 +65,101 @@ class LoadCaseSection(Section):
         return self
 
 
-class TighteningSection(Section):
-    """[tightening]: how bolts and pins are tightened; `scatter` is alpha_A = F_max / F_min."""
-
-    method: Literal["torque_wrench", "angle", "yield"] = "torque_wrench"
-    scatter: Ratio | None = None
-    thread_friction: Ratio = 0.12
-    head_friction: Ratio = 0.12
-    embedding: Length = 3e-6
-
-
 class StudyObjectiveSection(Section):
-    """[[minimise]] (required, one): joint_stiffness is maximised, min over joints of k / weight."""
+    """[[minimise]] (required, one): what the preloads are best for."""
 
-    objective: Literal["total_preload", "bolt_utilisation", "joint_stiffness", "tool_deflection"]
-    joint_weights: StiffnessByJoint = Field(default_factory=dict)
-
-
-class RequireSection(Section):
-    """[require]: what every design keeps."""
-
-    joint_stiffness: StiffnessByJoint = Field(default_factory=dict)
-    tool_deflection: Length | None = None
-    slip_safety: Ratio = 1.2
-    bolt_utilisation: Ratio = 1.0
-    least_preload: Ratio = 0.3
-
-
-class ChooseSection(Section):
-    """[choose]: catalogue to choose from; `torques` of the workshop, default preferred numbers."""
-
-    sizes: list[str] = Field(default_factory=list)
-    grades: list[str] = Field(default_factory=list)
-    counts: list[int] = Field(default_factory=list)
-    torques: list[Torque] = Field(default_factory=list)
+    objective: Annotated[
+        Literal["total_preload", "bolt_utilisation", "joint_stiffness", "tool_deflection"],
+        Doc("joint_stiffness is maximised: the least over the joints of stiffness over weight."),
+    ]
+    joint_weights: Annotated[
+        dict[int, JointStiffness],
+        POSITIVE,
+        Doc("For joint_stiffness, by joint number; default the stiffness at the largest preloads."),
+    ] = Field(default_factory=dict)
 
 
 class ParetoSection(Section):
-    """[pareto]: points of the front between total preload and stiffness; 0 leaves it out."""
+    """[pareto]: front between total preload and stiffness."""
 
-    points: Annotated[int, Field(ge=0, le=200)] = 15
+    points: Annotated[
+        int, Bounds(least=0, most=200), Doc("Points of the front; 0 leaves it out.")
+    ] = 15
 
 
 class StudyMotionSection(Section):
-    """[motion]: a trajectory problem beside the study, optimised together with the preloads.
+    """[motion]: a trajectory problem, optimised together with the preloads."""
 
-    `intervals`: in place of the problem's own, since each round solves it anew.
-    """
-
-    problem: str
-    rounds: Annotated[int, Field(ge=1, le=50)] = 4
-    intervals: Annotated[int, Field(ge=4)] | None = None
+    problem: Annotated[str, Doc("Trajectory problem file, relative to the study file.")]
+    rounds: Annotated[
+        int, Bounds(least=1, most=50), Doc("Largest number of motions and preloads in turn.")
+    ] = 4
+    intervals: Annotated[
+        int | None,
+        Bounds(least=4),
+        Doc("In place of the problem's own, since each round solves it anew."),
+    ] = None
 
 
 class ExpectedValueSection(Section):
     """[expected.values.NAME]: a result that `stiffopt verify` compares, and its origin."""
 
-    value: float
-    unit: str = ""
-    rtol: Annotated[float, Field(gt=0, le=0.1)] = 1e-4
-    source: Annotated[str, Field(min_length=1)]
+    value: Annotated[float, Doc("Expected value, in `unit`.")]
+    unit: Annotated[str, Doc("Unit of the value; default none.")] = ""
+    rtol: Annotated[float, Bounds(above=0.0, most=0.1), Doc("Relative tolerance.")] = 1e-4
+    source: Annotated[str, Field(min_length=1), Doc("Where the value comes from.")]
 
 
 class StudyExpectedSection(Section):
     """[expected]."""
 
-    values: dict[str, ExpectedValueSection] = Field(default_factory=dict)
+    values: Annotated[
+        dict[str, ExpectedValueSection], Doc("Expected results, by the names of study.json.")
+    ] = Field(default_factory=dict)
 
 
 class PreloadFile(Section):
     """A whole preload study file."""
 
-    schema_: Annotated[int, Field(alias="schema")]
-    kind: Literal["preload"]
-    title: str = ""
-    robot: str
-    joints: list[JointNumber] | None = None
-    free: list[str] = Field(default_factory=list)
-    individual: bool = False
-    deflection: Literal["total", "dynamic", "process"] = "total"
-    payload: PayloadSection | None = None
-    tool: ToolSection = ToolSection()
-    load_case: Annotated[list[LoadCaseSection], Field(min_length=1)]
-    tightening: TighteningSection = TighteningSection()
-    minimise: Annotated[list[StudyObjectiveSection], Field(min_length=1)]
-    require: RequireSection = RequireSection()
-    choose: ChooseSection | None = None
-    pareto: ParetoSection = ParetoSection()
-    motion: StudyMotionSection | None = None
-    expected: StudyExpectedSection = StudyExpectedSection()
+    schema_: Annotated[int, Field(alias="schema"), Doc("Version of the file format, 1.")]
+    kind: Annotated[Literal["preload"], Doc("Says that the file is a preload study.")]
+    title: Annotated[str, Doc("Heading of the report; default the file's name.")] = ""
+    robot: Annotated[str, Doc("A robot's name, or a robot file relative to the study file.")]
+    joints: Annotated[
+        list[int] | None, Bounds(least=1), Doc("Joint numbers; default all with a drivetrain.")
+    ] = None
+    free: Annotated[
+        tuple[str, ...],
+        Doc("Elements whose preload is chosen; default all bolts and pins of the joints."),
+    ] = ()
+    individual: Annotated[
+        bool, Doc("Whether each bolt or pin gets a preload of its own instead of each connection.")
+    ] = False
+    deflection: Annotated[
+        Literal["total", "dynamic", "process"],
+        Doc(
+            "Which wind-up deflects the tool: all of it, what motion adds to the sag at rest, or "
+            "what the process force adds."
+        ),
+    ] = "total"
+    payload: Annotated[PayloadSection | None, Doc("Load at the flange.")] = None
+    tool: Annotated[ToolSection, Doc("Point whose deflection counts, and force on it.")] = (
+        ToolSection()
+    )
+    load_case: Annotated[
+        list[LoadCaseSection], Field(min_length=1), Doc("Torques that the design carries.")
+    ]
+    tightening: Annotated[Tightening, Doc("How bolts and pins are tightened.")] = Tightening()
+    minimise: Annotated[
+        list[StudyObjectiveSection], Field(min_length=1), Doc("The objective, exactly one.")
+    ]
+    require: Annotated[Requirements, Doc("What every design keeps.")] = Requirements()
+    choose: Annotated[Choice | None, Doc("Catalogue bolts to choose from.")] = None
+    pareto: Annotated[ParetoSection, Doc("Front of the report.")] = ParetoSection()
+    motion: Annotated[StudyMotionSection | None, Doc("Motion to be optimised as well.")] = None
+    expected: Annotated[StudyExpectedSection, Doc("What a verification compares.")] = (
+        StudyExpectedSection()
+    )
 
     @model_validator(mode="after")
     def _one_objective(self) -> PreloadFile:

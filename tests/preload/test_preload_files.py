@@ -314,7 +314,7 @@ PIECES = {
     ),
     "no friction": (
         {"more": "[tightening]\nthread_friction = 0.0"},
-        ["tightening", "thread_friction = 0", "above 0"],
+        ["tightening.thread_friction", "thread_friction = 0", "validity range 0 to 1"],
     ),
     "scatter below 1": ({"more": "[tightening]\nscatter = 0.9"}, ["tightening", "scatter = 0.9"]),
     "two objectives": (
