@@ -64,7 +64,7 @@ def without_abstention(_: str) -> Iterator[None]:
     from stiffopt.discovery.search import search
 
     with ExitStack() as stack:
-        for bar in ("EVIDENCE", "CHI", "EXPLAINED"):
+        for bar in ("NAMED_EVIDENCE", "NAMED_DEVIATIONS", "NAMED_SHARE"):
             stack.enter_context(mock.patch.object(search, bar, 0.0))
         keep = mock.patch.object(
             diagnose, "assess_findings", lambda result: (result.selected, None)

@@ -26,7 +26,8 @@ from stiffopt.discovery.judging.variance_explained import variance_explained
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.proof.proof import RunProof, prove
 from stiffopt.discovery.search.candidates import Scorer
-from stiffopt.discovery.search.search import Selected, search
+from stiffopt.discovery.search.rivals import Selected
+from stiffopt.discovery.search.search import search
 from stiffopt.discovery.search.uncertainty import Estimate, estimate
 from stiffopt.discovery.search.unstated import unstated_effects, without_bounds
 from stiffopt.discovery.settings import Settings

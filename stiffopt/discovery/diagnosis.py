@@ -14,7 +14,8 @@ from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.detection import DetectionLimit
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.proof.proof import RunProof, nrmse
-from stiffopt.discovery.search.search import SearchResult, Selected
+from stiffopt.discovery.search.rivals import Selected
+from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
 from stiffopt.recording.recording_set import RecordingSet

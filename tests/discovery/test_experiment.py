@@ -18,7 +18,8 @@ from stiffopt.discovery.experiment.collocation import improved
 from stiffopt.discovery.experiment.design import ExperimentPlan, leading_pair, plan_experiment
 from stiffopt.discovery.experiment.motion import limits_of, prepared_motion, random_motion
 from stiffopt.discovery.experiment.separation import Separation
-from stiffopt.discovery.search.search import SearchResult, Selected
+from stiffopt.discovery.search.rivals import Selected
+from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training, train
 from stiffopt.recording.recording_set import load_recordings

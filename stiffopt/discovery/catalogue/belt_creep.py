@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import Constants, remember, winds_up, working_compliance
+from stiffopt.discovery.catalogue.common import Constants, winds_up, working_compliance
+from stiffopt.discovery.catalogue.history import remember
 from stiffopt.discovery.catalogue.robot_change import (
     SHARES,
     chain_of,

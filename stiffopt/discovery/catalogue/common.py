@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from stiffopt.discovery.catalogue.history import Step, scan
 from stiffopt.discovery.comparison.signals import JointConstants
 from stiffopt.discovery.effect import Amplitude
 from stiffopt.discovery.settings import SIGN_SPEED
@@ -27,44 +25,6 @@ def smooth_sign(velocity: Quantity) -> Quantity:
 def part(signal: Quantity, index: int) -> Quantity:
     """One entry along the last axis of arrays (K, n, m), or column of a symbol (n, m)."""
     return signal[:, index] if is_symbolic(signal) else signal[..., index]
-
-
-def remember(
-    step: Step,
-    inputs: Sequence[Quantity],
-    state: Sequence[Quantity],
-    parameters: Sequence[Quantity] = (),
-) -> Quantity:
-    """Output of a recurrence at every sample, in the shape of a term.
-
-    Parameters
-    ----------
-    step : callable
-        See `discovery.history`.
-    inputs : sequence of array (K,) or SX (K, 1)
-        Symbols are written out sample after sample, which suits short stretches.
-    state : sequence of float or SX
-        Before the first sample.
-    parameters : sequence of float or SX or MX
-
-    Returns
-    -------
-    array (K,) or symbol (K, 1)
-    """
-    if any(is_symbolic(u) for u in (*inputs, *state)):
-        return _written_out(step, inputs, state, parameters)
-    output = scan(step, inputs, [float(x) for x in state], parameters)
-    return output.T if is_symbolic(output) else output
-
-
-def _written_out(
-    step: Step, inputs: Sequence[Quantity], state: Quantity, parameters: Sequence[Quantity]
-) -> Quantity:
-    now, outputs = ca.vertcat(*state), []
-    for k in range(inputs[0].shape[0]):
-        now, output = step(now, [u[k] for u in inputs], parameters)
-        outputs.append(output)
-    return ca.vertcat(*outputs)
 
 
 # ---- typical sizes, from what is known of a joint

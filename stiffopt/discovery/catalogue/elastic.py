@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import remember, winds_up
+from stiffopt.discovery.catalogue.common import winds_up
+from stiffopt.discovery.catalogue.history import remember
 from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.symbolic import Quantity

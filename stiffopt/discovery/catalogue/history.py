@@ -15,6 +15,44 @@ from stiffopt.symbolic import Quantity, is_symbolic
 Step = Callable[[Quantity, Sequence[Quantity], Sequence[Quantity]], tuple[Quantity, Quantity]]
 
 
+def remember(
+    step: Step,
+    inputs: Sequence[Quantity],
+    state: Sequence[Quantity],
+    parameters: Sequence[Quantity] = (),
+) -> Quantity:
+    """Output of a recurrence at every sample, in the shape of a term.
+
+    Parameters
+    ----------
+    step : callable
+        As of `scan`.
+    inputs : sequence of array (K,) or SX (K, 1)
+        Symbols are written out sample after sample, which suits short stretches.
+    state : sequence of float or SX
+        Before the first sample.
+    parameters : sequence of float or SX or MX
+
+    Returns
+    -------
+    array (K,) or symbol (K, 1)
+    """
+    if any(is_symbolic(u) for u in (*inputs, *state)):
+        return _written_out(step, inputs, state, parameters)
+    output = scan(step, inputs, [float(x) for x in state], parameters)
+    return output.T if is_symbolic(output) else output
+
+
+def _written_out(
+    step: Step, inputs: Sequence[Quantity], state: Quantity, parameters: Sequence[Quantity]
+) -> Quantity:
+    now, outputs = ca.vertcat(*state), []
+    for k in range(inputs[0].shape[0]):
+        now, output = step(now, [u[k] for u in inputs], parameters)
+        outputs.append(output)
+    return ca.vertcat(*outputs)
+
+
 def scan(
     step: Step,
     inputs: Sequence[Quantity],

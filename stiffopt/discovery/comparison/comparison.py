@@ -10,12 +10,12 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
+from stiffopt.discovery.comparison.evidence import BlockSums, Posterior, Sums, posterior
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import NuisanceColumn, nuisance_columns
 from stiffopt.discovery.comparison.prepare import PreparedRun, with_link_torque
 from stiffopt.discovery.comparison.rows import ChannelNoise, ChannelRows
-from stiffopt.discovery.search.evidence import BlockSums, Posterior, Sums, posterior
 from stiffopt.recording.nominal import Tolerance
 
 # Blocks a run is cut into where there are too few runs to leave one out.

@@ -20,7 +20,8 @@ from stiffopt.discovery.experiment.motion import (
     repeated_motion,
 )
 from stiffopt.discovery.experiment.separation import Separation
-from stiffopt.discovery.search.search import SearchResult, Selected
+from stiffopt.discovery.search.rivals import Selected
+from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
 from stiffopt.result.trajectory import Trajectory

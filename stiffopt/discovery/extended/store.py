@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.signals import RobotConstants
-from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.recording.schema import NominalSection
+
+if TYPE_CHECKING:
+    from stiffopt.discovery.diagnosis import Diagnosis
 
 
 def extended_text(diagnosis: Diagnosis) -> str:

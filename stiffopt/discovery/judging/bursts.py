@@ -16,12 +16,9 @@ from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.proof.proof import MOVING
-from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.settings import BURST_RATIO, BURSTING_RATIO, Settings
 from stiffopt.discovery.training import Training
 
-# Root mean square of a channel's residual over its usual size, from which it has bursts: dry
-# friction at reversals alone comes to 1.03 to 1.09, and to 1.7 times the noise where they lie.
-_BURSTING, _BURST = 1.10, 1.8
 # A normal variable's standard deviation over the median of its size.
 _NORMAL = 1.4826
 # Share of the samples that bursts are sought in.
@@ -84,11 +81,11 @@ def bursts(
     channels = [_joined(own) for own in parts]
     ratios = [c.bursting if c.residual.size else 0.0 for c in channels]
     worst = int(np.argmax(ratios))
-    if ratios[worst] < _BURSTING:
+    if ratios[worst] < BURSTING_RATIO:
         return None
     held = {name: _held(channels[worst], size) for name, size in channels[worst].followed.items()}
     name = max(held, key=lambda each: held[each][0])
-    if held[name][1] < _BURST:
+    if held[name][1] < BURST_RATIO:
         return None
     return Unexplained(
         channels=(f"torque_{worst + 1}",),

@@ -10,22 +10,20 @@ from scipy.interpolate import BSpline
 
 from stiffopt.discovery.comparison.channel_noise import above_cutoff
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.search.search import SearchResult, Selected
+from stiffopt.discovery.search.rivals import Selected
+from stiffopt.discovery.search.search import SearchResult
+from stiffopt.discovery.settings import (
+    EXPLAINED_SHARE,
+    FAINT_RATIO,
+    FAINT_SHARE,
+    PASSED_OVER_RATIO,
+    REMAINDER_RATIO,
+    REMAINDER_SHARE,
+    UNEXPLAINED_RATIO,
+)
 
-# Residual over noise from which a channel counts as not explained, beyond what formulas that
-# differ a little leave.
-UNEXPLAINED = 1.3
-# Findings that take away less than this share of a channel's excess do not explain it.
-EXPLAINED = 0.6
-# A remainder is outside the catalogue from this ratio on, or if that share of it can be predicted.
-_PLAIN = 1.8
-# Nearer to the noise than that, something is missing if what it depends on
-# takes away this share of its square in runs left out.
-_FAINT = 1.05
-_TAKEN = 0.1
-# Left beside findings that explain the most of it, this ratio is still something else.
-_LARGE = 5.0
-_LEAST_SHARE = 0.25
+# Of the flexible functions that a remainder may follow: knots, how many signals, the share of the
+# residual that one more must take away, and the ridge.
 _KNOTS = 8
 _MOST = 3
 _LEAST_GAIN = 0.03
@@ -76,18 +74,19 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
     """
     after = np.nan_to_num(result.after, nan=0.0)
     before = np.nan_to_num(result.calibrated, nan=0.0)
-    remaining = [c for c in np.argsort(-after) if after[c] > UNEXPLAINED]
+    remaining = [c for c in np.argsort(-after) if after[c] > UNEXPLAINED_RATIO]
     if not remaining:
         return result.selected, None if result.selected else _faint(result, after)
     excess = np.maximum(before**2 - 1.0, 1e-9)
     share = 1.0 - (after**2 - 1.0) / excess
-    poor = {int(c) for c in remaining if share[c] < EXPLAINED}
+    poor = {int(c) for c in remaining if share[c] < EXPLAINED_SHARE}
     kept = tuple(s for s in result.selected if s.channel not in poor)
-    if not poor and kept and after[remaining[0]] < _LARGE:
+    if not poor and kept and after[remaining[0]] < PASSED_OVER_RATIO:
         # What formulas that differ from nature leave behind, small against what they explain.
         return kept, None
     found = _describe(result, [int(c) for c in remaining])
-    if not kept and found.gain < _LEAST_SHARE and found.ratio < _PLAIN * _noisier(result):
+    small = found.ratio < REMAINDER_RATIO * _noisier(result)
+    if not kept and small and found.gain < REMAINDER_SHARE:
         # Neither large nor depending on anything: noise that is larger than stated.
         return result.selected, None
     return kept, found
@@ -95,8 +94,8 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
 
 def _faint(result: SearchResult, after: np.ndarray) -> Unexplained | None:
     """A remainder near the noise, where runs left out bear out what it depends on."""
-    best, most = None, _TAKEN
-    for channel in [int(c) for c in np.argsort(-after)[:_MOST] if after[c] > _FAINT]:
+    best, most = None, FAINT_SHARE
+    for channel in [int(c) for c in np.argsort(-after)[:_MOST] if after[c] > FAINT_RATIO]:
         found = _describe(result, [channel])
         taken = found.gain * (1.0 - 1.0 / found.ratio**2)
         if taken > most:

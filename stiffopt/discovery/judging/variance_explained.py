@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.evidence import BlockSums, Sums, posterior
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.search.evidence import BlockSums, Sums, posterior
 from stiffopt.discovery.search.uncertainty import stretches
 
 

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.optimize import minimize
 
 from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.evidence import BlockSums, Posterior, posterior
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
 from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.search.evidence import BlockSums, Posterior, posterior
 
 # Steps of the search that refines shapes.
 _REFINEMENTS = 40

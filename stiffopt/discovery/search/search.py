@@ -10,58 +10,19 @@ import numpy as np
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
 from stiffopt.discovery.comparison.extension import with_amplitudes
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
+from stiffopt.discovery.search.rivals import Selected, ranked_among_rivals
 from stiffopt.discovery.search.uncertainty import significance
-
-Report = Callable[[str], object]
-
-# An effect is named from this log evidence and this many standard deviations on.
-EVIDENCE = 12.0
-CHI = 5.0
-# And, unless the nominal values would have to leave their tolerances without it, only if it takes
-# away this share of a channel's squared residual.
-EXPLAINED = 0.02
-_PULL = 0.5
-# Jackknife deviations from nothing of its amplitudes.
-CONFIRMED = 3.5
-_MOST = 0.5
-# How often a likelier explanation takes the place of what was found.
-_EXCHANGES = 3
-# Log evidences are too sure where formulas differ from nature: a difference counts against this
-# share of the winner's own, within bounds.
-_TEMPER = 0.01
-_WIDEST = 30.0
-_GROUP = 3.0
-# Log prior odds for every further parameter: of two that fit alike the plainer is right.
-_PLAINER = 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class Selected:
-    """An effect that was found, with its rivals.
-
-    Parameters
-    ----------
-    located : LocatedEffect
-    loss : float
-        Log evidence that is lost without it.
-    chi : float
-    probability : float
-        Against its rivals.
-    rivals : tuple of (LocatedEffect, float)
-        What the data cannot tell apart from it, with probabilities.
-    channel : int
-        The channel that it changes most.
-    """
-
-    located: LocatedEffect
-    loss: float
-    chi: float
-    probability: float
-    rivals: tuple[tuple[LocatedEffect, float], ...]
-    channel: int
+from stiffopt.discovery.settings import (
+    BORNE_OUT_SHARE,
+    CONFIRMED_DEVIATIONS,
+    EXCHANGES,
+    NAMED_DEVIATIONS,
+    NAMED_EVIDENCE,
+    NAMED_SHARE,
+    RELIEF_SHARE,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +60,7 @@ def search(
     *,
     start: Sequence[LocatedEffect] = (),
     most: int = 3,
-    report: Report | None = None,
+    report: Callable[[str], object] | None = None,
 ) -> SearchResult:
     """Name what is missing.
 
@@ -144,19 +105,19 @@ def search(
     confirmed = _confirmed(current, effects)
     if len(confirmed) < len(effects):
         current, effects = _fitted_jointly(comparison, confirmed)
-    ranked = [_ranked(current, effects, e, catalogue) for e in effects]
-    for _ in range(_EXCHANGES):
+    ranked = [ranked_among_rivals(current, effects, e, catalogue) for e in effects]
+    for _ in range(EXCHANGES):
         likelier = _distinct([j.likeliest for j in ranked])
         if likelier == effects:
             break
         current, effects = _fitted_jointly(comparison, likelier)
-        ranked = [_ranked(current, effects, e, catalogue) for e in effects]
+        ranked = [ranked_among_rivals(current, effects, e, catalogue) for e in effects]
     else:
         # Explanations that go on taking each other's place explain nothing.
         kept = [j.selected.located for j in ranked if j.likeliest is j.selected.located]
         if len(kept) < len(effects):
             current, effects = _fitted_jointly(comparison, kept)
-            ranked = [_ranked(current, effects, e, catalogue) for e in effects]
+            ranked = [ranked_among_rivals(current, effects, e, catalogue) for e in effects]
     selected = sorted((j.selected for j in ranked), key=lambda s: -s.loss)
     fit = current.fit(tuple(s.located for s in selected))
     return SearchResult(
@@ -165,11 +126,11 @@ def search(
 
 
 def _passes(candidate: Candidate, scorer: Scorer) -> bool:
-    if candidate.evidence < EVIDENCE or candidate.chi < CHI:
+    if candidate.evidence < NAMED_EVIDENCE or candidate.chi < NAMED_DEVIATIONS:
         return False
-    if candidate.explained >= EXPLAINED:
-        return candidate.gain > 0.0 or _relief(candidate, scorer) > _PULL * candidate.evidence
-    return _relief(candidate, scorer) > _PULL * candidate.evidence
+    if candidate.explained >= NAMED_SHARE and candidate.gain > 0.0:
+        return True
+    return _relief(candidate, scorer) > RELIEF_SHARE * candidate.evidence
 
 
 def _relief(candidate: Candidate, scorer: Scorer) -> float:
@@ -237,7 +198,7 @@ def _pruned(comparison: Comparison, effects: list[LocatedEffect]) -> list[Locate
     while kept:
         losses = comparison.fit(kept).losses()
         worst = int(np.argmin(losses))
-        if losses[worst] >= EVIDENCE:
+        if losses[worst] >= NAMED_EVIDENCE:
             break
         kept.pop(worst)
     return kept
@@ -252,7 +213,7 @@ def _confirmed(comparison: Comparison, effects: list[LocatedEffect]) -> list[Loc
     kept = list(effects)
     while kept:
         sure = significance(comparison, kept)
-        weak = [int(i) for i in np.argsort(sure) if sure[i] < CONFIRMED]
+        weak = [int(i) for i in np.argsort(sure) if sure[i] < CONFIRMED_DEVIATIONS]
         lost = next((i for i in weak if not _borne_out(comparison, kept, i)), None)
         if lost is None:
             break
@@ -263,7 +224,9 @@ def _confirmed(comparison: Comparison, effects: list[LocatedEffect]) -> list[Loc
 def _borne_out(comparison: Comparison, effects: list[LocatedEffect], index: int) -> bool:
     others = [e for k, e in enumerate(effects) if k != index]
     own = Scorer(comparison, others).score(effects[index])
-    return own is not None and own.explained > _MOST and own.gain > _MOST * own.evidence
+    if own is None or own.explained <= BORNE_OUT_SHARE:
+        return False
+    return own.gain > BORNE_OUT_SHARE * own.evidence
 
 
 def _distinct(effects: Sequence[LocatedEffect]) -> list[LocatedEffect]:
@@ -273,49 +236,3 @@ def _distinct(effects: Sequence[LocatedEffect]) -> list[LocatedEffect]:
         if not any(located.same_place(other) for other in kept):
             kept.append(located)
     return kept
-
-
-@dataclass(frozen=True, eq=False)
-class _Ranked:
-    """A found effect among its rivals, and the likeliest of them all."""
-
-    selected: Selected
-    likeliest: LocatedEffect
-
-
-def _ranked(
-    comparison: Comparison,
-    effects: Sequence[LocatedEffect],
-    located: LocatedEffect,
-    catalogue: Sequence[Effect],
-) -> _Ranked:
-    """Judge a found effect against everything that could stand in its place."""
-    others = [e for e in effects if e is not located]
-    scorer = Scorer(comparison, others)
-    own = scorer.score(located)
-    assert own is not None
-    found = [c for c in scan(scorer, catalogue, about=located) if not c.located.same_place(located)]
-    width = float(np.clip(_TEMPER * own.evidence, 1.0, _WIDEST))
-    constants = comparison.constants
-    own_prior = _log_prior(own, constants)
-    odds = [
-        (c.evidence - own.evidence) / width + _log_prior(c, constants) - own_prior for c in found
-    ]
-    near = sorted(zip(odds, found, strict=True), key=lambda pair: -pair[0])[:3]
-    near = [(o, c) for o, c in near if o > -_GROUP]
-    weights = np.exp([o for o, _ in near])
-    total = 1.0 + float(np.sum(weights))
-    rivals = tuple((c.located, float(w) / total) for (_, c), w in zip(near, weights, strict=True))
-    selected = Selected(located, own.evidence, own.chi, 1.0 / total, rivals, own.channel)
-    return _Ranked(selected, near[0][1].located if near and near[0][0] > 0.0 else located)
-
-
-def _log_prior(candidate: Candidate, constants: RobotConstants) -> float:
-    """Log prior odds: plainer effects, and those usual at their joint, are likelier.
-
-    An amplitude counts as far as the data determine it.
-    """
-    located = candidate.located
-    size = len(located.effect.shapes) + float(np.sum(1.0 - np.diag(candidate.covariance)))
-    usual = located.effect.log_prior
-    return (usual(located.constants(constants)) if usual else 0.0) - _PLAINER * size
