@@ -1,5 +1,6 @@
 """Small arms with their problem files: quick to solve, and simple enough to check by hand."""
 
+from dataclasses import replace
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -173,3 +174,29 @@ def load(folder, robot="planar", **pieces):
     from stiffopt.problem.files import load_problem
 
     return load_problem(write_problem(folder, robot, **pieces)).problem
+
+
+def on_one_element(problem, element, ratio=1.0):
+    """The problem with a drivetrain of one element in its only joint."""
+    from stiffopt.drivetrain.chain import Chain
+    from stiffopt.drivetrain.stage import Stage
+
+    chain = Chain((Stage(element, ratio=ratio),))
+    return replace(problem, robot=replace(problem.robot, chains=(chain,)))
+
+
+def small_flange(preload):
+    """A bolted flange of 23 mm; it slips at 12.0 mm times the preload of a bolt."""
+    from stiffopt.connection import BoltedFlange
+    from stiffopt.drivetrain import catalogue
+
+    return BoltedFlange(
+        name="flange",
+        torque_max=60.0,
+        bolt_count=9,
+        circle_diameter=17e-3,
+        inner_radius=5.5e-3,
+        outer_radius=11.5e-3,
+        preload=preload,
+        surface=catalogue.surface("rough_steel"),
+    )

@@ -4,13 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_arms import joint, load, reducer, write_problem, write_robot
+from small_arms import (
+    joint,
+    load,
+    on_one_element,
+    reducer,
+    small_flange,
+    write_problem,
+    write_robot,
+)
 
 from stiffopt.certificate.agreement import differences
-from stiffopt.connection import BoltedFlange
-from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.chain import Chain
-from stiffopt.drivetrain.stage import Stage
 from stiffopt.problem.belief import believed_of
 from stiffopt.problem.files import load_problem
 from stiffopt.result.trajectory import Trajectory
@@ -60,19 +64,8 @@ def test_other_numbers_are_seen_in_motion(rubbing, name, quantity):
 
 def test_a_connection_that_slips_is_no_agreement(tmp_path):
     """The smooth law goes on beyond slip, the true one has no end there."""
-    problem = load(tmp_path, "pendulum")
-    element = BoltedFlange(
-        name="flange",
-        torque_max=60.0,
-        bolt_count=9,
-        circle_diameter=17e-3,
-        inner_radius=5.5e-3,
-        outer_radius=11.5e-3,
-        preload=200.0,
-        surface=catalogue.surface("rough_steel"),
-    )
-    robot = replace(problem.robot, chains=(Chain((Stage(element),)),))
-    problem, motion = replace(problem, robot=robot), swing(problem)
+    problem = on_one_element(load(tmp_path, "pendulum"), small_flange(200.0))
+    motion = swing(problem)
     found = differences(problem, motion, believed_of(problem, motion, 0.25, elastic=True))
     wrong = {d.quantity for d in found if d.excess > 1.0}
     assert "wind-up" in wrong

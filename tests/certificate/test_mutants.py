@@ -7,14 +7,22 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 import pytest
-from small_arms import JOINTS, joint, load, reducer, write_problem, write_robot
+from small_arms import (
+    JOINTS,
+    joint,
+    load,
+    on_one_element,
+    reducer,
+    small_flange,
+    write_problem,
+    write_robot,
+)
 
 from stiffopt import SolveStatus, solve
 from stiffopt.connection import BoltedFlange, Key, Reducer
 from stiffopt.contact import surrogate
 from stiffopt.contact.fractal import FractalLaw
 from stiffopt.drivetrain import catalogue
-from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.dynamics import deflection, newton_euler
 from stiffopt.problem import stage_model
@@ -66,12 +74,6 @@ def capped(folder):
     )
 
 
-def on_one_element(folder, element, ratio=1.0):
-    problem = load(folder, "pendulum", minimise=DEFLECTION)
-    chain = Chain((Stage(element, ratio=ratio),))
-    return replace(problem, robot=replace(problem.robot, chains=(chain,)))
-
-
 def keyed(folder, **changes):
     """The pendulum on a key alone, in front of a gear of 2."""
     numbers = {
@@ -84,22 +86,14 @@ def keyed(folder, **changes):
         "surface": catalogue.surface("rough_steel"),
         "prepressure": 1e6,
     }
-    return on_one_element(folder, Key(**(numbers | changes)), ratio=2.0)
+    problem = load(folder, "pendulum", minimise=DEFLECTION)
+    return on_one_element(problem, Key(**(numbers | changes)), ratio=2.0)
 
 
 def flanged(folder):
     """The pendulum on a bolted flange alone, loaded to four fifths of its slip torque."""
-    element = BoltedFlange(
-        name="flange",
-        torque_max=60.0,
-        bolt_count=9,
-        circle_diameter=17e-3,
-        inner_radius=5.5e-3,
-        outer_radius=11.5e-3,
-        preload=560.0,
-        surface=catalogue.surface("rough_steel"),
-    )
-    return on_one_element(folder, element)
+    problem = load(folder, "pendulum", minimise=DEFLECTION)
+    return on_one_element(problem, small_flange(560.0))
 
 
 # ---- mutants
