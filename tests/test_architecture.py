@@ -59,7 +59,10 @@ def test_layers_are_those_that_imports_are_checked_against():
 
 def test_every_place_exists():
     flows = " ".join(section("Three flows"))
-    named = re.findall(r"`([\w./]+(?:\.py|/))`", PAGE) + re.findall(r"\s((?:\w+/)+)\s", flows)
+    recipes = (ROOT / ".github" / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    named = re.findall(r"`([\w./]+(?:\.py|/))`", PAGE)
+    named += re.findall(r"`([\w.]+/[\w./]*)`", recipes)
+    named += re.findall(r"\s((?:\w+/)+)\s", flows)
     for path in named:
         assert (PACKAGE / path).exists() or (ROOT / path).exists(), path
     for _, file, name in table("Where to find it"):

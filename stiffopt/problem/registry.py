@@ -8,7 +8,7 @@ from pkgutil import iter_modules
 from typing import Protocol, TypeVar
 
 
-class Named(Protocol):
+class HasName(Protocol):
     """What a registry holds."""
 
     @property
@@ -16,7 +16,7 @@ class Named(Protocol):
         """Key in files and results."""
 
 
-Kind = TypeVar("Kind", bound=Named)
+Kind = TypeVar("Kind", bound=HasName)
 
 
 class Registry(Mapping[str, Kind]):

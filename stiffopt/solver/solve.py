@@ -87,7 +87,7 @@ def solve(
         solution = _hopeless(run, beside, notes, why)
     else:
         outcome = _best_of_starts(run, guess or initial_guess(problem, motion, beside))
-        solution = _conclude(run, outcome, beside, notes)
+        solution = _solution(run, outcome, beside, notes)
     if throw and not (solution.status.usable or solution.status is SolveStatus.INTERRUPTED):
         raise NoSolutionFound(solution.message, solution)
     return solution
@@ -178,7 +178,7 @@ def _perturbed(guess: Guess, problem: TrajectoryProblem, random: np.random.Gener
     return replace(guess, states=moved)
 
 
-def _conclude(
+def _solution(
     run: SolveRun, outcome: Outcome, beside: dict[str, Baseline], notes: tuple[str, ...]
 ) -> Solution:
     problem, assessment = run.problem, outcome.assessment
