@@ -116,7 +116,7 @@ def dotted(data: Any, location: Sequence[str | int]) -> str:
     """
     text = ""
     for part in location:
-        if isinstance(part, int):
+        if isinstance(part, int) and not isinstance(data, Mapping):
             item = data[part] if isinstance(data, list | tuple) and part < len(data) else None
             name = item.get("name") if isinstance(item, dict) else None
             text += f"[{name}]" if isinstance(name, str) else f"[{part + 1}]"
@@ -155,8 +155,8 @@ def _keys(data: Any, error: Any) -> tuple[str | int, ...]:
     keys: list[str | int] = []
     last = len(error["loc"]) - 1
     for number, part in enumerate(error["loc"]):
-        if isinstance(part, int):
-            held = isinstance(data, list | tuple) and part < len(data)
+        if isinstance(data, list | tuple):
+            held = isinstance(part, int) and part < len(data)
         else:
             held = isinstance(data, Mapping) and part in data
         if held:

@@ -80,7 +80,7 @@ class Nominal:
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerance:
-    """One standard deviation of the nominal values, None where the set is silent."""
+    """One standard deviation of the nominal values; wide defaults hold where none is given."""
 
     mass: Annotated[_Share | None, Doc("Of masses, relative.")] = None
     com: Annotated[_Length | None, Doc("Of each coordinate of a centre of mass.")] = None

@@ -145,11 +145,9 @@ class NominalSection(Section):
 class NoiseSection(Section):
     """One standard deviation of the sensors' noise; one number holds for all joints."""
 
-    torque: Annotated[
-        JointTorque | tuple[Annotated[JointTorque, NOT_NEGATIVE], ...] | None, Doc("Of torques.")
-    ] = None
+    torque: Annotated[_Torque | tuple[_Torque, ...] | None, Doc("Of torques.")] = None
     velocity: Annotated[
-        JointVelocity | tuple[Annotated[JointVelocity, NOT_NEGATIVE], ...] | None,
+        _Velocity | tuple[_Velocity, ...] | None,
         Doc("Of velocities."),
     ] = None
     link_position: Annotated[
@@ -197,7 +195,7 @@ class ArmSection(Section):
     ]
     gravity: Annotated[
         tuple[Acceleration, Acceleration, Acceleration] | None,
-        Doc("Gravity in the base frame; default that of the robot."),
+        Doc("Gravity in the base frame; default 9.81 m/s^2 along -z."),
     ] = None
 
 
