@@ -36,7 +36,7 @@ def extended_text(diagnosis: Diagnosis) -> str:
                 "links": list(constants.links),
             },
         ),
-        *_nominal(recordings.stated),
+        *nominal_tables(recordings.stated),
         _table(
             "scales",
             {
@@ -51,7 +51,8 @@ def extended_text(diagnosis: Diagnosis) -> str:
     return "\n".join(parts)
 
 
-def _nominal(stated: NominalSection) -> Iterable[str]:
+def nominal_tables(stated: NominalSection) -> Iterable[str]:
+    """Tables of what a set states of the nominal robot, as the set itself has them."""
     entries = stated.model_dump(exclude_none=True)
     reducer, balances = entries.pop("reducer", None), entries.pop("counterbalance")
     yield _table("nominal", entries)
