@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +17,8 @@ from stiffopt.certificate.assess import assess, joint_windup
 from stiffopt.result.believed import Believed
 
 if TYPE_CHECKING:
-    from stiffopt.robot.robot import Robot
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.trajectory import JointMotion
 
 # Two codes of one rigid-body dynamics differ by rounding, 1e-12 of the torque.
 TORQUE = 1e-6
@@ -65,7 +66,9 @@ class Disagreement:
         return f"{self.quantity}{owner} at {self.time:.3f} s by {self.value:+.2%}"
 
 
-def differences(problem: Any, motion: Any, believed: Believed) -> tuple[Disagreement, ...]:
+def differences(
+    problem: TrajectoryProblem, motion: JointMotion, believed: Believed
+) -> tuple[Disagreement, ...]:
     """Largest difference of every quantity, the worst over its tolerance first.
 
     Parameters
@@ -79,8 +82,10 @@ def differences(problem: Any, motion: Any, believed: Believed) -> tuple[Disagree
     return tuple(sorted(found, key=lambda d: -d.excess))
 
 
-def _compared(problem: Any, motion: Any, believed: Believed) -> Iterator[Disagreement]:
-    robot: Robot = problem.robot
+def _compared(
+    problem: TrajectoryProblem, motion: JointMotion, believed: Believed
+) -> Iterator[Disagreement]:
+    robot = problem.robot
     true, time = assess(problem, motion, times=believed.time), believed.time
     idle = _IDLE * np.asarray(robot.torque_max)
     size = np.maximum(np.max(np.abs(true.spring_torque), axis=0), idle)
