@@ -23,7 +23,13 @@ from stiffopt.preload.catalogue_table import (
 from stiffopt.preload.infeasibility import Stopper
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.optimise import Report, levels_of, optimise_preloads, with_worst_instants
+from stiffopt.preload.optimise import (
+    WORST_INSTANT_ROUNDS,
+    Report,
+    levels_of,
+    optimise_preloads,
+    with_worst_instants,
+)
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.solution import PreloadSolution, evaluate_design
 from stiffopt.result.status import SolveStatus
@@ -31,8 +37,6 @@ from stiffopt.result.status import SolveStatus
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
-# Rounds in which worst instants of a motion are looked for anew.
-_ROUNDS = 6
 NO_BETTER = "bound: no better than the best found"
 NONE_KEEPS_ALL = "bound: no combination keeps all requirements"
 
@@ -153,7 +157,7 @@ def choose_design(problem: PreloadProblem, progress: Report | None = None) -> Ca
         raise ProblemError("No catalogue to choose from. Add [choose] with sizes or counts.")
     problem = replace(problem, individual=False)
     cases = with_worst_instants(problem, problem.load_cases, PreloadModel(problem).design)
-    for _ in range(_ROUNDS):
+    for _ in range(WORST_INSTANT_ROUNDS):
         choice = _Choosing(problem, cases).run()
         if choice.problem is None or choice.solution is None:
             return choice

@@ -28,11 +28,11 @@ from stiffopt.preload.problem import Choice, FreeElement, PreloadProblem
 
 # Room for rounding in limits that a design may touch.
 _TOUCH = 1.0 + 1e-9
-SLIP, LEAST, SETTLED = "slip safety", "least preload", "embedding loss"
+SLIP, LEAST, EMBEDDING = "slip safety", "least preload", "embedding loss"
 _REMEDIES = {
     SLIP: "more friction, more or larger bolts, a larger circle, or less scatter",
     LEAST: "a smaller require.least_preload, or a smaller bolt",
-    SETTLED: "a larger clamp length, a larger torque, or smoother faces",
+    EMBEDDING: "a larger clamp length, a larger torque, or smoother faces",
 }
 
 
@@ -181,7 +181,7 @@ def _tightened(
             limit.name: float(limit.utilisation(preload)) / _allowed(problem, limit)
             for limit in limits
         }
-        utilisations[SETTLED] = loss * tightening.alpha / preload
+        utilisations[EMBEDDING] = loss * tightening.alpha / preload
         utilisations[SLIP] = _slip(problem, element, stage, least, cases)
         utilisations[LEAST] = floor / preload
         yield CatalogueDesign(

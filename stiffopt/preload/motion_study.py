@@ -34,8 +34,8 @@ from stiffopt.solver.monitor import Progress
 from stiffopt.solver.solve import solve
 from stiffopt.solver.stages import SolveProgress
 
-# Relative change of the deflection that ends a repetition.
-SETTLED = 1e-4
+# Relative change of the deflection that ends a repetition: a tenth of what reports write of a gain.
+_DEFLECTION_TOLERANCE = 1e-4
 # Solves of one motion from its own end until that changes nothing, so that the gain is one of the
 # preloads and not of more solving.
 _POLISHES = 3
@@ -132,7 +132,7 @@ class _Study:
         self.problem = _for_motion(problem)
         self.model = PreloadModel(self.problem)
         self.begin, self.stage = time.perf_counter(), ""
-        self.interrupted = self.settled = False
+        self.interrupted = self.converged = False
         self.remarks: list[str] = []
 
     def run(self, rounds: int) -> MotionStudy:
@@ -150,9 +150,11 @@ class _Study:
                 self._say_end(moved)
                 break
             pairs.append((moved, tightened))
-            self.settled = abs(tightened.deflection / last.deflection - 1.0) < SETTLED
+            self.converged = (
+                abs(tightened.deflection / last.deflection - 1.0) < _DEFLECTION_TOLERANCE
+            )
             last = tightened
-            if self.settled:
+            if self.converged:
                 break
         best = min([separate, *(t for _, t in pairs)], key=lambda design: design.deflection)
         if best is separate and pairs:
@@ -175,7 +177,7 @@ class _Study:
         found = [(first, separate)]
         found += [(self._rated(first.vector, moved.motion), best) for moved, best in pairs]
         best = min(found, key=lambda pair: pair[0].deflection)
-        if best[0].deflection < first.deflection * (1.0 - SETTLED):
+        if best[0].deflection < first.deflection * (1.0 - _DEFLECTION_TOLERANCE):
             self.remarks.append(
                 "A motion of the rounds suits the start preloads better than the one found for "
                 f"them ({100 * (1.0 - best[0].deflection / first.deflection):.2f} %); it stands "
@@ -227,7 +229,9 @@ class _Study:
         """Solve a motion again from its own end until that changes nothing."""
         for _ in range(_POLISHES):
             again = self._moved(design.vector, design.motion)
-            if not self._usable(again) or again.deflection > design.deflection * (1.0 - SETTLED):
+            if not self._usable(again) or again.deflection > design.deflection * (
+                1.0 - _DEFLECTION_TOLERANCE
+            ):
                 break
             design = again
         return design
@@ -360,7 +364,7 @@ class _Study:
         best: _Design,
         pairs: Sequence[tuple[_Design, _Design]],
     ) -> MotionStudy:
-        status = SolveStatus.OPTIMAL if self.settled else SolveStatus.ACCEPTABLE
+        status = SolveStatus.OPTIMAL if self.converged else SolveStatus.ACCEPTABLE
         if self.interrupted:
             status = SolveStatus.INTERRUPTED
         apart = separate or first

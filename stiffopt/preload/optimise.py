@@ -28,16 +28,17 @@ Report = Callable[[Progress], object]
 _OPTIONS = IpoptOptions(
     tol=1e-10, acceptable_tol=1e-8, max_iterations=300, extra={"bound_relax_factor": 0.0}
 )
-# Shifts of the smooth law, and the change of a preload that ends them.
+# Shifts of the smooth law at most, and the change of a preload, as a share of its capacity, that
+# ends them: IPOPT leaves as much.
 _SHIFTS = 12
-_SETTLED = 1e-8
+_SHIFT_TOLERANCE = 1e-8
 # Share of an objective that may be lost where that saves preload.
 _TIE = 1e-9
-# Largest KKT residual of an optimum [-], of multipliers and rows of order one; IPOPT ends between
-# 1e-12 and 1e-8, and 1e-3 of it already moves preloads.
+# Largest KKT residual of an optimum [-], with rows and multipliers of order one: IPOPT ends between
+# 1e-12 and 1e-8, and rows count as kept to 1e-6.
 _PROVED = 1e-6
-# Rounds in which worst instants of a motion are looked for anew.
-_ROUNDS = 6
+# Rounds in which worst instants of a motion are looked for anew; a design moves them once or twice.
+WORST_INSTANT_ROUNDS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +86,7 @@ def optimise_preloads(
         No preload meets the requirements, with the reason; `solution` holds the best reachable.
     """
     cases = with_worst_instants(problem, problem.load_cases, PreloadModel(problem).design)
-    for _ in range(_ROUNDS):
+    for _ in range(WORST_INSTANT_ROUNDS):
         model = PreloadModel(problem, cases)
         solution = _solve(model, progress)
         if not solution.status.usable:
@@ -176,7 +177,7 @@ def _exact_optimum(
         step = float(np.max(np.abs(found - preloads) / nlp.scale))
         preloads = found
         shifted = nlp.sees_stiffness or nlp.sees_deflection
-        if not (raw.converged and shifted) or step < _SETTLED:
+        if not (raw.converged and shifted) or step < _SHIFT_TOLERANCE:
             break
     return Optimum(preloads, raw, kkt_residual(nlp.nlp, raw, parameters), iterations)
 

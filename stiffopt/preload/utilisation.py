@@ -11,7 +11,8 @@ from stiffopt.connection import Key
 from stiffopt.fastening.limits import key_pressure_limit
 from stiffopt.preload.model import PreloadModel
 
-# A row this close to its limit is called active.
+# A row this close to its limit is called active: less than reports show of a utilisation, more than
+# the optimiser leaves.
 ACTIVE = 1e-4
 
 
