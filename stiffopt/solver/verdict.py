@@ -40,39 +40,42 @@ class Verdict:
 
 def verdict(problem: TrajectoryProblem, outcome: Outcome, beside: dict[str, Baseline]) -> Verdict:
     """Judge an outcome by its solver, the certificate, its own belief and the baselines."""
-    status = _status(outcome)
-    message = _message(status, outcome)
-    if not outcome.raw.converged:
-        return Verdict(status, message)
-    doubts = _disagreements(problem, outcome)
-    if doubts:
-        listed = "; ".join(d.describe() for d in doubts[:3])
-        wrong = any("torque" in d.quantity or abs(d.value) > _WRONG for d in doubts)
-        if not status.usable:
-            return Verdict(status, f"{message} And the optimiser believed otherwise: {listed}.")
-        if wrong:
-            return Verdict(
-                SolveStatus.CERTIFICATE_FAILED,
-                "Every limit holds on the fine grid, but the optimiser's model of this motion is "
-                f"wrong: it differs in {listed}. The motion is not the optimum; please report the "
-                "robot and the problem.",
-            )
-        advice = "Please report the robot and the problem."
-        if _contact_laws(problem) != {"log_cubic"}:
-            advice = "contact_law = 'log_cubic' follows the true law most closely."
-        return Verdict(
-            SolveStatus.ACCEPTABLE,
-            "Solved and certified: every limit holds on the fine grid. But the optimiser's smooth "
-            f"model of this motion differs in {listed}, so it is only near the optimum. {advice}",
-        )
+    found = _by_belief(problem, outcome, Verdict(_status(outcome), _message(outcome)))
     better = _better_baseline(problem, outcome, beside)
-    if better is not None and status.usable:
+    if better is None or found.status is SolveStatus.INFEASIBLE:
+        return found
+    optimal = found.status is SolveStatus.OPTIMAL
+    return Verdict(
+        SolveStatus.ACCEPTABLE if optimal else found.status,
+        f"{found.message} But the {better.name} motion beside it is better and keeps all limits as "
+        "well: run that one, or raise method.intervals or method.starts.",
+    )
+
+
+def _by_belief(problem: TrajectoryProblem, outcome: Outcome, found: Verdict) -> Verdict:
+    """The verdict, unless the optimiser believed of its motion what is not true."""
+    doubts = _disagreements(problem, outcome) if outcome.raw.converged else []
+    if not doubts:
+        return found
+    listed = "; ".join(d.describe() for d in doubts[:3])
+    if not found.status.usable:
+        differs = f"{found.message} And the optimiser believed otherwise: {listed}."
+        return Verdict(found.status, differs)
+    if any("torque" in d.quantity or abs(d.value) > _WRONG for d in doubts):
         return Verdict(
-            SolveStatus.ACCEPTABLE,
-            f"Solved and certified, but the {better.name} motion beside it is better and keeps all "
-            "limits as well: run that one, or raise method.intervals or method.starts.",
+            SolveStatus.CERTIFICATE_FAILED,
+            "Every limit holds on the fine grid, but the optimiser's model of this motion is "
+            f"wrong: it differs in {listed}. The motion is not the optimum; please report the "
+            "robot and the problem.",
         )
-    return Verdict(status, message)
+    advice = "Please report the robot and the problem."
+    if _contact_laws(problem) - {"log_cubic"}:
+        advice = "contact_law = 'log_cubic' follows the true law most closely."
+    return Verdict(
+        SolveStatus.ACCEPTABLE,
+        "Solved and certified: every limit holds on the fine grid. But the optimiser's smooth "
+        f"model of this motion differs in {listed}, so it is only near the optimum. {advice}",
+    )
 
 
 def _disagreements(problem: TrajectoryProblem, outcome: Outcome) -> list[Disagreement]:
@@ -124,8 +127,8 @@ def _status(outcome: Outcome) -> SolveStatus:
     return SolveStatus.ITERATION_LIMIT
 
 
-def _message(status: SolveStatus, outcome: Outcome) -> str:
-    raw, assessment = outcome.raw, outcome.assessment
+def _message(outcome: Outcome) -> str:
+    status, raw, assessment = _status(outcome), outcome.raw, outcome.assessment
     worst = assessment.worst_violation.describe()
     if status is SolveStatus.INFEASIBLE:
         return f"{status.sentence} These conflict: {_listed(raw.conflicts or raw.worst_rows)}."
