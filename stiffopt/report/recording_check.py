@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.text import Text
 
 from stiffopt.discovery.identifiable import EffectCheck
@@ -14,6 +13,7 @@ from stiffopt.identification.identifiable import WEAK, Identifiable, identifiabl
 from stiffopt.identification.rows import static_rows
 from stiffopt.recording.check import ChannelCheck, RecordingReport, RunCheck
 from stiffopt.recording.static_set import StaticSet
+from stiffopt.report.common.terminal import print_lines
 
 
 def print_check(report: RecordingReport, effects: Sequence[EffectCheck]) -> None:
@@ -181,9 +181,11 @@ def _static_word(joint: dict[str, Any]) -> str:
 
 
 def _print(lines: Iterable[str]) -> None:
-    """Headings bold, faults yellow; whole lines also where the output is narrow or a file."""
-    console = Console(highlight=False, soft_wrap=True)
-    for line in lines:
-        faulty = line.startswith("  ! ") or line == "  cannot be used"
-        style = "yellow" if faulty else "bold" if line and not line.startswith(" ") else ""
-        console.print(Text(line, style=style))
+    """Headings bold, faults yellow."""
+    print_lines(Text(line, style=_style(line)) for line in lines)
+
+
+def _style(line: str) -> str:
+    if line.startswith("  ! ") or line == "  cannot be used":
+        return "yellow"
+    return "bold" if line and not line.startswith(" ") else ""

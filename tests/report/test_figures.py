@@ -22,6 +22,7 @@ from stiffopt.report.stiffness.figures import (
     stiffness_curves,
     tangent_figure,
 )
+from stiffopt.robot.stiffness_study import StiffnessRow
 
 
 @functools.cache
@@ -40,10 +41,18 @@ def figures(joints):
 
 
 def stiffness_rows(joints=(1, 2)):
-    names = ("joint", "torque_ratio", "tangent_stiffness", "reducer_only_tangent_stiffness")
     return [
-        dict(zip(names, (joint, ratio, 9e3 * ratio**0.1, 1e4), strict=True))
-        | {"ratio_to_reducer_only": 0.9 * ratio**0.1, "windup": 1e-3 * ratio, "flanks": flanks}
+        StiffnessRow(
+            joint=joint,
+            torque_ratio=ratio,
+            torque=30.0 * ratio,
+            tangent_stiffness=9e3 * ratio**0.1,
+            secant_stiffness=9e3 * ratio**0.1,
+            windup=1e-3 * ratio,
+            reducer_only_tangent_stiffness=1e4,
+            ratio_to_reducer_only=0.9 * ratio**0.1,
+            flanks=flanks,
+        )
         for joint in joints
         for flanks in ("parallel", "series")
         for ratio in (0.001, 0.01, 0.1, 1.0)

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from stiffopt.errors import InputError, nearest
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from stiffopt.discovery.effect import Effect
     from stiffopt.preload.study import PreloadStudy
     from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.robot.robot import Robot
 
 _CONTACTS = ("key", "bolted_flange", "clamping_pins", "gear_pair")
 _TRANSCRIPTIONS = {"radau": "GargEtAl2010"}
@@ -68,7 +69,7 @@ def cited(keys: Iterable[str]) -> list[Reference]:
     return [known[key] for key in chosen]
 
 
-def robot_references(robot: Any) -> list[Reference]:
+def robot_references(robot: Robot) -> list[Reference]:
     """Collect the sources of the stiffness model of a robot."""
     kinds = {
         element.kind

@@ -103,9 +103,9 @@ def windup_by_kind(chain: Chain | None, torque: float) -> dict[str, float]:
     return {} if chain is None else _by_kind(chain, windup_shares(chain, torque))
 
 
-def compliance_by_kind(chain: Chain, torque: float) -> dict[str, float]:
-    """Share of the tangent compliance at a torque by kind of element, largest first."""
-    return _by_kind(chain, compliance_shares(chain, torque))
+def compliance_by_kind(chain: Chain | None, torque: float) -> dict[str, float]:
+    """Share of the tangent compliance at a torque by kind, largest first; empty if rigid."""
+    return {} if chain is None else _by_kind(chain, compliance_shares(chain, torque))
 
 
 def _by_kind(chain: Chain, shares: Mapping[str, float]) -> dict[str, float]:

@@ -12,11 +12,11 @@ from rich.text import Text
 _LOG_WIDTH = 160
 
 
-def print_lines(lines: Iterable[str | Text]) -> None:
-    """Print each on a line of its own, as it is; the empty ones are left out."""
+def print_lines(lines: Iterable[str | Text | None]) -> None:
+    """Print each on a line of its own, as it is; None is left out."""
     console = Console(highlight=False, soft_wrap=True)
     for line in lines:
-        if line:
+        if line is not None:
             console.print(line, markup=False)
 
 

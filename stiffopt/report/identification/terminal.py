@@ -33,7 +33,7 @@ def print_static(result: StaticStiffness, folder: Path) -> None:
     print_lines(
         (
             *(f"J{joint.joint}: {joint.reason}" for joint in result.joints if joint.reason),
-            f"Poses that do not fit the others: {outliers}" if outliers else "",
+            f"Poses that do not fit the others: {outliers}" if outliers else None,
             f"Torque-dependent stiffness: {result.torque_dependence.sentence}",
             f"Report: {folder / 'report.html'}",
         )

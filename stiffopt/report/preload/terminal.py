@@ -30,8 +30,8 @@ def print_study(study: PreloadStudy, folder: Path) -> None:
         print_lines(
             (
                 f"{solution.status}: {headline(problem, solution)}.",
-                what_binds(problem, solution),
-                stiffness_sentence(problem, solution),
+                what_binds(problem, solution) or None,
+                stiffness_sentence(problem, solution) or None,
             )
         )
         print_table(_HEAD, [_row(study, element) for element in problem.elements])
@@ -39,8 +39,8 @@ def print_study(study: PreloadStudy, folder: Path) -> None:
         print_lines([f"{solution.status}: {solution.message}"])
     print_lines(
         (
-            f"Catalogue: {study.choice.message}" if study.choice is not None else "",
-            study.motion.note if study.motion is not None else "",
+            f"Catalogue: {study.choice.message}" if study.choice is not None else None,
+            study.motion.note if study.motion is not None else None,
             *(f"Note: {note}" for note in solution.notes),
             f"Report: {folder / 'report.html'}",
         )

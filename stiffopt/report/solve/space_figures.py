@@ -132,7 +132,6 @@ def windup_figure(problem: TrajectoryProblem, motion: Assessment, part: str) -> 
     magnitude = np.linalg.norm(motion.deflection[part], axis=1)
     at = int(np.argmax(magnitude))
     units = joint_units(problem.robot)
-    chains: Sequence[Any] = problem.robot.chains
     with house_style():
         figure = Figure(figsize=(WIDTH, 0.9 + max(0.36 * len(units), 1.4)))
         axes = figure.subplots()
@@ -141,7 +140,7 @@ def windup_figure(problem: TrajectoryProblem, motion: Assessment, part: str) -> 
         for j, unit in enumerate(units):
             torque = float(motion.spring_torque[at, j])
             left = 0.0
-            for kind, share in windup_by_kind(chains[j], torque).items():
+            for kind, share in windup_by_kind(problem.robot.chains[j], torque).items():
                 label = None if kind in shown else kind.replace("_", " ")
                 shown.add(kind)
                 width = share * windups[j]

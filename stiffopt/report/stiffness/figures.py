@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +12,10 @@ from matplotlib.figure import Figure
 
 from stiffopt.report.common.robot import ELEMENT_COLOURS, JointUnits, compliance_by_kind
 from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, house_style, line_style
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+    from stiffopt.robot.stiffness_study import StiffnessRow
 
 SHARE_RATIOS = (0.001, 0.01, 0.1, 1.0)
 
@@ -45,30 +49,24 @@ class StiffnessCurve:
         return float(np.interp(np.log(ratio), np.log(self.ratio), values))
 
 
-def stiffness_curves(rows: Iterable[Any]) -> dict[int, list[StiffnessCurve]]:
-    """Curves by joint; the robot's own reading of the flanks first.
-
-    Parameters
-    ----------
-    rows : iterable of mapping or object
-        With the columns of stiffness.csv.
-    """
-    groups: dict[tuple[int, str], list[list[float]]] = {}
-    names = (
-        "torque_ratio",
-        "tangent_stiffness",
-        "reducer_only_tangent_stiffness",
-        "ratio_to_reducer_only",
-        "windup",
-    )
+def stiffness_curves(rows: Iterable[StiffnessRow]) -> dict[int, list[StiffnessCurve]]:
+    """Curves by joint; the robot's own reading of the flanks first."""
+    groups: dict[tuple[int, str], list[StiffnessRow]] = {}
     for row in rows:
-        cells = row if isinstance(row, Mapping) else vars(row)
-        key = (int(cells["joint"]), str(cells["flanks"]))
-        groups.setdefault(key, []).append([float(cells[name]) for name in names])
+        groups.setdefault((row.joint, row.flanks), []).append(row)
     curves: dict[int, list[StiffnessCurve]] = {}
-    for (joint, flanks), cells_of in groups.items():
-        table = np.array(sorted(cells_of)).T
-        curves.setdefault(joint, []).append(StiffnessCurve(joint, flanks, *table))
+    for (joint, flanks), own in groups.items():
+        table = sorted(
+            (
+                row.torque_ratio,
+                row.tangent_stiffness,
+                row.reducer_only_tangent_stiffness,
+                row.ratio_to_reducer_only,
+                row.windup,
+            )
+            for row in own
+        )
+        curves.setdefault(joint, []).append(StiffnessCurve(joint, flanks, *np.array(table).T))
     return curves
 
 
@@ -145,7 +143,7 @@ def relative_figure(
         return figure
 
 
-def shares_figure(robot: Any, units: Sequence[JointUnits]) -> Figure:
+def shares_figure(robot: Robot, units: Sequence[JointUnits]) -> Figure:
     """Share of every kind of element in the tangent compliance, at several torque ratios."""
     jointed = [j for j, chain in enumerate(robot.chains) if chain is not None]
     with house_style():

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from stiffopt.report.common.citations import robot_references
 from stiffopt.report.common.page import PageFigures, write_page
@@ -21,6 +21,7 @@ from stiffopt.report.stiffness.figures import (
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
+    from stiffopt.robot.stiffness_study import StiffnessRow
 
 PAGE_FILE = "stiffness.html"
 
@@ -56,14 +57,16 @@ class LowestRatio:
     ratio: float
 
 
-def write_stiffness_report(robot: Robot, rows: Iterable[Any], directory: str | Path) -> Path:
+def write_stiffness_report(
+    robot: Robot, rows: Iterable[StiffnessRow], directory: str | Path
+) -> Path:
     """Write stiffness.html and its figures as SVG and PNG into `directory`; return the page.
 
     Parameters
     ----------
     robot : Robot
-    rows : iterable of mapping or object
-        With the columns of stiffness.csv, as `stiffness_study` returns them.
+    rows : iterable of StiffnessRow
+        As `stiffness_study` returns them.
     directory : path
 
     Returns
