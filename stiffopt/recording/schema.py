@@ -93,7 +93,12 @@ CounterbalanceSection = Annotated[SpringSection | TableSection, Field(discrimina
 
 
 class NominalSection(Section):
-    """What today's simulation knows; every key is optional."""
+    """What today's simulation knows; every key is optional.
+
+    Where it is silent, a shipped robot or a robot TOML counts as it is (drivetrain, friction, rotor
+    inertia), a URDF with its bodies and limits alone. A reducer or a contact stiffness states the
+    whole drivetrain.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=True)
 
