@@ -177,3 +177,23 @@ def reader(declared: Unit) -> Callable[[object], float]:
     """Reader of a file's entry for a declared quantity: an SI number, or UnitError."""
     convert = joint_to_si if declared.joint else to_si
     return lambda value: convert(value, declared.dimension)
+
+
+# What stands for the unit of a joint that turns where the joint slides.
+_SLIDING = {
+    "N m": "N",
+    "N m s/rad": "N s/m",
+    "kg m^2": "kg",
+    "rad": "m",
+    "mrad": "mm",
+    "deg": "mm",
+    "rad/s": "m/s",
+    "rad/(N m)": "m/N",
+    "N m/rad": "N/m",
+    "N m/rad^3": "N/m^3",
+}
+
+
+def joint_unit(unit: str, prismatic: bool) -> str:
+    """Unit of a joint that turns, or what stands for it where the joint slides."""
+    return _SLIDING.get(unit, unit) if prismatic else unit

@@ -171,7 +171,7 @@ def _findings(
                 channel=channel_name(selected.channel, n),
                 variance_explained=share,
                 log_evidence=selected.loss,
-                significance=selected.chi,
+                significance=selected.deviations,
             )
         )
     return tuple(findings)

@@ -15,6 +15,8 @@ from stiffopt.recording.nominal import Tolerance
 
 # Speed within which dry friction has no definite value, and the smooth sign's own [rad/s].
 SIGN_SPEED = 0.01
+# Slower than this a joint counts as standing, and its torque as undetermined [rad/s].
+MOVING = 3.0 * SIGN_SPEED
 
 # ---- When an effect is named [0016, 0017]
 
@@ -104,7 +106,7 @@ class Settings:
     """
 
     cutoff: float = 12.0
-    slow: float = 3.0 * SIGN_SPEED
+    slow: float = MOVING
     tolerance: Tolerance = field(default_factory=lambda: WIDE)
     box: float = 4.0
     effects: int = 3

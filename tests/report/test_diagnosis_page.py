@@ -9,7 +9,7 @@ from page_reader import Page
 from benchmarks.simulator import CaseSpec
 from stiffopt.discovery.diagnosis import Rival
 from stiffopt.discovery.judging.unexplained import Unexplained
-from stiffopt.report.common.text import joint_unit, pm, significant
+from stiffopt.report.common.text import pm, significant
 from stiffopt.report.diagnosis.held_out import trace, worst_windows
 from stiffopt.report.diagnosis.page import write_diagnosis_report
 from stiffopt.report.diagnosis.residuals import (
@@ -26,6 +26,7 @@ from stiffopt.report.diagnosis.words import (
     percent_sure,
     proof_sentence,
 )
+from stiffopt.units import joint_unit
 from tests.discovery.simulated import diagnosed
 
 # Two joints; the second has more dry friction than its nominal model.

@@ -9,17 +9,11 @@ import numpy as np
 
 from stiffopt.discovery.comparison.signals import JointConstants
 from stiffopt.discovery.effect import Amplitude
-from stiffopt.discovery.settings import SIGN_SPEED
 from stiffopt.symbolic import Quantity, is_symbolic
 
 # A term that no parameter enters linearly is scaled as a whole by this one. It is 1 where the
 # shapes hold exactly, so a refined fit sets it to 1 and reports only the shapes.
 WEIGHT = Amplitude(name="weight", unit="", scale=1.0, lower=0.0, upper=1.5)
-
-
-def smooth_sign(velocity: Quantity) -> Quantity:
-    """Direction of motion: -1 to 1, even where the joint reverses [rad/s] -> [-]."""
-    return np.tanh(velocity / SIGN_SPEED)
 
 
 def part(signal: Quantity, index: int) -> Quantity:

@@ -14,11 +14,10 @@ from stiffopt.discovery.catalogue.common import (
     WEIGHT,
     along_stroke,
     dry_friction,
-    smooth_sign,
     viscous_friction,
 )
 from stiffopt.discovery.catalogue.robot_change import add_to_nominal_value
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
+from stiffopt.discovery.comparison.signals import JointConstants, JointSignals, smooth_sign
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.settings import SIGN_SPEED
 from stiffopt.symbolic import Quantity, smooth_abs

@@ -15,7 +15,7 @@ from stiffopt.discovery.catalogue.robot_change import (
     with_series_spring,
 )
 from stiffopt.discovery.comparison.extension import EstimatedEffect
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
+from stiffopt.discovery.comparison.signals import OF_EACH_JOINT, JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Shape, Term
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.exact.chain import windup_shares
@@ -108,30 +108,19 @@ def _weakest(chain: Chain, torque: float) -> int | None:
 
 def _found_windup(found: EstimatedEffect, constants: JointConstants, torques: np.ndarray) -> float:
     """Mean of the wind-up that a loss of preload adds [rad]."""
-    zero = np.zeros_like(torques)
-    still = dict.fromkeys(
-        (
-            "session_time",
-            "temperature_rise",
-            "motor_position",
-            "motor_velocity",
-            "motor_acceleration",
-            "link_position",
-            "link_velocity",
-            "link_acceleration",
-            "drive_torque_rate",
-            "previous_position",
-        ),
-        zero,
-    )
+    still = dict.fromkeys(OF_EACH_JOINT, np.zeros_like(torques))
+    loaded = {
+        "spring_torque": torques,
+        "windup": constants.windup(torques),
+        "drive_torque": torques,
+    }
     signals = JointSignals(
         time=np.arange(len(torques), dtype=float),
         dt=1.0,
-        spring_torque=torques,
-        windup=constants.windup(torques),
-        drive_torque=torques,
+        session_time=still["windup"],
+        previous_position=still["windup"],
         constants=constants,
-        **still,
+        **(still | loaded),
     )
     term = preload_loss_term(signals, found.amplitudes, found.located.shapes)
     return float(np.mean(np.asarray(term.deflection)))

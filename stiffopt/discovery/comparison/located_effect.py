@@ -12,18 +12,7 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.signals import JointConstants, RobotConstants
 from stiffopt.discovery.effect import Effect
-
-# Units of angle and torque, and what they are at a joint that slides.
-_OF_SLIDES = {
-    "rad": "m",
-    "rad/s": "m/s",
-    "N m": "N",
-    "N m s/rad": "N s/m",
-    "N m/rad": "N/m",
-    "N m/rad^3": "N/m^3",
-    "rad/(N m)": "m/N",
-    "kg m^2": "kg",
-}
+from stiffopt.units import joint_unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +89,7 @@ class LocatedEffect:
         """Unit of a reported parameter; of force and length where the joint slides."""
         unit = self.effect.unit_of(parameter)
         slides = self.joint is not None and robot.joints[self.joint].prismatic
-        return _OF_SLIDES.get(unit, unit) if slides else unit
+        return joint_unit(unit, slides)
 
     def sizes(self, robot: RobotConstants) -> np.ndarray:
         """Typical size of every amplitude."""

@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from stiffopt.discovery.comparison.signals import JointConstants, RobotConstants
-from stiffopt.discovery.settings import SIGN_SPEED, filled
+from stiffopt.discovery.comparison.signals import JointConstants, RobotConstants, smooth_sign
+from stiffopt.discovery.settings import filled
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.robot.frames import first_link_of
@@ -124,7 +124,7 @@ class RobotModel:
 
     def friction(self, velocity: np.ndarray) -> np.ndarray:
         """Nominal friction torque with a smooth sign [N m]."""
-        return np.asarray(self.coulomb * np.tanh(velocity / SIGN_SPEED) + self.viscous * velocity)
+        return np.asarray(self.coulomb * smooth_sign(velocity) + self.viscous * velocity)
 
     def spring_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Torque in the springs, of rigid bodies and counterbalances [N m]."""

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import PreparedRun, sign
+from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.comparison.signals import smooth_sign
 from stiffopt.recording.nominal import Tolerance
 
 # Relative standard deviation of the torques at which a reducer's slope changes, and the width over
@@ -53,7 +54,7 @@ def nuisance_columns(
         speed = signals.motor_velocity[:, j]
         relative = (
             ("rotor_inertia", robot.rotor_inertia[j] * signals.motor_acceleration[:, j]),
-            ("coulomb", robot.coulomb[j] * sign(speed)),
+            ("coulomb", robot.coulomb[j] * smooth_sign(speed)),
             ("viscous", robot.viscous[j] * speed),
             ("torque_constant", signals.drive_torque[:, j]),
         )

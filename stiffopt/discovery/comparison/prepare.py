@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, derivative
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.signals import RobotConstants, RobotSignals
-from stiffopt.discovery.settings import SIGN_SPEED, Settings
+from stiffopt.discovery.settings import Settings
 from stiffopt.recording.run import RecordedRun
 
 # Rounds of link motion = motor motion - wind-up; each shrinks the error by (f/resonance)^2.
@@ -222,8 +221,3 @@ def _near_gaps(run: RecordedRun, time: np.ndarray, reach: int) -> np.ndarray:
     for k in gaps:
         near |= (time > run.time[k] - margin) & (time < run.time[k + 1] + margin)
     return near
-
-
-def sign(velocity: Any) -> Any:
-    """Smooth sign of a speed."""
-    return np.tanh(velocity / SIGN_SPEED)

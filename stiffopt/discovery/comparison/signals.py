@@ -9,10 +9,16 @@ from typing import Any
 import numpy as np
 
 from stiffopt.connection.reducer import Reducer
+from stiffopt.discovery.settings import SIGN_SPEED
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.exact.reducer import Corners, Slopes, reducer_compliance, reducer_windup
 from stiffopt.symbolic import Quantity
+
+
+def smooth_sign(velocity: Quantity) -> Quantity:
+    """Direction of motion: -1 to 1, even where the joint reverses [rad/s] -> [-]."""
+    return np.tanh(velocity / SIGN_SPEED)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,11 +253,12 @@ class RobotSignals(MotionSignals):
             session_time=self.session_time,
             previous_position=before,
             constants=self.constants.joints[index],
-            **{name: own(name) for name in _BY_JOINT},
+            **{name: own(name) for name in OF_EACH_JOINT},
         )
 
 
-_BY_JOINT = (
+# Signals that every joint has of its own.
+OF_EACH_JOINT = (
     "temperature_rise",
     "motor_position",
     "motor_velocity",

@@ -7,11 +7,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import smooth_sign
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepare import PreparedRun
-from stiffopt.discovery.comparison.signals import JointSignals
+from stiffopt.discovery.comparison.signals import JointSignals, smooth_sign
 from stiffopt.discovery.experiment.motion import MotionLimits
 from stiffopt.discovery.experiment.separation import Separation
 from stiffopt.dynamics.newton_euler import newton_euler

@@ -15,8 +15,7 @@ import numpy as np
 from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.proof.predict import Predictor
-from stiffopt.discovery.proof.proof import MOVING
-from stiffopt.discovery.settings import BURST_RATIO, BURSTING_RATIO, Settings
+from stiffopt.discovery.settings import BURST_RATIO, BURSTING_RATIO, MOVING, Settings
 from stiffopt.discovery.training import Training
 
 # A normal variable's standard deviation over the median of its size.

@@ -8,11 +8,8 @@ import numpy as np
 
 from stiffopt.discovery.comparison.channel_noise import KnownNoise
 from stiffopt.discovery.proof.predict import Prediction
-from stiffopt.discovery.settings import SIGN_SPEED
+from stiffopt.discovery.settings import MOVING
 from stiffopt.recording.run import RecordedRun
-
-# Slower than this a joint counts as standing, and its torque as undetermined [rad/s].
-MOVING = 3.0 * SIGN_SPEED
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,7 +31,7 @@ class Candidate:
         Log predictive density of blocks left out, over that without it.
     evidence : float
         Log evidence over that without it, less the price of the shapes tried.
-    chi : float
+    deviations : float
         Square root of the amplitudes' chi-square: how many standard deviations from nothing.
     explained : float
         Share of the squared residual that it takes away in the channel that it changes most.
@@ -44,7 +44,7 @@ class Candidate:
     covariance: np.ndarray
     gain: float
     evidence: float
-    chi: float
+    deviations: float
     explained: float
     channel: int
 
@@ -100,7 +100,7 @@ class Scorer:
             covariance=covariance,
             gain=found.log_predictive - self.start.log_predictive,
             evidence=found.log_evidence - self.start.log_evidence - price,
-            chi=float(np.sqrt(max(mean[kept] @ np.linalg.solve(inner, mean[kept]), 0.0))),
+            deviations=float(np.sqrt(max(mean[kept] @ np.linalg.solve(inner, mean[kept]), 0.0))),
             explained=explained,
             channel=channel,
         )

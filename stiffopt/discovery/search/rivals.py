@@ -29,7 +29,7 @@ class Selected:
     located : LocatedEffect
     loss : float
         Log evidence that is lost without it.
-    chi : float
+    deviations : float
     probability : float
         Against its rivals.
     rivals : tuple of (LocatedEffect, float)
@@ -40,7 +40,7 @@ class Selected:
 
     located: LocatedEffect
     loss: float
-    chi: float
+    deviations: float
     probability: float
     rivals: tuple[tuple[LocatedEffect, float], ...]
     channel: int
@@ -77,7 +77,7 @@ def ranked_among_rivals(
     weights = np.exp([o for o, _ in near])
     total = 1.0 + float(np.sum(weights))
     rivals = tuple((c.located, float(w) / total) for (_, c), w in zip(near, weights, strict=True))
-    selected = Selected(located, own.evidence, own.chi, 1.0 / total, rivals, own.channel)
+    selected = Selected(located, own.evidence, own.deviations, 1.0 / total, rivals, own.channel)
     return Ranked(selected, near[0][1].located if near and near[0][0] > 0.0 else located)
 
 

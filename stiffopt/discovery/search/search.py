@@ -126,7 +126,7 @@ def search(
 
 
 def _passes(candidate: Candidate, scorer: Scorer) -> bool:
-    if candidate.evidence < NAMED_EVIDENCE or candidate.chi < NAMED_DEVIATIONS:
+    if candidate.evidence < NAMED_EVIDENCE or candidate.deviations < NAMED_DEVIATIONS:
         return False
     if candidate.explained >= NAMED_SHARE and candidate.gain > 0.0:
         return True

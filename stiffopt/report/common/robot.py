@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from stiffopt.exact.chain import compliance_shares, windup_shares
 from stiffopt.report.common.svg import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION
-from stiffopt.report.common.text import joint_unit
+from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.drivetrain.chain import Chain

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+from stiffopt.units import joint_unit
+
 DASH = "–"
 # Units that are asked for by name, alone or before a slash, in SI.
 _NAMED = {
@@ -31,19 +33,6 @@ _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
     ),
     "m/N": ((0.5, 1.0, "m/N"), (5e-4, 1e-3, "mm/N"), (0.0, 1e-6, "µm/N")),
 }
-# What stands for the unit of a joint that turns where the joint slides.
-_SLIDING = {
-    "N m": "N",
-    "N m s/rad": "N s/m",
-    "kg m^2": "kg",
-    "rad": "m",
-    "mrad": "mm",
-    "deg": "mm",
-    "rad/s": "m/s",
-    "rad/(N m)": "m/N",
-    "N m/rad": "N/m",
-    "N m/rad^3": "N/m^3",
-}
 # A relative change below this is none.
 UNCHANGED = 5e-5
 
@@ -61,11 +50,6 @@ def scale(largest: float, unit: str) -> tuple[float, str]:
         if abs(largest) >= least:
             return 1.0 / size, name
     return 1.0, unit
-
-
-def joint_unit(unit: str, prismatic: bool) -> str:
-    """Unit of a joint that turns, or what stands for it where the joint slides."""
-    return _SLIDING.get(unit, unit) if prismatic else unit
 
 
 def si(value: float | None, unit: str, digits: int = 4) -> str:

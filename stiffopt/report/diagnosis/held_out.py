@@ -9,10 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stiffopt.discovery.proof.proof import MOVING
+from stiffopt.discovery.settings import MOVING
 from stiffopt.recording.facts import velocities
 from stiffopt.report.common.svg import BLUE, INK, PALE, VERMILLION, WIDTH, house_style, thin
-from stiffopt.report.common.text import joint_unit, scale, significant
+from stiffopt.report.common.text import scale, significant
+from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.report.common.text import joint_unit
 from stiffopt.report.diagnosis.words import channel_number
+from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding

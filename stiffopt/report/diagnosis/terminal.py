@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stiffopt.report.common.terminal import print_lines, print_table
-from stiffopt.report.common.text import DASH, joint_unit, pm, significant
+from stiffopt.report.common.text import DASH, pm, significant
 from stiffopt.report.diagnosis.words import place, prismatic, unexplained_sentence
+from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
