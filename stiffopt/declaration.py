@@ -179,7 +179,8 @@ class Bounds:
         kind = "a finite number" if self.finite else "a number"
         raise InputError(
             f"{name} = {number:g} cannot be used; allowed is {kind}{comma} "
-            f"{' and '.join(words)}. Correct {name.rpartition(' ')[2]} (SI units)."
+            f"{' and '.join(words)}. Correct {name.rpartition(' ')[2]}"
+            f"{'' if isinstance(number, int) else ' (SI units)'}."
         )
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
@@ -312,7 +313,9 @@ def bounds(cls: type, name: str) -> Bounds:
     return next(part for part in parts if isinstance(part, Bounds))
 
 
-def check_fields(instance: Any, owner: str = "") -> None:
+def check_fields(
+    instance: Any, owner: str = "", error: Callable[[str], InputError] = InputError
+) -> None:
     """Check every field of a dataclass instance against its bounds and words.
 
     Parameters
@@ -320,12 +323,18 @@ def check_fields(instance: Any, owner: str = "") -> None:
     instance : dataclass instance
     owner : str
         Kind and name of the object, for messages.
-
-    Raises
-    ------
-    InputError
-        With the field, its value, and what is allowed.
+    error : type of InputError
+        Raised with the field, its value, and what is allowed.
     """
+    try:
+        _check_fields(instance, owner)
+    except InputError as refused:
+        if error is InputError:
+            raise
+        raise error(str(refused)) from refused
+
+
+def _check_fields(instance: Any, owner: str) -> None:
     place = f"{owner}: " if owner else ""
     for name, limits, words in _checks(instance.__class__):
         value = getattr(instance, name)
@@ -377,4 +386,4 @@ def _numbers(value: Any) -> Iterator[float]:
     elif hasattr(value, "flat"):
         yield from (float(entry) for entry in value.flat)
     else:
-        yield float(value)
+        yield value

@@ -15,6 +15,7 @@ from stiffopt.declaration import (
     JointPosition,
     JointStiffness,
     JointTorque,
+    Ratio,
 )
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.files import Section
@@ -106,7 +107,7 @@ class ExpectedValueSection(Section):
 
     value: Annotated[float, Doc("Expected value, in `unit`.")]
     unit: Annotated[str, Doc("Unit of the value; default none.")] = ""
-    rtol: Annotated[float, Bounds(above=0.0, most=0.1), Doc("Relative tolerance.")] = 1e-4
+    rtol: Annotated[Ratio, Bounds(above=0.0, most=0.1), Doc("Relative tolerance.")] = 1e-4
     source: Annotated[str, Field(min_length=1), Doc("Where the value comes from.")]
 
 

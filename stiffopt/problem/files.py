@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt.declaration import declared
 from stiffopt.errors import InputFileError
 from stiffopt.files import check_header, load_toml, validate
 from stiffopt.problem.limit import LIMITS, Limits
@@ -24,7 +25,6 @@ from stiffopt.problem.schema import (
     problem_file,
 )
 from stiffopt.problem.trajectory import (
-    Method,
     Target,
     TrajectoryProblem,
     check_duration,
@@ -114,12 +114,7 @@ def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
         duration=duration,
         objectives=tuple(
             Objective(
-                name=term.objective,
-                measure=term.measure,
-                weight=term.weight,
-                joints=tuple(term.joints),
-                joint_weights=dict(term.joint_weights),
-                accept_bound=term.accept_bound,
+                name=term.objective, **{key: getattr(term, key) for key in declared(Objective)}
             )
             for term in document.minimise
         ),
@@ -127,7 +122,7 @@ def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
         boundary_velocity=velocity,
         boundary_acceleration=motion.boundary_acceleration,
         process_force=np.array(document.tool.process_force),
-        method=Method(**document.method.model_dump()),
+        method=document.method,
         title=document.title or path.stem,
     )
 

@@ -9,10 +9,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
+from stiffopt.declaration import POSITIVE, Bounds, Doc, Ratio, check_fields
 from stiffopt.errors import ProblemError, nearest
 from stiffopt.problem.registry import Registry
 from stiffopt.problem.stage_terms import UNSMOOTHED, ObjectiveTerms, StaticVariable
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
     from stiffopt.symbolic import Quantity
 
-MEASURES = ("peak", "rms")
 ACCEPT = ", or set minimise.accept_bound = true."
 
 
@@ -135,42 +135,29 @@ OBJECTIVES: Registry[ObjectiveKind] = Registry("stiffopt.problem.objectives")
 
 @dataclass(frozen=True, kw_only=True)
 class Objective:
-    """One term of the objective.
-
-    Parameters
-    ----------
-    name : str
-        Of a kind in `problem/objectives/`.
-    measure : "peak" or "rms"
-        Of a deflection.
-    weight : float
-        In the weighted sum.
-    joints : tuple of int
-        1-based; empty for all joints.
-    joint_weights : mapping joint number -> float
-        For joint_stiffness: k_j / weight_j is compared; 1 where not given.
-    accept_bound : bool
-        Solve even where the objective cannot get past a value that no motion changes.
-    """
+    """One term of the objective; `name` is that of a kind in `problem/objectives/`."""
 
     name: str = "dynamic_deflection"
-    measure: str = "peak"
-    weight: float = 1.0
-    joints: tuple[int, ...] = ()
-    joint_weights: Mapping[int, float] = field(default_factory=dict)
-    accept_bound: bool = False
+    measure: Annotated[
+        Literal["peak", "rms"], Doc("Largest value over time, or root mean square; of deflections.")
+    ] = "peak"
+    weight: Annotated[Ratio, POSITIVE, Doc("Weight in the sum of all terms.")] = 1.0
+    joints: Annotated[
+        tuple[Annotated[int, Bounds(least=1)], ...], Doc("Joints that count; default all.")
+    ] = ()
+    joint_weights: Annotated[
+        Mapping[int, Annotated[Ratio, POSITIVE]],
+        Doc("For joint_stiffness, by joint number: stiffness over weight is compared; default 1."),
+    ] = field(default_factory=dict)
+    accept_bound: Annotated[
+        bool,
+        Doc("Solve even where the objective cannot get past a value that no motion changes."),
+    ] = False
 
     def __post_init__(self) -> None:
         if self.name not in OBJECTIVES:
             raise ProblemError(f"Unknown objective {self.name!r}. {nearest(self.name, OBJECTIVES)}")
-        if self.measure not in MEASURES:
-            raise ProblemError(f"Unknown measure {self.measure!r}; allowed: 'peak' or 'rms'.")
-        if not self.weight > 0:
-            raise ProblemError(
-                f"The weight of {self.name} is {self.weight:g}; allowed: greater than zero."
-            )
-        if any(not weight > 0 for weight in self.joint_weights.values()):
-            raise ProblemError("joint_weights must all be greater than zero.")
+        check_fields(self, self.name, ProblemError)
 
     @property
     def kind(self) -> ObjectiveKind:

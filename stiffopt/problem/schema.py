@@ -3,91 +3,121 @@
 from __future__ import annotations
 
 import functools
+import typing
+from dataclasses import MISSING
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, create_model, model_validator
 
 from stiffopt.declaration import (
+    POSITIVE,
     Angle,
+    Bounds,
+    Doc,
     Force,
     Inertia,
     JointPosition,
     JointVelocity,
     Length,
     Mass,
+    Ratio,
     Time,
+    declared,
 )
 from stiffopt.files import Section
 from stiffopt.problem.limit import LIMITS, LimitKey
-from stiffopt.problem.objective import OBJECTIVES
+from stiffopt.problem.objective import OBJECTIVES, Objective
+from stiffopt.problem.trajectory import Method
 
 Vector3 = tuple[Length, Length, Length]
-Positive = Annotated[float, Field(gt=0, le=1e15)]
 
 
 class PayloadSection(Section):
-    """[payload]: fixed at the flange; com in the flange frame, principal inertia about the com."""
+    """Body that is fixed at the flange."""
 
-    mass: Annotated[Mass, Field(ge=0, le=1e5)]
-    com: Vector3 = (0.0, 0.0, 0.0)
-    inertia: tuple[Inertia, Inertia, Inertia] = (0.0, 0.0, 0.0)
+    mass: Annotated[Mass, Bounds(least=0.0, most=1e5), Doc("Mass.")]
+    com: Annotated[Vector3, Doc("Centre of mass in the flange frame.")] = (0.0, 0.0, 0.0)
+    inertia: Annotated[
+        tuple[Inertia, Inertia, Inertia],
+        Doc("Principal inertias about the centre of mass, along the axes of the flange."),
+    ] = (0.0, 0.0, 0.0)
 
 
 class ToolSection(Section):
-    """[tool]: the point whose deflection counts, and the force that acts on it."""
+    """Point whose deflection counts, and the force that acts on it."""
 
-    link: str | None = None
-    offset: Vector3 | None = None
-    process_force: tuple[Force, Force, Force] = (0.0, 0.0, 0.0)
+    link: Annotated[str | None, Doc("Link that it is fixed to; default that of the robot's.")] = (
+        None
+    )
+    offset: Annotated[Vector3 | None, Doc("Origin in the frame of the link.")] = None
+    process_force: Annotated[tuple[Force, Force, Force], Doc("Force ON the tool, base frame.")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
 
 
 class TargetSection(Section):
-    """A place: joints, or position with or without rpy."""
+    """A place: joints, or a position of the tool with or without an orientation."""
 
-    joints: list[JointPosition] | None = None
-    position: Vector3 | None = None
-    rpy: tuple[Angle, Angle, Angle] | None = None
-    near: list[JointPosition] | None = None
-    tolerance: Length | Angle | None = None
-    angle_tolerance: Annotated[Angle, Field(gt=0)] = 0.01
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> TargetSection:
-        if (self.joints is None) == (self.position is None):
-            raise ValueError(
-                "give either `joints` or `position` (with `rpy` for a pose), not both, not neither"
-            )
-        if self.rpy is not None and self.position is None:
-            raise ValueError("`rpy` needs a `position` beside it")
-        if self.tolerance is not None and not self.tolerance > 0:
-            raise ValueError("`tolerance` must be greater than zero")
-        return self
+    joints: Annotated[list[JointPosition] | None, Doc("Joint positions, one a joint.")] = None
+    position: Annotated[Vector3 | None, Doc("Position of the tool, base frame.")] = None
+    rpy: Annotated[
+        tuple[Angle, Angle, Angle] | None,
+        Doc("Fixed-axis roll, pitch, yaw of the tool; without it the orientation is free."),
+    ] = None
+    near: Annotated[
+        list[JointPosition] | None,
+        Doc("Joint positions that choose between the solutions of the inverse kinematics."),
+    ] = None
+    tolerance: Annotated[
+        Length | Angle | None,
+        POSITIVE,
+        Doc("How far a via point may be missed, [m] of a position, [rad] of joints; default 1e-4."),
+    ] = None
+    angle_tolerance: Annotated[
+        Angle, POSITIVE, Doc("How far the orientation of a via pose may be missed.")
+    ] = 0.01
 
 
 class DurationSection(Section):
-    """duration = { lower, upper }: optimised between the two; no upper bound if left out."""
+    """Duration that is optimised between two bounds."""
 
-    lower: Annotated[Time, Field(gt=0)] = 0.01
-    upper: Annotated[Time, Field(gt=0)] | None = None
+    lower: Annotated[Time, POSITIVE, Doc("Least duration.")] = 0.01
+    upper: Annotated[Time | None, POSITIVE, Doc("Largest duration; default no bound.")] = None
 
 
 class BoundaryVelocity(Section):
-    """boundary_velocity = { start, end }."""
+    """Velocities at both ends."""
 
-    start: list[JointVelocity]
-    end: list[JointVelocity]
+    start: Annotated[list[JointVelocity], Doc("At the start, one a joint.")]
+    end: Annotated[list[JointVelocity], Doc("At the end, one a joint.")]
 
 
 class MotionSection(Section):
-    """[motion] (required): start and end with vias between, or a fixed joint path."""
+    """Start and end with places between, or a fixed joint path."""
 
-    start: TargetSection | None = None
-    via: tuple[TargetSection, ...] = ()
-    end: TargetSection | None = None
-    path: list[list[JointPosition]] | None = None
-    duration: Annotated[Time, Field(gt=0)] | DurationSection
-    boundary_velocity: Literal["zero"] | BoundaryVelocity = "zero"
-    boundary_acceleration: Literal["zero", "free"] = "zero"
+    start: Annotated[TargetSection | None, Doc("Where the motion starts.")] = None
+    via: Annotated[
+        tuple[TargetSection, ...], Doc("Places passed in order; the time of passing is free.")
+    ] = ()
+    end: Annotated[TargetSection | None, Doc("Where the motion ends.")] = None
+    path: Annotated[
+        list[list[JointPosition]] | None,
+        Doc(
+            "Waypoints of a fixed joint path (not-a-knot cubic spline), in place of start, via and "
+            "end; only the timing is then free."
+        ),
+    ] = None
+    duration: Annotated[
+        Annotated[Time, POSITIVE] | DurationSection, Doc("Fixed, or optimised between two bounds.")
+    ]
+    boundary_velocity: Annotated[
+        Literal["zero"] | BoundaryVelocity, Doc("Velocity at both ends.")
+    ] = "zero"
+    boundary_acceleration: Annotated[Literal["zero", "free"], Doc("Acceleration at both ends.")] = (
+        "zero"
+    )
 
     @model_validator(mode="after")
     def _ends(self) -> MotionSection:
@@ -99,56 +129,43 @@ class MotionSection(Section):
 
 
 class MinimiseSection(Section):
-    """[[minimise]] (required): one term of the objective."""
+    """One term of the objective; several are summed with their weights."""
 
     objective: str
-    measure: Literal["peak", "rms"] = "peak"
-    weight: Positive = 1.0
-    joints: tuple[Annotated[int, Field(ge=1)], ...] = ()
-    joint_weights: dict[int, Positive] = Field(default_factory=dict)
-    accept_bound: bool = False
 
 
 class LimitsSection(Section):
-    """[limits]: the robot's own where a key is left out; "none" removes a limit."""
-
-
-class MethodSection(Section):
-    """[method]: how to solve."""
-
-    transcription: Literal["piecewise_linear_acceleration", "hermite_simpson", "radau"] = (
-        "piecewise_linear_acceleration"
-    )
-    intervals: Annotated[int, Field(ge=4, le=2000)] = 60
-    time_limit: Annotated[Time, Field(gt=0)] = 300.0
-    max_iterations: Annotated[int, Field(ge=1)] = 500
-    starts: Annotated[int, Field(ge=1, le=1000)] = 1
-    tolerance: Annotated[float, Field(gt=0, le=1e-2)] = 1e-8
-    seed: int = 1
+    """Limits; the robot's own where a key is left out, "none" removes one."""
 
 
 class ExpectedSection(Section):
-    """[expected]: what `stiffopt verify` compares, and where the value comes from."""
+    """What `stiffopt verify` compares, and where the value comes from."""
 
-    objective: float
-    unit: str
-    rtol: Annotated[float, Field(gt=0, le=0.1)] = 1e-4
-    source: str
+    objective: Annotated[float, Doc("Value of the objective, in `unit`.")]
+    unit: Annotated[str, Doc("Unit of the value.")]
+    rtol: Annotated[
+        Ratio, Bounds(above=0.0, most=0.1), Doc("Relative difference that is allowed.")
+    ] = 1e-4
+    source: Annotated[str, Doc("Where the value comes from: never the same run alone.")]
 
 
 class ProblemFile(Section):
-    """A whole trajectory problem file."""
+    """What to move, from where to where, how well and within which limits."""
 
-    schema_: Annotated[int, Field(alias="schema")]
-    kind: Literal["trajectory"]
-    title: str = ""
-    robot: str
+    schema_: Annotated[int, Field(alias="schema"), Doc("Version of the format: 1.")]
+    kind: Annotated[Literal["trajectory"], Doc("Kind of file.")]
+    title: Annotated[str, Doc("Title of the report; default the name of the file.")] = ""
+    robot: Annotated[
+        str, Doc("A shipped robot, or the path of a robot file or URDF beside this file.")
+    ]
     payload: PayloadSection | None = None
     tool: ToolSection = ToolSection()
     motion: MotionSection
-    minimise: Annotated[list[MinimiseSection], Field(min_length=1)]
+    minimise: Annotated[
+        list[MinimiseSection], Field(min_length=1), Doc("Terms of the objective, one or more.")
+    ]
     limits: LimitsSection = LimitsSection()
-    method: MethodSection = MethodSection()
+    method: Method = Method()
     expected: ExpectedSection | None = None
 
 
@@ -163,21 +180,29 @@ def _problem_file(objectives: tuple[str, ...], keys: tuple[LimitKey, ...]) -> ty
     names: Any = Literal[objectives]
     kinds = (f"{name}: {OBJECTIVES[name].description}" for name in objectives)
     objective = Field(description="What is minimised. " + " ".join(kinds))
+    term: dict[str, Any] = {
+        name: (
+            field.annotation,
+            Field(default_factory=dict) if field.default is MISSING else field.default,
+        )
+        for name, field in declared(Objective).items()
+    }
     minimise: Any = create_model(
         "MinimiseSection",
         __base__=MinimiseSection,
         __doc__=MinimiseSection.__doc__,
         objective=(names, objective),
+        **term,
     )
     factors: dict[str, Any] = {
-        key.key: (Positive, Field(1.0, description=f"Factor on {key.key} [-]."))
+        key.key: (Annotated[Ratio, POSITIVE, Doc(f"Factor on {key.key}.")], 1.0)
         for key in keys
         if key.scaled
     }
     scale = create_model(
         "ScaleSection",
         __base__=Section,
-        __doc__="limits.scale: factors on the robot's own limits.",
+        __doc__="Factors on the robot's own limits.",
         **factors,
     )
     fields: dict[str, Any] = {
@@ -190,7 +215,8 @@ def _problem_file(objectives: tuple[str, ...], keys: tuple[LimitKey, ...]) -> ty
         scale=(scale, scale()),
         **fields,
     )
-    terms: Any = Annotated[list[minimise], Field(min_length=1)]
+    docs = typing.get_type_hints(ProblemFile, include_extras=True)["minimise"].__metadata__
+    terms: Any = Annotated[list[minimise], *docs]
     return create_model(
         "ProblemFile",
         __base__=ProblemFile,

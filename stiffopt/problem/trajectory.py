@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
+from stiffopt.declaration import POSITIVE, Bounds, Doc, Ratio, Time, check_fields
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.objective import Objective
@@ -90,43 +91,31 @@ def check_duration(duration: tuple[float, float]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """How to solve; the defaults suit most problems.
+    """How to solve; the defaults suit most problems."""
 
-    Parameters
-    ----------
-    transcription : str
-        "piecewise_linear_acceleration", "hermite_simpson" or "radau".
-    intervals : int
-        Of the whole motion.
-    time_limit : float [s]
-    max_iterations : int
-        Of IPOPT, each stage.
-    starts : int
-        Number of initial guesses; the best certified result wins.
-    tolerance : float
-        Of IPOPT.
-    seed : int
-        Of the further initial guesses.
-    """
-
-    transcription: str = "piecewise_linear_acceleration"
-    intervals: int = 60
-    time_limit: float = 300.0
-    max_iterations: int = 500
-    starts: int = 1
-    tolerance: float = 1e-8
-    seed: int = 1
+    transcription: Annotated[
+        Literal["piecewise_linear_acceleration", "hermite_simpson", "radau"],
+        Doc("How the motion becomes a nonlinear programme."),
+    ] = "piecewise_linear_acceleration"
+    intervals: Annotated[int, Bounds(least=4, most=2000), Doc("Intervals of the whole motion.")] = (
+        60
+    )
+    time_limit: Annotated[Time, POSITIVE, Doc("Time after which the best motion is taken.")] = 300.0
+    max_iterations: Annotated[
+        int, Bounds(least=1), Doc("Largest number of iterations of IPOPT, each stage.")
+    ] = 500
+    starts: Annotated[
+        int,
+        Bounds(least=1, most=1000),
+        Doc("Number of initial guesses; the best certified result wins."),
+    ] = 1
+    tolerance: Annotated[
+        Ratio, Bounds(above=0.0, most=1e-2), Doc("Relative tolerance of IPOPT.")
+    ] = 1e-8
+    seed: Annotated[int, Doc("Of the further initial guesses.")] = 1
 
     def __post_init__(self) -> None:
-        if self.intervals < 4:
-            raise ProblemError(
-                f"method.intervals = {self.intervals} is too few; allowed: 4 or more."
-            )
-        if self.starts < 1 or not self.time_limit > 0 or self.max_iterations < 1:
-            raise ProblemError(
-                f"method.starts = {self.starts}, time_limit = {self.time_limit:g} s and "
-                f"max_iterations = {self.max_iterations} must all be above zero."
-            )
+        check_fields(self, "method", ProblemError)
 
 
 @dataclass(frozen=True, kw_only=True)

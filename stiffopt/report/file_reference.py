@@ -1,6 +1,6 @@
 """Reference of the files: every key with its unit, default and sentence, from the declarations.
 
-`python -m stiffopt.report.file_reference` prints `.github/files.md`.
+`python -m stiffopt.report.file_reference > .github/files.md` writes the page anew.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ _INTRODUCTION = """# Files
 Every key of the files that people write, generated from their declarations; `stiffopt schema KIND`
 gives the same as JSON Schema, for editors. A bare number is SI; where a unit is given, a text with
 another unit of the same kind is converted: `"45 deg"`, `"0.3 mm"`, `"12 kN"`, `"5 N*m/arcmin"`
-(not in recordings). A second unit in brackets is that of prismatic joints. Joints are numbered from
-1. Unknown keys are errors that name the nearest known one."""
+(not in recordings). A second unit in brackets is that of prismatic joints. Joints count from 1.
+Unknown keys are errors that name the nearest known one."""
 
 _TITLES = {
     "trajectory": "Trajectory problem",

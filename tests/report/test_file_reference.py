@@ -1,15 +1,18 @@
 """Every key of every file says what it is and in which unit, and the page says the same."""
 
 import pytest
+from small_arms import ROOT
 
 from stiffopt.report.file_reference import (
+    file_models,
     file_schema,
     forms,
+    reference_page,
     sentence,
     units,
 )
 
-KINDS = ("robot", "recordings", "static", "extended")
+KINDS = tuple(file_models())
 # Numbers whose unit is another key's, or that belong to no dimension.
 PURE = {
     ("ParameterSection", "value"),
@@ -52,3 +55,9 @@ def test_every_number_has_a_unit(kind):
         and any(form.get("type") == "number" for form in forms(field))
     ]
     assert bare == []
+
+
+def test_the_page_is_the_one_that_is_generated():
+    page = (ROOT / ".github" / "files.md").read_text(encoding="utf-8")
+    command = "python -m stiffopt.report.file_reference > .github/files.md"
+    assert page == reference_page(), f"run: {command}"

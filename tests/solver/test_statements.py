@@ -62,7 +62,7 @@ def test_python_arguments_are_checked_like_files(tmp_path):
         replace(problem, boundary_acceleration="fre")
     with pytest.raises(ProblemError, match="process_force"):
         replace(problem, process_force=np.array([0.0, np.nan, 0.0]))
-    with pytest.raises(ProblemError, match="above zero"):
+    with pytest.raises(ProblemError, match=r"starts = 0 .* 1 or above"):
         Method(starts=0)
     with pytest.raises(ProblemError, match="joint_weights"):
         Objective(name="joint_stiffness", joint_weights={1: 0.0})

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from pydantic import Field
 
-from stiffopt.declaration import JointStiffness
+from stiffopt.declaration import POSITIVE, JointStiffness
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import LIMITS, LimitKey, LimitKind, Limits
 from stiffopt.problem.rest import gravity_torque, rest_poses, sign_change, stiffness_at
@@ -40,7 +39,7 @@ class JointStiffnessFloor(LimitKind):
     keys = (
         LimitKey(
             key="joint_stiffness",
-            form=dict[int, Annotated[JointStiffness, Field(gt=0)]] | None,
+            form=dict[int, Annotated[JointStiffness, POSITIVE]] | None,
             description="Lowest tangent stiffness allowed, by joint number from 1 [N m/rad, N/m].",
             value=lambda robot: {},
         ),

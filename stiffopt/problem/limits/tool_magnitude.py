@@ -6,8 +6,8 @@ from abc import abstractmethod
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from pydantic import Field
 
+from stiffopt.declaration import POSITIVE
 from stiffopt.problem.limit import LimitKey, LimitKind, Limits
 from stiffopt.problem.stage_terms import PathRows, squared_length
 from stiffopt.result.assessment import Assessment, Violation
@@ -39,7 +39,7 @@ class ToolMagnitude(LimitKind):
         self.keys = (
             LimitKey(
                 key=name,
-                form=Annotated[form, Field(gt=0)] | None,
+                form=Annotated[form, POSITIVE] | None,
                 description=description,
                 value=lambda robot: np.inf,
             ),
