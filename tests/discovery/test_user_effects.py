@@ -1,8 +1,12 @@
 """Effects from a user's file: found, checked, refused with the reason."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from stiffopt.discovery.effect import Term
+from stiffopt.discovery.identifiable import needs
 from stiffopt.discovery.soundness import sample_signals
 from stiffopt.discovery.user_effects import load_effects
 from stiffopt.errors import InputFileError
@@ -48,6 +52,20 @@ def written(tmp_path, text):
     path = tmp_path / "mine.py"
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def test_what_an_effect_leaves_unsaid_follows_from_its_name_and_term(tmp_path):
+    drag, wind = load_effects(written(tmp_path, GOOD))
+    assert (drag.title, drag.phrase_of([1.0])) == ("seal drag", "seal drag")
+    assert needs(drag) == needs(wind) == ("torque", "moves")
+    late = replace(drag, scope="run", term=lambda signals, a, v: Term(deflection=a[0] + v[0]))
+    assert needs(late) == ("link", "moves", "runs")
+
+
+def test_needs_that_nothing_can_meet_are_refused(tmp_path):
+    text = GOOD.replace('scope="joint"', 'scope="joint", needs=("torqe",)')
+    with pytest.raises(InputFileError, match=r"seal_drag.*needs 'torqe'; known are torque, link"):
+        load_effects(written(tmp_path, text))
 
 
 def test_functions_and_objects_become_effects(tmp_path):
