@@ -14,6 +14,8 @@ from stiffopt.preload.model import PreloadModel
 # A row this close to its limit is called active: less than reports show of a utilisation, more than
 # the optimiser leaves.
 ACTIVE = 1e-4
+# Share of the largest torque of a joint below which one is zero but for rounding, and no reversal.
+_NO_TORQUE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +151,8 @@ def _keys(model: PreloadModel) -> Iterator[UtilisationRow]:
         chain = model.problem.robot.chains[joint - 1]
         assert chain is not None
         torques = [float(case.torque[joint - 1]) for case in model.cases]
-        reversing = min(torques) < 0.0 < max(torques)
+        noise = _NO_TORQUE * max(abs(torque) for torque in torques)
+        reversing = min(torques) < -noise and max(torques) > noise
         for stage in chain.stages:
             key = stage.element
             if not isinstance(key, Key):

@@ -44,6 +44,8 @@ def kkt_residual(nlp: Nlp, raw: RawSolution, parameters: np.ndarray | None = Non
         # A positive multiplier holds at the upper bound, a negative one at the lower.
         with np.errstate(invalid="ignore"):
             slack = np.where(multiplier > 0.0, upper - value, value - lower)
-            product = np.where(multiplier == 0.0, 0.0, np.abs(multiplier * slack))
+            # At a bound that does not exist a multiplier is wrong by its own size.
+            slack = np.where(np.isfinite(slack), slack, 1.0)
+            product = np.abs(multiplier * slack)
         worst = max(worst, float(excess.max(initial=0.0)), float(product.max(initial=0.0)))
     return worst

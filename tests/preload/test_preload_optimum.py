@@ -10,12 +10,16 @@ from preload_studies import JACOBIAN, Ring, case, er3a, study, with_elements
 
 from stiffopt.errors import NoSolutionFound
 from stiffopt.exact.chain import exact_compliance, exact_windup
+from stiffopt.fastening.limits import key_pressure_limit
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload import optimise
 from stiffopt.preload.load_case import LoadHistory
 from stiffopt.preload.model import PreloadModel
-from stiffopt.preload.optimise import optimise_preloads
+from stiffopt.preload.nlp import PreloadNlp
+from stiffopt.preload.optimise import levels_of, optimise_preloads
+from stiffopt.preload.utilisation import utilisation_rows
 from stiffopt.result.status import SolveStatus
+from stiffopt.solver.kkt import kkt_residual
 
 KKT = 1e-6
 
@@ -338,6 +342,26 @@ def test_end_without_small_residual_is_no_optimum(monkeypatch):
     assert solution.status is SolveStatus.ITERATION_LIMIT
     with pytest.raises(NoSolutionFound, match="ended before the optimum"):
         optimise_preloads(study(case(j2=58.0)))
+
+
+def test_residual_of_a_multiplier_at_no_bound_is_its_own_size():
+    model = PreloadModel(study(case(j2=58.0)))
+    nlp = PreloadNlp(model, "bolt_utilisation", levels_of(model))
+    end = optimise._exact_optimum(nlp, None)
+    multipliers = end.raw.multipliers_g.copy()
+    # The rows have upper bounds alone, and IPOPT may leave rounding of the other sign.
+    multipliers[np.argmin(np.abs(multipliers))] = -1e-9
+    raw = replace(end.raw, multipliers_g=multipliers)
+    assert kkt_residual(nlp.nlp, raw, nlp.parameters(end.preloads)) < 1e-8
+
+
+@pytest.mark.parametrize(("other", "steady"), [(-1e-15, True), (20.0, True), (-20.0, False)])
+def test_rounding_of_a_torque_is_no_reversal(other, steady):
+    model = PreloadModel(study(case(j2=58.0), case("back", j2=other)))
+    allowed = {row.limit for row in utilisation_rows(model, model.design) if "key" in row.kind}
+    chain = model.problem.robot.chains[1]
+    keys = [e for e in chain.elements.values() if e.kind == "key"]
+    assert allowed == {key_pressure_limit(key.hub_material, not steady)[0] for key in keys}
 
 
 # ---- individual preloads and motions
