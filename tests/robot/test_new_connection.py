@@ -1,11 +1,10 @@
-"""A connection is one class: its fields are read from robot files, checked, and in the schema."""
+"""A connection is one class: its fields are read from robot files, checked, in schema and reference."""
 
 import subprocess
 import sys
 
 # In a process of its own, because a class cannot be taken back.
 PROGRAM = """
-import json
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
@@ -13,6 +12,7 @@ from stiffopt import load_robot
 from stiffopt.connection import LinearConnection
 from stiffopt.declaration import POSITIVE, Doc, Force, Length
 from stiffopt.errors import InputError
+from stiffopt.report.file_reference import reference_page
 from stiffopt.robot.schema import robot_file
 
 
@@ -70,6 +70,10 @@ assert schema["properties"]["lever"]["description"] == "Lever of the leaf."
 assert schema["properties"]["lever"]["anyOf"][0]["exclusiveMinimum"] == 0.0
 assert schema["properties"]["ends"]["enum"] == ["held", "free"]
 assert "force_at_break" in schema["required"]
+
+page = reference_page()
+assert '### `[[joint.element]]`, `type = "leaf_spring"`' in page
+assert "| `force_at_break` | number above 0 | N | required | Force at which the leaf breaks. |" in page
 """
 
 
