@@ -1,4 +1,4 @@
-"""A connection is one class: its fields are read from robot files, checked, in schema and reference."""
+"""A connection is one class: its fields are read from robot files, and in schema and reference."""
 
 import subprocess
 import sys
@@ -73,7 +73,8 @@ assert "force_at_break" in schema["required"]
 
 page = reference_page()
 assert '### `[[joint.element]]`, `type = "leaf_spring"`' in page
-assert "| `force_at_break` | number above 0 | N | required | Force at which the leaf breaks. |" in page
+row = "| `force_at_break` | number above 0 | N | required | Force at which the leaf breaks. |"
+assert row in page
 """
 
 
