@@ -21,9 +21,9 @@ from stiffopt.transcription.ocp import Rows
 
 _CASE = "{}, {}"
 # Price of a level above its ceiling, as a multiple of the total preload. At a corner of the limits,
-# with multipliers of order one, nothing is lost; where the level is flat, 1 / (4 _PRICE^2) = 2.5e-7
-# of it. A dearer one costs accuracy: the KKT residual is 1e-8 with 1e3, 2e-7 with 1e4.
-_PRICE = 1e3
+# with multipliers of order one, nothing is lost; where the level is flat, 1 / (4 _PRICE^2) = 2.8e-8
+# of it. A dearer one costs accuracy: the KKT residual is 2e-7 with 1e4, 1e-8 with 1e3.
+_PRICE = 3e3
 
 
 @dataclass(frozen=True)
