@@ -27,7 +27,6 @@ from stiffopt.problem.schema import (
 from stiffopt.problem.trajectory import (
     Target,
     TrajectoryProblem,
-    check_duration,
 )
 from stiffopt.robot.elements import located
 from stiffopt.robot.files import load_robot, shipped_robots
@@ -80,8 +79,6 @@ def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
     else:
         upper = motion.duration.upper
         duration = (motion.duration.lower, np.inf if upper is None else upper)
-    with located(path, "motion.duration"):
-        check_duration(duration)
     waypoints = None
     if motion.path is not None:
         waypoints = np.stack(
@@ -99,10 +96,6 @@ def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
             joints(motion.boundary_velocity.start, "angular velocity", "boundary_velocity.start"),
             joints(motion.boundary_velocity.end, "angular velocity", "boundary_velocity.end"),
         )
-    for number, term in enumerate(document.minimise, start=1):
-        for key in ("joints", "joint_weights"):
-            for joint in getattr(term, key):
-                joints.check_number(joint, f"minimise[{number}].{key}")
     return TrajectoryProblem(
         robot=robot,
         start=start,

@@ -78,14 +78,14 @@ def _check_vector(name: str, value: np.ndarray) -> None:
         raise ProblemError(f"{name} must hold 3 finite numbers, got {np.asarray(value).tolist()}.")
 
 
-def check_duration(duration: tuple[float, float]) -> None:
+def _check_duration(duration: tuple[float, float]) -> None:
     """Raise `ProblemError` unless the range (lower, upper) [s] holds a motion of an arm."""
     lower, upper = duration
     shortest, longest = _DURATIONS
     if not shortest <= lower <= min(upper, longest) or longest < upper < np.inf:
         raise ProblemError(
-            f"a duration from lower = {lower:g} s to upper = {upper:g} s cannot be used; allowed: "
-            f"{shortest:g} <= lower <= upper <= {longest:g} s, or no upper bound."
+            f"motion.duration: from lower = {lower:g} s to upper = {upper:g} s cannot be used; "
+            f"allowed: {shortest:g} <= lower <= upper <= {longest:g} s, or no upper bound."
         )
 
 
@@ -159,7 +159,7 @@ class TrajectoryProblem:
     def __post_init__(self) -> None:
         if not self.objectives:
             raise ProblemError("The problem has no objective; add at least one [[minimise]].")
-        check_duration(self.duration)
+        _check_duration(self.duration)
         if self.path is not None:
             object.__setattr__(self, "path", np.asarray(self.path, dtype=float))
         object.__setattr__(self, "process_force", np.asarray(self.process_force, dtype=float))
@@ -169,15 +169,16 @@ class TrajectoryProblem:
                 f"boundary_acceleration = {self.boundary_acceleration!r} is unknown; allowed: "
                 "'zero' or 'free'."
             )
-        for objective in self.objectives:
-            self._check_objective(objective)
+        for number, objective in enumerate(self.objectives, start=1):
+            self._check_objective(objective, f"minimise[{number}]")
 
-    def _check_objective(self, objective: Objective) -> None:
-        for joint in (*objective.joints, *objective.joint_weights):
-            if not 1 <= joint <= self.joints:
-                raise ProblemError(
-                    f"{objective.name} names joint {joint}; allowed: 1 to {self.joints}."
-                )
+    def _check_objective(self, objective: Objective, where: str) -> None:
+        for key in ("joints", "joint_weights"):
+            for joint in getattr(objective, key):
+                if not 1 <= joint <= self.joints:
+                    raise ProblemError(
+                        f"{where}.{key}: there is no joint {joint}; allowed: 1 to {self.joints}."
+                    )
         objective.kind.check(objective, self)
 
     @property

@@ -56,7 +56,7 @@ def test_objectives_that_nothing_can_change_are_refused(tmp_path):
 
 def test_python_arguments_are_checked_like_files(tmp_path):
     problem = load(tmp_path, "planar")
-    with pytest.raises(ProblemError, match="joint 7; allowed: 1 to 2"):
+    with pytest.raises(ProblemError, match="no joint 7; allowed: 1 to 2"):
         replace(problem, objectives=(Objective(name="torque_squared", joints=(7,)),))
     with pytest.raises(ProblemError, match="'zero' or 'free'"):
         replace(problem, boundary_acceleration="fre")
