@@ -1,37 +1,18 @@
-"""Checks of the numbers that describe surfaces and connections, with one wording for all."""
+"""Checks that no single declared field can make, with one wording for all."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
-from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Bounds
+from stiffopt.declaration import POSITIVE
 from stiffopt.errors import InputError, nearest
 
 
 def require_positive(owner: str, **values: float) -> None:
     """Raise `InputError` unless every value is a finite number above zero."""
-    _require(POSITIVE, owner, values)
-
-
-def require_not_negative(owner: str, **values: float) -> None:
-    """Raise `InputError` unless every value is a finite number, zero or above."""
-    _require(NOT_NEGATIVE, owner, values)
-
-
-def require_at_least(owner: str, bound: float, **values: float) -> None:
-    """Raise `InputError` unless every value is finite and `bound` or above."""
-    _require(Bounds(least=bound), owner, values)
-
-
-def require_between(owner: str, lower: float, upper: float, **values: float) -> None:
-    """Raise `OutOfValidityError` unless every value lies strictly between the two bounds."""
-    _require(Bounds(above=lower, below=upper), owner, values)
-
-
-def _require(bounds: Bounds, owner: str, values: Mapping[str, float]) -> None:
     for name, value in values.items():
-        bounds.check(f"{owner}: {name}", value)
+        POSITIVE.check(f"{owner}: {name}", value)
 
 
 def require_ordered(owner: str, **values: float) -> None:
