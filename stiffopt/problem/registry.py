@@ -20,7 +20,7 @@ Kind = TypeVar("Kind", bound=HasName)
 
 
 class Registry(Mapping[str, Kind]):
-    """Kinds by name, in the order of the package's files.
+    """Kinds by name, in alphabetical order.
 
     Parameters
     ----------
@@ -53,7 +53,8 @@ class Registry(Mapping[str, Kind]):
         return self._all()[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._all())
+        # Whatever imported one of the files first.
+        return iter(sorted(self._all()))
 
     def __len__(self) -> int:
         return len(self._all())
