@@ -37,7 +37,9 @@ def test_problem_loads_and_can_be_stated_honestly(path):
 def test_expected_value_has_a_source(path):
     expected = load_problem(path).expected
     assert expected is not None
-    assert expected.rtol <= 1e-4
+    # A wider tolerance is the measured spread of a flat optimum.
+    assert expected.rtol <= 1e-4 or "spread of" in expected.source
+    assert expected.rtol <= 2e-3
     assert len(expected.source) > 4
 
 
