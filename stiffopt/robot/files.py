@@ -135,15 +135,17 @@ def _sections(document: RobotFile, names: tuple[str, ...], path: Path) -> list[J
     return [given.get(name, JointSection(name=name)) for name in names]
 
 
-# Key, where the URDF says it, value where nothing does.
-_NUMBERS: tuple[tuple[str, str, float], ...] = (
-    ("torque_max", "effort", np.nan),
-    ("velocity_max", "velocity", np.nan),
+# Key, where the URDF says it, value where nothing does; None: something has to.
+_NUMBERS: tuple[tuple[str, str, float | None], ...] = (
+    ("torque_max", "effort", None),
+    ("velocity_max", "velocity", None),
     ("acceleration_max", "", np.inf),
     ("jerk_max", "", np.inf),
     ("rotor_inertia", "", 0.0),
     ("coulomb", "friction", 0.0),
     ("viscous", "damping", 0.0),
+    ("damping", "", np.nan),
+    ("hysteresis", "", 0.0),
 )
 
 
@@ -159,7 +161,7 @@ def _joint_numbers(
             elif number := urdf.get(fallback, 0.0):
                 bounds(JointSection, key).check(key, number)
                 values[key] = number
-            elif np.isnan(default):
+            elif default is None:
                 raise InputError(f"is missing, and the URDF has no {fallback} for it. Give {key}.")
             else:
                 values[key] = default

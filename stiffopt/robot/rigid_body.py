@@ -39,6 +39,10 @@ class RigidBodies:
         """Inverse dynamics: position, velocity, acceleration (n,) -> torque (n,)."""
         return np.array(pin.rnea(self._model, self._data, q, v, a))
 
+    def acceleration(self, q: np.ndarray, v: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        """Forward dynamics: position, velocity, torque (n,) -> acceleration (n,)."""
+        return np.array(pin.aba(self._model, self._data, q, v, torque))
+
     def gravity_torque(self, q: np.ndarray) -> np.ndarray:
         """Torque (n,) that holds the weight at rest."""
         return np.array(pin.computeGeneralizedGravity(self._model, self._data, q))

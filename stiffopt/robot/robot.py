@@ -38,6 +38,8 @@ _JOINT_ARRAYS = (
     "rotor_inertia",
     "coulomb",
     "viscous",
+    "damping",
+    "hysteresis",
 )
 
 
@@ -66,6 +68,10 @@ class Robot:
         Where the tool point is, and where payloads are fixed.
     sources : tuple of Source
     title : str
+    damping : array (n,), optional
+        Of the joint's spring [N m s/rad]; NaN where it is not known.
+    hysteresis : array (n,), optional
+        Half width of the loop that wind-up describes over torque [rad]; default none.
 
     Notes
     -----
@@ -88,6 +94,8 @@ class Robot:
     flange: LinkFrame
     sources: tuple[Source, ...] = ()
     title: str = ""
+    damping: np.ndarray | None = None
+    hysteresis: np.ndarray | None = None
 
     @property
     def n(self) -> int:
@@ -179,7 +187,11 @@ class Robot:
             for model in (self.model, marked)
         ]
         left = np.array([name not in names for name in self.joint_names])
-        arrays: dict[str, Any] = {name: getattr(self, name)[left] for name in _JOINT_ARRAYS}
+        arrays: dict[str, Any] = {
+            name: array[left]
+            for name in _JOINT_ARRAYS
+            if (array := getattr(self, name)) is not None
+        }
         return replace(
             self,
             model=models[0],

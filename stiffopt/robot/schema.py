@@ -61,6 +61,16 @@ class JointSection(Cited):
     viscous: Annotated[
         JointViscous | None, NOT_NEGATIVE, Doc("Viscous friction at the joint's output.")
     ] = None
+    damping: Annotated[
+        JointViscous | None,
+        NOT_NEGATIVE,
+        Doc("Damping of the joint's spring; default 2 % of the critical one, said in results."),
+    ] = None
+    hysteresis: Annotated[
+        JointPosition | None,
+        NOT_NEGATIVE,
+        Doc("Half width of the measured loop of wind-up over torque; default none."),
+    ] = None
     element: Annotated[
         tuple[ElementSection, ...],
         Doc(

@@ -1,0 +1,137 @@
+"""An arm whose links hang on the springs of their joints, and the motor side that moves them.
+
+The springs' far ends follow the motors; rotors are not part of what swings. Rigid joints stay so.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.elastic.springs import joint_springs
+from stiffopt.errors import RobotError
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+# Share of the critical damping where the robot file gives none.
+ASSUMED_DAMPING = 0.02
+# Torque, as a share of the drive's, over which a reversal goes through the hysteresis: reducer
+# catalogues measure lost motion at 3 to 4 % of the rated torque.
+_REVERSAL = 0.04
+_SETTLED = 1e-12
+_ITERATIONS = 50
+
+
+class ElasticArm:
+    """Bodies, springs, damping and hysteresis of an arm.
+
+    Parameters
+    ----------
+    robot : Robot
+    at : array (n,)
+        Motor position of the pose in which damping is judged and, where none is given, assumed:
+        2 % of what would be critical for each joint swinging alone.
+    process_force : array_like (3,)
+        Acts on the tool all the time, base axes [N].
+
+    Attributes
+    ----------
+    damping : array (n,)
+        [N m s/rad]; zero for rigid joints.
+    assumed_damping : tuple of int
+        Joints (from 1) whose damping is assumed.
+    hysteresis : array (n,)
+        Half width of the loop [rad].
+    reversal_torque : array (n,)
+        Over which a reversal goes through the hysteresis [N m].
+
+    Raises
+    ------
+    RobotError
+        A joint's damping is negative or above critical; a wind-up has no end.
+    """
+
+    def __init__(
+        self, robot: Robot, at: np.ndarray, process_force: object = (0.0, 0.0, 0.0)
+    ) -> None:
+        self.robot, self.bodies = robot, robot.rigid_bodies()
+        self.process_force = np.asarray(process_force, dtype=float)
+        self.springs = joint_springs(robot)
+        self.elastic = np.array([spring is not None for spring in self.springs])
+        self.hysteresis = _given(robot.hysteresis, robot.n, 0.0) * self.elastic
+        if not np.all(self.hysteresis >= 0.0):
+            joint = robot.joint_names[int(np.argmin(self.hysteresis))]
+            raise RobotError(f"the hysteresis of {joint} must be a half width of 0 or above.")
+        self.reversal_torque = _REVERSAL * np.asarray(robot.torque_max, dtype=float)
+        stated = _given(robot.damping, robot.n, np.nan)
+        unknown = np.isnan(stated) & self.elastic
+        self.assumed_damping = tuple(int(j) + 1 for j in np.flatnonzero(unknown))
+        critical = self._critical_damping(np.asarray(at, dtype=float))
+        self.damping = np.where(unknown, ASSUMED_DAMPING * critical, np.nan_to_num(stated))
+        self.damping = np.where(self.elastic, self.damping, 0.0)
+        for j in np.flatnonzero(self.elastic & ~(self.damping <= critical) | (self.damping < 0.0)):
+            raise RobotError(
+                f"the damping of {robot.joint_names[j]} must lie between 0 and the critical "
+                f"{critical[j]:.4g} N m s/rad of the joint swinging alone; got "
+                f"{self.damping[j]:.4g}."
+            )
+
+    def windup(self, torque: np.ndarray) -> np.ndarray:
+        """Wind-ups (K, n) [rad] of spring torques (K, n) [N m], in the middle of the hysteresis."""
+        columns = [
+            np.zeros(len(torque)) if spring is None else spring.windup(torque[:, j])
+            for j, spring in enumerate(self.springs)
+        ]
+        return np.stack(columns, axis=1)
+
+    def stiffness(self, torque: np.ndarray) -> np.ndarray:
+        """Tangent stiffness (n,) [N m/rad] at spring torques (n,); infinite for rigid joints."""
+        windup = self.windup(np.asarray(torque)[None])[0]
+        return np.array(
+            [
+                np.inf if spring is None else spring.torque_at(angle)[1]
+                for spring, angle in zip(self.springs, windup, strict=True)
+            ]
+        )
+
+    def held_torque(self, q: np.ndarray) -> np.ndarray:
+        """Spring torque (n,) [N m] at rest in a link position: weight less process force."""
+        weight = self.bodies.gravity_torque(q)
+        return weight - self.force_torque(q) if self.process_force.any() else weight
+
+    def force_torque(self, q: np.ndarray) -> np.ndarray:
+        """Joint torque (n,) [N m] of the process force."""
+        return np.asarray(self.bodies.jacobian(self.robot.tool, q)[:3].T @ self.process_force)
+
+    def hanging(self, motor: np.ndarray) -> np.ndarray:
+        """Link positions (K, n) at rest at motor positions (K, n)."""
+        q = np.array(motor, dtype=float)
+        moving = np.arange(len(q))
+        for _ in range(_ITERATIONS):
+            held = np.array([self.held_torque(row) for row in q[moving]])
+            new = motor[moving] - self.windup(held)
+            change = np.max(np.abs(new - q[moving]), axis=1)
+            q[moving] = new
+            moving = moving[change > _SETTLED]
+            if not moving.size:
+                return q
+        raise RobotError(
+            "the arm does not hang at rest on its springs: their weight winds them up further and "
+            "further. Check stiffness and masses."
+        )
+
+    def tool(self, q: np.ndarray) -> np.ndarray:
+        """Tool positions (K, 3) [m] of link positions (K, n)."""
+        return np.array([self.bodies.pose(self.robot.tool, row)[0] for row in q])
+
+    def _critical_damping(self, at: np.ndarray) -> np.ndarray:
+        """Critical damping (n,) of each joint swinging alone, at rest with the motors at `at`."""
+        q = self.hanging(at[None])[0]
+        stiffness = self.stiffness(self.held_torque(q))
+        return np.asarray(2.0 * np.sqrt(stiffness * np.diag(self.bodies.inertia_matrix(q))))
+
+
+def _given(values: np.ndarray | None, joints: int, default: float) -> np.ndarray:
+    return np.full(joints, default) if values is None else np.array(values, dtype=float)

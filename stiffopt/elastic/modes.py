@@ -1,0 +1,99 @@
+"""Small swings of an arm about a pose at rest: frequencies, damping and shapes.
+
+The springs are taken at their tangent stiffness, weight with its change over the pose; motors stand
+still. Damping ratios neglect that damping couples the modes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh
+
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.errors import RobotError
+
+_NAMED_SHARE = 0.1
+_STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One mode of the arm.
+
+    Parameters
+    ----------
+    frequency : float
+        Without damping [Hz].
+    damping : float
+        Share of the critical damping.
+    shares : array (n,)
+        Share of each joint's spring in the energy; they sum to 1.
+    shape : array (n,)
+        Motion of the joints, of unit modal mass.
+    tool : array (3,)
+        Motion of the tool with it [m].
+    """
+
+    frequency: float
+    damping: float
+    shares: np.ndarray
+    shape: np.ndarray
+    tool: np.ndarray
+
+    def describe(self) -> str:
+        """Who swings: "joint 1 swings with 92 % of the energy"."""
+        order = [int(j) for j in np.argsort(-self.shares) if self.shares[j] >= _NAMED_SHARE]
+        sizes = [f"{100.0 * self.shares[j]:.0f} %" for j in order]
+        if len(order) == 1:
+            return f"joint {order[0] + 1} swings with {sizes[0]} of the energy"
+        sides = np.sign(self.shape[order]) == np.sign(self.shape[order[0]])
+        text = f"joint {order[0] + 1} ({sizes[0]} of the energy)"
+        for j, size, together in zip(order[1:], sizes[1:], sides[1:], strict=True):
+            text += f" {'with' if together else 'against'} joint {j + 1} ({size})"
+        return text
+
+
+def modes(arm: ElasticArm, motor: np.ndarray) -> tuple[Mode, ...]:
+    """Modes at rest with the motors at `motor` (n,) [rad], lowest first; none for a rigid arm.
+
+    Raises
+    ------
+    RobotError
+        The springs do not hold the arm in this pose.
+    """
+    free = np.flatnonzero(arm.elastic)
+    if not free.size:
+        return ()
+    q = arm.hanging(np.asarray(motor, dtype=float)[None])[0]
+    springs = arm.stiffness(arm.held_torque(q))[free]
+    slopes = np.empty((arm.robot.n, free.size))
+    for column, j in enumerate(free):
+        step = np.zeros(arm.robot.n)
+        step[j] = _STEP
+        slopes[:, column] = (arm.held_torque(q + step) - arm.held_torque(q - step)) / (2 * _STEP)
+    weight = slopes[free]
+    stiffness = np.diag(springs) + 0.5 * (weight + weight.T)
+    inertia = arm.bodies.inertia_matrix(q)[np.ix_(free, free)]
+    squares, shapes = eigh(stiffness, inertia)
+    if not squares[0] > 0.0:
+        raise RobotError("the springs do not hold the arm in this pose: it falls over.")
+    jacobian = arm.bodies.jacobian(arm.robot.tool, q)[:3]
+    found = []
+    for square, column in zip(squares, shapes.T, strict=True):
+        shape = np.zeros(arm.robot.n)
+        shape[free] = column
+        energy = np.zeros(arm.robot.n)
+        energy[free] = springs * column**2
+        rate = float(np.sqrt(square))
+        found.append(
+            Mode(
+                frequency=rate / (2.0 * np.pi),
+                damping=float(arm.damping[free] @ column**2 / (2.0 * rate)),
+                shares=energy / energy.sum(),
+                shape=shape,
+                tool=jacobian @ shape,
+            )
+        )
+    return tuple(found)

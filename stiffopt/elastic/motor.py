@@ -1,0 +1,165 @@
+"""Motion of the motors: as commanded, or as a servo follows the command."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from stiffopt.errors import InputError
+
+if TYPE_CHECKING:
+    from stiffopt.result.trajectory import JointMotion
+
+# Of a sampled motion: cubic between points this far apart it is exact to a nanoradian.
+_STEP = 5e-4
+# A motion that ends slower than this ends at rest [rad/s].
+_STANDSTILL = 1e-6
+
+
+class MotorMotion:
+    """Motor positions over time, cubic between samples, at rest after the last one.
+
+    Parameters
+    ----------
+    time : array (K,)
+        From 0, strictly increasing [s].
+    position, velocity : array (K, n)
+        [rad], [rad/s].
+    duration : float, optional
+        When the command arrives [s]; default the last sample.
+    """
+
+    def __init__(
+        self,
+        time: np.ndarray,
+        position: np.ndarray,
+        velocity: np.ndarray,
+        duration: float | None = None,
+    ) -> None:
+        self.time = np.asarray(time, dtype=float)
+        self.duration = float(self.time[-1]) if duration is None else duration
+        self._end = float(self.time[-1])
+        self._spline = CubicHermiteSpline(self.time, position, velocity)
+        self._times = self.time.tolist()
+        # Highest power first, (K - 1, 4, n).
+        self._pieces = list(np.ascontiguousarray(self._spline.c.transpose(1, 0, 2)))
+        self._last = np.array(position[-1], dtype=float)
+        self._still = np.zeros_like(self._last)
+        self.ends_at_rest = bool(np.max(np.abs(velocity[-1])) < _STANDSTILL)
+
+    @classmethod
+    def of(cls, motion: JointMotion) -> MotorMotion:
+        """Sampled from a motion `motion(t, order)`, at its break times too (`motion.times`)."""
+        count = max(2, int(np.ceil(motion.duration / _STEP)) + 1)
+        breaks = np.asarray(getattr(motion, "times", ()), dtype=float)
+        time = np.union1d(np.linspace(0.0, motion.duration, count), breaks)
+        time = time[np.concatenate([[True], np.diff(time) > 1e-9 * motion.duration])]
+        return cls(time, motion(time, 0), motion(time, 1))
+
+    def at(self, t: float) -> tuple[np.ndarray, np.ndarray]:
+        """Position and velocity (n,) at one instant."""
+        if t >= self._end:
+            return self._last, self._still
+        k = min(max(bisect_right(self._times, t) - 1, 0), len(self._pieces) - 1)
+        c3, c2, c1, c0 = self._pieces[k]
+        x = t - self._times[k]
+        return c0 + x * (c1 + x * (c2 + x * c3)), c1 + x * (2.0 * c2 + x * (3.0 * c3))
+
+    def acceleration(self, t: float) -> np.ndarray:
+        """Acceleration (n,) at one instant."""
+        return self._still if t >= self._end else np.asarray(self._spline(t, 2))
+
+    def position(self, times: np.ndarray) -> np.ndarray:
+        """Positions (K, n) at the times (K,)."""
+        return np.asarray(self._spline(np.clip(times, 0.0, self._end)))
+
+
+@dataclass(frozen=True)
+class Servo:
+    """Position loop of every joint, in place of motors that follow exactly.
+
+    The motor's speed is feed_forward times the command's, delayed, plus 2 pi bandwidth times the
+    position error as it was a delay ago. What the link does to the motor is not in it.
+
+    Parameters
+    ----------
+    bandwidth : float
+        Of the position loop [Hz].
+    feed_forward : float
+        Share of the command's velocity that is fed forward, 0 to 1.
+    delay : float
+        Dead time of the loop [s].
+    """
+
+    bandwidth: float
+    feed_forward: float = 1.0
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.bandwidth) and self.bandwidth > 0.0):
+            raise InputError(f"the servo's bandwidth must be above 0 Hz, got {self.bandwidth:g}.")
+        if not 0.0 <= self.feed_forward <= 1.0:
+            raise InputError(
+                f"the servo's velocity feed-forward is a share from 0 to 1, got "
+                f"{self.feed_forward:g}."
+            )
+        if not (np.isfinite(self.delay) and self.delay >= 0.0):
+            raise InputError(f"the servo's delay must be 0 s or above, got {self.delay:g}.")
+        largest = 1.0 / (4.0 * self.bandwidth)
+        if self.delay >= largest:
+            raise InputError(
+                f"the servo is unstable: a position loop of {self.bandwidth:g} Hz bears a delay "
+                f"below {1e3 * largest:.4g} ms, and has {1e3 * self.delay:.4g} ms. Lower the "
+                "bandwidth or the delay."
+            )
+
+    def follow(self, command: MotorMotion, until: float) -> MotorMotion:
+        """Motor motion from rest under this command, to the time `until` [s]."""
+        gain = 2.0 * np.pi * self.bandwidth
+        # The delay is a whole number of steps, so that what it needs has been computed.
+        lag = 0 if self.delay == 0.0 else max(1, int(np.ceil(self.delay / _STEP)))
+        step = self.delay / lag if lag else min(_STEP, 0.02 / self.bandwidth)
+        count = int(np.ceil(until / step)) + 1
+        # At whole and half steps; before the start command and motor stand at the first position.
+        times = 0.5 * step * np.arange(2 * count + 1)
+        late = np.clip(times - self.delay, 0.0, None)
+        wanted = command.position(late)
+        speeds = np.array([command.at(t)[1] for t in late])
+        speeds[times < self.delay] = 0.0
+        drive = self.feed_forward * speeds + gain * wanted
+        position, velocity = (
+            np.empty((count + 1, len(wanted[0]))),
+            np.empty_like(drive[: count + 1]),
+        )
+        position[0] = wanted[0]
+        if not lag:
+            velocity[0] = drive[0] - gain * position[0]
+            for k in range(count):
+                x, mid = position[k], drive[2 * k + 1]
+                a = velocity[k]
+                b = mid - gain * (x + 0.5 * step * a)
+                c = mid - gain * (x + 0.5 * step * b)
+                d = drive[2 * k + 2] - gain * (x + step * c)
+                position[k + 1] = x + step / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+                velocity[k + 1] = drive[2 * k + 2] - gain * position[k + 1]
+        else:
+            velocity[0] = drive[0] - gain * position[0]
+            for k in range(count):
+                # The error of a delay ago is known: Simpson's rule with the cubic at its middle.
+                begin, end = k - lag, k + 1 - lag
+                old = position[max(end, 0)]
+                middle = position[0]
+                if begin >= 0:
+                    middle = 0.5 * (position[begin] + position[end]) + step / 8.0 * (
+                        velocity[begin] - velocity[end]
+                    )
+                half = drive[2 * k + 1] - gain * middle
+                velocity[k + 1] = drive[2 * k + 2] - gain * old
+                position[k + 1] = position[k] + step / 6.0 * (
+                    velocity[k] + 4.0 * half + velocity[k + 1]
+                )
+        return MotorMotion(step * np.arange(count + 1), position, velocity, command.duration)

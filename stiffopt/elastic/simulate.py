@@ -1,0 +1,212 @@
+"""Forward simulation of an elastic arm whose motors follow a motion.
+
+What the tool does is measured against where it would hang at rest at the commanded motor position,
+so that the change of the sag with the pose is not counted; a servo's lag is.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.modes import modes
+from stiffopt.elastic.motor import MotorMotion, Servo
+from stiffopt.errors import RobotError
+from stiffopt.result.simulation import SETTLING_BAND, SimulatedMotion
+
+# Simulated after arrival [s].
+REST = 1.0
+# Of the integrator: relative, and absolute of position [rad], velocity [rad/s] and hysteresis.
+# Errors at the tool stay below 0.03 um on the ER3A in 0.8 s of computing (0.006 um in 1.2 s with
+# ten times tighter ones); LSODA and RK45 take as long for the same error.
+_RTOL = 1e-9
+_ATOL = (1e-8, 1e-6, 1e-4)
+_SAMPLE = 5e-4
+# Above this frequency [Hz] the integrator would take minutes.
+_REACH = 5e3
+
+
+def simulate(
+    arm: ElasticArm,
+    motion: MotorMotion,
+    *,
+    servo: Servo | None = None,
+    band: float = SETTLING_BAND,
+    method: str = "DOP853",
+) -> SimulatedMotion:
+    """Let the motors follow a motion, then stand still for a second.
+
+    Parameters
+    ----------
+    arm : ElasticArm
+    motion : MotorMotion
+        The command.
+    servo : Servo, optional
+        How the motors follow it; exactly where left out.
+    band : float
+        Within which the tool counts as settled [m].
+    method : str
+        Of `scipy.integrate.solve_ivp`.
+
+    Returns
+    -------
+    SimulatedMotion
+
+    Raises
+    ------
+    RobotError
+        A mode of the arm is too fast for the integrator, or it does not finish.
+    """
+    end = motion.duration + (REST if motion.ends_at_rest else 0.0)
+    motor = motion if servo is None else servo.follow(motion, end)
+    _check_reach(arm, motor.at(0.0)[0])
+    n = arm.robot.n
+    times = _sample_times(motion.duration, end)
+    start, speed = motor.at(0.0)
+    state = np.concatenate([arm.hanging(start[None])[0], speed, np.zeros(n)])
+    equations = _Equations(arm, motor)
+    errors = np.repeat(_ATOL, n)
+    parts: list[np.ndarray] = []
+    # Anew at the arrival, where the motor's acceleration may jump.
+    for begin, stop in ((0.0, motion.duration), (motion.duration, end)):
+        if stop <= begin:
+            continue
+        inside = times[(times >= begin) & (times <= stop)]
+        if parts:
+            parts[-1] = parts[-1][:-1]
+        solved = solve_ivp(
+            equations, (begin, stop), state, method, t_eval=inside, rtol=_RTOL, atol=errors
+        )
+        if not solved.success:
+            raise RobotError(
+                f"the elastic arm could not be followed beyond {solved.t[-1]:.4g} s: "
+                f"{solved.message} Check stiffness, masses and hysteresis."
+            )
+        state = solved.y[:, -1]
+        parts.append(solved.y.T)
+    states = np.concatenate(parts)
+    command, followed = motion.position(times), motor.position(times)
+    q = np.where(arm.elastic, states[:, :n], followed)
+    windup = followed - q
+    torque = equations.spring_torque(windup, states[:, 2 * n :])
+    deviation = arm.tool(q) - arm.tool(arm.hanging(command))
+    return SimulatedMotion(
+        time=times,
+        duration=motion.duration,
+        deviation=deviation,
+        position=q,
+        velocity=states[:, n : 2 * n],
+        windup=windup,
+        spring_torque=torque,
+        band=band,
+        notes=(*_beyond_law(arm, times, torque), *_hysteresis(arm, q)),
+    )
+
+
+class _Equations:
+    """Slope of the state: link positions, velocities, state of the hysteresis."""
+
+    def __init__(self, arm: ElasticArm, motor: MotorMotion) -> None:
+        self._arm, self._motor = arm, motor
+        self._rigid = np.flatnonzero(~arm.elastic)
+        self._free = np.flatnonzero(arm.elastic)
+        springs = list(enumerate(arm.springs))
+        self._springs = [(j, spring) for j, spring in springs if spring is not None]
+        # Torque that alone winds the spring up by the loop's half width: so wide is the loop then.
+        self._friction = np.array(
+            [
+                0.0 if spring is None else spring.torque_at(half)[0]
+                for spring, half in zip(arm.springs, arm.hysteresis.tolist(), strict=True)
+            ]
+        )
+        self._loops = np.flatnonzero(self._friction > 0.0)
+
+    def __call__(self, t: float, state: np.ndarray) -> np.ndarray:
+        arm, n = self._arm, self._arm.robot.n
+        motor, speed = self._motor.at(t)
+        q, v = state[:n], state[n : 2 * n]
+        if self._rigid.size:
+            q, v = np.where(arm.elastic, q, motor), np.where(arm.elastic, v, speed)
+        windup, rate = motor - q, speed - v
+        torque = arm.damping * rate
+        for j, spring in self._springs:
+            torque[j] += spring.torque_at(windup[j])[0]
+        slope = np.zeros(3 * n)
+        if self._loops.size:
+            loop, own = state[2 * n :], self._loops
+            torque += self._friction * loop
+            turned = rate[own] / arm.hysteresis[own]
+            slope[2 * n + own] = turned - loop[own] * np.abs(turned)
+        if arm.process_force.any():
+            torque += arm.force_torque(q)
+        slope[:n] = v
+        slope[n : 2 * n] = self._acceleration(t, q, v, torque)
+        return slope
+
+    def _acceleration(
+        self, t: float, q: np.ndarray, v: np.ndarray, torque: np.ndarray
+    ) -> np.ndarray:
+        bodies, free = self._arm.bodies, self._free
+        if not self._rigid.size:
+            return bodies.acceleration(q, v, torque)
+        # Rigid joints move as their motors do, whatever that takes.
+        driven = np.where(self._arm.elastic, 0.0, self._motor.acceleration(t))
+        if free.size:
+            left = (torque - bodies.torque(q, v, driven))[free]
+            driven[free] = np.linalg.solve(bodies.inertia_matrix(q)[np.ix_(free, free)], left)
+        return driven
+
+    def spring_torque(self, windup: np.ndarray, loop: np.ndarray) -> np.ndarray:
+        """Torques (K, n) [N m] of the springs with their hysteresis, without damping."""
+        torque = np.asarray(self._friction * loop)
+        for j, spring in self._springs:
+            torque[:, j] += spring.torque(windup[:, j])
+        return torque
+
+
+def _sample_times(duration: float, end: float) -> np.ndarray:
+    """Every half millisecond, arrival and end among them."""
+    flight = np.linspace(0.0, duration, max(2, int(np.ceil(duration / _SAMPLE)) + 1))
+    if end <= duration:
+        return flight
+    rest = np.linspace(duration, end, int(np.ceil((end - duration) / _SAMPLE)) + 1)
+    return np.concatenate([flight, rest[1:]])
+
+
+def _check_reach(arm: ElasticArm, motor: np.ndarray) -> None:
+    fastest = max(modes(arm, motor), key=lambda mode: mode.frequency, default=None)
+    if fastest is not None and fastest.frequency > _REACH:
+        joint = arm.robot.joint_names[int(np.argmax(fastest.shares))]
+        raise RobotError(
+            f"a mode of {fastest.frequency:.4g} Hz, mostly of {joint}, lies beyond the reach of "
+            f"the integration, {_REACH:g} Hz. Leave the drivetrain of that joint out (rigid), or "
+            "check its stiffness and the inertia behind it."
+        )
+
+
+def _beyond_law(arm: ElasticArm, times: np.ndarray, torque: np.ndarray) -> list[str]:
+    notes = []
+    for j, spring in enumerate(arm.springs):
+        beyond = np.array([]) if spring is None else np.abs(torque[:, j]) > spring.torque_reach
+        if spring is not None and beyond.any():
+            notes.append(
+                f"{arm.robot.joint_names[j]} passes {spring.torque_reach:.4g} N m at "
+                f"{times[int(np.argmax(beyond))]:.3f} s, where its connections slip or the table "
+                "of its law ends; from there on its spring is taken as straight."
+            )
+    return notes
+
+
+def _hysteresis(arm: ElasticArm, q: np.ndarray) -> list[str]:
+    """How far the loops alone leave the tool from where it would hang."""
+    if not arm.hysteresis.any():
+        return []
+    columns: Any = arm.bodies.jacobian(arm.robot.tool, q[-1])[:3] * arm.hysteresis
+    reach = float(np.sqrt(np.sum(np.sum(np.abs(columns), axis=1) ** 2)))
+    return [
+        f"The hysteresis of the joints alone may hold the tool up to {1e3 * reach:.3g} mm from "
+        "where it would hang at the end."
+    ]

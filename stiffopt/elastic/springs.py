@@ -1,0 +1,136 @@
+"""Springs of all joints by the exact law, tabulated both ways: wind-up to torque and back.
+
+Between its points the table is a cubic with the exact slopes. It reaches three times the drive's
+torque. Where a connection of the joint slips before that, the law is followed up to 99.9 % of the
+slip torque; from the last point on the spring goes on straight with the stiffness it has there, and
+whoever passes it is told (`Springs.torque_reach`).
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.errors import RobotError
+from stiffopt.exact.chain import breakpoints, exact_compliance, exact_windup
+
+if TYPE_CHECKING:
+    from stiffopt.drivetrain.chain import Chain
+    from stiffopt.robot.robot import Robot
+
+_REACH = 3.0
+_BEFORE_SLIP = 0.999
+_POINTS = 500
+
+
+class JointSpring:
+    """Spring of one joint.
+
+    Parameters
+    ----------
+    chain : Chain
+    torque_max : float
+        Of the joint's drive [N m].
+    name : str
+        Of the joint, for messages.
+    """
+
+    def __init__(self, chain: Chain, torque_max: float, name: str) -> None:
+        torque = _table_torques(chain, _reach(chain, _REACH * torque_max))
+        windup, compliance = exact_windup(chain, torque), exact_compliance(chain, torque)
+        sound = np.isfinite(windup) & np.isfinite(compliance) & (compliance > 0.0)
+        if not sound.all():
+            raise RobotError(
+                f"{name} cannot swing on its drivetrain: the wind-up has no end at "
+                f"{torque[~sound][0]:.3g} N m, as of a contact without pressure. Give its contacts "
+                "a pre-pressure or preload."
+            )
+        self.torque_reach = float(torque[-1])
+        """Torque [N m] up to which the law is followed."""
+        self._torques, self._windups = torque.tolist(), windup.tolist()
+        self._by_windup = _cubics(windup, torque, 1.0 / compliance)
+        self._by_torque = _cubics(torque, windup, compliance)
+        # Reading a list of tuples is what makes one instant cheap.
+        self._pieces = [tuple(piece) for piece in self._by_windup.tolist()]
+
+    def torque_at(self, windup: float) -> tuple[float, float]:
+        """Torque [N m] and tangent stiffness [N m/rad] at one wind-up [rad]."""
+        size = windup if windup >= 0.0 else -windup
+        k = bisect_right(self._windups, size) - 1
+        c0, c1, c2, c3 = self._pieces[k]
+        x = size - self._windups[k]
+        torque = c0 + x * (c1 + x * (c2 + x * c3))
+        return (torque if windup >= 0.0 else -torque), c1 + x * (2.0 * c2 + x * 3.0 * c3)
+
+    def torque(self, windup: np.ndarray) -> np.ndarray:
+        """Torques (k,) [N m] at wind-ups (k,) [rad]."""
+        return _evaluated(self._by_windup, np.array(self._windups), windup)
+
+    def windup(self, torque: np.ndarray) -> np.ndarray:
+        """Wind-ups (k,) [rad] at torques (k,) [N m]; the inverse of `torque`."""
+        return _evaluated(self._by_torque, np.array(self._torques), torque)
+
+
+def joint_springs(robot: Robot) -> tuple[JointSpring | None, ...]:
+    """Spring of each joint, None where it is rigid.
+
+    Raises
+    ------
+    RobotError
+        A joint's wind-up has no end.
+    """
+    return tuple(
+        None if chain is None or not chain.stages else JointSpring(chain, float(torque), name)
+        for chain, torque, name in zip(
+            robot.chains, robot.torque_max, robot.joint_names, strict=True
+        )
+    )
+
+
+def _reach(chain: Chain, wanted: float) -> float:
+    """Largest torque at which the compliance is finite, `wanted` at most."""
+    held, slips = 0.0, wanted
+    # Few long calls: the law costs little more for many torques than for one.
+    for _ in range(4):
+        tried = np.linspace(held, slips, 33)[1:]
+        broken = np.flatnonzero(~np.isfinite(exact_compliance(chain, tried)))
+        if not broken.size:
+            return wanted
+        first = int(broken[0])
+        held, slips = (float(tried[first - 1]) if first else held), float(tried[first])
+    return _BEFORE_SLIP * held
+
+
+def _table_torques(chain: Chain, reach: float) -> np.ndarray:
+    """Torques of the table, dense near zero, where contacts begin steeply."""
+    share = np.linspace(0.0, 1.0, _POINTS)
+    # Dense at the other end too: towards slip the stiffness falls steeply.
+    graded = 0.5 * share**3 + 0.5 * (1.0 - (1.0 - share) ** 3)
+    torques = reach * np.concatenate([graded, share**3])
+    kinks = [torque for torque in breakpoints(chain) if torque < reach]
+    # Either side of a kink, so that no cubic spans it.
+    beside = [torque * factor for torque in kinks for factor in (1.0 - 1e-9, 1.0 + 1e-9)]
+    ordered = np.unique(np.concatenate([torques, beside]))
+    return np.asarray(ordered[np.concatenate([[True], np.diff(ordered) > 1e-12 * reach])])
+
+
+def _cubics(x: np.ndarray, y: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Coefficients (k, 4), lowest first, of the cubics through points with slopes; then a line."""
+    h, rise = np.diff(x), np.diff(y)
+    mean = rise / h
+    c2 = (3.0 * mean - 2.0 * slope[:-1] - slope[1:]) / h
+    c3 = (slope[:-1] + slope[1:] - 2.0 * mean) / h**2
+    inner = np.column_stack([y[:-1], slope[:-1], c2, c3])
+    return np.vstack([inner, [y[-1], slope[-1], 0.0, 0.0]])
+
+
+def _evaluated(cubics: np.ndarray, knots: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Value of an odd function that is given for positive arguments."""
+    size = np.abs(np.asarray(x, dtype=float))
+    k = np.searchsorted(knots, size, side="right") - 1
+    local = size - knots[k]
+    c = cubics[k]
+    value = c[..., 0] + local * (c[..., 1] + local * (c[..., 2] + local * c[..., 3]))
+    return np.asarray(np.sign(x) * value)

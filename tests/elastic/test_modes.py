@@ -1,0 +1,57 @@
+"""Modes against closed forms, and the words for their shapes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from swinging_arms import RATE, arm
+
+from stiffopt.elastic.modes import Mode, modes
+from stiffopt.errors import RobotError
+
+
+def test_one_joint_has_the_mode_of_a_mass_on_a_spring(tmp_path):
+    (mode,) = modes(arm(tmp_path), np.zeros(1))
+    assert mode.frequency == pytest.approx(RATE / (2.0 * np.pi))
+    assert mode.describe() == "joint 1 swings with 100 % of the energy"
+    # Of unit modal mass, about the vertical: along y with the arm along x.
+    np.testing.assert_allclose(np.abs(mode.tool), [0.0, 0.4 / np.sqrt(0.09), 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("angle", [-1.2, 0.3, 1.4])
+def test_weight_stiffens_or_softens_a_pendulum_on_a_spring(tmp_path, angle):
+    pendulum = arm(tmp_path, "pendulum", at=[angle])
+    (mode,) = modes(pendulum, np.array([angle]))
+    (q,) = pendulum.hanging(np.array([[angle]]))[0]
+    # Turning about y lowers the tip: the weight's torque is -m g l cos(q).
+    torque = -2.0 * 9.81 * 0.2 * np.cos(q)
+    assert pendulum.held_torque(np.array([q]))[0] == pytest.approx(torque)
+    stiffness = pendulum.stiffness(np.array([torque]))[0] + 2.0 * 9.81 * 0.2 * np.sin(q)
+    assert mode.frequency == pytest.approx(np.sqrt(stiffness / 0.09) / (2.0 * np.pi), rel=1e-7)
+
+
+def test_modes_of_two_joints_keep_the_trace_and_are_orthogonal(tmp_path):
+    planar = arm(tmp_path, "planar")
+    found = modes(planar, np.array([0.3, 0.2]))
+    assert [mode.frequency for mode in found] == sorted(mode.frequency for mode in found)
+    q = planar.hanging(np.array([[0.3, 0.2]]))[0]
+    inertia = planar.bodies.inertia_matrix(q)
+    shapes = np.stack([mode.shape for mode in found])
+    np.testing.assert_allclose(shapes @ inertia @ shapes.T, np.eye(2), atol=1e-10)
+    for mode in found:
+        assert mode.shares.sum() == pytest.approx(1.0)
+
+
+def test_shapes_are_said_in_words():
+    mode = Mode(9.0, 0.02, np.array([0.05, 0.6, 0.35]), np.array([0.1, 1.0, -2.0]), np.zeros(3))
+    assert mode.describe() == "joint 2 (60 % of the energy) against joint 3 (35 %)"
+
+
+def test_springs_that_do_not_hold_the_arm_are_told(tmp_path):
+    pendulum = arm(tmp_path, "pendulum", at=[-1.5])
+    pendulum.robot.model.inertias[1].mass = 5e4
+    heavy = replace(pendulum.robot)
+    with pytest.raises(RobotError, match="springs"):
+        modes(type(pendulum)(heavy, np.array([-1.5])), np.array([-1.5]))
