@@ -50,6 +50,10 @@ class RobotError(InputError):
     """A robot description cannot be used."""
 
 
+class NotSimulatedError(RobotError):
+    """An arm cannot be simulated as an elastic one, though it can be planned with."""
+
+
 class ProblemError(InputError):
     """A problem is stated in a way that cannot be solved, or not honestly."""
 

@@ -12,8 +12,12 @@ from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import Assessment
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
+
+# Instants at which a slowed motion is tried.
+_COARSE = 301
 
 
 def baselines(problem: TrajectoryProblem, motion: ResolvedMotion) -> dict[str, Baseline]:
@@ -22,11 +26,7 @@ def baselines(problem: TrajectoryProblem, motion: ResolvedMotion) -> dict[str, B
     Where the duration is free, toppra's motion keeps its own (shortest) duration, and the quintic
     takes the shortest duration that toppra found, or the middle of the allowed range.
     """
-    if problem.path is None:
-        # Vias lie unevenly: with equal steps of the path parameter the spline overshoots.
-        path = JointPath.through(motion.points, "chord")
-    else:
-        path = JointPath.through(problem.path)
+    path = _path(problem, motion)
     fixed = problem.duration[0] == problem.duration[1]
     duration = problem.duration[0] if fixed else None
     fastest = toppra_baseline(
@@ -46,11 +46,45 @@ def baselines(problem: TrajectoryProblem, motion: ResolvedMotion) -> dict[str, B
     }
 
 
+def slowed_quintic(problem: TrajectoryProblem, motion: ResolvedMotion) -> Assessment | None:
+    """The quintic motion at the shortest duration at which it keeps all limits, within 0.2 %.
+
+    None where it does not at ten times the duration of the problem.
+    """
+    path = _path(problem, motion)
+    low = problem.duration[0]
+
+    def excess(duration: float, points: int) -> float:
+        slowed = quintic_baseline(path, duration).motion
+        assert slowed is not None
+        times = np.linspace(0.0, duration, points)
+        return assess(problem, slowed, times=times).worst_violation.value
+
+    high = 10.0 * low
+    if low <= 0.0 or excess(high, _COARSE) > CERTIFIED:
+        return None
+    while high - low > 1e-3 * low:
+        middle = 0.5 * (low + high) if high > 2.0 * low else float(np.sqrt(low * high))
+        low, high = (low, middle) if excess(middle, _COARSE) <= CERTIFIED else (middle, high)
+    # Between the points of the coarse grid there may be a little more.
+    found = quintic_baseline(path, 1.001 * high).motion
+    assert found is not None
+    assessment = assess(problem, found)
+    return assessment if assessment.feasible(CERTIFIED) else None
+
+
 def better_baseline(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> Baseline | None:
     """The feasible baseline with the better objective; None where neither is feasible."""
     feasible = [b for b in beside.values() if b.feasible and b.objective is not None]
     sign = -1.0 if is_maximised(problem) else 1.0
     return min(feasible, key=lambda b: sign * (b.objective or 0.0), default=None)
+
+
+def _path(problem: TrajectoryProblem, motion: ResolvedMotion) -> JointPath:
+    if problem.path is None:
+        # Vias lie unevenly: with equal steps of the path parameter the spline overshoots.
+        return JointPath.through(motion.points, "chord")
+    return JointPath.through(problem.path)
 
 
 def _assessed(

@@ -51,6 +51,7 @@ def solve(
     from stiffopt.report.solve.page import write_solve_report
     from stiffopt.report.solve.terminal import print_solution
     from stiffopt.result.store import export_times, write_result, write_trajectory
+    from stiffopt.solver.simulation import with_simulation
     from stiffopt.solver.solve import solve as optimise
 
     loaded = load_problem(problem)
@@ -63,16 +64,17 @@ def solve(
     with output_folder(out or Path("out") / problem.stem) as folder:
         with _progress(stated, quiet) as progress, _about(problem):
             if found is None:
-                solution = optimise(stated, progress=progress, throw=False)
+                solution = optimise(stated, progress=progress, throw=False, simulate=True)
             else:
                 loop = solve_extended(stated, found, progress=progress)
-                stated, solution = loop.problem, loop.solution
+                stated = loop.problem
+                solution = with_simulation(stated, loop.solution)
         if solution.trajectory is not None:
             times = export_times(solution.trajectory.duration)
             exported = assess(stated, solution.trajectory, times=times)
             write_trajectory(exported, folder)
         write_solve_report(stated, solution, folder)
-        write_result(solution, folder)
+        write_result(solution, folder, problem)
     print_solution(stated, solution, folder)
     return solution.status.exit_code
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.elastic.springs import joint_springs
-from stiffopt.errors import RobotError
+from stiffopt.errors import NotSimulatedError, RobotError
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
@@ -50,7 +50,9 @@ class ElasticArm:
     Raises
     ------
     RobotError
-        A joint's damping is negative or above critical; a wind-up has no end.
+        A joint's damping is negative or above critical, or its hysteresis negative.
+    NotSimulatedError
+        The springs do not hold the arm.
     """
 
     def __init__(
@@ -117,7 +119,7 @@ class ElasticArm:
             moving = moving[change > _SETTLED]
             if not moving.size:
                 return q
-        raise RobotError(
+        raise NotSimulatedError(
             "the arm does not hang at rest on its springs: their weight winds them up further and "
             "further. Check stiffness and masses."
         )

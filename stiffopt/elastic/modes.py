@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from stiffopt.elastic.arm import ElasticArm
-from stiffopt.errors import RobotError
+from stiffopt.errors import NotSimulatedError
 
 _NAMED_SHARE = 0.1
 _STEP = 1e-6
@@ -60,7 +60,7 @@ def modes(arm: ElasticArm, motor: np.ndarray) -> tuple[Mode, ...]:
 
     Raises
     ------
-    RobotError
+    NotSimulatedError
         The springs do not hold the arm in this pose.
     """
     free = np.flatnonzero(arm.elastic)
@@ -78,7 +78,7 @@ def modes(arm: ElasticArm, motor: np.ndarray) -> tuple[Mode, ...]:
     inertia = arm.bodies.inertia_matrix(q)[np.ix_(free, free)]
     squares, shapes = eigh(stiffness, inertia)
     if not squares[0] > 0.0:
-        raise RobotError("the springs do not hold the arm in this pose: it falls over.")
+        raise NotSimulatedError("the springs do not hold the arm in this pose: it falls over.")
     jacobian = arm.bodies.jacobian(arm.robot.tool, q)[:3]
     found = []
     for square, column in zip(squares, shapes.T, strict=True):

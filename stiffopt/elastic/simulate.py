@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.motor import MotorMotion, Servo
-from stiffopt.errors import RobotError
+from stiffopt.errors import NotSimulatedError
 from stiffopt.result.simulation import SETTLING_BAND, SimulatedMotion
 
 # Simulated after arrival [s].
@@ -57,12 +57,12 @@ def simulate(
 
     Raises
     ------
-    RobotError
+    NotSimulatedError
         A mode of the arm is too fast for the integrator, or it does not finish.
     """
     end = motion.duration + (REST if motion.ends_at_rest else 0.0)
     motor = motion if servo is None else servo.follow(motion, end)
-    _check_reach(arm, motor.at(0.0)[0])
+    check_reach(arm, motor.at(0.0)[0])
     n = arm.robot.n
     times = _sample_times(motion.duration, end)
     start, speed = motor.at(0.0)
@@ -81,7 +81,7 @@ def simulate(
             equations, (begin, stop), state, method, t_eval=inside, rtol=_RTOL, atol=errors
         )
         if not solved.success:
-            raise RobotError(
+            raise NotSimulatedError(
                 f"the elastic arm could not be followed beyond {solved.t[-1]:.4g} s: "
                 f"{solved.message} Check stiffness, masses and hysteresis."
             )
@@ -176,11 +176,12 @@ def _sample_times(duration: float, end: float) -> np.ndarray:
     return np.concatenate([flight, rest[1:]])
 
 
-def _check_reach(arm: ElasticArm, motor: np.ndarray) -> None:
+def check_reach(arm: ElasticArm, motor: np.ndarray) -> None:
+    """Raise `NotSimulatedError` where a mode at a motor position (n,) is too fast to follow."""
     fastest = max(modes(arm, motor), key=lambda mode: mode.frequency, default=None)
     if fastest is not None and fastest.frequency > _REACH:
         joint = arm.robot.joint_names[int(np.argmax(fastest.shares))]
-        raise RobotError(
+        raise NotSimulatedError(
             f"a mode of {fastest.frequency:.4g} Hz, mostly of {joint}, lies beyond the reach of "
             f"the integration, {_REACH:g} Hz. Leave the drivetrain of that joint out (rigid), or "
             "check its stiffness and the inertia behind it."

@@ -8,12 +8,13 @@ whoever passes it is told (`Springs.torque_reach`).
 
 from __future__ import annotations
 
+import functools
 from bisect import bisect_right
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.errors import RobotError
+from stiffopt.errors import NotSimulatedError
 from stiffopt.exact.chain import breakpoints, exact_compliance, exact_windup
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ class JointSpring:
         windup, compliance = exact_windup(chain, torque), exact_compliance(chain, torque)
         sound = np.isfinite(windup) & np.isfinite(compliance) & (compliance > 0.0)
         if not sound.all():
-            raise RobotError(
+            raise NotSimulatedError(
                 f"{name} cannot swing on its drivetrain: the wind-up has no end at "
                 f"{torque[~sound][0]:.3g} N m, as of a contact without pressure. Give its contacts "
                 "a pre-pressure or preload."
@@ -78,15 +79,20 @@ def joint_springs(robot: Robot) -> tuple[JointSpring | None, ...]:
 
     Raises
     ------
-    RobotError
+    NotSimulatedError
         A joint's wind-up has no end.
     """
     return tuple(
-        None if chain is None or not chain.stages else JointSpring(chain, float(torque), name)
+        None if chain is None or not chain.stages else _joint_spring(chain, float(torque), name)
         for chain, torque, name in zip(
             robot.chains, robot.torque_max, robot.joint_names, strict=True
         )
     )
+
+
+@functools.lru_cache(maxsize=64)
+def _joint_spring(chain: Chain, torque_max: float, name: str) -> JointSpring:
+    return JointSpring(chain, torque_max, name)
 
 
 def _reach(chain: Chain, wanted: float) -> float:

@@ -6,8 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stiffopt.result.assessment import PeakRms
+
 # Within which a tool counts as settled where nothing else is said [m].
 SETTLING_BAND = 5e-5
+# Share by which simulated and planned deflection may differ without a word.
+AGREEMENT = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,3 +109,80 @@ class SimulatedMotion:
             "settling_time": self.settling_time,
             "band": self.band,
         }
+
+
+@dataclass(frozen=True, kw_only=True)
+class ElasticMotion:
+    """A motion as it was planned and as the elastic arm does it.
+
+    Parameters
+    ----------
+    name : str
+        "optimised" or that of a baseline.
+    planned : PeakRms
+        Of the quasi-static dynamic deflection [m].
+    simulated : SimulatedMotion
+    counted : bool
+        Whether it keeps all limits and the problem's duration.
+    """
+
+    name: str
+    planned: PeakRms
+    simulated: SimulatedMotion
+    counted: bool
+
+    @property
+    def difference(self) -> float | None:
+        """Simulated over planned peak in flight, less one; None where nothing was planned."""
+        planned = self.planned.peak
+        if not 0.0 < planned < np.inf:
+            return None
+        return self.simulated.peak / planned - 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulation:
+    """The optimised motion and the baselines on the elastic arm.
+
+    Parameters
+    ----------
+    motions : tuple of ElasticMotion
+        The optimised one first.
+    measure : str
+        "peak" or "rms", what is minimised of the dynamic deflection; "" where it is not.
+    assumed_damping : tuple of int
+        Joints (from 1) whose damping is assumed.
+    """
+
+    motions: tuple[ElasticMotion, ...]
+    measure: str
+    assumed_damping: tuple[int, ...]
+
+    @property
+    def optimised(self) -> ElasticMotion:
+        """The optimised motion."""
+        return self.motions[0]
+
+    def value(self, motion: ElasticMotion) -> float:
+        """Simulated deflection in flight that is compared [m]."""
+        return motion.simulated.rms if self.measure == "rms" else motion.simulated.peak
+
+    @property
+    def better_baseline(self) -> ElasticMotion | None:
+        """The counted baseline that deviates less in flight; None where none is counted."""
+        counted = [motion for motion in self.motions[1:] if motion.counted]
+        return min(counted, key=self.value, default=None)
+
+    @property
+    def ratio_to_better_baseline(self) -> float | None:
+        """Simulated deflection over that of the better baseline, where it is what is minimised."""
+        better = self.better_baseline
+        if better is None or not self.measure or not self.optimised.counted:
+            return None
+        return self.value(self.optimised) / self.value(better) if self.value(better) > 0 else None
+
+    @property
+    def differs(self) -> bool:
+        """Whether the optimised motion's deflection is not what was planned."""
+        difference = self.optimised.difference
+        return difference is not None and abs(difference) > AGREEMENT

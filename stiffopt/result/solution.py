@@ -9,6 +9,7 @@ from stiffopt.result.assessment import Assessment
 from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
+    from stiffopt.result.simulation import Simulation
     from stiffopt.result.trajectory import Trajectory
 
 
@@ -74,6 +75,8 @@ class Solution:
         objective is minimised. None where no baseline is feasible.
     notes : tuple of str
         Bounds that the objective cannot beat, estimated inputs, and the like.
+    simulation : Simulation or None
+        What the elastic arm does with this motion and the baselines; None where not simulated.
     """
 
     status: SolveStatus
@@ -87,6 +90,7 @@ class Solution:
     notes: tuple[str, ...]
     inputs_hash: str
     versions: dict[str, str]
+    simulation: Simulation | None = None
 
     @property
     def duration(self) -> float | None:

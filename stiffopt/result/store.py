@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import numpy as np
 
 from stiffopt.files import atomic_write, write_csv
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
+from stiffopt.result.simulation import ElasticMotion, Simulation
 from stiffopt.result.solution import Baseline, ObjectiveValue, Solution
 
 SCHEMA = 1
@@ -48,15 +50,29 @@ def result_document(solution: Solution) -> dict[str, Any]:
         "ratio_to_better_baseline": solution.ratio_to_better_baseline,
         "solver": vars(solution.solver),
         "notes": solution.notes,
+        "simulation": _simulation(solution.simulation),
         "inputs_hash": solution.inputs_hash,
         "versions": solution.versions,
     }
     return {key: plain(value) for key, value in document.items()}
 
 
-def write_result(solution: Solution, directory: str | Path) -> Path:
-    """Write result.json into `directory`; return its path."""
-    text = json.dumps(result_document(solution), indent=1, ensure_ascii=False, allow_nan=False)
+def write_result(
+    solution: Solution, directory: str | Path, problem: str | Path | None = None
+) -> Path:
+    """Write result.json into `directory`; return its path.
+
+    Parameters
+    ----------
+    solution : Solution
+    directory : path
+    problem : path, optional
+        File that was solved; kept relative to the folder, so that both can move together.
+    """
+    document = result_document(solution)
+    if problem is not None:
+        document["problem"] = Path(os.path.relpath(problem, directory)).as_posix()
+    text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
     path = Path(directory) / RESULT_FILE
     atomic_write(path, text + "\n")
     return path
@@ -157,6 +173,30 @@ def _baseline(baseline: Baseline) -> dict[str, Any]:
         "min_stiffness": None if motion is None else _lowest(motion.min_stiffness),
         "worst_violation": None if motion is None else _violation(motion.worst_violation),
         "reason": baseline.reason,
+    }
+
+
+def _simulation(simulation: Simulation | None) -> dict[str, Any] | None:
+    if simulation is None:
+        return None
+    return {
+        "motions": {motion.name: _elastic(motion) for motion in simulation.motions},
+        "ratio_to_better_baseline": simulation.ratio_to_better_baseline,
+        "assumed_damping": simulation.assumed_damping,
+    }
+
+
+def _elastic(motion: ElasticMotion) -> dict[str, Any]:
+    simulated = motion.simulated
+    return {
+        "counted": motion.counted,
+        "duration": simulated.duration,
+        "planned": dict(vars(motion.planned)),
+        "in_flight": {"peak": simulated.peak, "rms": simulated.rms},
+        "after_arrival": {"peak": simulated.peak_after, "rms": simulated.rms_after},
+        "settling_time": simulated.settling_time,
+        "settling_band": simulated.band,
+        "notes": simulated.notes,
     }
 
 

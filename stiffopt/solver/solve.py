@@ -29,6 +29,7 @@ from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.guess import initial_guess
+from stiffopt.solver.simulation import check_simulation, with_simulation
 from stiffopt.solver.stages import (
     Outcome,
     ProgressCallback,
@@ -54,6 +55,7 @@ def solve(
     progress: ProgressCallback | None = None,
     guess: Guess | None = None,
     throw: bool = True,
+    simulate: bool = False,
 ) -> Solution:
     """Optimise a motion and certify it.
 
@@ -66,6 +68,8 @@ def solve(
         Where to start; toppra's motion if left out.
     throw : bool
         Raise `NoSolutionFound` unless the status is optimal, acceptable or interrupted.
+    simulate : bool
+        Simulate the motion and its baselines on the elastic arm: `Solution.simulation`.
 
     Returns
     -------
@@ -79,6 +83,8 @@ def solve(
         With the solution so far, where `throw` is set.
     """
     motion = resolve(problem)
+    if simulate:
+        check_simulation(problem, motion)
     notes = check_bounds(problem, motion)
     beside = baselines(problem, motion)
     run = SolveRun(problem, motion, _scales(problem, beside), progress)
@@ -88,6 +94,8 @@ def solve(
     else:
         outcome = _best_of_starts(run, guess or initial_guess(problem, motion, beside))
         solution = _solution(run, outcome, beside, notes)
+    if simulate:
+        solution = with_simulation(problem, solution)
     if throw and not (solution.status.usable or solution.status is SolveStatus.INTERRUPTED):
         raise NoSolutionFound(solution.message, solution)
     return solution

@@ -22,11 +22,13 @@ from stiffopt.report.solve.figures import (
     torque_figure,
 )
 from stiffopt.report.solve.space_figures import path_figure, windup_figure
+from stiffopt.report.solve.swing import simulation_notes, simulation_table, swing_figure
 from stiffopt.report.solve.wording import (
     comparison,
+    difference_text,
+    headline_text,
     limit_text,
     objective_phrase,
-    objective_text,
     violation_text,
 )
 from stiffopt.result.provenance import inputs_hash
@@ -68,6 +70,11 @@ def write_solve_report(
         "title": problem.title or f"Motion of {problem.robot.name}",
         "headline": _headline(solution),
         "comparison": comparison(problem, solution),
+        "read_first": [text for text in (difference_text(solution), *solution.notes) if text],
+        "swing": None if solution.simulation is None else simulation_table(solution.simulation),
+        "swing_notes": (
+            [] if solution.simulation is None else simulation_notes(solution.simulation)
+        ),
         "better": better_baseline(problem, solution.baselines),
         "absent": "".join(f" No {name} motion: {reason}" for name, reason in absent.items()),
         "terms": [] if solution.objective is None else _terms(solution.objective.terms),
@@ -95,7 +102,7 @@ def write_solve_report(
 def _headline(solution: Solution) -> str:
     if solution.objective is None:
         return "No motion found"
-    text = objective_text(solution.objective)
+    text = headline_text(solution)
     return capital(text if solution.status.usable else f"{words(solution.status)}: {text}")
 
 
@@ -138,4 +145,10 @@ def _figures(problem: TrajectoryProblem, solution: Solution, part: str) -> PageF
         ),
     ):
         figures.draw(name, figure, description)
+    if solution.simulation is not None:
+        figures.draw(
+            "swing",
+            swing_figure(solution.simulation),
+            "Deviation of the tool over time on the elastic arm, in flight and after arrival",
+        )
     return figures

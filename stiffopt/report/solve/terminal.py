@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import si
-from stiffopt.report.solve.wording import comparison, objective_text
+from stiffopt.report.solve.swing import simulation_notes, simulation_table
+from stiffopt.report.solve.wording import comparison, difference_text, headline_text
 from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.simulation import Simulation
     from stiffopt.result.solution import Solution
     from stiffopt.verify import Check
 
@@ -21,9 +23,20 @@ def print_solution(problem: TrajectoryProblem, solution: Solution, folder: Path)
     """A few lines: what came out, how it compares, what to do next, where the files are."""
     lines = [f"{solution.status}: {solution.message}"]
     if solution.objective is not None and solution.status is not SolveStatus.INFEASIBLE:
-        lines += [objective_text(solution.objective), comparison(problem, solution)]
+        lines += [headline_text(solution), comparison(problem, solution)]
+        lines += [text for text in (difference_text(solution),) if text]
     lines += [f"Note: {note}" for note in solution.notes]
-    print_lines([*lines, f"Report: {folder / 'report.html'}"])
+    print_lines(lines)
+    if solution.simulation is not None:
+        print_simulation(solution.simulation)
+    print_lines([f"Report: {folder / 'report.html'}"])
+
+
+def print_simulation(simulation: Simulation) -> None:
+    """A table of the motions as the elastic arm does them, and what it rests on."""
+    head, rows = simulation_table(simulation)
+    print_table(head, rows, title="on the elastic arm", numbers=head[2:-1])
+    print_lines(simulation_notes(simulation))
 
 
 def print_checks(checks: Sequence[Check]) -> None:

@@ -13,6 +13,7 @@ from stiffopt.result.solution import ObjectiveValue, Solution
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.simulation import Simulation
 
 # Below this ratio a gain reads better as "3.4 times less" than as a percentage.
 _TIMES_BELOW = 0.6
@@ -39,7 +40,73 @@ def objective_text(objective: ObjectiveValue) -> str:
     return f"{phrase} {si(objective.value, objective.unit, 3)}"
 
 
+def headline_text(solution: Solution) -> str:
+    """What came out: simulated where a deflection is minimised, else the certified objective."""
+    assert solution.objective is not None
+    simulation = solution.simulation
+    if simulation is None or not simulation.measure:
+        return objective_text(solution.objective)
+    simulated = simulation.optimised.simulated
+    phrase = objective_phrase(solution.objective.name, simulation.measure)
+    text = f"{phrase} {si(simulation.value(simulation.optimised), 'm', 3)} in flight"
+    if simulated.peak_after is not None:
+        text += f", {si(simulated.peak_after, 'm', 3)} after arrival"
+    return f"{text}, simulated (planned {si(solution.objective.value, 'm', 3)})"
+
+
+def difference_text(solution: Solution) -> str:
+    """Warning where simulated and planned deflection differ; "" where they agree."""
+    simulation = solution.simulation
+    if simulation is None or not simulation.differs:
+        return ""
+    motion = simulation.optimised
+    change = motion.difference
+    assert change is not None
+    text = (
+        f"The elastic arm deviates up to {si(motion.simulated.peak, 'm', 3)} in flight, planned "
+        f"were {si(motion.planned.peak, 'm', 3)} ({percent(abs(change), 2)} "
+        f"{'more' if change > 0 else 'less'}): the links swing, which the quasi-static plan does "
+        "not see."
+    )
+    if motion.simulated.settling_time is None and motion.simulated.peak_after is not None:
+        return f"{text} It does not settle within {si(motion.simulated.band, 'm')} in a second."
+    return text
+
+
 def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
+    """Sentence on the better feasible baseline, both simulated where a deflection is minimised."""
+    simulation = solution.simulation
+    if simulation is not None and simulation.ratio_to_better_baseline is not None:
+        better = simulation.better_baseline
+        assert better is not None
+        motion = (
+            f"{better.name}'s motion" if better.name == "toppra" else f"the {better.name} motion"
+        )
+        text = f"{amount(simulation.ratio_to_better_baseline)} {motion}, both simulated in flight"
+        own, other = simulation.optimised.simulated.peak_after, better.simulated.peak_after
+        if own is None or other is None:
+            return f"{text}."
+        text += f"; after arrival {si(own, 'm', 3)} against {si(other, 'm', 3)}."
+        return f"{text}{_calmer(simulation, own)}"
+    return _certified_comparison(problem, solution)
+
+
+def _calmer(simulation: Simulation, own: float) -> str:
+    """Sentence on the motion that rings least after arrival, where that is another."""
+    rings = {
+        motion.name: (motion.simulated.peak_after, motion.simulated.duration)
+        for motion in simulation.motions
+    }
+    name, (peak, duration) = min(rings.items(), key=lambda item: item[1][0] or 0.0)
+    if peak is None or peak >= own:
+        return ""
+    motion = _motion_of(name)
+    return (
+        f" {motion[0].upper()}{motion[1:]}, {si(duration, 's')}, rings least: {si(peak, 'm', 3)}."
+    )
+
+
+def _certified_comparison(problem: TrajectoryProblem, solution: Solution) -> str:
     """Sentence on the better feasible baseline; says so where there is none."""
     maximised = is_maximised(problem)
     better = better_baseline(problem, solution.baselines)
@@ -53,11 +120,15 @@ def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
     if better is None or ratio is None:
         return "No baseline meets all limits, so none is counted."
     other, name = better.assessment, better.name
-    motion = f"{name}'s motion" if name == "toppra" else f"the {name} motion"
+    motion = _motion_of(name)
     if other is not None and abs(other.duration - solution.assessment.duration) < 1e-6:
         motion += " of the same duration"
     term = problem.objectives[0].name if len(problem.objectives) == 1 else ""
     return f"{amount(ratio, term, maximised)} {motion}."
+
+
+def _motion_of(name: str) -> str:
+    return "toppra's motion" if name == "toppra" else f"the {name} motion"
 
 
 def amount(ratio: float, name: str = "", maximised: bool = False) -> str:

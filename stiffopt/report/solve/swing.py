@@ -1,0 +1,92 @@
+"""Motions as the elastic arm does them: table, figure, and what they rest on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from stiffopt.report.common.svg import BLACK, BLUE, GREEN, GREY, VERMILLION, WIDTH, house_style
+from stiffopt.report.common.text import listed, percent, scale, si
+from stiffopt.result.simulation import ElasticMotion, Simulation
+
+_STYLES: tuple[dict[str, Any], ...] = (
+    {"color": BLUE, "linewidth": 2.2},
+    {"color": VERMILLION, "linestyle": (0, (5, 1.5))},
+    {"color": GREEN, "linestyle": (0, (1.5, 1.2))},
+    {"color": BLACK, "linestyle": (0, (1.0, 2.5))},
+)
+# Shown after the arrival [s].
+_SHOWN_AFTER = 0.4
+
+
+def simulation_table(simulation: Simulation) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of text, the optimised motion first."""
+    band = si(simulation.optimised.simulated.band, "m")
+    head = [
+        *("motion", "duration", "planned peak", "peak in flight", "rms in flight"),
+        *("peak after arrival", "rms after arrival", f"within {band} after", "verdict"),
+    ]
+    return head, [_row(motion) for motion in simulation.motions]
+
+
+def _row(motion: ElasticMotion) -> list[str]:
+    found = motion.simulated
+    settled = "–"
+    if found.settling_time is not None:
+        settled = si(found.settling_time, "s", 3)
+    elif found.peak_after is not None:
+        settled = "not in 1 s"
+    after = [
+        "–" if size is None else si(size, "m", 3) for size in (found.peak_after, found.rms_after)
+    ]
+    return [
+        motion.name,
+        si(found.duration, "s"),
+        si(motion.planned.peak, "m", 3),
+        si(found.peak, "m", 3),
+        si(found.rms, "m", 3),
+        *after,
+        settled,
+        "counted" if motion.counted else "not counted",
+    ]
+
+
+def simulation_notes(simulation: Simulation) -> list[str]:
+    """Assumed damping, slip and hysteresis."""
+    notes = []
+    joints = simulation.assumed_damping
+    if joints:
+        named = f"joint{'s' if len(joints) > 1 else ''} {listed(str(j) for j in joints)}"
+        notes.append(
+            f"The damping of {named} is assumed, {percent(0.02)} of critical each; give `damping` "
+            "in the robot file where it has been measured."
+        )
+    for motion in simulation.motions:
+        notes += [f"{motion.name}: {note}" for note in motion.simulated.notes]
+    return notes
+
+
+def swing_figure(simulation: Simulation) -> Figure:
+    """Size of the tool's deviation over time, all motions."""
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 3.7))
+        axes = figure.subplots()
+        largest = max(motion.simulated.peak for motion in simulation.motions)
+        factor, unit = scale(largest, "m")
+        for motion, style in zip(simulation.motions, _STYLES, strict=False):
+            found = motion.simulated
+            shown = found.time <= found.duration + _SHOWN_AFTER
+            values = factor * found.distance[shown]
+            axes.plot(found.time[shown], values, label=motion.name, **style)
+            at = int(np.searchsorted(found.time, found.duration))
+            axes.plot(found.duration, factor * found.distance[at], "o", color=style["color"])
+        axes.axhline(factor * simulation.optimised.simulated.band, color=GREY, linewidth=0.8)
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel(f"deviation of the tool [{unit}]")
+        axes.set_ylim(bottom=0.0)
+        axes.margins(x=0.01)
+        axes.legend(loc="upper right")
+        figure.subplots_adjust(left=0.06, right=0.995)
+        return figure

@@ -1,0 +1,102 @@
+"""Solutions on the elastic arm: what is simulated, counted, compared and said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_arms import load
+
+from stiffopt.baseline.baselines import baselines, slowed_quintic
+from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.errors import RobotError
+from stiffopt.problem.resolve import resolve
+from stiffopt.report.solve.swing import simulation_notes, simulation_table
+from stiffopt.report.solve.wording import comparison, difference_text, headline_text
+from stiffopt.result.store import result_document
+from stiffopt.solver.simulation import with_simulation
+from stiffopt.solver.solve import solve
+
+PEAK = 'objective = "dynamic_deflection"'
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory):
+    problem = load(tmp_path_factory.mktemp("arm"), minimise=PEAK)
+    return problem, solve(problem, simulate=True)
+
+
+def test_the_motion_and_its_baselines_are_simulated(solved):
+    problem, solution = solved
+    simulation = solution.simulation
+    assert [motion.name for motion in simulation.motions[:3]] == ["optimised", "toppra", "quintic"]
+    assert simulation.measure == "peak"
+    assert simulation.assumed_damping == (1, 2)
+    for motion in simulation.motions:
+        assert motion.planned.peak > 0.0
+        assert motion.simulated.peak > 0.5 * motion.planned.peak
+        assert motion.simulated.time[-1] == pytest.approx(motion.simulated.duration + 1.0)
+    better = simulation.better_baseline
+    assert better.counted
+    ratio = simulation.optimised.simulated.peak / better.simulated.peak
+    assert simulation.ratio_to_better_baseline == pytest.approx(ratio)
+    assert solve(problem).simulation is None
+
+
+def test_headline_and_comparison_are_of_the_simulated_motion(solved):
+    problem, solution = solved
+    found = solution.simulation.optimised.simulated
+    headline = headline_text(solution)
+    assert f"{1e6 * found.peak:.3g}"[:3] in headline or f"{1e3 * found.peak:.3g}"[:4] in headline
+    assert "after arrival" in headline
+    assert "both simulated" in comparison(problem, solution)
+    plain = replace(solution, simulation=None)
+    assert "simulated" not in headline_text(plain) + comparison(problem, plain)
+    assert difference_text(plain) == ""
+    said = difference_text(solution)
+    assert bool(said) is (abs(found.peak / solution.simulation.optimised.planned.peak - 1) > 0.1)
+
+
+def test_result_and_table_hold_every_motion(solved):
+    _, solution = solved
+    document = result_document(solution)["simulation"]
+    head, rows = simulation_table(solution.simulation)
+    assert list(document["motions"]) == [row[0] for row in rows]
+    for row in rows:
+        assert len(row) == len(head)
+        own = document["motions"][row[0]]
+        assert set(own) >= {"planned", "in_flight", "after_arrival", "settling_time", "counted"}
+    assert document["assumed_damping"] == [1, 2]
+    assert "joints 1 and 2 is assumed, 2 % of critical" in simulation_notes(solution.simulation)[0]
+
+
+def test_a_quintic_that_exceeds_a_limit_is_slowed_until_it_does_not(tmp_path):
+    problem = load(tmp_path, minimise=PEAK, limits="velocity = [3.0, 6.0]")
+    motion = resolve(problem)
+    quintic = baselines(problem, motion)["quintic"]
+    assert not quintic.feasible
+    slowed = slowed_quintic(problem, motion)
+    assert slowed.feasible(CERTIFIED)
+    # Velocity alone binds, which goes with one over the duration.
+    excess = next(v.value for v in quintic.assessment.violations if v.limit == "velocity")
+    assert slowed.duration == pytest.approx(0.5 * (1 + excess) / (1 + CERTIFIED), rel=3e-3)
+
+
+def test_damping_beyond_critical_is_refused_before_solving(tmp_path):
+    problem = load(tmp_path)
+    stiff = replace(problem, robot=replace(problem.robot, damping=np.array([1e4, 1.0])))
+    with pytest.raises(RobotError, match="damping of shoulder must lie between 0"):
+        solve(stiff, simulate=True)
+
+
+def test_an_arm_that_cannot_be_simulated_keeps_its_solution_with_a_note(solved):
+    problem, solution = solved
+    light = problem.robot.model.copy()
+    for k in (1, 2):
+        light.inertias[k].mass *= 1e-9
+        light.inertias[k].inertia = 1e-9 * light.inertias[k].inertia
+    changed = replace(problem, robot=replace(problem.robot, model=light))
+    plain = with_simulation(changed, replace(solution, simulation=None))
+    assert plain.simulation is None
+    assert plain.notes[-1].startswith("Not simulated on the elastic arm: a mode of")
