@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stiffopt.baseline.motion import BaselineMotion
-from stiffopt.baseline.quintic import quintic_baseline
-from stiffopt.baseline.toppra_motion import toppra_baseline
+from stiffopt.baseline.toppra_motion import BaselineMotion, toppra_baseline
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFIED
@@ -15,6 +13,7 @@ from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
+from stiffopt.result.trajectory import Trajectory
 
 # Instants at which a slowed motion is tried.
 _COARSE = 301
@@ -37,7 +36,7 @@ def baselines(problem: TrajectoryProblem, motion: ResolvedMotion) -> dict[str, B
         if fastest.motion is not None and fastest.motion.duration < duration:
             stretched = fastest.motion.scaled_to(duration)
             fastest = BaselineMotion(name="toppra", motion=stretched, fastest=fastest.fastest)
-    quintic = quintic_baseline(path, duration)
+    quintic = BaselineMotion(name="quintic", motion=path.follow(quintic_law(duration)))
     return {
         "toppra": _assessed(
             problem, fastest, ignored=("jerk", "start_acceleration", "end_acceleration")
@@ -116,3 +115,14 @@ def _assessed(
         feasible=not counted and not moving,
         reason=reason,
     )
+
+
+def quintic_law(duration: float) -> Trajectory:
+    """Time law s(t) = 10 x^3 - 15 x^4 + 6 x^5, x = t/duration.
+
+    Velocity and acceleration vanish at both ends. Peak velocity 15/8 divided by the duration, peak
+    acceleration 10/sqrt(3) divided by its square.
+    """
+    t = duration
+    acceleration = [[[0.0], [60.0 / t**3], [-180.0 / t**4], [120.0 / t**5]]]
+    return Trajectory.from_acceleration([0.0, t], acceleration, [0.0], [0.0])

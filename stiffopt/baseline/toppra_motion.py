@@ -12,12 +12,12 @@ import logging
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stiffopt.baseline.motion import BaselineMotion
 from stiffopt.baseline.path_limits import PathLimits, path_limits
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
@@ -28,6 +28,28 @@ if TYPE_CHECKING:
 
 _PASSES = 12
 _SETTLED = 1e-5
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaselineMotion:
+    """A motion to compare with.
+
+    Parameters
+    ----------
+    name : str
+        "toppra" or "quintic".
+    motion : Trajectory or None
+        None where the baseline does not exist; `reason` then says why.
+    reason : str
+        A sentence, empty where there is a motion.
+    fastest : float or None
+        Shortest duration on the path under the limits, where it is known. [s]
+    """
+
+    name: str
+    motion: Trajectory | None
+    reason: str = ""
+    fastest: float | None = None
 
 
 def toppra_baseline(

@@ -27,9 +27,8 @@ from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.proof.proof import RunProof, prove
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.rivals import Selected
-from stiffopt.discovery.search.search import search
+from stiffopt.discovery.search.search import search, unstated_effects, without_bounds
 from stiffopt.discovery.search.uncertainty import Estimate, estimate
-from stiffopt.discovery.search.unstated import unstated_effects, without_bounds
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training, train
 from stiffopt.discovery.user_effects import load_effects

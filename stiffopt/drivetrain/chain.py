@@ -7,14 +7,22 @@ and its wind-up counts 1/ratio, so its stiffness counts ratio^2.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import functools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from stiffopt.connection.connection import Connection
-from stiffopt.drivetrain.parallel import smooth_shares
 from stiffopt.drivetrain.stage import Preloads, Stage
 from stiffopt.errors import InputError, nearest
 from stiffopt.symbolic import Quantity
+
+# Unrolled, so that the split stays a differentiable expression. Three steps leave 1e-12 of the
+# wind-up for a key beside a bolted flange.
+_STEPS = 4
+
+Law = Callable[[Quantity], Quantity]
 
 
 @dataclass(frozen=True)
@@ -172,3 +180,56 @@ def _group_secant(
         for s, f in zip(group, shares, strict=True)
     ]
     return 1.0 / sum(1.0 / c for c in parts)
+
+
+def smooth_shares(
+    stages: Sequence[Stage], torque: Quantity, preloads: Preloads, smoothing: Quantity
+) -> list[Quantity]:
+    """Share of the torque that each stage of a group carries; a smooth expression.
+
+    Parameters
+    ----------
+    stages : sequence of Stage
+        At least two.
+    torque : scalar or (n,) or SX or MX [N m]
+
+    Returns
+    -------
+    list, one a stage, same kind as `torque` [-]; they sum to 1
+    """
+    if len(stages) == 1:
+        return [1.0 + 0.0 * torque]
+    extra = {"preloads": preloads, "smoothing": smoothing}
+    return _newton(
+        [functools.partial(s.secant_compliance, **extra) for s in stages],
+        [functools.partial(s.tangent_compliance, **extra) for s in stages],
+        torque,
+    )
+
+
+def _newton(secants: Sequence[Law], tangents: Sequence[Law], torque: Quantity) -> list[Quantity]:
+    """Shares at which all wind up alike, by Newton steps on the logarithms.
+
+    Equal wind-up means ln S_e(s_e T) + ln s_e is the same for all elements e, with the secant
+    compliance S_e = wind-up / torque and the share s_e. In these logarithms the stiffness laws
+    (powers of the torque) are nearly straight lines, so few steps do, at T = 0 too.
+    """
+    count = len(secants)
+    even = 1.0 / count + 0.0 * torque
+    weights = [1.0 / secant(even * torque) for secant in secants]
+    shares = [w / sum(weights) for w in weights]
+    for _ in range(_STEPS):
+        residuals, slopes = [], []
+        for secant, tangent, share in zip(secants, tangents, shares, strict=True):
+            compliance = secant(share * torque)
+            residuals.append(np.log(compliance) + np.log(share))
+            slopes.append(tangent(share * torque) / compliance)
+        level = sum(f * r / b for f, r, b in zip(shares, residuals, slopes, strict=True)) / sum(
+            f / b for f, b in zip(shares, slopes, strict=True)
+        )
+        raw = [
+            f * np.exp((level - r) / b) for f, r, b in zip(shares, residuals, slopes, strict=True)
+        ]
+        whole = sum(raw)
+        shares = [f / whole for f in raw]
+    return shares

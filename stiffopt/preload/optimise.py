@@ -19,8 +19,7 @@ from stiffopt.preload.nlp import Levels, PreloadNlp
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.solution import PreloadSolution, evaluate_design
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver, RawSolution
-from stiffopt.solver.kkt import kkt_residual
+from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver, RawSolution, kkt_residual
 from stiffopt.solver.monitor import Progress
 
 Report = Callable[[Progress], object]

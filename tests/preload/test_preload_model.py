@@ -10,9 +10,7 @@ from hypothesis import strategies as st
 from preload_studies import JACOBIAN, Ring, case, er3a, study, with_elements
 
 from stiffopt.errors import ProblemError
-from stiffopt.exact.chain import exact_compliance, exact_windup
-from stiffopt.exact.parallel import torque_shares
-from stiffopt.exact.stage import stage_windup
+from stiffopt.exact.chain import exact_compliance, exact_windup, stage_windup, torque_shares
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import PreloadNlp

@@ -19,7 +19,7 @@ from stiffopt.preload.nlp import PreloadNlp
 from stiffopt.preload.optimise import levels_of, optimise_preloads
 from stiffopt.preload.utilisation import utilisation_rows
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver.kkt import kkt_residual
+from stiffopt.solver.ipopt import kkt_residual
 
 KKT = 1e-6
 

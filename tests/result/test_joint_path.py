@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from stiffopt.baseline.quintic import quintic_baseline, quintic_law
+from stiffopt.baseline.baselines import quintic_law
 from stiffopt.errors import ProblemError
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
@@ -55,8 +55,7 @@ def test_following_is_exact(law: Trajectory) -> None:
 
 def test_quintic_rests_at_both_ends_with_its_known_peaks() -> None:
     duration = 0.8
-    motion = quintic_baseline(JointPath.through(POINTS[[0, -1]]), duration).motion
-    assert motion is not None
+    motion = JointPath.through(POINTS[[0, -1]]).follow(quintic_law(duration))
     ends = np.array([0.0, duration])
     assert motion(ends) == pytest.approx(POINTS[[0, -1]], abs=1e-13)
     assert np.max(np.abs(motion(ends, 1))) < 1e-12

@@ -22,7 +22,7 @@ from stiffopt.discovery.catalogue.robot_change import (
 from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Shape, Term
-from stiffopt.exact.reducer import reducer_windup
+from stiffopt.exact.connection import reducer_windup
 from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
 
