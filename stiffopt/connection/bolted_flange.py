@@ -37,6 +37,7 @@ class BoltedFlange(ContactConnection):
     """
 
     kind: ClassVar[str] = "bolted_flange"
+    references: ClassVar[tuple[str, ...]] = (*ContactConnection.references, "VDI2230")
     takes_preload: ClassVar[bool] = True
     needs_preload: ClassVar[bool] = True
     bolt_count: BoltCount

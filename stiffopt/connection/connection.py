@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import inspect
 import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Self
@@ -26,6 +27,8 @@ class Connection(abc.ABC):
     """
 
     kind: ClassVar[str]
+    # Sources of the law, keys of references.bib, for reports.
+    references: ClassVar[tuple[str, ...]] = ("Joint2018",)
     # Whether a preload may be given, and whether the law of the connection depends on it.
     takes_preload: ClassVar[bool] = False
     needs_preload: ClassVar[bool] = False
@@ -101,6 +104,16 @@ class Connection(abc.ABC):
         return self.preload if preload is None else preload
 
 
+def connection_kinds(base: type[Connection] = Connection) -> dict[str, type[Connection]]:
+    """Every connection that is defined now and can stand in robot files, by its kind, sorted."""
+    found: dict[str, type[Connection]] = {}
+    for cls in base.__subclasses__():
+        if "kind" in vars(cls) and not inspect.isabstract(cls):
+            found[cls.kind] = cls
+        found |= connection_kinds(cls)
+    return dict(sorted(found.items()))
+
+
 @dataclass(frozen=True, kw_only=True)
 class ContactConnection(Connection):
     """Connection known by its loading curve F(u), u = |T| > 0, smoothed through zero.
@@ -109,6 +122,13 @@ class ContactConnection(Connection):
     factor: the secant compliance F(s)/s is even and smooth, so phi is odd, smooth and, for every
     growing F, monotone. (An odd extension of F(s) itself would be infinitely stiff at zero.)
     """
+
+    references: ClassVar[tuple[str, ...]] = (
+        *Connection.references,
+        "YanKomvopoulos1998",
+        "KogutEtsion2002",
+        "Mindlin1949",
+    )
 
     @abc.abstractmethod
     def loading_windup(self, torque: Quantity, preload: Quantity) -> Quantity:

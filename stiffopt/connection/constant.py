@@ -14,6 +14,7 @@ class Constant(LinearConnection):
     """Linear torsional spring."""
 
     kind: ClassVar[str] = "constant"
+    references: ClassVar[tuple[str, ...]] = ()
     stiffness: Annotated[JointStiffness, POSITIVE, Doc("Torsional stiffness.")]
 
     @property

@@ -30,6 +30,7 @@ class Reducer(Connection):
     """
 
     kind: ClassVar[str] = "reducer"
+    references: ClassVar[tuple[str, ...]] = (*Connection.references, "HarmonicDriveCSF")
     K1: Annotated[Stiffness, POSITIVE, Doc("Slope below T1.")]
     K2: Annotated[Stiffness, POSITIVE, Doc("Slope between T1 and T2.")]
     K3: Annotated[Stiffness, POSITIVE, Doc("Slope above T2.")]

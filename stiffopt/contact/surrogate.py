@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Literal, Protocol, get_args
 
 import numpy as np
 
@@ -29,11 +29,11 @@ _NODES, _WEIGHTS = (array.tolist() for array in np.polynomial.legendre.leggauss(
 _FIT_POINTS = 400
 _FIT_ROUNDS = 60
 
+_LawNames = Literal["log_cubic", "power_law"]
 LawName = Annotated[
-    Literal["log_cubic", "power_law"],
+    _LawNames,
     Doc("Smooth law that is fitted to the stiffness of rough contacts over pressure."),
 ]
-LAW_NAMES = ("log_cubic", "power_law")
 
 
 class ContactLaw(Protocol):
@@ -213,7 +213,7 @@ def fit_log_cubic(
 def require_law(owner: str, law: LawName | ContactLaw) -> None:
     """Raise `InputError` when `law` is a name that no fit has."""
     if isinstance(law, str):
-        require_one_of(owner, LAW_NAMES, contact_law=law)
+        require_one_of(owner, get_args(_LawNames), contact_law=law)
 
 
 def contact_law(

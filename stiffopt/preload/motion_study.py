@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -32,7 +31,7 @@ from stiffopt.result.status import SolveStatus
 from stiffopt.solver.guess import guess_along
 from stiffopt.solver.monitor import Progress
 from stiffopt.solver.solve import solve
-from stiffopt.solver.stages import SolveProgress
+from stiffopt.solver.stages import ProgressCallback, SolveProgress
 
 # Relative change of the deflection that ends a repetition: a tenth of what reports write of a gain.
 _DEFLECTION_TOLERANCE = 1e-4
@@ -48,7 +47,7 @@ def motion_study(
     trajectory_problem: TrajectoryProblem,
     rounds: int = 4,
     *,
-    progress: Callable[[Any], object] | None = None,
+    progress: ProgressCallback | None = None,
 ) -> MotionStudy:
     """Optimise preloads and motion together.
 
@@ -120,7 +119,7 @@ class _Study:
         self,
         problem: PreloadProblem,
         trajectory: TrajectoryProblem,
-        progress: Callable[[Any], object] | None,
+        progress: ProgressCallback | None,
     ) -> None:
         self.objective = deflection_objective(trajectory)
         if trajectory.robot.name != problem.robot.name:
@@ -336,7 +335,7 @@ class _Study:
         if not (self.interrupted or self._usable(moved)):
             self.remarks.append(f"The rounds ended: {moved.motion.message}")
 
-    def _reporter(self) -> Callable[[Any], object] | None:
+    def _reporter(self) -> Callable[[SolveProgress | Progress], object] | None:
         """Both kinds of progress as that of a solve, with the part of the study before it."""
         if self.progress is None:
             return None

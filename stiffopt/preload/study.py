@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from stiffopt.preload.sensitivity import Sensitivity, sensitivity
 from stiffopt.preload.solution import PreloadSolution
 from stiffopt.result.provenance import versions
 from stiffopt.result.status import SolveStatus
+from stiffopt.solver.monitor import Progress
+from stiffopt.solver.stages import SolveProgress
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -77,7 +79,7 @@ def preload_study(
     motion: TrajectoryProblem | None = None,
     rounds: int = 4,
     front_points: int = 15,
-    progress: Callable[[Any], object] | None = None,
+    progress: Callable[[SolveProgress | Progress], object] | None = None,
 ) -> PreloadStudy:
     """Run a study.
 

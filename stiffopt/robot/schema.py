@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import functools
-import inspect
 import typing
-from collections.abc import Iterator
 from typing import Annotated, Any, Literal, Union
 
 from pydantic import Field, create_model
 
 from stiffopt.connection import Connection
+from stiffopt.connection.connection import connection_kinds
 from stiffopt.contact.shear import ShearLaw
 from stiffopt.contact.surface import Material, SurfacePair
 from stiffopt.contact.surrogate import LawName
@@ -135,15 +134,7 @@ class RobotFile(Section):
 
 def robot_file() -> type[RobotFile]:
     """Schema of robot files with every connection that is defined now."""
-    return _robot_file(tuple(sorted(set(_kinds()), key=lambda cls: cls.kind)))
-
-
-def _kinds(base: type[Connection] = Connection) -> Iterator[type[Connection]]:
-    """Every connection that has a kind of its own."""
-    for cls in base.__subclasses__():
-        if "kind" in vars(cls) and not inspect.isabstract(cls):
-            yield cls
-        yield from _kinds(cls)
+    return _robot_file(tuple(connection_kinds().values()))
 
 
 @functools.cache

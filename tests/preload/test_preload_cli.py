@@ -2,7 +2,6 @@
 
 import csv
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +13,8 @@ from stiffopt.preload.files import load_study
 from stiffopt.preload.store import study_document
 from stiffopt.preload.study import named_values, preload_study, value_units
 from stiffopt.report.common.progress import StudyProgress
+from stiffopt.solver.monitor import Progress
+from stiffopt.solver.stages import SolveProgress
 
 MORE = """[pareto]
 points = 3
@@ -242,13 +243,13 @@ def test_schema_of_a_study(capsys):
 def test_progress_waits_and_counts_the_time_of_all_solves():
     seen, now = [], [0.0]
     progress = StudyProgress(seen.append, clock=lambda: now[0])
-    event = SimpleNamespace(iteration=3, objective=1.0, violation=0.0, row="", elapsed=0.1)
+    event = Progress(iteration=3, objective=1.0, violation=0.0, row="", elapsed=0.1)
     progress(event)
     assert not seen
     now[0] = 5.0
     progress(event)
     assert (seen[0].stage, seen[0].iteration, seen[0].elapsed) == ("preloads", 3, 5.0)
-    staged = SimpleNamespace(**vars(event), stage="motion")
+    staged = SolveProgress(**vars(event), stage="motion")
     now[0] = 0.0
     progress(staged)
     assert seen[1] is staged

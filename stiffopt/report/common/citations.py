@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.robot.robot import Robot
 
-_CONTACTS = ("key", "bolted_flange", "clamping_pins", "gear_pair")
 _TRANSCRIPTIONS = {"radau": "GargEtAl2010"}
 _ENGINE = ("WaechterBiegler2006", "AnderssonEtAl2019", "CarpentierEtAl2019")
 
@@ -71,20 +70,10 @@ def cited(keys: Iterable[str]) -> list[Reference]:
 
 def robot_references(robot: Robot) -> list[Reference]:
     """Collect the sources of the stiffness model of a robot."""
-    kinds = {
-        element.kind
-        for chain in robot.chains
-        if chain is not None
-        for element in chain.elements.values()
-    }
-    keys = ["Joint2018"] if kinds - {"constant"} else []
-    if kinds & set(_CONTACTS):
-        keys += ["YanKomvopoulos1998", "KogutEtsion2002", "Mindlin1949"]
-    if "bolted_flange" in kinds:
-        keys.append("VDI2230")
-    if "reducer" in kinds:
-        keys.append("HarmonicDriveCSF")
-    return cited(keys)
+    chains = [chain for chain in robot.chains if chain is not None]
+    return cited(
+        key for chain in chains for each in chain.elements.values() for key in each.references
+    )
 
 
 def solve_references(problem: TrajectoryProblem, baselines: Iterable[str]) -> list[Reference]:

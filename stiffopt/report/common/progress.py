@@ -1,8 +1,6 @@
 """Live progress of a command in the terminal; plain lines where the output is no terminal.
 
-An event has the attributes `stage` (text such as "homotopy 2 of 3, 60 intervals"), `iteration`,
-`objective` (SI), `violation` (relative), `row` (name of the worst row) and `elapsed` [s]. Only the
-last event counts, so that drawing never slows the solver down.
+Only the last event counts, so that drawing never slows the solver down.
 """
 
 from __future__ import annotations
@@ -10,8 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from types import SimpleNamespace, TracebackType
-from typing import Any, Protocol
+from contextlib import ExitStack
 
 from rich.console import Console
 from rich.live import Live
@@ -20,6 +17,8 @@ from rich.table import Table
 from rich.text import Text
 
 from stiffopt.report.common.text import si
+from stiffopt.solver.monitor import Progress
+from stiffopt.solver.stages import SolveProgress
 
 PLAIN_INTERVAL = 1.0
 DRAWS_PER_SECOND = 8
@@ -27,24 +26,7 @@ DRAWS_PER_SECOND = 8
 NEGLIGIBLE = 1e-6
 
 
-class ProgressEvent(Protocol):
-    """What the display reads of an event."""
-
-    @property
-    def stage(self) -> str: ...  # noqa: D102
-    @property
-    def iteration(self) -> int: ...  # noqa: D102
-    @property
-    def objective(self) -> float: ...  # noqa: D102
-    @property
-    def violation(self) -> float: ...  # noqa: D102
-    @property
-    def row(self) -> str: ...  # noqa: D102
-    @property
-    def elapsed(self) -> float: ...  # noqa: D102
-
-
-class ProgressDisplay:
+class ProgressDisplay(ExitStack):
     """Context manager that is called with each event.
 
     Parameters
@@ -60,8 +42,7 @@ class ProgressDisplay:
 
     Examples
     --------
-    >>> from types import SimpleNamespace
-    >>> from rich.console import Console
+    >>>     >>> from rich.console import Console
     >>> event = SimpleNamespace(stage="homotopy 1 of 2", iteration=7, objective=2.97e-4,
     ...                         violation=0.012, row="torque, joint 2", elapsed=0.8)
     >>> with ProgressDisplay("demo", "m", Console(width=120, force_terminal=False)) as progress:
@@ -76,39 +57,30 @@ class ProgressDisplay:
         console: Console | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        super().__init__()
         self.title, self.unit = title, unit
         self._console = Console(stderr=True) if console is None else console
         self._clock = clock
         self._live: Live | None = None
-        self._event: ProgressEvent | None = None
+        self._event: SolveProgress | None = None
         self._stage = ""
         self._printed_at = -math.inf
         self._pending = False
 
     def __enter__(self) -> ProgressDisplay:
+        self.callback(lambda: self._print() if self._pending else None)
         if self._console.is_terminal:
-            self._live = Live(
-                get_renderable=self._table,
-                console=self._console,
-                refresh_per_second=DRAWS_PER_SECOND,
-                transient=True,
+            self._live = self.enter_context(
+                Live(
+                    get_renderable=self._table,
+                    console=self._console,
+                    refresh_per_second=DRAWS_PER_SECOND,
+                    transient=True,
+                )
             )
-            self._live.__enter__()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if self._live is not None:
-            self._live.__exit__(kind, error, traceback)
-            self._live = None
-        if self._pending:
-            self._print()
-
-    def __call__(self, event: ProgressEvent) -> None:
+    def __call__(self, event: SolveProgress) -> None:
         """Show the event; a line at most once a second where there is no terminal."""
         self._event = event
         self._pending = True
@@ -158,7 +130,7 @@ class StudyProgress:
 
     def __init__(
         self,
-        display: Callable[[ProgressEvent], object],
+        display: Callable[[SolveProgress], object],
         stage: str = "preloads",
         after: float = 2.0,
         clock: Callable[[], float] = time.monotonic,
@@ -166,18 +138,18 @@ class StudyProgress:
         self._display, self._stage, self._after, self._clock = display, stage, after, clock
         self._begin = clock()
 
-    def __call__(self, event: Any) -> None:
+    def __call__(self, event: Progress | SolveProgress) -> None:
         """Pass an event on."""
-        if hasattr(event, "stage"):
+        if isinstance(event, SolveProgress):
             self._display(event)
             return
         elapsed = self._clock() - self._begin
         if elapsed >= self._after:
-            fields = {**vars(event), "stage": self._stage, "elapsed": elapsed}
-            self._display(SimpleNamespace(**fields))
+            values = {**vars(event), "elapsed": elapsed}
+            self._display(SolveProgress(stage=self._stage, **values))
 
 
-class StepDisplay:
+class StepDisplay(ExitStack):
     """Context manager that is called with a sentence at every step.
 
     Parameters
@@ -199,6 +171,7 @@ class StepDisplay:
         console: Console | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        super().__init__()
         self._title = title
         self._console = Console(stderr=True) if console is None else console
         self._clock = clock
@@ -207,19 +180,8 @@ class StepDisplay:
 
     def __enter__(self) -> StepDisplay:
         if self._console.is_terminal:
-            self._status = self._console.status(Text(self._title))
-            self._status.__enter__()
+            self._status = self.enter_context(self._console.status(Text(self._title)))
         return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if self._status is not None:
-            self._status.__exit__(kind, error, traceback)
-            self._status = None
 
     def __call__(self, sentence: str) -> None:
         """Show a step; what was found stays on the screen."""
@@ -232,7 +194,7 @@ class StepDisplay:
             self._console.print(Text(line), soft_wrap=True)
 
 
-def _fields(event: ProgressEvent, unit: str) -> list[tuple[str, str]]:
+def _fields(event: SolveProgress, unit: str) -> list[tuple[str, str]]:
     worst = "none"
     if event.violation > NEGLIGIBLE:
         worst = f"{100 * event.violation:.2g} % {event.row}".strip()

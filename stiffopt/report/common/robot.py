@@ -6,6 +6,7 @@ from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from stiffopt.connection.connection import connection_kinds
 from stiffopt.exact.chain import compliance_shares, windup_shares
 from stiffopt.report.common.svg import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION
 from stiffopt.units import joint_unit
@@ -14,16 +15,8 @@ if TYPE_CHECKING:
     from stiffopt.drivetrain.chain import Chain
     from stiffopt.robot.robot import Robot
 
-ELEMENT_COLOURS = {
-    "reducer": BLUE,
-    "key": VERMILLION,
-    "bolted_flange": GREEN,
-    "clamping_pins": PURPLE,
-    "timing_belt": ORANGE,
-    "gear_pair": SKY,
-    "shaft": GREY,
-    "constant": BLACK,
-}
+# Of the kinds of connections, in the order of their names.
+_COLOURS = (GREEN, PURPLE, BLACK, SKY, VERMILLION, BLUE, GREY, ORANGE)
 
 
 @dataclass(frozen=True)
@@ -96,6 +89,11 @@ def estimated_inputs(robot: Robot, joints: Container[str] | None = None) -> list
         if joints is None or not each.joint or each.joint in joints:
             keys.setdefault((each.joint, each.element, each.source), []).append(each.key)
     return [EstimatedInputs(*place, tuple(names)) for place, names in keys.items()]
+
+
+def element_colour(kind: str) -> str:
+    """Colour of a kind of connection, the same in every figure."""
+    return _COLOURS[list(connection_kinds()).index(kind) % len(_COLOURS)]
 
 
 def windup_by_kind(chain: Chain | None, torque: float) -> dict[str, float]:

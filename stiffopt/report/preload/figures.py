@@ -14,8 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from stiffopt.report.common.robot import ELEMENT_COLOURS, JointUnits
-from stiffopt.report.common.svg import BLUE, GREEN, GREY, ORANGE, VERMILLION, WIDTH, house_style
+from stiffopt.report.common.robot import JointUnits, element_colour
+from stiffopt.report.common.svg import BLUE, GREEN, ORANGE, VERMILLION, WIDTH, house_style
 from stiffopt.report.common.text import percent, significant
 from stiffopt.report.preload.words import readable
 
@@ -108,7 +108,7 @@ def shares_figure(shares: Mapping[int, Sequence[WindupShare]], free: Sequence[st
             axes = grid[place]
             ordered = sorted(own, key=lambda each: -each.share)
             for row, each in enumerate(ordered):
-                colour = ELEMENT_COLOURS.get(each.kind, GREY)
+                colour = element_colour(each.kind)
                 axes.barh(row, 100 * each.share, height=0.7, color=colour)
                 axes.annotate(
                     percent(each.share),

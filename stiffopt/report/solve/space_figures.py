@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stiffopt.report.common.robot import ELEMENT_COLOURS, common_unit, joint_units, windup_by_kind
+from stiffopt.report.common.robot import common_unit, element_colour, joint_units, windup_by_kind
 from stiffopt.report.common.svg import BLACK, GREY, WIDTH, house_style
 from stiffopt.report.common.text import number, si
 from stiffopt.report.solve.figures import ComparedMotion, motion_style
@@ -144,7 +144,7 @@ def windup_figure(problem: TrajectoryProblem, motion: Assessment, part: str) -> 
                 label = None if kind in shown else kind.replace("_", " ")
                 shown.add(kind)
                 width = share * windups[j]
-                colour = ELEMENT_COLOURS.get(kind, GREY)
+                colour = element_colour(kind)
                 axes.barh(j, width, left=left, height=0.62, color=colour, label=label)
                 left += width
             text = f"{number(windups[j] / 1e3, unit.windup, 3)} at {si(torque, unit.torque, 3)}"

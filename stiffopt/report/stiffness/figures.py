@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stiffopt.report.common.robot import ELEMENT_COLOURS, JointUnits, compliance_by_kind
+from stiffopt.report.common.robot import JointUnits, compliance_by_kind, element_colour
 from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, house_style, line_style
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ def shares_figure(robot: Robot, units: Sequence[JointUnits]) -> Figure:
                 left = 0.0
                 torque = ratio * float(robot.torque_max[j])
                 for kind, share in compliance_by_kind(robot.chains[j], torque).items():
-                    colour = ELEMENT_COLOURS.get(kind, GREY)
+                    colour = element_colour(kind)
                     bar = axes.barh(row, 100 * share, left=left, height=0.66, color=colour)
                     named.setdefault(kind.replace("_", " "), bar)
                     left += 100 * share
