@@ -54,8 +54,7 @@ def slowed_quintic(problem: TrajectoryProblem, motion: ResolvedMotion) -> Assess
     low = problem.duration[0]
 
     def excess(duration: float, points: int) -> float:
-        slowed = quintic_baseline(path, duration).motion
-        assert slowed is not None
+        slowed = path.follow(quintic_law(duration))
         times = np.linspace(0.0, duration, points)
         return assess(problem, slowed, times=times).worst_violation.value
 
@@ -66,9 +65,7 @@ def slowed_quintic(problem: TrajectoryProblem, motion: ResolvedMotion) -> Assess
         middle = 0.5 * (low + high) if high > 2.0 * low else float(np.sqrt(low * high))
         low, high = (low, middle) if excess(middle, _COARSE) <= CERTIFIED else (middle, high)
     # Between the points of the coarse grid there may be a little more.
-    found = quintic_baseline(path, 1.001 * high).motion
-    assert found is not None
-    assessment = assess(problem, found)
+    assessment = assess(problem, path.follow(quintic_law(1.001 * high)))
     return assessment if assessment.feasible(CERTIFIED) else None
 
 
