@@ -24,6 +24,7 @@ SCHEMA = 1
 EXPORT_RATE = 500.0
 RESULT_FILE = "result.json"
 TRAJECTORY_FILE = "trajectory.csv"
+SIMULATION_FILE = "simulation.json"
 
 
 def result_document(solution: Solution) -> dict[str, Any]:
@@ -50,7 +51,7 @@ def result_document(solution: Solution) -> dict[str, Any]:
         "ratio_to_better_baseline": solution.ratio_to_better_baseline,
         "solver": vars(solution.solver),
         "notes": solution.notes,
-        "simulation": _simulation(solution.simulation),
+        "simulation": simulation_document(solution.simulation),
         "inputs_hash": solution.inputs_hash,
         "versions": solution.versions,
     }
@@ -133,6 +134,28 @@ def write_trajectory(assessment: Assessment, directory: str | Path) -> Path:
     return path
 
 
+def write_simulation(simulation: Simulation, directory: str | Path) -> Path:
+    """Write simulation.json and simulation.csv (the optimised motion); return the first's path."""
+    folder = Path(directory)
+    document = plain({"schema": SCHEMA, **(simulation_document(simulation) or {})})
+    found = simulation.optimised.simulated
+    joints = range(1, found.position.shape[1] + 1)
+    names = ["t", *(f"deviation_{axis}" for axis in "xyz")]
+    names += [f"{quantity}{j}" for quantity in ("q", "qd", "tau_spring", "windup") for j in joints]
+    columns = [
+        found.time[:, None],
+        found.deviation,
+        found.position,
+        found.velocity,
+        found.spring_torque,
+        found.windup,
+    ]
+    write_csv(folder / "simulation.csv", names, np.hstack(columns).tolist())
+    text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
+    atomic_write(folder / SIMULATION_FILE, text + "\n")
+    return folder / SIMULATION_FILE
+
+
 def _objective(objective: ObjectiveValue | None) -> dict[str, Any] | None:
     return None if objective is None else dict(vars(objective))
 
@@ -176,7 +199,8 @@ def _baseline(baseline: Baseline) -> dict[str, Any]:
     }
 
 
-def _simulation(simulation: Simulation | None) -> dict[str, Any] | None:
+def simulation_document(simulation: Simulation | None) -> dict[str, Any] | None:
+    """Content of `simulation` in result.json, and of simulation.json."""
     if simulation is None:
         return None
     return {

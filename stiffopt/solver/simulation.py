@@ -6,8 +6,9 @@ is counted where the problem allows that duration.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +25,7 @@ from stiffopt.result.simulation import SETTLING_BAND, ElasticMotion, Simulation
 if TYPE_CHECKING:
     from stiffopt.elastic.motor import Servo
     from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.result.assessment import Assessment
+    from stiffopt.result.assessment import Assessment, PeakRms
     from stiffopt.result.solution import Baseline, Solution
 
 
@@ -48,29 +49,77 @@ def elastic_arm(problem: TrajectoryProblem, start: np.ndarray) -> ElasticArm:
     return arm
 
 
+@dataclass(frozen=True, kw_only=True)
+class PlannedMotion:
+    """A motion to be simulated.
+
+    Parameters
+    ----------
+    name : str
+    time : array (K,)
+        From 0 [s].
+    position, velocity : array (K, n)
+        [rad], [rad/s].
+    planned : PeakRms
+        Its quasi-static dynamic deflection [m].
+    counted : bool
+        Whether it keeps all limits and the problem's duration.
+    """
+
+    name: str
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    planned: PeakRms
+    counted: bool
+
+    @classmethod
+    def of(cls, name: str, assessment: Assessment, counted: bool) -> PlannedMotion:
+        """From its certificate."""
+        return cls(
+            name=name,
+            time=assessment.time,
+            position=assessment.position,
+            velocity=assessment.velocity,
+            planned=assessment.deflection_summary()["dynamic"],
+            counted=counted,
+        )
+
+
+def rivals(
+    problem: TrajectoryProblem, motion: ResolvedMotion, baselines: dict[str, Baseline]
+) -> list[PlannedMotion]:
+    """The baselines that exist; the quintic one also slowed where it exceeds a limit."""
+    found = [
+        PlannedMotion.of(name, baseline.assessment, baseline.feasible)
+        for name, baseline in baselines.items()
+        if baseline.assessment is not None
+    ]
+    quintic = baselines.get("quintic")
+    if quintic is not None and not quintic.feasible:
+        slowed = slowed_quintic(problem, motion)
+        if slowed is not None:
+            shortest, longest = problem.duration
+            allowed = shortest <= slowed.duration <= longest
+            found.append(PlannedMotion.of("slowed quintic", slowed, allowed))
+    return found
+
+
 def simulate_motions(
     problem: TrajectoryProblem,
     arm: ElasticArm,
-    optimised: Assessment,
-    counted: bool,
-    baselines: dict[str, Baseline],
-    motion: ResolvedMotion,
+    motions: Sequence[PlannedMotion],
     *,
     servo: Servo | None = None,
     band: float = SETTLING_BAND,
 ) -> Simulation:
-    """Simulate an optimised motion and its baselines.
+    """Simulate motions of a problem, the optimised one first.
 
     Parameters
     ----------
     problem : TrajectoryProblem
     arm : ElasticArm
-    optimised : Assessment
-    counted : bool
-        Whether the optimised motion keeps all limits.
-    baselines : dict of Baseline
-    motion : ResolvedMotion
-        Joint angles of the problem's poses.
+    motions : sequence of PlannedMotion
     servo : Servo, optional
     band : float
         Within which the tool counts as settled [m].
@@ -80,36 +129,24 @@ def simulate_motions(
     NotSimulatedError
         The arm cannot be simulated.
     """
-    planned = [("optimised", optimised, counted)]
-    for name, baseline in baselines.items():
-        if baseline.assessment is not None:
-            planned.append((name, baseline.assessment, baseline.feasible))
-    quintic = baselines.get("quintic")
-    if quintic is not None and not quintic.feasible:
-        slowed = slowed_quintic(problem, motion)
-        if slowed is not None:
-            shortest, longest = problem.duration
-            allowed = shortest <= slowed.duration <= longest
-            planned.append(("slowed quintic", slowed, allowed))
     terms = problem.objectives
-    only = terms[0] if len(terms) == 1 else None
-    judged = only is not None and only.kind.deflection_part == "dynamic"
+    judged = len(terms) == 1 and terms[0].kind.deflection_part == "dynamic"
     return Simulation(
         motions=tuple(
             ElasticMotion(
-                name=name,
-                planned=assessment.deflection_summary()["dynamic"],
+                name=each.name,
+                planned=each.planned,
                 simulated=simulate(
                     arm,
-                    MotorMotion(assessment.time, assessment.position, assessment.velocity),
+                    MotorMotion(each.time, each.position, each.velocity),
                     servo=servo,
                     band=band,
                 ),
-                counted=each_counted,
+                counted=each.counted,
             )
-            for name, assessment, each_counted in planned
+            for each in motions
         ),
-        measure=only.shown_measure if judged and only is not None else "",
+        measure=terms[0].shown_measure if judged else "",
         assumed_damping=arm.assumed_damping,
     )
 
@@ -129,9 +166,9 @@ def with_simulation(problem: TrajectoryProblem, solution: Solution) -> Solution:
     try:
         arm = elastic_arm(problem, solution.assessment.position[0])
         counted = solution.assessment.feasible(CERTIFIED)
-        simulation = simulate_motions(
-            problem, arm, solution.assessment, counted, solution.baselines, motion
-        )
+        own = PlannedMotion.of("optimised", solution.assessment, counted)
+        others = rivals(problem, motion, solution.baselines)
+        simulation = simulate_motions(problem, arm, [own, *others])
     except NotSimulatedError as error:
         note = f"Not simulated on the elastic arm: {error}"
         return replace(solution, notes=(*solution.notes, note))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from stiffopt.report.common.svg import BLACK, BLUE, GREEN, GREY, VERMILLION, WIDTH, house_style
-from stiffopt.report.common.text import listed, percent, scale, si
+from stiffopt.report.common.text import listed, scale, si
 from stiffopt.result.simulation import ElasticMotion, Simulation
 
 _STYLES: tuple[dict[str, Any], ...] = (
@@ -55,17 +56,21 @@ def _row(motion: ElasticMotion) -> list[str]:
 
 def simulation_notes(simulation: Simulation) -> list[str]:
     """Assumed damping, slip and hysteresis."""
-    notes = []
-    joints = simulation.assumed_damping
-    if joints:
-        named = f"joint{'s' if len(joints) > 1 else ''} {listed(str(j) for j in joints)}"
-        notes.append(
-            f"The damping of {named} is assumed, {percent(0.02)} of critical each; give `damping` "
-            "in the robot file where it has been measured."
-        )
+    notes = assumed_damping_note(simulation.assumed_damping)
     for motion in simulation.motions:
         notes += [f"{motion.name}: {note}" for note in motion.simulated.notes]
     return notes
+
+
+def assumed_damping_note(joints: Sequence[int]) -> list[str]:
+    """Sentence on joints (from 1) whose damping is assumed; none where there are none."""
+    if not joints:
+        return []
+    named = f"joint{'s' if len(joints) > 1 else ''} {listed(str(j) for j in joints)}"
+    return [
+        f"The damping of {named} is assumed, 2 % of critical each; give `damping` in the robot "
+        "file where it has been measured."
+    ]
 
 
 def swing_figure(simulation: Simulation) -> Figure:

@@ -1,0 +1,161 @@
+"""`stiffopt simulate` and `stiffopt modes`: how an arm swings on the springs of its joints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from stiffopt.cli.base import Out, app
+from stiffopt.errors import InputError
+from stiffopt.folders import output_folder
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from stiffopt.robot.robot import Robot
+
+
+@app.command
+def simulate(
+    result: Path,
+    *,
+    problem: Path | None = None,
+    out: Out | None = None,
+    band: str = "0.05 mm",
+    bandwidth: float | None = None,
+    feed_forward: float = 1.0,
+    delay: str = "0 s",
+) -> int:
+    """Simulate a solved motion and its baselines on the elastic arm.
+
+    Writes simulation.json and simulation.csv (the optimised motion every 0.5 ms).
+
+    Parameters
+    ----------
+    result
+        Folder of a solve.
+    problem
+        Problem file, where the result does not name it or it has moved.
+    out
+        Default: the folder of the solve.
+    band
+        Within which the tool counts as settled.
+    bandwidth
+        Of a position loop in place of motors that follow exactly [Hz].
+    feed_forward
+        Share of the command's velocity that the loop is fed forward, 0 to 1.
+    delay
+        Dead time of the loop.
+    """
+    from stiffopt.elastic.motor import Servo
+    from stiffopt.report.solve.terminal import print_simulation
+    from stiffopt.result.store import write_simulation
+    from stiffopt.solver.simulation import elastic_arm, is_elastic, simulate_motions
+    from stiffopt.solver.stored import read_result
+    from stiffopt.units import to_si
+
+    settled, late = to_si(band, "length", "band"), to_si(delay, "time", "delay")
+    if settled <= 0.0:
+        raise InputError(f"band must be above 0, got {band}.")
+    if bandwidth is None and (late != 0.0 or feed_forward != 1.0):
+        raise InputError("delay and feed-forward are of a position loop: give its --bandwidth too.")
+    servo = None if bandwidth is None else Servo(bandwidth, feed_forward, late)
+    stored = read_result(result, problem)
+    if not is_elastic(stored.problem):
+        raise InputError(
+            f"{stored.problem.robot.name} is rigid: no joint has a drivetrain that could yield."
+        )
+    with output_folder(out or result) as folder:
+        arm = elastic_arm(stored.problem, stored.optimised.position[0])
+        found = simulate_motions(stored.problem, arm, stored.motions(), servo=servo, band=settled)
+        path = write_simulation(found, folder)
+    print_simulation(found)
+    print(f"Wrote {path} and {path.with_suffix('.csv')}")
+    return 0
+
+
+@app.command
+def modes(
+    source: str,
+    *,
+    at: Annotated[str | None, Parameter(help="Joint angles, such as '0 45deg -0.3 0 90deg 0'.")] = (
+        None
+    ),
+    out: Out | None = None,
+) -> int:
+    """Frequencies, damping and shapes of an arm's small swings about poses at rest.
+
+    Of a problem file in its start, vias and end; of the folder of a solve along the motion, which
+    writes modes.csv and modes.svg.
+
+    Parameters
+    ----------
+    source
+        A robot (shipped name, robot TOML or URDF), a problem file, or the folder of a solve.
+    """
+    from stiffopt.elastic.survey import modes_along, modes_at, write_modes_csv
+    from stiffopt.report.solve.modes import print_modes, write_modes_figure
+    from stiffopt.solver.stored import read_result
+
+    path = Path(source)
+    if path.is_dir():
+        if at is not None:
+            raise InputError("a folder of a solve has its own poses: leave --at out.")
+        stored = read_result(path)
+        rows = modes_along(stored.problem.robot, stored.optimised.time, stored.optimised.position)
+        with output_folder(out or path) as folder:
+            write_modes_csv(rows, folder / "modes.csv")
+            figure = write_modes_figure(rows, folder / "modes.svg")
+        print_modes([rows[0], rows[len(rows) // 2], rows[-1]])
+        print(f"Wrote {folder / 'modes.csv'} and {figure}")
+        return 0
+    robot, poses = _poses(source, at)
+    print_modes(modes_at(robot, poses))
+    return 0
+
+
+def _poses(source: str, at: str | None) -> tuple[Robot, dict[str, np.ndarray]]:
+    """Robot and named joint angles: of a problem file, or of a robot at --at."""
+    from stiffopt.files import load_toml
+    from stiffopt.problem.files import load_problem
+    from stiffopt.problem.resolve import resolve
+    from stiffopt.robot.files import load_robot
+
+    path = Path(source)
+    if path.suffix == ".toml" and path.is_file() and load_toml(path).get("kind") == "trajectory":
+        problem = load_problem(path).problem
+        if at is not None:
+            return problem.robot, {at: _pose(at, problem.robot)}
+        motion = resolve(problem)
+        vias = {f"via {k}": angles for k, angles in enumerate(motion.vias, start=1)}
+        return problem.robot, {"start": motion.start, **vias, "end": motion.end}
+    robot = load_robot(source)
+    if at is None:
+        names = ", ".join(robot.joint_names)
+        raise InputError(f"modes belong to a pose: give --at with an angle for each of {names}.")
+    return robot, {at: _pose(at, robot)}
+
+
+def _pose(text: str, robot: Robot) -> np.ndarray:
+    """Joint angles (n,) [rad] of a text such as "0 45deg -0.3", or with commas."""
+    import numpy as np
+
+    from stiffopt.units import fit_joint, joint_to_si
+
+    values = text.split(",") if "," in text else text.split()
+    if len(values) != robot.n:
+        raise InputError(
+            f"--at needs {robot.n} values, one a joint ({', '.join(robot.joint_names)}); got "
+            f"{len(values)}."
+        )
+    angles = []
+    for value, name, slides in zip(values, robot.joint_names, robot.prismatic, strict=True):
+        try:
+            number: float | str = float(value)
+        except ValueError:
+            number = value.strip()
+        angle = joint_to_si(number, "angle", f"--at, {name}")
+        angles.append(fit_joint(angle, bool(slides), "angle", f"--at, {name}"))
+    return np.array(angles)

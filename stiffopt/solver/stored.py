@@ -1,0 +1,123 @@
+"""Results of earlier solves, read back from their folder to be simulated anew."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stiffopt.baseline.baselines import baselines
+from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.errors import InputFileError
+from stiffopt.files import check_file, read_table
+from stiffopt.problem.files import load_problem
+from stiffopt.problem.resolve import ResolvedMotion, resolve
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import PeakRms
+from stiffopt.result.provenance import inputs_hash
+from stiffopt.result.store import RESULT_FILE, TRAJECTORY_FILE
+from stiffopt.solver.simulation import PlannedMotion, rivals
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredResult:
+    """Motion of a result folder with its problem.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+    motion : ResolvedMotion
+    optimised : PlannedMotion
+    """
+
+    problem: TrajectoryProblem
+    motion: ResolvedMotion
+    optimised: PlannedMotion
+
+    def motions(self) -> list[PlannedMotion]:
+        """The stored motion, then the baselines made anew."""
+        beside = baselines(self.problem, self.motion)
+        return [self.optimised, *rivals(self.problem, self.motion, beside)]
+
+
+def read_result(folder: Path, problem: Path | None = None) -> StoredResult:
+    """Read result.json and trajectory.csv of a folder, and the problem that they name.
+
+    Parameters
+    ----------
+    folder : Path
+    problem : Path, optional
+        Problem file in place of the one that the result names.
+
+    Raises
+    ------
+    InputFileError
+        A file is missing or of something else, names no problem, or the problem has changed.
+    """
+    path = folder / RESULT_FILE
+    document = _document(path)
+    if problem is None:
+        named = document.get("problem")
+        if not isinstance(named, str):
+            raise InputFileError(
+                path,
+                "problem",
+                "this result does not say which problem file it solved. Give it as --problem, or "
+                "solve again.",
+            )
+        problem = folder / named
+        if not problem.is_file():
+            raise InputFileError(
+                path, "problem", f"there is no problem file {problem}. Give it as --problem."
+            )
+    stated = load_problem(problem).problem
+    if inputs_hash(stated) != document.get("inputs_hash"):
+        raise InputFileError(
+            path,
+            "inputs_hash",
+            f"{problem} is not what was solved: it or its robot has changed since, or the solve "
+            "was with --model. Solve it again.",
+        )
+    certificate = document.get("certificate")
+    if not isinstance(certificate, dict):
+        raise InputFileError(path, "certificate", "this solve found no motion to simulate.")
+    try:
+        planned = PeakRms(**certificate["deflection"]["dynamic"])
+        worst = float(certificate["worst_violation"]["value"])
+    except (KeyError, TypeError) as error:
+        raise InputFileError(path, "certificate", f"has no usable {error}.") from error
+    time, position, velocity = _trajectory(folder / TRAJECTORY_FILE, stated.joints)
+    own = PlannedMotion(
+        name="optimised",
+        time=time,
+        position=position,
+        velocity=velocity,
+        planned=planned,
+        counted=worst <= CERTIFIED,
+    )
+    return StoredResult(problem=stated, motion=resolve(stated), optimised=own)
+
+
+def _document(path: Path) -> dict[str, Any]:
+    check_file(path)
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputFileError(path, "", f"is no JSON text: {error}") from error
+    if not isinstance(document, dict) or "inputs_hash" not in document:
+        raise InputFileError(path, "", "is no result of `stiffopt solve`.")
+    return document
+
+
+def _trajectory(path: Path, joints: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times (K,), positions and velocities (K, n) of a trajectory.csv."""
+    names = [[f"{quantity}{j}" for j in range(1, joints + 1)] for quantity in ("q", "qd")]
+    table = read_table(path, ["t", *names[0], *names[1]])
+    time = np.array(table["t"])
+    if time[0] != 0.0 or not np.all(np.diff(time) > 0.0):
+        raise InputFileError(path, "t", "the times must begin at 0 and increase.")
+    position, velocity = (np.array([table[name] for name in own]).T for own in names)
+    return time, position, velocity

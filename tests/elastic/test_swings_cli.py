@@ -1,0 +1,157 @@
+"""`stiffopt simulate` and `stiffopt modes` as people run them."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+
+import numpy as np
+import pytest
+from small_arms import joint, write_problem, write_robot
+
+from stiffopt.cli import run
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory):
+    """Folder of a problem with its solve in `out`."""
+    folder = tmp_path_factory.mktemp("swing")
+    path = write_problem(folder, minimise='objective = "dynamic_deflection"')
+    assert run(["solve", str(path), "--out", str(folder / "out"), "--quiet"]) == 0
+    return folder
+
+
+@pytest.fixture
+def copied(solved, tmp_path):
+    """The same, to be changed."""
+    shutil.copytree(solved, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def test_simulate_reads_a_solve_and_finds_what_the_solve_found(solved, capsys):
+    out = solved / "simulated"
+    assert run(["simulate", str(solved / "out"), "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "optimised" in printed
+    assert "2 % of critical" in printed
+    inside = json.loads((solved / "out" / "result.json").read_text())
+    assert inside["problem"] == "../problem.toml"
+    anew = json.loads((out / "simulation.json").read_text())
+    assert anew["schema"] == 1
+    for name, motion in inside["simulation"]["motions"].items():
+        other = anew["motions"][name]
+        assert other["planned"]["peak"] == pytest.approx(motion["planned"]["peak"], rel=1e-6)
+        assert other["in_flight"]["peak"] == pytest.approx(motion["in_flight"]["peak"], rel=2e-3)
+    with (out / "simulation.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    peak = max(np.linalg.norm([float(row[f"deviation_{axis}"]) for axis in "xyz"]) for row in rows
+               if float(row["t"]) <= 0.5)  # fmt: skip
+    assert peak == pytest.approx(anew["motions"]["optimised"]["in_flight"]["peak"], rel=1e-3)
+
+
+def test_report_of_the_solve_shows_the_swing_beside_the_certificate(solved):
+    page = (solved / "out" / "report.html").read_text()
+    assert "As the elastic arm does it" in page
+    assert "after arrival" in page
+
+
+def test_a_servo_that_lags_shows_in_the_deviation(solved, capsys):
+    out = solved / "lagging"
+    options = ["--bandwidth", "20", "--feed-forward", "0.5", "--delay", "1 ms", "--band", "1 mm"]
+    assert run(["simulate", str(solved / "out"), "--out", str(out), *options]) == 0
+    lagging = json.loads((out / "simulation.json").read_text())["motions"]["optimised"]
+    plain = json.loads((solved / "out" / "result.json").read_text())["simulation"]["motions"]
+    assert lagging["in_flight"]["peak"] > 5 * plain["optimised"]["in_flight"]["peak"]
+    assert lagging["settling_band"] == 1e-3
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        (["--bandwidth", "20", "--delay", "20 ms"], "the servo is unstable"),
+        (["--delay", "1 ms"], "give its --bandwidth too"),
+        (["--band", "1 kg"], "band"),
+        (["--band", "0 mm"], "band must be above 0"),
+        (["--bandwidth", "-3"], "bandwidth must be above 0"),
+    ],
+)
+def test_options_that_cannot_be_are_refused_in_a_sentence(solved, capsys, options, what):
+    assert run(["simulate", str(solved / "out"), *options]) == 2
+    assert what in capsys.readouterr().err
+
+
+def test_results_that_cannot_be_simulated_say_why(copied, capsys):
+    out = copied / "out"
+    document = json.loads((out / "result.json").read_text())
+
+    def refused(what, *options):
+        assert run(["simulate", str(out), *options]) == 2
+        assert what in capsys.readouterr().err
+
+    (copied / "problem.toml").rename(copied / "moved.toml")
+    refused("there is no problem file")
+    assert run(["simulate", str(out), "--problem", str(copied / "moved.toml")]) == 0
+    text = (copied / "moved.toml").read_text()
+    (copied / "problem.toml").write_text(text.replace("duration = 0.5", "duration = 0.6"))
+    refused("is not what was solved")
+    named = document.pop("problem")
+    (out / "result.json").write_text(json.dumps(document))
+    refused("does not say which problem file")
+    (copied / "problem.toml").write_text(text)
+    (out / "result.json").write_text(
+        json.dumps({**document, "problem": named, "certificate": None})
+    )
+    refused("found no motion")
+    (out / "result.json").write_text("{")
+    refused("is no JSON text")
+    (out / "result.json").unlink()
+    refused("result.json")
+
+
+def test_a_damping_above_critical_is_named_before_the_solve(tmp_path, capsys):
+    path = write_problem(tmp_path)
+    arm = tmp_path / "planar.toml"
+    arm.write_text(arm.read_text().replace('name = "elbow"', 'name = "elbow"\ndamping = 500.0'))
+    assert run(["solve", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == 2
+    said = capsys.readouterr().err
+    assert "the damping of elbow must lie between 0 and the critical" in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_modes_of_a_robot_a_problem_and_a_motion(solved, capsys):
+    assert run(["modes", str(solved / "planar.toml"), "--at", "0.2 -20deg"]) == 0
+    assert "joint 1 (" in capsys.readouterr().out
+    assert run(["modes", str(solved / "problem.toml")]) == 0
+    printed = capsys.readouterr().out
+    assert "start" in printed
+    assert "end" in printed
+    assert run(["modes", str(solved / "out"), "--out", str(solved / "modes")]) == 0
+    with (solved / "modes" / "modes.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 61
+    assert float(rows[0]["f1"]) < float(rows[0]["f2"])
+    assert (solved / "modes" / "modes.svg").read_text().startswith("<svg")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (["planar.toml"], "modes belong to a pose: give --at with an angle for each of shoulder"),
+        (["planar.toml", "--at", "0.1"], "--at needs 2 values"),
+        (["planar.toml", "--at", "0.1, 20mm"], "--at, elbow"),
+        (["nowhere"], "no robot"),
+        (["out", "--at", "0 0"], "has its own poses"),
+    ],
+)
+def test_poses_that_cannot_be_are_refused(solved, capsys, arguments, what):
+    path = solved / arguments[0]
+    source = str(path) if path.exists() else arguments[0]
+    assert run(["modes", source, *arguments[1:]]) == 2
+    assert what in capsys.readouterr().err
+
+
+def test_a_rigid_arm_has_no_modes(tmp_path, capsys):
+    rigid = write_robot(tmp_path, joints=[joint("shoulder", ""), joint("elbow", "")])
+    assert run(["modes", str(rigid), "--at", "0 0"]) == 2
+    assert "is rigid: no joint has a drivetrain" in capsys.readouterr().err
