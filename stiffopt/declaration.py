@@ -153,7 +153,7 @@ class Bounds:
     below: float = math.inf
     finite: bool = True
 
-    def check(self, name: str, value: Any) -> None:
+    def check(self, name: str, value: object) -> None:
         """Raise `InputError` unless every number in `value` lies within; others pass."""
         for number in _numbers(value):
             low = self.above < number and self.least <= number

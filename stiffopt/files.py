@@ -106,7 +106,7 @@ def validate(model: type[Model], data: Mapping[str, Any], path: object) -> Model
     raise InputFileError(path, where, reason + more)
 
 
-def dotted(data: Any, location: Sequence[str | int]) -> str:
+def dotted(data: object, location: Sequence[str | int]) -> str:
     """Dotted key of a place in `data`; list items by their name if they have one, else from 1.
 
     >>> dotted({"joint": [{"name": "j1", "ratio": 1}, {}]}, ("joint", 0, "ratio"))

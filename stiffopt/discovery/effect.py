@@ -17,8 +17,11 @@ from stiffopt.symbolic import Quantity
 
 if TYPE_CHECKING:
     from stiffopt.discovery.comparison.extension import EstimatedEffect
-    from stiffopt.discovery.comparison.signals import JointConstants
+    from stiffopt.discovery.comparison.signals import JointConstants, RobotConstants
     from stiffopt.robot.robot import Robot
+
+    # Of a joint for an effect of a joint, else of the robot; ranges that the runs meet among them.
+    Constants = JointConstants | RobotConstants
 
 Scope = Literal["joint", "robot", "link", "run"]
 # Values of the reported parameters from amplitudes and shapes.
@@ -91,7 +94,7 @@ class Amplitude:
     lower: float = -float("inf")
     upper: float = float("inf")
 
-    def size(self, constants: Any) -> float:
+    def size(self, constants: Constants) -> float:
         """Typical size for a joint or robot."""
         return float(self.scale(constants) if callable(self.scale) else self.scale)
 
@@ -116,7 +119,7 @@ class Shape:
     lower: float = -float("inf")
     upper: float = float("inf")
 
-    def grid(self, ranges: Any) -> tuple[float, ...]:
+    def grid(self, ranges: Constants) -> tuple[float, ...]:
         """Values to start from."""
         values = self.starts(ranges) if callable(self.starts) else self.starts
         return tuple(float(v) for v in values)
@@ -232,7 +235,7 @@ class Effect:
         return self.phrase[amplitudes[0] < 0.0]
 
     def parameters(
-        self, amplitudes: Sequence[float], shapes: Sequence[float], constants: Any
+        self, amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
     ) -> dict[str, float]:
         """Reported parameters by name."""
         if self.report is not None:

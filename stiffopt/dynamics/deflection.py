@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stiffopt.dynamics.kinematics import point_jacobian
 from stiffopt.dynamics.newton_euler import newton_euler
@@ -58,7 +59,7 @@ class Deflection:
 def spring_torques(
     tree: BodyTree,
     joint: int,
-    offset: object,
+    offset: ArrayLike,
     q: Quantity,
     v: Quantity,
     a: Quantity,

@@ -10,6 +10,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stiffopt.dynamics.joint_axes import AxisJoint, axis_joints, clean
 from stiffopt.dynamics.newton_euler import joint_pose
@@ -18,7 +19,7 @@ from stiffopt.symbolic import Quantity
 
 
 def forward_kinematics(
-    tree: BodyTree, joint: int, offset: object = (0.0, 0.0, 0.0), rotation: object = None
+    tree: BodyTree, joint: int, offset: ArrayLike = (0.0, 0.0, 0.0), rotation: object = None
 ) -> ca.Function:
     """Pose of a tool frame as a CasADi function.
 
@@ -42,7 +43,9 @@ def forward_kinematics(
     return ca.Function("forward_kinematics", [q], list(pose), ["q"], ["position", "rotation"])
 
 
-def point_kinematics(tree: BodyTree, joint: int, offset: object = (0.0, 0.0, 0.0)) -> ca.Function:
+def point_kinematics(
+    tree: BodyTree, joint: int, offset: ArrayLike = (0.0, 0.0, 0.0)
+) -> ca.Function:
     """Position of a point and its Jacobian as a CasADi function.
 
     Parameters
@@ -70,7 +73,7 @@ def point_kinematics(tree: BodyTree, joint: int, offset: object = (0.0, 0.0, 0.0
 
 
 def tool_pose(
-    tree: BodyTree, joint: int, offset: object, rotation: object, q: Quantity
+    tree: BodyTree, joint: int, offset: ArrayLike, rotation: object, q: Quantity
 ) -> tuple[Quantity, Quantity]:
     """Position (3,) [m] and rotation (3, 3) of a tool frame as expressions of q (n,) (SX or MX).
 
@@ -90,12 +93,12 @@ def tool_pose(
     return ca.densify(position), ca.densify(turn)
 
 
-def point_position(tree: BodyTree, joint: int, offset: object, q: Quantity) -> Quantity:
+def point_position(tree: BodyTree, joint: int, offset: ArrayLike, q: Quantity) -> Quantity:
     """Position (3,) [m] of a point as an expression of q (n,) (SX or MX), base axes."""
     return tool_pose(tree, joint, offset, None, q)[0]
 
 
-def point_jacobian(tree: BodyTree, joint: int, offset: object, q: Quantity) -> Quantity:
+def point_jacobian(tree: BodyTree, joint: int, offset: ArrayLike, q: Quantity) -> Quantity:
     """Position Jacobian (3, n) of a point as an expression of q (n,) (SX or MX), base axes."""
     if isinstance(q, ca.MX):
         function: Any = point_kinematics(tree, joint, offset)
@@ -129,7 +132,7 @@ def _frames(
     return frames
 
 
-def _three(offset: object) -> np.ndarray:
+def _three(offset: ArrayLike) -> np.ndarray:
     return np.asarray(offset, dtype=float).reshape(3)
 
 

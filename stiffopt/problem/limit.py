@@ -21,6 +21,7 @@ from stiffopt.result.assessment import Violation
 if TYPE_CHECKING:
     from stiffopt.problem.files import JointLists
     from stiffopt.problem.resolve import ResolvedMotion
+    from stiffopt.problem.schema import LimitsSection
     from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Assessment
@@ -88,7 +89,7 @@ class LimitKind(ABC):
         """Whether these limits hold one of this kind."""
 
     @abstractmethod
-    def read(self, section: Any, joints: JointLists) -> dict[str, Any]:
+    def read(self, section: LimitsSection, joints: JointLists) -> dict[str, Any]:
         """Attributes of `Limits` from the section of a file; [limits] is `section`."""
 
     @abstractmethod

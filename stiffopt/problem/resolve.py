@@ -158,9 +158,10 @@ def _check_range(problem: TrajectoryProblem, where: str, angles: np.ndarray) -> 
     for j, angle in enumerate(angles):
         low, high = limits.position_lower[j], limits.position_upper[j]
         if not low - 1e-9 <= angle <= high + 1e-9:
+            key = "position_lower" if angle < low else "position_upper"
             raise ProblemError(
                 f"{where}: joint {j + 1} at {_both(angle)} is outside its range {_both(low)} to "
-                f"{_both(high)}. Choose a pose within the range, or widen limits.position."
+                f"{_both(high)}. Choose a pose within the range, or change limits.{key}."
             )
 
 

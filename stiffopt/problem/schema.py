@@ -137,6 +137,8 @@ class MinimiseSection(Section):
 class LimitsSection(Section):
     """Limits; the robot's own where a key is left out, "none" removes one."""
 
+    scale: Section = Section()
+
 
 class ExpectedSection(Section):
     """What `stiffopt verify` compares, and where the value comes from."""

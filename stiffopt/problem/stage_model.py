@@ -149,6 +149,6 @@ class StageModel:
         if all(chain is None for chain in self.robot.chains):
             raise ProblemError(
                 f"{self.robot.name} has no drivetrain, so its tool does not deflect. Describe the "
-                "joints' elements in the robot file, or minimise another objective."
+                "joints' elements in the robot file, or minimise and limit no deflection."
             )
         return tool_deflection(self.jacobian, self.torques, self.windup)

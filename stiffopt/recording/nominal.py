@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from stiffopt.declaration import NOT_NEGATIVE, Doc, Unit, check_fields
+
+if TYPE_CHECKING:
+    from stiffopt.symbolic import Quantity
 
 _Share = Annotated[float, Unit("ratio", bare=True), NOT_NEGATIVE]
 _Length = Annotated[float, Unit("length", bare=True), NOT_NEGATIVE]
@@ -39,7 +42,7 @@ class Counterbalance:
     angle: np.ndarray | None = None
     torque: np.ndarray | None = None
 
-    def at(self, position: Any) -> Any:
+    def at(self, position: Quantity) -> Quantity:
         """Torque on the joint at a joint position: (...) [rad] -> (...) [N m].
 
         A table is interpolated linearly and held constant beyond its ends.

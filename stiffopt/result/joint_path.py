@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from math import factorial
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stiffopt.errors import ProblemError
 from stiffopt.result.trajectory import Trajectory
@@ -31,7 +32,7 @@ class JointPath:
     coefficients: np.ndarray
 
     @classmethod
-    def through(cls, waypoints: object, spacing: str = "uniform") -> JointPath:
+    def through(cls, waypoints: ArrayLike, spacing: str = "uniform") -> JointPath:
         """Straight line through two waypoints, not-a-knot cubic spline through more.
 
         Parameters

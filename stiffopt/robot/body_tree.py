@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stiffopt.errors import RobotError
+
+if TYPE_CHECKING:
+    import pinocchio as pin
 
 _REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
 _PRISMATIC = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
@@ -96,7 +99,7 @@ class BodyTree:
         return np.array([body.prismatic for body in self.bodies])
 
 
-def body_tree(model: Any) -> BodyTree:
+def body_tree(model: pin.Model) -> BodyTree:
     """Bodies of a pinocchio model, whose fixed joints are merged already.
 
     Raises
@@ -124,7 +127,7 @@ def body_tree(model: Any) -> BodyTree:
     return BodyTree(tuple(bodies), np.array(model.gravity.linear))
 
 
-def _axis(model: Any, i: int) -> tuple[bool, np.ndarray]:
+def _axis(model: pin.Model, i: int) -> tuple[bool, np.ndarray]:
     """Whether a joint slides, and its axis."""
     joint = model.joints[i]
     kind = joint.shortname()

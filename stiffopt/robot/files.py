@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from stiffopt.robot.robot import Robot, Source
 from stiffopt.robot.schema import JointSection, PlaceSection, RobotFile, robot_file
 from stiffopt.robot.urdf import UNLIMITED, load_urdf
 from stiffopt.units import fit_joint
+
+if TYPE_CHECKING:
+    import pinocchio as pin
 
 # Links that descriptions use for the mechanical interface of the last joint, first match wins.
 _FLANGES = ("flange", "tool0", "ee_link")
@@ -169,7 +172,7 @@ def _joint_numbers(
 
 
 def _positions(
-    model: Any, sections: list[JointSection], prismatic: np.ndarray, path: Path
+    model: pin.Model, sections: list[JointSection], prismatic: np.ndarray, path: Path
 ) -> tuple[np.ndarray, np.ndarray]:
     lower = np.array(model.lowerPositionLimit, dtype=float)
     upper = np.array(model.upperPositionLimit, dtype=float)
@@ -189,14 +192,14 @@ def _positions(
     return lower, upper
 
 
-def _last_link(model: Any) -> str:
+def _last_link(model: pin.Model) -> str:
     """Last moving link that payloads and tools go to when nothing is said."""
     moving = [f.name for f in model.frames if f.parentJoint == model.njoints - 1]
     links = [name for name in link_names(model) if name in moving]
     return next((name for name in _FLANGES if name in links), links[0])
 
 
-def _flange(model: Any, section: PlaceSection | None, tool_link: str) -> LinkFrame:
+def _flange(model: pin.Model, section: PlaceSection | None, tool_link: str) -> LinkFrame:
     if section is not None:
         return link_frame(model, section.link, section.offset, section.rpy)
     named = [name for name in _FLANGES if name in link_names(model)]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from stiffopt.errors import RobotError, nearest
 from stiffopt.robot.rotations import rotation_from_rpy
@@ -34,12 +34,14 @@ class LinkFrame:
     link: str = ""
 
 
-def link_names(model: Any) -> list[str]:
+def link_names(model: pin.Model) -> list[str]:
     """Links of a pinocchio model that have a frame."""
     return [f.name for f in model.frames if f.type == pin.FrameType.BODY and f.name != "universe"]
 
 
-def link_frame(model: Any, link: str, offset: Any = None, rpy: Any = None) -> LinkFrame:
+def link_frame(
+    model: pin.Model, link: str, offset: ArrayLike | None = None, rpy: ArrayLike | None = None
+) -> LinkFrame:
     """Frame fixed to a moving link, resolved to the link's joint.
 
     Parameters
@@ -64,24 +66,26 @@ def link_frame(model: Any, link: str, offset: Any = None, rpy: Any = None) -> Li
     shift = np.zeros(3) if offset is None else np.asarray(offset, dtype=float)
     angles = np.zeros(3) if rpy is None else np.asarray(rpy, dtype=float)
     if shift.shape != (3,) or angles.shape != (3,) or not np.isfinite([*shift, *angles]).all():
-        raise RobotError(f"a frame at {link!r} needs 3 finite numbers as offset; got {offset}.")
+        raise RobotError(
+            f"a frame at {link!r} needs 3 finite numbers as offset; got {shift.tolist()}."
+        )
     placement = frame.placement * pin.SE3(rotation_from_rpy(angles), shift)
     return _resolved(frame.parentJoint, placement, link)
 
 
-def frame_names(model: Any) -> list[str]:
+def frame_names(model: pin.Model) -> list[str]:
     """All frames of a pinocchio model but that of the ground: of links, joints and fixed joints."""
     return [frame.name for frame in model.frames if frame.name != "universe"]
 
 
-def named_frame(model: Any, name: str | None = None) -> LinkFrame:
+def named_frame(model: pin.Model, name: str | None = None) -> LinkFrame:
     """Frame of a pinocchio model by its name, else the last one."""
     index = model.nframes - 1 if name is None else model.getFrameId(name)
     frame = model.frames[index]
     return _resolved(frame.parentJoint, frame.placement, str(frame.name))
 
 
-def first_link_of(model: Any, joint: int) -> str:
+def first_link_of(model: pin.Model, joint: int) -> str:
     """Link that a joint (1-based) carries; the joint's own name where its links have no frame."""
     for frame in model.frames:
         if frame.type == pin.FrameType.BODY and frame.parentJoint == joint:
@@ -89,5 +93,5 @@ def first_link_of(model: Any, joint: int) -> str:
     return str(model.names[joint])
 
 
-def _resolved(joint: int, placement: Any, name: str) -> LinkFrame:
+def _resolved(joint: int, placement: pin.SE3, name: str) -> LinkFrame:
     return LinkFrame(int(joint), placement.translation.copy(), placement.rotation.copy(), name)

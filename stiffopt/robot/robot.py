@@ -79,7 +79,7 @@ class Robot:
     """
 
     name: str
-    model: Any
+    model: pin.Model
     position_lower: np.ndarray
     position_upper: np.ndarray
     velocity_max: np.ndarray

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 
-def rotation_from_rpy(rpy: object) -> np.ndarray:
+def rotation_from_rpy(rpy: ArrayLike) -> np.ndarray:
     """Rotation (3, 3) from roll, pitch, yaw about the fixed x, y, z axes, as in URDF [rad]."""
     return np.array(pin.rpy.rpyToMatrix(np.asarray(rpy, dtype=float)))
 

@@ -6,7 +6,6 @@ import math
 import os
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any
 
 import pinocchio as pin
 
@@ -18,7 +17,7 @@ _KINDS = ("revolute", "continuous", "prismatic", "fixed")
 UNLIMITED = 1e9
 
 
-def load_urdf(path: str | os.PathLike[str]) -> tuple[Any, dict[str, dict[str, float]]]:
+def load_urdf(path: str | os.PathLike[str]) -> tuple[pin.Model, dict[str, dict[str, float]]]:
     """Model of a URDF and what it says about each joint.
 
     Parameters

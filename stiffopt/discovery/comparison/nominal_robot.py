@@ -8,7 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from stiffopt.discovery.comparison.signals import JointConstants, RobotConstants, smooth_sign
+from stiffopt.discovery.comparison.signals import (
+    JointConstants,
+    RobotConstants,
+    RobotSignals,
+    smooth_sign,
+)
 from stiffopt.discovery.settings import filled
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
@@ -76,7 +81,7 @@ class RobotModel:
             tool_range=np.array([[-1.0] * 3, [1.0] * 3]),
         )
 
-    def ranged(self, signals: Sequence[object]) -> RobotConstants:
+    def ranged(self, signals: Sequence[RobotSignals]) -> RobotConstants:
         """Constants with the ranges that some runs meet; unknown torques from what they carry."""
         base = self.constants
 

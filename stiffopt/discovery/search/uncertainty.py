@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.extension import EstimatedEffect, with_amplitudes
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepare import PreparedRun
+
+if TYPE_CHECKING:
+    from stiffopt.discovery.effect import Constants
 
 # Length of the stretches that a jackknife leaves out [s]: longer than anything in a residual
 # remembers.
@@ -53,7 +57,7 @@ class Estimate:
         values = self.values[: len(self.nuisance)]
         return {name: float(v) for name, v in zip(self.nuisance, values, strict=True)}
 
-    def parameters(self, index: int, constants: object) -> dict[str, tuple[float, float]]:
+    def parameters(self, index: int, constants: Constants) -> dict[str, tuple[float, float]]:
         """Reported values of one effect with their standard deviations.
 
         The larger of both estimates of the covariance counts, carried over by the slopes of the

@@ -25,7 +25,7 @@ class Jerk(JointMagnitude):
         """None can be kept on a fixed path, where it bounds no rate of a control."""
         raise ProblemError(
             "Jerk limits cannot be kept on a fixed path: the path coordinate has a limited "
-            "acceleration only. Leave limits.jerk out (set it to inf), or give poses instead "
+            'acceleration only. Write limits.jerk = "none" (inf in Python), or give poses instead '
             "of motion.path."
         )
 

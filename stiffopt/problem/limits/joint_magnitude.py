@@ -13,6 +13,7 @@ from stiffopt.result.assessment import Assessment, Violation
 
 if TYPE_CHECKING:
     from stiffopt.problem.files import JointLists
+    from stiffopt.problem.schema import LimitsSection
     from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.symbolic import Quantity
@@ -55,7 +56,7 @@ class JointMagnitude(LimitKind):
         """Whether any joint has one."""
         return bool(np.any(np.isfinite(getattr(limits, self.name))))
 
-    def read(self, section: Any, joints: JointLists) -> dict[str, Any]:
+    def read(self, section: LimitsSection, joints: JointLists) -> dict[str, Any]:
         """List, "none" or the robot's own, times the factor of limits.scale."""
         given = getattr(section, self.name)
         if given is None:

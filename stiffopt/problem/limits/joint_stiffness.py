@@ -16,6 +16,7 @@ from stiffopt.result.assessment import Assessment, Violation
 if TYPE_CHECKING:
     from stiffopt.problem.files import JointLists
     from stiffopt.problem.resolve import ResolvedMotion
+    from stiffopt.problem.schema import LimitsSection
     from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.robot.robot import Robot
@@ -49,9 +50,9 @@ class JointStiffnessFloor(LimitKind):
         """Whether any joint has a floor."""
         return bool(limits.joint_stiffness)
 
-    def read(self, section: Any, joints: JointLists) -> dict[str, Any]:
+    def read(self, section: LimitsSection, joints: JointLists) -> dict[str, Any]:
         """Floors of joints that exist."""
-        floors = section.joint_stiffness or {}
+        floors = getattr(section, self.name) or {}
         for joint in floors:
             joints.check_number(joint, "limits.joint_stiffness")
         return {"joint_stiffness": dict(floors)}
@@ -105,8 +106,8 @@ class JointStiffnessFloor(LimitKind):
                     raise ProblemError(
                         f"limits.joint_stiffness: joint {joint} has {value:.4g} N m/rad at rest in "
                         f"the {pose.name} pose, below the limit {floor:.4g} N m/rad, whatever the "
-                        "motion. Lower the limit, choose another pose, or free the boundary "
-                        "acceleration."
+                        "motion. Lower the limit, choose another pose, or set "
+                        'motion.boundary_acceleration = "free".'
                     )
 
     def statements(self, limits: Limits, robot: Robot) -> list[tuple[str, float, str]]:

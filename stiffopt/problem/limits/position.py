@@ -15,6 +15,7 @@ from stiffopt.result.assessment import Assessment, Violation
 
 if TYPE_CHECKING:
     from stiffopt.problem.files import JointLists
+    from stiffopt.problem.schema import LimitsSection
     from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
 
@@ -45,7 +46,7 @@ class Position(LimitKind):
         """Whether any joint has a range."""
         return bool(np.any(np.isfinite(limits.position_upper - limits.position_lower)))
 
-    def read(self, section: Any, joints: JointLists) -> dict[str, Any]:
+    def read(self, section: LimitsSection, joints: JointLists) -> dict[str, Any]:
         """Lists or the robot's own, lower below upper."""
         values = {}
         for key in self.keys:

@@ -14,6 +14,7 @@ from stiffopt.result.assessment import Assessment, Violation
 
 if TYPE_CHECKING:
     from stiffopt.problem.files import JointLists
+    from stiffopt.problem.schema import LimitsSection
     from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.robot.robot import Robot
@@ -57,7 +58,7 @@ class ToolMagnitude(LimitKind):
         """Whether it is finite."""
         return bool(np.isfinite(getattr(limits, self.name)))
 
-    def read(self, section: Any, joints: JointLists) -> dict[str, Any]:
+    def read(self, section: LimitsSection, joints: JointLists) -> dict[str, Any]:
         """The value, inf where it is left out."""
         given = getattr(section, self.name)
         return {self.name: np.inf if given is None else given}

@@ -16,6 +16,7 @@ from stiffopt.result.assessment import Assessment, Violation
 
 if TYPE_CHECKING:
     from stiffopt.problem.files import JointLists
+    from stiffopt.problem.schema import LimitsSection
     from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.symbolic import Quantity
@@ -43,9 +44,9 @@ class VelocityByPosition(LimitKind):
         """Whether there is a map."""
         return limits.velocity_map is not None
 
-    def read(self, section: Any, joints: JointLists) -> dict[str, Any]:
+    def read(self, section: LimitsSection, joints: JointLists) -> dict[str, Any]:
         """The table of the file that is named."""
-        name = section.velocity_by_position
+        name = getattr(section, self.name)
         table = None if name is None else _read_map(joints.path.parent / name, len(joints.names))
         return {"velocity_map": table}
 
