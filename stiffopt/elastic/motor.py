@@ -62,7 +62,7 @@ class MotorMotion:
 
     def at(self, t: float) -> tuple[np.ndarray, np.ndarray]:
         """Position and velocity (n,) at one instant."""
-        if t >= self._end:
+        if t > self._end:
             return self._last, self._still
         k = min(max(bisect_right(self._times, t) - 1, 0), len(self._pieces) - 1)
         c3, c2, c1, c0 = self._pieces[k]
@@ -71,7 +71,7 @@ class MotorMotion:
 
     def acceleration(self, t: float) -> np.ndarray:
         """Acceleration (n,) at one instant."""
-        return self._still if t >= self._end else np.asarray(self._spline(t, 2))
+        return self._still if t > self._end else np.asarray(self._spline(t, 2))
 
     def position(self, times: np.ndarray) -> np.ndarray:
         """Positions (K, n) at the times (K,)."""

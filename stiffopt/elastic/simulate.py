@@ -62,7 +62,8 @@ def simulate(
     """
     end = motion.duration + (REST if motion.ends_at_rest else 0.0)
     motor = motion if servo is None else servo.follow(motion, end)
-    check_reach(arm, motor.at(0.0)[0])
+    # An arm that hardly swings would be followed in steps too long to notice that it begins to.
+    longest = 1.0 / check_reach(arm, motor.at(0.0)[0])
     n = arm.robot.n
     times = _sample_times(motion.duration, end)
     start, speed = motor.at(0.0)
@@ -70,15 +71,21 @@ def simulate(
     equations = _Equations(arm, motor)
     errors = np.repeat(_ATOL, n)
     parts: list[np.ndarray] = []
-    # Anew at the arrival, where the motor's acceleration may jump.
-    for begin, stop in ((0.0, motion.duration), (motion.duration, end)):
-        if stop <= begin:
-            continue
+    spans = [(0.0, motion.duration)]
+    if end > motion.duration:
+        # Anew at the arrival, just behind it: the motor's acceleration may jump there.
+        spans.append((float(np.nextafter(motion.duration, np.inf)), end))
+    for begin, stop in spans:
         inside = times[(times >= begin) & (times <= stop)]
-        if parts:
-            parts[-1] = parts[-1][:-1]
         solved = solve_ivp(
-            equations, (begin, stop), state, method, t_eval=inside, rtol=_RTOL, atol=errors
+            equations,
+            (begin, stop),
+            state,
+            method,
+            t_eval=inside,
+            rtol=_RTOL,
+            atol=errors,
+            max_step=longest,
         )
         if not solved.success:
             raise NotSimulatedError(
@@ -176,16 +183,25 @@ def _sample_times(duration: float, end: float) -> np.ndarray:
     return np.concatenate([flight, rest[1:]])
 
 
-def check_reach(arm: ElasticArm, motor: np.ndarray) -> None:
-    """Raise `NotSimulatedError` where a mode at a motor position (n,) is too fast to follow."""
+def check_reach(arm: ElasticArm, motor: np.ndarray) -> float:
+    """Frequency [Hz] of the fastest mode at a motor position (n,), at least 1 Hz.
+
+    Raises
+    ------
+    NotSimulatedError
+        The integrator would take minutes to follow it.
+    """
     fastest = max(modes(arm, motor), key=lambda mode: mode.frequency, default=None)
-    if fastest is not None and fastest.frequency > _REACH:
+    if fastest is None:
+        return 1.0
+    if fastest.frequency > _REACH:
         joint = arm.robot.joint_names[int(np.argmax(fastest.shares))]
         raise NotSimulatedError(
             f"a mode of {fastest.frequency:.4g} Hz, mostly of {joint}, lies beyond the reach of "
             f"the integration, {_REACH:g} Hz. Leave the drivetrain of that joint out (rigid), or "
             "check its stiffness and the inertia behind it."
         )
+    return max(fastest.frequency, 1.0)
 
 
 def _beyond_law(arm: ElasticArm, times: np.ndarray, torque: np.ndarray) -> list[str]:

@@ -12,6 +12,8 @@ from stiffopt.result.assessment import PeakRms
 SETTLING_BAND = 5e-5
 # Share by which simulated and planned deflection may differ without a word.
 AGREEMENT = 0.1
+# Time for which a settled tool has been seen to stay in the band [s]: half a swing of 10 Hz.
+_HELD = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,9 +86,10 @@ class SimulatedMotion:
         outside = np.flatnonzero(self.distance[rest] > self.band)
         if not outside.size:
             return 0.0
-        last = int(outside[-1])
         after = self.time[rest] - self.duration
-        return None if last == len(after) - 1 else float(after[last + 1])
+        last = int(outside[-1])
+        # Nearer to the end it may only be passing through.
+        return None if after[-1] - after[last] < _HELD else float(after[last + 1])
 
     @property
     def _rest(self) -> np.ndarray:

@@ -21,6 +21,7 @@ from stiffopt.elastic.simulate import check_reach, simulate
 from stiffopt.errors import NotSimulatedError
 from stiffopt.problem.resolve import ResolvedMotion, resolve
 from stiffopt.result.simulation import SETTLING_BAND, ElasticMotion, Simulation
+from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
     from stiffopt.elastic.motor import Servo
@@ -160,7 +161,8 @@ def check_simulation(problem: TrajectoryProblem, motion: ResolvedMotion) -> None
 
 def with_simulation(problem: TrajectoryProblem, solution: Solution) -> Solution:
     """The solution with its simulation; a note instead where the arm cannot be simulated."""
-    if solution.assessment is None or not is_elastic(problem):
+    stopped = solution.status is SolveStatus.INTERRUPTED
+    if solution.assessment is None or stopped or not is_elastic(problem):
         return solution
     motion = resolve(problem)
     try:
@@ -169,6 +171,11 @@ def with_simulation(problem: TrajectoryProblem, solution: Solution) -> Solution:
         own = PlannedMotion.of("optimised", solution.assessment, counted)
         others = rivals(problem, motion, solution.baselines)
         simulation = simulate_motions(problem, arm, [own, *others])
+    except KeyboardInterrupt:
+        note = (
+            "The simulation on the elastic arm was interrupted; `stiffopt simulate` does it anew."
+        )
+        return replace(solution, notes=(*solution.notes, note))
     except NotSimulatedError as error:
         note = f"Not simulated on the elastic arm: {error}"
         return replace(solution, notes=(*solution.notes, note))

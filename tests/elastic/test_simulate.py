@@ -213,3 +213,11 @@ def test_damping_and_hysteresis_of_a_robot_file_come_with_their_source(tmp_path)
     wrong = [joint("swivel", spring, damping=-3.0)]
     with pytest.raises(InputError, match=r"joint\[.*\.damping"):
         load_robot(write_robot(tmp_path, "swivel", joints=wrong))
+
+
+def test_a_motion_that_does_not_end_at_rest_has_no_time_after_it(tmp_path):
+    motion = MotorMotion(np.array([0.0, 0.2]), np.array([[0.0], [0.2]]), np.ones((2, 1)))
+    found = simulate(arm(tmp_path), motion)
+    assert found.time[-1] == pytest.approx(0.2)
+    assert found.peak < 1e-8
+    assert found.peak_after is found.rms_after is found.settling_time is None
