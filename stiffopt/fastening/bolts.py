@@ -33,11 +33,11 @@ def flange_bolt(flange: BoltedFlange) -> Bolt:
     return flange.bolt
 
 
-def strength(flange: BoltedFlange, tightening: Tightening) -> float:
-    """Largest assembly preload of one bolt, 90 % of yield while tightening [N]."""
+def permissible_preload(flange: BoltedFlange, tightening: Tightening) -> float:
+    """Permissible assembly preload of one bolt, 90 % of yield while tightening [N]."""
     bolt = flange_bolt(flange)
     return float(
-        largest_assembly_preload(
+        permissible_assembly_preload(
             catalogue.bolt(bolt.size),
             catalogue.proof_stress(bolt.grade),
             tightening.thread_friction,
@@ -46,14 +46,14 @@ def strength(flange: BoltedFlange, tightening: Tightening) -> float:
 
 
 def limits(flange: BoltedFlange, tightening: Tightening) -> tuple[PreloadLimit, ...]:
-    """Bounds on the preload of one bolt; the first is its strength."""
+    """Bounds on the preload of one bolt; the first is the permissible preload of VDI 2230."""
     bolt = flange_bolt(flange)
     data = catalogue.bolt(bolt.size)
     head = catalogue.clamped_material(bolt.head_material)
     return (
         PreloadLimit(
             name="bolt utilisation",
-            capacity=strength(flange, tightening),
+            capacity=permissible_preload(flange, tightening),
             provenance=data.provenance,
             source=(
                 f"VDI 2230, {bolt.size} {bolt.grade}: 90 % of R_p0.2 in tension and torsion while "
@@ -172,7 +172,7 @@ def workshop_torque(flange: BoltedFlange, preload: float, tightening: Tightening
     )
 
 
-def largest_assembly_preload(
+def permissible_assembly_preload(
     bolt: BoltData, proof_stress: Quantity, thread_friction: Quantity, yield_share: Quantity = 0.9
 ) -> Quantity:
     """Preload at which tightening uses the permitted share of the yield strength.

@@ -77,7 +77,7 @@ def check_preload(
     require_positive(element.owner, preload=force)
     if isinstance(fastened, BoltedFlange):
         bolt = bolts.flange_bolt(fastened)
-        most = bolts.strength(fastened, tightening)
+        most = bolts.permissible_preload(fastened, tightening)
         what = f"the largest assembly preload {most / 1e3:.4g} kN of {bolt.size} {bolt.grade}"
         why = f"VDI 2230, thread friction {tightening.thread_friction:g}"
         remedy = "a larger bolt, a higher grade or less thread friction"

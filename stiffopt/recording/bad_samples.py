@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from stiffopt.recording.channel import resolution, stretches
-
 _SHORTEST = 10
 # A channel with fewer levels holds each of them for long.
 _FEWEST_LEVELS = 50
@@ -22,7 +20,14 @@ _FEWEST_SAMPLES = 50
 _CUBIC = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6.0
 
 
-def stuck(values: np.ndarray, position: np.ndarray, still: float) -> np.ndarray:
+def stretches(marked: np.ndarray) -> list[tuple[int, int]]:
+    """Begin and end (past the last) of every stretch of True in a (K,) of bool."""
+    edges = np.diff(np.concatenate(([0], marked.astype(int), [0])))
+    begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return [(int(begin), int(end)) for begin, end in zip(begins, ends, strict=True)]
+
+
+def stuck(values: np.ndarray, position: np.ndarray, still: float, step: float) -> np.ndarray:
     """Samples of stretches that hold one value while the joint moves.
 
     Parameters
@@ -32,7 +37,9 @@ def stuck(values: np.ndarray, position: np.ndarray, still: float) -> np.ndarray:
     position : array (K,)
         Of another sensor of the same joint [rad].
     still : float
-        A stretch in which the joint travels less is not judged [rad].
+        A stretch in which the joint travels less does not count [rad].
+    step : float
+        Smallest step of the channel, 0 if it has none.
 
     Returns
     -------
@@ -45,7 +52,6 @@ def stuck(values: np.ndarray, position: np.ndarray, still: float) -> np.ndarray:
     """
     equal = np.diff(values) == 0.0
     found = np.zeros(len(values), dtype=bool)
-    step = resolution(values) or 0.0
     span = float(np.nanmax(values) - np.nanmin(values))
     if not equal.any() or span < _FEWEST_LEVELS * step:
         return found
@@ -68,12 +74,14 @@ def stuck(values: np.ndarray, position: np.ndarray, still: float) -> np.ndarray:
     return found
 
 
-def at_limit(values: np.ndarray) -> np.ndarray:
+def at_limit(values: np.ndarray, step: float) -> np.ndarray:
     """Samples that rest on the largest or the smallest value of a channel.
 
     Parameters
     ----------
     values : array (K,)
+    step : float
+        Smallest step of the channel, 0 if it has none.
 
     Returns
     -------
@@ -92,13 +100,13 @@ def at_limit(values: np.ndarray) -> np.ndarray:
     span = float(finite.max() - finite.min())
     if span == 0.0:
         return bad
-    step = max(resolution(values) or 0.0, 0.01 * span)
+    near = max(step, 0.01 * span)
     for sign in (1.0, -1.0):
         height = sign * values
         top = np.nanmax(height)
         resting = height == top
         longest = max(end - begin for begin, end in stretches(resting))
-        below = int(((height < top) & (height >= top - 1.01 * step)).sum())
+        below = int(((height < top) & (height >= top - 1.01 * near)).sum())
         if longest >= 5 and resting.sum() > 5 * below:
             bad |= resting
     return bad

@@ -1,4 +1,4 @@
-"""Statistics of one channel: smallest step, noise, and how two channels move together."""
+"""Statistics of one channel: smallest step and noise."""
 
 from __future__ import annotations
 
@@ -68,47 +68,3 @@ def noise_level(values: np.ndarray) -> float:
         return float("nan")
     spread = _MAD * np.median(np.abs(third - np.median(third)))
     return float(spread / np.sqrt(_THIRD))
-
-
-def slope_to(
-    reference: np.ndarray, channel: np.ndarray, time: np.ndarray, window: float = 0.2
-) -> tuple[float, float]:
-    """Slope and correlation of the changes of two channels over a short window.
-
-    Parameters
-    ----------
-    reference, channel : array (K,)
-    time : array (K,) [s]
-    window : float [s]
-
-    Returns
-    -------
-    slope, correlation : float
-        Of the line through the origin, channel over reference; nan where nothing changes.
-    """
-    lag = max(1, round(window / float(np.median(np.diff(time)))))
-    if len(time) <= 2 * lag:
-        return float("nan"), float("nan")
-    within = time[lag:] - time[:-lag] < 1.5 * window
-    one = (reference[lag:] - reference[:-lag])[within]
-    two = (channel[lag:] - channel[:-lag])[within]
-    good = np.isfinite(one) & np.isfinite(two)
-    one, two = one[good], two[good]
-    power, other = float(one @ one), float(two @ two)
-    if power == 0.0 or other == 0.0:
-        return float("nan"), float("nan")
-    return float(one @ two) / power, float(one @ two) / float(np.sqrt(power * other))
-
-
-def travelled(velocity: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Angle travelled, the trapezoidal integral of a velocity (K,) [rad/s] -> (K,) [rad]."""
-    filled = np.where(np.isfinite(velocity), velocity, 0.0)
-    steps = 0.5 * (filled[1:] + filled[:-1]) * np.diff(time)
-    return np.concatenate(([0.0], np.cumsum(steps)))
-
-
-def stretches(marked: np.ndarray) -> list[tuple[int, int]]:
-    """Begin and end (past the last) of every stretch of True in a (K,) of bool."""
-    edges = np.diff(np.concatenate(([0], marked.astype(int), [0])))
-    begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    return [(int(begin), int(end)) for begin, end in zip(begins, ends, strict=True)]

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from stiffopt.recording.bad_samples import at_limit, spikes, stuck
-from stiffopt.recording.channel import resolution, slope_to, stretches, travelled
+from stiffopt.recording.bad_samples import at_limit, spikes, stretches, stuck
+from stiffopt.recording.channel import resolution
 from stiffopt.recording.run import Fault, FaultKind, counted
 from stiffopt.recording.signals import Kind
 
@@ -201,12 +201,12 @@ def _stuck(joint: JointChannels, signal: Kind) -> None:
     other = joint.there("link_position" if signal == "position" else "position")
     if other is None:
         return
-    least = joint.still
+    least, step = joint.still, resolution(values) or 0.0
     if signal != "torque":
-        least = max(least, _STUCK_COUNTS * (resolution(values) or 0.0))
-    bad = stuck(values, other, least)
+        least = max(least, _STUCK_COUNTS * step)
+    bad = stuck(values, other, least, step)
     if signal == "torque":
-        bad &= ~at_limit(values)
+        bad &= ~at_limit(values, step)
     if bad.any():
         found = stretches(bad)
         longest = max(joint.time[end - 1] - joint.time[begin] for begin, end in found)
@@ -239,7 +239,7 @@ def _saturated(joint: JointChannels) -> None:
     torque = joint.there("torque")
     if torque is None:
         return
-    bad = at_limit(torque)
+    bad = at_limit(torque, resolution(torque) or 0.0)
     if bad.any():
         joint.report(
             "torque",
@@ -264,3 +264,40 @@ def _quantised(joint: JointChannels, signal: Kind) -> None:
             np.isfinite(values),
             keep=True,
         )
+
+
+def slope_to(
+    reference: np.ndarray, channel: np.ndarray, time: np.ndarray, window: float = 0.2
+) -> tuple[float, float]:
+    """Slope and correlation of the changes of two channels over a short window.
+
+    Parameters
+    ----------
+    reference, channel : array (K,)
+    time : array (K,) [s]
+    window : float [s]
+
+    Returns
+    -------
+    slope, correlation : float
+        Of the line through the origin, channel over reference; nan where nothing changes.
+    """
+    lag = max(1, round(window / float(np.median(np.diff(time)))))
+    if len(time) <= 2 * lag:
+        return float("nan"), float("nan")
+    within = time[lag:] - time[:-lag] < 1.5 * window
+    one = (reference[lag:] - reference[:-lag])[within]
+    two = (channel[lag:] - channel[:-lag])[within]
+    good = np.isfinite(one) & np.isfinite(two)
+    one, two = one[good], two[good]
+    power, other = float(one @ one), float(two @ two)
+    if power == 0.0 or other == 0.0:
+        return float("nan"), float("nan")
+    return float(one @ two) / power, float(one @ two) / float(np.sqrt(power * other))
+
+
+def travelled(velocity: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Angle travelled, the trapezoidal integral of a velocity (K,) [rad/s] -> (K,) [rad]."""
+    filled = np.where(np.isfinite(velocity), velocity, 0.0)
+    steps = 0.5 * (filled[1:] + filled[:-1]) * np.diff(time)
+    return np.concatenate(([0.0], np.cumsum(steps)))

@@ -18,11 +18,13 @@ from stiffopt.recording.nominal_files import (
     as_noise,
     as_nominal,
     as_nominal_robot,
+    inside,
+    load_arm,
     per_joint,
     unstated,
 )
 from stiffopt.recording.readers.read import read_columns
-from stiffopt.recording.recorded_arm import RecordedArm, inside, joint_order, load_arm
+from stiffopt.recording.recorded_arm import RecordedArm, joint_order
 from stiffopt.recording.run import RecordedRun, Role
 from stiffopt.recording.schema import NominalSection, RecordingsFile, RunSection
 from stiffopt.recording.signals import Signals, as_signals

@@ -10,8 +10,8 @@ import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import check_header, load_toml, read_table, validate
-from stiffopt.recording.nominal_files import per_joint
-from stiffopt.recording.recorded_arm import RecordedArm, inside, load_arm
+from stiffopt.recording.nominal_files import inside, load_arm, per_joint
+from stiffopt.recording.recorded_arm import RecordedArm
 from stiffopt.recording.schema import StaticFile
 
 FILE = "static.toml"

@@ -15,7 +15,7 @@ from stiffopt.checks import check_derivative
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.catalogue import BoltData
 from stiffopt.errors import InputError
-from stiffopt.fastening.bolts import largest_assembly_preload
+from stiffopt.fastening.bolts import permissible_assembly_preload
 from stiffopt.fastening.limits import workshop_torque
 from stiffopt.fastening.tightening import (
     SCATTER,
@@ -52,7 +52,7 @@ def test_without_friction_the_thread_is_a_wedge() -> None:
 @given(st.sampled_from(SIZES), st.sampled_from(["8.8", "10.9", "12.9"]), FRICTIONS)
 def test_strength_is_that_of_tension_and_torsion(size: str, grade: str, friction: float) -> None:
     bolt, proof = catalogue.bolt(size), catalogue.proof_stress(grade)
-    force = largest_assembly_preload(bolt, proof, friction)
+    force = permissible_assembly_preload(bolt, proof, friction)
     # Von Mises stress of the tension and of the thread's torque, the round core fully plastic.
     tension = force / bolt.stress_area
     torque = tightening_torque(bolt, force, friction, 0.0)
@@ -60,20 +60,20 @@ def test_strength_is_that_of_tension_and_torsion(size: str, grade: str, friction
     equivalent = math.hypot(tension, math.sqrt(3) * torsion)
     # The stress area is a printed number, the stress diameter follows from the thread.
     assert equivalent == pytest.approx(0.9 * proof, rel=2e-3)
-    assert largest_assembly_preload(bolt, proof, friction + 0.01) < force
+    assert permissible_assembly_preload(bolt, proof, friction + 0.01) < force
 
 
 def test_grades_and_sizes_are_ordered() -> None:
     forces = [
         [
-            largest_assembly_preload(catalogue.bolt(s), catalogue.proof_stress(g), 0.12)
+            permissible_assembly_preload(catalogue.bolt(s), catalogue.proof_stress(g), 0.12)
             for s in SIZES
         ]
         for g in catalogue.bolt_grades()
     ]
     assert (np.diff(forces, axis=0) > 0).all()
     assert (np.diff(forces, axis=1) > 0).all()
-    assert largest_assembly_preload(catalogue.bolt("M5"), 1100e6, 0.12, 0.45) == pytest.approx(
+    assert permissible_assembly_preload(catalogue.bolt("M5"), 1100e6, 0.12, 0.45) == pytest.approx(
         forces[2][2] / 2
     )
 
@@ -90,8 +90,10 @@ def test_units_come_out_right() -> None:
         stress_area=plain.stress_area * units.m**2,
         **{key: 1e3 * getattr(plain, key) * units.mm for key in (*lengths, *heads)},
     )
-    force = largest_assembly_preload(bolt, 1100 * units.MPa, 0.12)
-    assert force.to("N").magnitude == pytest.approx(largest_assembly_preload(plain, 1.1e9, 0.12))
+    force = permissible_assembly_preload(bolt, 1100 * units.MPa, 0.12)
+    assert force.to("N").magnitude == pytest.approx(
+        permissible_assembly_preload(plain, 1.1e9, 0.12)
+    )
     torque = tightening_torque(bolt, force, 0.12, 0.1)
     assert torque.to("N*m").magnitude == pytest.approx(
         tightening_torque(plain, force.to("N").magnitude, 0.12, 0.1)
@@ -169,7 +171,7 @@ def test_derivatives_in_the_preload() -> None:
     assert elementwise_derivative(torque, 7000.0, order=2) == 0.0
 
     def strength(friction: Quantity) -> Quantity:
-        return largest_assembly_preload(bolt, 1100e6, friction)
+        return permissible_assembly_preload(bolt, 1100e6, friction)
 
     check_derivative(
         strength, lambda x: elementwise_derivative(strength, x), [0.08, 0.12, 0.3], scale=0.1

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from recording_sets import motion
 
 from stiffopt.discovery.identifiable import EffectCheck, effect_checks
-from stiffopt.recording.channel import noise_level, resolution, slope_to
+from stiffopt.recording.channel import noise_level, resolution
+from stiffopt.recording.channel_faults import slope_to
 from stiffopt.recording.check import RecordingReport, check_recordings
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.report.recording_check import report_lines
