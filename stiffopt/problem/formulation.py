@@ -14,15 +14,16 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from stiffopt.dynamics.kinematics import tool_pose
 from stiffopt.problem.coordinates import Coordinates, coordinates_of
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.rest import torque_sides
 from stiffopt.problem.stage_model import StageModel
 from stiffopt.problem.stage_terms import IntegralRow, ObjectiveTerms, PathRows, StaticVariable
-from stiffopt.problem.trajectory import TrajectoryProblem
-from stiffopt.problem.waypoints import boundary_waypoint, via_waypoint
+from stiffopt.problem.trajectory import Target, TrajectoryProblem
+from stiffopt.robot.rotations import rotation_from_rpy
 from stiffopt.symbolic import Quantity
-from stiffopt.transcription.ocp import OptimalControlProblem, Rows
+from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
 
 
 @dataclass(frozen=True)
@@ -97,9 +98,9 @@ def formulate(
         integral_rows=tuple(
             Rows.make(row.name, [row.label], -np.inf, 0.0) for _, row in goal.integral_rows
         ),
-        start=None if motion.start_fixed else boundary_waypoint(problem, problem.start, "start"),
-        end=None if motion.end_fixed else boundary_waypoint(problem, problem.end, "end"),
-        vias=tuple(via_waypoint(problem, via, k) for k, via in enumerate(problem.vias, start=1)),
+        start=None if motion.start_fixed else _boundary_waypoint(problem, problem.start, "start"),
+        end=None if motion.end_fixed else _boundary_waypoint(problem, problem.end, "end"),
+        vias=tuple(_via_waypoint(problem, via, k) for k, via in enumerate(problem.vias, start=1)),
         static_lower=np.zeros(len(goal.variables)),
         static_upper=np.full(len(goal.variables), np.inf),
         static_scale=np.array(goal.static_scales),
@@ -231,3 +232,50 @@ def _bounds(
         rest = np.zeros(coordinates.size) if problem.boundary_acceleration == "zero" else None
         bounds[f"{side}_control_lower"] = bounds[f"{side}_control_upper"] = rest
     return bounds
+
+
+def _boundary_waypoint(problem: TrajectoryProblem, target: Target, side: str) -> Waypoint:
+    """The tool position at the start or end of a motion whose end pose is otherwise free."""
+    x, position, _ = _tool_pose(problem)
+    rows = Rows.make(f"{side} position", ["x", "y", "z"], 0.0, 0.0, unit="m")
+    return Waypoint(function=ca.Function(side, [x], [position - target.position]), rows=(rows,))
+
+
+def _via_waypoint(problem: TrajectoryProblem, target: Target, number: int) -> Waypoint:
+    """A via point: joints, a tool position or a tool pose, each within its tolerance."""
+    x, position, rotation = _tool_pose(problem)
+    name = f"via {number}"
+    if target.joints is not None:
+        labels = [f"joint {j + 1}" for j in range(problem.joints)]
+        miss = (x[: problem.joints] - target.joints) / target.tolerance
+        rows = Rows.make(name, labels, -1.0, 1.0)
+        return Waypoint(function=ca.Function("via", [x], [miss]), rows=(rows,))
+    offset = (position - target.position) / target.tolerance
+    blocks = [Rows.make(name, ["tool position"], -np.inf, 1.0)]
+    expressions = [ca.dot(offset, offset)]
+    if target.rpy is not None:
+        wanted = rotation_from_rpy(target.rpy)
+        # sin(angle) times the axis: smooth at zero, where the trace alone has no slope.
+        difference = ca.mtimes(ca.DM(wanted.T), rotation)
+        sine = ca.vertcat(
+            difference[2, 1] - difference[1, 2],
+            difference[0, 2] - difference[2, 0],
+            difference[1, 0] - difference[0, 1],
+        ) / (2.0 * np.sin(target.angle_tolerance))
+        blocks.append(Rows.make(name, ["tool orientation"], -np.inf, 1.0))
+        expressions.append(ca.dot(sine, sine))
+        # Excludes the half turn, whose sine is zero too.
+        blocks.append(Rows.make(name, ["tool half turn"], 0.0, np.inf))
+        expressions.append(ca.trace(difference) - 1.0)
+    function = ca.Function("via", [x], [ca.vertcat(*expressions)])
+    return Waypoint(function=function, rows=tuple(blocks))
+
+
+def _tool_pose(problem: TrajectoryProblem) -> tuple[ca.SX, Quantity, Quantity]:
+    """Symbol of the state, and the tool's position and rotation there."""
+    x = ca.SX.sym("x", 2 * problem.joints)
+    tool = problem.robot.tool
+    position, rotation = tool_pose(
+        problem.robot.tree, tool.joint, tool.offset, tool.rotation, x[: problem.joints]
+    )
+    return x, position, rotation

@@ -131,7 +131,9 @@ def _message(outcome: Outcome) -> str:
     status, raw, assessment = _status(outcome), outcome.raw, outcome.assessment
     worst = assessment.worst_violation.describe()
     if status is SolveStatus.INFEASIBLE:
-        return f"{status.sentence} These conflict: {_listed(raw.conflicts or raw.worst_rows)}."
+        return (
+            f"{status.sentence} These conflict: {named_conflicts(raw.conflicts or raw.worst_rows)}."
+        )
     if not raw.converged:
         state = f"It exceeds {worst}."
         if assessment.feasible(CERTIFIED):
@@ -149,8 +151,8 @@ def _message(outcome: Outcome) -> str:
     return status.sentence
 
 
-def _listed(entries: Sequence[object]) -> str:
-    """Return limits by name first; the many boundary states count as one entry, the last."""
+def named_conflicts(entries: Sequence[object]) -> str:
+    """Limits by name first; the many boundary states count as one entry, the last."""
     names = list(dict.fromkeys(str(entry) for entry in entries))
     poses = [name for name in names if name.startswith(("state,", "start", "end"))]
     limits = [name for name in names if name not in poses][:5]

@@ -20,7 +20,6 @@ FORBIDDEN = (
     "stiffopt.problem.stage_model",
     "stiffopt.problem.formulation",
     "stiffopt.problem.coordinates",
-    "stiffopt.problem.waypoints",
     "stiffopt.dynamics",
     "stiffopt.drivetrain.compact",
     "casadi",

@@ -5,7 +5,7 @@ import tomllib
 
 import numpy as np
 import pytest
-from answered import COULOMB, answered, columns_of, contents
+from diagnosed_folders import COULOMB, answered, columns_of, contents
 
 NUMBER, TEXT = (int, float), (str,)
 NULL = (type(None),)

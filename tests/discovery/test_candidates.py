@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from answered import COULOMB
-from simulated import simulated
+from diagnosed_folders import COULOMB
+from simulated_sets import simulated
 
 from benchmarks.simulator import write_case
 from stiffopt.discovery.catalogue import CATALOGUE

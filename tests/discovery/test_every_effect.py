@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import pytest
-from simulated import agrees, diagnosed, placed_where, said, shared, simulated, truth_place
+from simulated_sets import agrees, diagnosed, placed_where, said, shared, simulated, truth_place
 
 from benchmarks.simulator import CaseSpec
 from stiffopt.discovery.catalogue import CATALOGUE

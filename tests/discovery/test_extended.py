@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from answered import COULOMB, answered, command
+from diagnosed_folders import COULOMB, answered, command
 
 from stiffopt.discovery.extended.model import load_extended
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from answered import COULOMB, columns_of, command, copied
+from diagnosed_folders import COULOMB, columns_of, command, copied
 from small_arms import ROOT
 
 from stiffopt.cli import run

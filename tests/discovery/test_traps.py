@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulated import diagnosed, diagnosis_of, said, simulated
+from simulated_sets import diagnosed, diagnosis_of, said, simulated
 
 from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.discovery.catalogue import CATALOGUE

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from simulated import simulated
+from simulated_sets import simulated
 
 from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.discovery.catalogue import CATALOGUE

@@ -11,7 +11,7 @@ from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import improvement
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.verdict import _listed
+from stiffopt.solver.verdict import named_conflicts
 
 
 def cubic(problem, duration):
@@ -83,7 +83,7 @@ def test_too_short_a_duration_is_said_without_a_solve(tmp_path):
 
 def test_conflicts_name_limits_before_poses():
     entries = [f"state, position of joint {j} (at 0 %)" for j in range(1, 13)]
-    assert _listed([*entries, "torque, joint 2 (at 40 %)"]) == (
+    assert named_conflicts([*entries, "torque, joint 2 (at 40 %)"]) == (
         "torque, joint 2 (at 40 %); the given start and end"
     )
 

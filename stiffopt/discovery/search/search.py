@@ -108,18 +108,18 @@ def search(
         current, effects = _fitted_jointly(comparison, confirmed)
     ranked = [ranked_among_rivals(current, effects, e, catalogue) for e in effects]
     for _ in range(EXCHANGES):
-        likelier = _distinct([j.likeliest for j in ranked])
+        likelier = _distinct([r.likeliest for r in ranked])
         if likelier == effects:
             break
         current, effects = _fitted_jointly(comparison, likelier)
         ranked = [ranked_among_rivals(current, effects, e, catalogue) for e in effects]
     else:
         # Explanations that go on taking each other's place explain nothing.
-        kept = [j.selected.located for j in ranked if j.likeliest is j.selected.located]
+        kept = [r.selected.located for r in ranked if r.likeliest is r.selected.located]
         if len(kept) < len(effects):
             current, effects = _fitted_jointly(comparison, kept)
             ranked = [ranked_among_rivals(current, effects, e, catalogue) for e in effects]
-    selected = sorted((j.selected for j in ranked), key=lambda s: -s.loss)
+    selected = sorted((r.selected for r in ranked), key=lambda s: -s.loss)
     fit = current.fit(tuple(s.located for s in selected))
     return SearchResult(
         tuple(selected), current, fit, before, calibrated, current.channel_ratio(fit.residual)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from simulated import simulated
+from simulated_sets import simulated
 
 from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.cli import run
