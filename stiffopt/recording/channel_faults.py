@@ -78,7 +78,7 @@ class JointChannels:
             )
         )
 
-    def there(self, signal: Kind) -> np.ndarray | None:
+    def usable(self, signal: Kind) -> np.ndarray | None:
         """The channel, None if it is not there or was left out."""
         values = self.channels.get(signal)
         return values if values is not None and np.isfinite(values).any() else None
@@ -122,7 +122,7 @@ def _finite(joint: JointChannels, signal: Kind) -> None:
 
 def _wrapped(joint: JointChannels, signal: Kind) -> None:
     """Make an angle continuous that the logger keeps within one turn."""
-    values = joint.there(signal)
+    values = joint.usable(signal)
     if values is None or joint.prismatic:
         return
     there = np.flatnonzero(np.isfinite(values))
@@ -139,8 +139,8 @@ def _wrapped(joint: JointChannels, signal: Kind) -> None:
 
 
 def _constant(joint: JointChannels) -> None:
-    position, link = joint.there("position"), joint.there("link_position")
-    velocity, torque = joint.there("velocity"), joint.there("torque")
+    position, link = joint.usable("position"), joint.usable("link_position")
+    velocity, torque = joint.usable("velocity"), joint.usable("torque")
     by_velocity = 0.0 if velocity is None else travel(travelled(velocity, joint.time))
     by_other = max(travel(link), by_velocity)
     if position is not None and travel(position) == 0.0 and by_other > 10.0 * joint.still:
@@ -177,7 +177,7 @@ def _constant(joint: JointChannels) -> None:
 
 
 def _contradicts(joint: JointChannels, signal: Kind) -> None:
-    position, values = joint.there("position"), joint.there(signal)
+    position, values = joint.usable("position"), joint.usable(signal)
     if position is None or values is None or travel(position) < 10.0 * joint.still:
         return
     path = travelled(values, joint.time) if signal == "velocity" else values
@@ -195,10 +195,10 @@ def _contradicts(joint: JointChannels, signal: Kind) -> None:
 
 
 def _stuck(joint: JointChannels, signal: Kind) -> None:
-    values = joint.there(signal)
+    values = joint.usable(signal)
     if values is None or signal == "velocity":
         return
-    other = joint.there("link_position" if signal == "position" else "position")
+    other = joint.usable("link_position" if signal == "position" else "position")
     if other is None:
         return
     least, step = joint.still, resolution(values) or 0.0
@@ -220,10 +220,10 @@ def _stuck(joint: JointChannels, signal: Kind) -> None:
 
 
 def _spikes(joint: JointChannels, signal: Kind) -> None:
-    values = joint.there(signal)
+    values = joint.usable(signal)
     if values is None:
         return
-    if signal == "velocity" and travel(joint.there("position")) < 10.0 * joint.still:
+    if signal == "velocity" and travel(joint.usable("position")) < 10.0 * joint.still:
         return
     bad, size = spikes(values, resolution(values) or 0.0, _HARMLESS[signal] * travel(values))
     if bad.any():
@@ -236,7 +236,7 @@ def _spikes(joint: JointChannels, signal: Kind) -> None:
 
 
 def _saturated(joint: JointChannels) -> None:
-    torque = joint.there("torque")
+    torque = joint.usable("torque")
     if torque is None:
         return
     bad = at_limit(torque, resolution(torque) or 0.0)
@@ -252,8 +252,8 @@ def _saturated(joint: JointChannels) -> None:
 
 
 def _quantised(joint: JointChannels, signal: Kind) -> None:
-    values = joint.there(signal)
-    if values is None or travel(joint.there("position")) < 10.0 * joint.still:
+    values = joint.usable(signal)
+    if values is None or travel(joint.usable("position")) < 10.0 * joint.still:
         return
     step = resolution(values)
     if step is not None and travel(values) < _COARSE * step:
