@@ -6,8 +6,6 @@ so that the change of the sag with the pose is not counted; a servo's lag is.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy.integrate import solve_ivp
 
@@ -109,7 +107,10 @@ def simulate(
         windup=windup,
         spring_torque=torque,
         band=band,
-        notes=(*_beyond_law(arm, times, torque), *_hysteresis(arm, q)),
+        notes=(
+            *_beyond_law(arm, times, torque),
+            *_hysteresis(arm, q[-1], float(np.linalg.norm(deviation, axis=1).max())),
+        ),
     )
 
 
@@ -217,13 +218,14 @@ def _beyond_law(arm: ElasticArm, times: np.ndarray, torque: np.ndarray) -> list[
     return notes
 
 
-def _hysteresis(arm: ElasticArm, q: np.ndarray) -> list[str]:
-    """How far the loops alone leave the tool from where it would hang."""
+def _hysteresis(arm: ElasticArm, q: np.ndarray, peak: float) -> list[str]:
+    """How far the loops alone leave the tool from where it would hang, beside the peak [m]."""
     if not arm.hysteresis.any():
         return []
-    columns: Any = arm.bodies.jacobian(arm.robot.tool, q[-1])[:3] * arm.hysteresis
-    reach = float(np.sqrt(np.sum(np.sum(np.abs(columns), axis=1) ** 2)))
+    columns = np.abs(arm.bodies.jacobian(arm.robot.tool, q)[:3] * arm.hysteresis)
+    reach = float(np.linalg.norm(columns.sum(axis=1)))
+    share = f", {100.0 * reach / peak:.0f} % of the peak" if peak > 0.0 else ""
     return [
         f"The hysteresis of the joints alone may hold the tool up to {1e3 * reach:.3g} mm from "
-        "where it would hang at the end."
+        f"where it would hang at the end{share}."
     ]

@@ -174,7 +174,8 @@ def test_the_loop_of_wind_up_is_as_wide_as_stated(tmp_path):
     np.testing.assert_allclose(np.abs(at_zero), half_width, rtol=0.05)
     # Wind-up lags: going through zero upwards the spring is still wound the other way.
     assert np.all(np.sign(at_zero) == -np.sign(torque[crossing + 1]))
-    assert "0.04 mm" in found.notes[0]
+    share = 100.0 * LENGTH * half_width / found.distance.max()
+    assert f"0.04 mm from where it would hang at the end, {share:.0f} %" in found.notes[0]
 
 
 def test_a_joint_that_slips_is_named(tmp_path):
