@@ -1,9 +1,4 @@
-"""Settings of a diagnosis, and the thresholds that it decides by, each with its reason.
-
-Settings have defaults that the report states. Thresholds are no settings: they were fixed on
-simulated and published recordings (numbers in brackets are decisions in `.github/decisions`), and a
-diagnosis that could move them would prove nothing. Numbers of methods stand with their methods.
-"""
+"""Settings of a diagnosis; they have defaults, which the report states."""
 
 from __future__ import annotations
 
@@ -17,62 +12,6 @@ from stiffopt.recording.nominal import Tolerance
 SIGN_SPEED = 0.01
 # Slower than this a joint counts as standing, and its torque as undetermined [rad/s].
 MOVING = 3.0 * SIGN_SPEED
-
-# ---- When an effect is named [0016, 0017]
-
-# Log evidence: e^12 to one, beside a catalogue of some thousand starts at all places.
-NAMED_EVIDENCE = 12.0
-# Standard deviations of its amplitudes from nothing: evidence alone can come from the prior.
-NAMED_DEVIATIONS = 5.0
-# Share of a channel's squared residual that it takes away. Filtered samples hang together, so that
-# less counts as certain and is not.
-NAMED_SHARE = 0.02
-# Less is enough where nominal values would have to leave their tolerances to stand in for it: where
-# the log prior that they regain is this share of the evidence.
-RELIEF_SHARE = 0.5
-
-# ---- When it is confirmed [0019]
-
-# Jackknife deviations of its amplitudes from nothing, over stretches of the recordings.
-CONFIRMED_DEVIATIONS = 3.5
-# Or, where a few seconds hold all there is: most of a channel's residual taken away, and most of
-# the evidence kept in runs left out.
-BORNE_OUT_SHARE = 0.5
-
-# ---- What is a rival [0020]
-
-# Log evidences are too sure where formulas differ from nature: a difference counts over this share
-# of the winner's own, which is held between 1 and the second.
-TEMPERED_SHARE, TEMPERED_MOST = 0.01, 30.0
-# Log odds within which another explanation is a rival: 20 to one.
-RIVAL_LOG_ODDS = 3.0
-# Log prior odds for every parameter that the data determine: of two that fit alike the plainer.
-PARAMETER_LOG_PRICE = 1.0
-# How often a likelier explanation takes the place of what was found before both are dropped.
-EXCHANGES = 3
-
-# ---- When something is outside the catalogue [0023]
-
-# Residual over noise from which a channel counts as not explained, beyond what formulas that differ
-# a little leave.
-UNEXPLAINED_RATIO = 1.3
-# Findings that take away less than this share of a channel's excess do not explain it.
-EXPLAINED_SHARE = 0.6
-# Beside findings that explain the most of it, what is left below this ratio is passed over.
-PASSED_OVER_RATIO = 5.0
-# Without findings, a remainder is something from this ratio on, or if flexible functions of the
-# signals predict this share of it in runs left out; else the noise is larger than stated.
-REMAINDER_RATIO, REMAINDER_SHARE = 1.8, 0.25
-# Nearer to the noise, from the first ratio on, if what it depends on takes away the second of its
-# square in runs left out.
-FAINT_RATIO, FAINT_SHARE = 1.05, 0.1
-
-# ---- When torque has bursts [0024]
-
-# Residual over its usual size (dry friction at reversals alone comes to 1.03 to 1.09, at most 1.095
-# in 150 recordings with nothing missing), and over noise where they lie (at most 1.7 there).
-BURSTING_RATIO, BURST_RATIO = 1.10, 1.8
-
 
 # Of nominal values whose tolerance nobody states.
 WIDE = Tolerance(

@@ -7,8 +7,6 @@ that no centre of mass has to be accelerated separately.
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 
@@ -74,7 +72,7 @@ def joint_pose(joint: AxisJoint, angle: Quantity) -> tuple[Quantity, Quantity]:
 def _outward(
     gravity: np.ndarray,
     joints: tuple[AxisJoint, ...],
-    poses: list[Any],
+    poses: list[tuple[Quantity, Quantity]],
     v: Quantity,
     a: Quantity,
 ) -> tuple[list[Quantity], list[Quantity]]:
@@ -114,7 +112,7 @@ def _outward(
 
 def _inward(
     joints: tuple[AxisJoint, ...],
-    poses: list[Any],
+    poses: list[tuple[Quantity, Quantity]],
     forces: list[Quantity],
     moments: list[Quantity],
 ) -> Quantity:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -128,7 +127,7 @@ class LoadHistory:
         return np.where(held, np.linalg.norm(vectors, axis=1), np.inf)
 
 
-def _require_finite(loads: Any, owner: str) -> None:
+def _require_finite(loads: LoadCase | LoadHistory, owner: str) -> None:
     """Turn the array fields into arrays and refuse what is not a finite number."""
     for key in ("time", "torque", "reference_torque", "jacobian"):
         value = getattr(loads, key)

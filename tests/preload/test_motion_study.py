@@ -167,7 +167,6 @@ def test_a_small_gain_is_called_not_worth_it(tmp_path):
     motion = arm(tmp_path, preload="5 kN", surface="fine_steel")
     study = motion_study(study_of(motion, joints=(2,)), motion, rounds=1)
     assert 0.0 <= study.gain < 0.01
-    assert "below 1 %" in study.note
     assert "not worth it" in study.note
 
 
@@ -177,7 +176,6 @@ def test_a_start_that_slips_is_raised_to_the_least_that_holds(tmp_path):
     problem = study_of(motion)
     study = motion_study(problem, motion, rounds=1)
     assert np.isfinite(study.start)
-    assert "slips or hardly holds" in study.note
     assert "joint_1.flange from 900 to" in study.note
     assert study.start_preloads["joint_1.flange"] > 900.0
     torque = np.abs(study.separate_trajectory.assessment.spring_torque).max(axis=0)

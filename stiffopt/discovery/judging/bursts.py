@@ -15,7 +15,8 @@ import numpy as np
 from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.proof.predict import Predictor
-from stiffopt.discovery.settings import BURST_RATIO, BURSTING_RATIO, MOVING, Settings
+from stiffopt.discovery.settings import MOVING, Settings
+from stiffopt.discovery.thresholds import BURST_RATIO, BURSTING_RATIO
 from stiffopt.discovery.training import Training
 
 # A normal variable's standard deviation over the median of its size.

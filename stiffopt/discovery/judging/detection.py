@@ -11,7 +11,7 @@ from stiffopt.discovery.catalogue.common import WEIGHT
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Scorer
-from stiffopt.discovery.settings import NAMED_DEVIATIONS, NAMED_EVIDENCE
+from stiffopt.discovery.thresholds import NAMED_DEVIATIONS, NAMED_EVIDENCE
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from stiffopt.discovery.comparison.channel_noise import above_cutoff
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
-from stiffopt.discovery.settings import (
+from stiffopt.discovery.thresholds import (
     EXPLAINED_SHARE,
     FAINT_RATIO,
     FAINT_SHARE,

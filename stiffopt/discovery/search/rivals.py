@@ -12,7 +12,7 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
-from stiffopt.discovery.settings import (
+from stiffopt.discovery.thresholds import (
     PARAMETER_LOG_PRICE,
     RIVAL_LOG_ODDS,
     TEMPERED_MOST,

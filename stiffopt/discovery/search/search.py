@@ -14,7 +14,7 @@ from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
 from stiffopt.discovery.search.rivals import Selected, ranked_among_rivals
 from stiffopt.discovery.search.uncertainty import significance
-from stiffopt.discovery.settings import (
+from stiffopt.discovery.thresholds import (
     BORNE_OUT_SHARE,
     CONFIRMED_DEVIATIONS,
     EXCHANGES,
