@@ -63,8 +63,8 @@ def difference_text(solution: Solution) -> str:
     change = motion.difference
     assert change is not None
     text = (
-        f"The elastic arm deviates up to {si(motion.simulated.peak, 'm', 3)} in flight, planned "
-        f"were {si(motion.planned.peak, 'm', 3)} ({percent(abs(change), 2)} "
+        f"The elastic arm deviates by up to {si(motion.simulated.peak, 'm', 3)} in flight where "
+        f"{si(motion.planned.peak, 'm', 3)} was planned ({percent(abs(change), 2)} "
         f"{'more' if change > 0 else 'less'}): the links swing, which the quasi-static plan does "
         "not see."
     )
