@@ -47,7 +47,7 @@ class ParetoPoint:
     active : tuple of str
         Names of the requirements that the point lies at.
     kkt_residual : float
-        See `stiffopt.solver.ipopt`.
+        See `stiffopt.solver.ipopt.kkt_residual`.
     """
 
     total_preload: float

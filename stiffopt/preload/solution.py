@@ -57,7 +57,7 @@ class PreloadSolution:
     total_preload : float
         [N]
     kkt_residual : float
-        See `stiffopt.solver.ipopt`; nan where nothing was solved.
+        See `stiffopt.solver.ipopt.kkt_residual`; nan where nothing was solved.
     iterations : int
     stoppers : tuple of Stopper
         Why the study cannot be met; empty where it can.

@@ -1,7 +1,10 @@
-"""A connection is one class: its fields are read from robot files, and in schema and reference."""
+"""A connection is one class: read from robot files; in schema, reference, figures, sources."""
 
 import subprocess
 import sys
+
+from stiffopt.connection.connection import connection_kinds
+from stiffopt.report.common.citations import cited
 
 # In a process of its own, because a class cannot be taken back.
 PROGRAM = """
@@ -12,6 +15,8 @@ from stiffopt import load_robot
 from stiffopt.connection import LinearConnection
 from stiffopt.declaration import POSITIVE, Doc, Force, Length
 from stiffopt.errors import InputError
+from stiffopt.report.common.citations import robot_references
+from stiffopt.report.common.robot import element_colour
 from stiffopt.report.file_reference import reference_page
 from stiffopt.robot.schema import robot_file
 
@@ -21,6 +26,7 @@ class LeafSpring(LinearConnection):
     \"\"\"Leaf at the end of a lever.\"\"\"
 
     kind: ClassVar[str] = "leaf_spring"
+    references: ClassVar[tuple[str, ...]] = ("Kelly2017",)
     force_at_break: Annotated[Force, POSITIVE, Doc("Force at which the leaf breaks.")]
     lever: Annotated[Length, POSITIVE, Doc("Lever of the leaf.")] = 0.1
     ends: Annotated[Literal["held", "free"], Doc("How the leaf is held.")] = "held"
@@ -52,6 +58,8 @@ open("one.urdf", "w").write(urdf)
 open("one.toml", "w").write(robot.format(force="2 kN"))
 leaf = load_robot("one.toml").chains[0].elements["leaf"]
 assert leaf == LeafSpring(name="leaf", torque_max=25.0, force_at_break=2000.0, lever=0.05), leaf
+assert [each.key for each in robot_references(load_robot("one.toml"))] == ["Kelly2017"]
+assert element_colour("leaf_spring").startswith("#")
 
 open("one.toml", "w").write(robot.format(force="-2 kN"))
 for make in (lambda: load_robot("one.toml"), lambda: LeafSpring(torque_max=1, force_at_break=-2e3)):
@@ -83,3 +91,8 @@ def test_a_class_is_all_that_a_connection_needs(tmp_path):
         [sys.executable, "-c", PROGRAM], cwd=tmp_path, capture_output=True, text=True, timeout=120
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_sources_of_connections_are_in_the_bibliography():
+    for cls in connection_kinds().values():
+        assert [each.key for each in cited(cls.references)] == list(cls.references)
