@@ -16,6 +16,7 @@ from stiffopt.errors import ProblemError
 from stiffopt.problem.rest import gravity_torque
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.robot.rotations import rotation_between, rotation_from_rpy, rpy_from_rotation
+from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
@@ -159,9 +160,12 @@ def _check_range(problem: TrajectoryProblem, where: str, angles: np.ndarray) -> 
         low, high = limits.position_lower[j], limits.position_upper[j]
         if not low - 1e-9 <= angle <= high + 1e-9:
             key = "position_lower" if angle < low else "position_upper"
+            at, lower, upper = (
+                _place(value, bool(problem.robot.prismatic[j])) for value in (angle, low, high)
+            )
             raise ProblemError(
-                f"{where}: joint {j + 1} at {_both(angle)} is outside its range {_both(low)} to "
-                f"{_both(high)}. Choose a pose within the range, or change limits.{key}."
+                f"{where}: joint {j + 1} at {at} is outside its range {lower} to {upper}. Choose a "
+                f"pose within the range, or change limits.{key}."
             )
 
 
@@ -187,12 +191,15 @@ def _check_rest(problem: TrajectoryProblem, where: str, angles: np.ndarray) -> N
         return
     torque, limit = gravity_torque(problem, angles), problem.active_limits.torque
     for j in np.flatnonzero(np.abs(torque) > limit):
+        unit = joint_unit("N m", bool(problem.robot.prismatic[j]))
         raise ProblemError(
-            f"{where}: holding this pose takes {abs(torque[j]):.3g} N m at joint {j + 1}, above "
-            f"its torque limit {limit[j]:.3g} N m, so no duration can connect it. Choose another "
-            "pose, a lighter payload, or raise limits.torque."
+            f"{where}: holding this pose takes {abs(torque[j]):.3g} {unit} at joint {j + 1}, above "
+            f"its torque limit {limit[j]:.3g} {unit}, so no duration can connect it. Choose "
+            "another pose, a lighter payload, or raise limits.torque."
         )
 
 
-def _both(angle: float) -> str:
-    return f"{angle:.4g} rad ({np.degrees(angle):.4g} deg)"
+def _place(position: float, prismatic: bool) -> str:
+    if prismatic:
+        return f"{position:.4g} m"
+    return f"{position:.4g} rad ({np.degrees(position):.4g} deg)"

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.exact.chain import exact_compliance, exact_windup
+from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.problem.resolve import ResolvedMotion
@@ -87,7 +88,8 @@ def sign_change(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) 
         # Angles solved numerically leave a residue of the order of 1e-6 of the torque.
         threshold = 1e-5 * float(problem.robot.torque_max[joint - 1])
         if start * end < 0 and min(abs(start), abs(end)) > threshold:
-            return f"{start:.3g} N m at rest at the start, {end:.3g} N m at the end"
+            unit = joint_unit("N m", bool(problem.robot.prismatic[joint - 1]))
+            return f"{start:.3g} {unit} at rest at the start, {end:.3g} {unit} at the end"
         for where, torque in (("start", start), ("end", end)):
             if abs(torque) <= threshold:
                 return f"it is zero at rest in the {where} pose"

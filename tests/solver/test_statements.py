@@ -93,3 +93,21 @@ def test_a_ratio_needs_positive_values(tmp_path):
     assert improvement(problem, 0.2, 0.4) == pytest.approx(0.5)
     assert improvement(problem, 0.2, 0.0) is None
     assert improvement(problem, -0.2, 0.4) is None
+
+
+def test_a_slide_is_told_in_its_own_units(tmp_path):
+    with pytest.raises(ProblemError, match=r"joint 1 at 3 m is outside its range -1 m to 1 m"):
+        solve(load(tmp_path, "slide", end="{ joints = [3.0, 0.6] }"))
+    floor = "joint_stiffness = { 1 = 2e6 }"
+    with pytest.raises(ProblemError, match=r"2e\+06 N/m.* is 1e\+06 N/m"):
+        solve(load(tmp_path, "slide", limits=floor))
+
+
+def test_a_jerk_limit_on_a_fixed_path_names_the_way_out(tmp_path):
+    problem = load(tmp_path, "planar", limits="jerk = [400.0, 400.0]")
+    first, last = problem.start.joints, problem.end.joints
+    path = np.linspace(first, last, 5)
+    with pytest.raises(ProblemError, match=r"limits\.jerk = \"none\""):
+        solve(replace(problem, path=path), simulate=False)
+    without = load(tmp_path, "planar", limits='jerk = "none"')
+    assert solve(replace(without, path=path), simulate=False).status is SolveStatus.OPTIMAL

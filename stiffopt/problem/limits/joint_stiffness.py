@@ -12,6 +12,7 @@ from stiffopt.problem.limit import LIMITS, LimitKey, LimitKind, Limits
 from stiffopt.problem.rest import gravity_torque, rest_poses, sign_change, stiffness_at
 from stiffopt.problem.stage_terms import STIFFNESS_SMOOTHING, PathRows
 from stiffopt.result.assessment import Assessment, Violation
+from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.problem.files import JointLists
@@ -88,13 +89,14 @@ class JointStiffnessFloor(LimitKind):
                 raise ProblemError(
                     f"limits.joint_stiffness names joint {joint}; allowed: 1 to {problem.joints}."
                 )
+            unit = _unit(problem.robot, joint)
             cause = sign_change(problem, motion, joint)
             value = stiffness_at(problem, joint, 0.0)
             if cause and value < floor:
                 raise ProblemError(
-                    f"limits.joint_stiffness: joint {joint} cannot stay above {floor:.4g} N m/rad, "
+                    f"limits.joint_stiffness: joint {joint} cannot stay above {floor:.4g} {unit}, "
                     f"because its torque must change sign ({cause}) and its stiffness at zero "
-                    f"torque is {value:.4g} N m/rad. Lower the limit or leave the joint out."
+                    f"torque is {value:.4g} {unit}. Lower the limit or leave the joint out."
                 )
         for pose in rest_poses(problem, motion):
             if not pose.fixed:
@@ -103,9 +105,10 @@ class JointStiffnessFloor(LimitKind):
             for joint, floor in floors.items():
                 value = stiffness_at(problem, joint, float(torque[joint - 1]))
                 if value < floor:
+                    unit = _unit(problem.robot, joint)
                     raise ProblemError(
-                        f"limits.joint_stiffness: joint {joint} has {value:.4g} N m/rad at rest in "
-                        f"the {pose.name} pose, below the limit {floor:.4g} N m/rad, whatever the "
+                        f"limits.joint_stiffness: joint {joint} has {value:.4g} {unit} at rest in "
+                        f"the {pose.name} pose, below the limit {floor:.4g} {unit}, whatever the "
                         "motion. Lower the limit, choose another pose, or set "
                         'motion.boundary_acceleration = "free".'
                     )
@@ -113,13 +116,13 @@ class JointStiffnessFloor(LimitKind):
     def statements(self, limits: Limits, robot: Robot) -> list[tuple[str, float, str]]:
         """One line a joint with a floor."""
         return [
-            (
-                f"stiffness of joint {joint} at least",
-                floor,
-                "N/m" if robot.prismatic[joint - 1] else "N m/rad",
-            )
+            (f"stiffness of joint {joint} at least", floor, _unit(robot, joint))
             for joint, floor in limits.joint_stiffness.items()
         ]
+
+
+def _unit(robot: Robot, joint: int) -> str:
+    return joint_unit("N m/rad", bool(robot.prismatic[joint - 1]))
 
 
 def _torque_of_stiffness(model: StageModel, joint: int, floor: float) -> float | None:

@@ -15,6 +15,7 @@ from stiffopt.problem.stage_terms import (
     PathRows,
     StaticVariable,
 )
+from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.problem.resolve import ResolvedMotion
@@ -60,11 +61,13 @@ class LowestJointStiffness(ObjectiveKind):
                 )
             cause = sign_change(problem, motion, joint)
             weight = objective.weight_of(joint)
+            slides = bool(problem.robot.prismatic[joint - 1])
+            unit = joint_unit("N m/rad", slides)
             if cause:
                 value = stiffness_at(problem, joint, 0.0)
                 text = (
                     f"The torque of joint {joint} must change sign ({cause}), so its lowest "
-                    f"stiffness is the one at zero torque, {value:.4g} N m/rad, whatever the "
+                    f"stiffness is the one at zero torque, {value:.4g} {unit}, whatever the "
                     f"motion. Leave joint {joint} out (minimise.joints), minimise "
                     f"'mean_compliance' or 'dynamic_deflection' instead{ACCEPT}"
                 )
@@ -74,9 +77,10 @@ class LowestJointStiffness(ObjectiveKind):
                 if pose.fixed:
                     torque = float(gravity_torque(problem, pose.angles)[joint - 1])
                     value = stiffness_at(problem, joint, torque)
+                    load = f"{torque:.3g} {joint_unit('N m', slides)}"
                     text = (
-                        f"The lowest stiffness of joint {joint} cannot exceed {value:.4g} N m/rad, "
-                        f"its value at rest in the {pose.name} pose ({torque:.3g} N m)."
+                        f"The lowest stiffness of joint {joint} cannot exceed {value:.4g} {unit}, "
+                        f"its value at rest in the {pose.name} pose ({load})."
                     )
                     found.append(Bound(self.name, value / weight, text, False))
         return found
