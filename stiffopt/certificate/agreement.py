@@ -91,12 +91,13 @@ def _compared(
     size = np.maximum(np.max(np.abs(true.spring_torque), axis=0), idle)
     spring = believed.spring_torque - true.spring_torque
     yield from _joints("spring torque", spring / size, time, TORQUE)
-    # About standstill the sharp law of dry friction jumps; the smooth one lacks this much of it.
-    lacking = robot.coulomb * np.exp(-2.0 * np.abs(true.velocity) / believed.friction_width)
-    drive = believed.torque - true.torque
-    drive = np.sign(drive) * np.maximum(np.abs(drive) - 2.0 * lacking, 0.0)
-    size = np.maximum(np.max(np.abs(true.torque), axis=0), idle)
-    yield from _joints("drive torque", drive / size, time, TORQUE)
+    if believed.torque is not None:
+        # About standstill the sharp law of dry friction jumps; the smooth one lacks this much.
+        lacking = robot.coulomb * np.exp(-2.0 * np.abs(true.velocity) / believed.friction_width)
+        drive = believed.torque - true.torque
+        drive = np.sign(drive) * np.maximum(np.abs(drive) - 2.0 * lacking, 0.0)
+        size = np.maximum(np.max(np.abs(true.torque), axis=0), idle)
+        yield from _joints("drive torque", drive / size, time, TORQUE)
     if believed.windup is not None:
         slight = joint_windup(robot, _IDLE_WINDUP * np.asarray(robot.torque_max)[None])[0]
         size = np.maximum(np.max(np.abs(true.windup), axis=0), slight)

@@ -39,7 +39,8 @@ def assess(
     problem : TrajectoryProblem
         Robot, limits and process force.
     motion : JointMotion
-        A `Trajectory`, or what can be called like one for orders 0 to 3.
+        A `Trajectory`, or what can be called like one for orders 0 to 3. Where it has a `link`
+        motion, that one loads the springs and deflects the tool.
     times : array, optional [s]
         Default: 6001 equal steps and, where the motion has them, its own break times.
 
@@ -51,7 +52,12 @@ def assess(
     if times is None:
         times = fine_grid(motion)
     position, velocity, acceleration, jerk = (np.asarray(motion(times, k)) for k in range(4))
-    body = rigid_body_history(robot, position, velocity, acceleration)
+    # Where the links' own motion is planned, it loads the springs; limits are the motors'.
+    link = getattr(motion, "link", None)
+    moved = (position, velocity, acceleration)
+    if link is not None:
+        moved = tuple(np.asarray(link(times, k)) for k in range(3))
+    body = rigid_body_history(robot, *moved)
     process = np.einsum("kij,i->kj", body.jacobian, np.asarray(problem.process_force, dtype=float))
     spring_torque = body.link_torque - process
     # Rounding of a velocity that is zero must not switch dry friction on.
@@ -82,7 +88,7 @@ def assess(
         spring_torque=spring_torque,
         stiffness=stiffness,
         windup=windup,
-        tool=body.tool,
+        tool=body.tool if link is None else rigid_body_history(robot, position, *moved[1:]).tool,
         tool_speed=tool_speed,
         deflection=deflection,
         violations=(),

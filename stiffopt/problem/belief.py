@@ -7,7 +7,7 @@ import numpy as np
 
 from stiffopt.dynamics.friction import smoothing_width
 from stiffopt.problem.coordinates import coordinates_of
-from stiffopt.problem.stage_model import StageModel
+from stiffopt.problem.formulation import stage_model
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.believed import Believed
 from stiffopt.result.trajectory import Trajectory
@@ -30,28 +30,26 @@ def believed_of(
     elastic : bool
         Whether stiffness plays a part in the problem.
     """
-    size = coordinates_of(problem).size
-    x, u = ca.SX.sym("x", 2 * size), ca.SX.sym("u", size)
-    model = StageModel(
-        problem.robot,
-        *coordinates_of(problem).joint_motion(x, u),
-        problem.process_force,
-        smoothing=smoothing,
-        sides=np.zeros(problem.joints),
-    )
-    outputs = {"spring_torque": model.torques.spring, "torque": model.drive_torque}
+    coordinates = coordinates_of(problem)
+    size, order = coordinates.size, coordinates.order
+    x, u = ca.SX.sym("x", order * size), ca.SX.sym("u", size)
+    model = stage_model(problem, coordinates, x, u, smoothing, np.zeros(problem.joints))
+    outputs = {"spring_torque": model.torques.spring}
+    if not problem.plans_links:
+        # A motor ahead of its link accelerates nearly as the optimiser believes: see `MotorModel`.
+        outputs["torque"] = model.drive_torque
     if elastic:
         outputs["windup"] = model.windup(model.torques.spring)
         outputs |= {part: getattr(model.deflection, part) for part in PARTS}
     time = np.union1d(motion.times, 0.5 * (motion.times[1:] + motion.times[:-1]))
-    states = np.hstack([motion(time), motion(time, 1)])
+    states = np.hstack([motion(time, k) for k in range(order)])
     function = ca.Function("believed", [x, u], [ca.densify(value) for value in outputs.values()])
-    found = function.map(len(time))(states.T, motion(time, 2).T)
+    found = function.map(len(time))(states.T, motion(time, order).T)
     values = {name: value.full().T for name, value in zip(outputs, found, strict=True)}
     return Believed(
         time=time,
         spring_torque=values["spring_torque"],
-        torque=values["torque"],
+        torque=values.get("torque"),
         friction_width=np.asarray(smoothing_width(problem.robot.velocity_max)),
         windup=values.get("windup"),
         deflection={part: values[part] for part in PARTS if part in values},

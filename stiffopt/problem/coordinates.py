@@ -16,11 +16,18 @@ from stiffopt.result.joint_path import JointPath
 from stiffopt.symbolic import Quantity
 
 
+# Angular frequency of the acceleration's rises and falls times the duration, for the scales of its
+# derivatives.
+_RISES = 40.0
+
+
 def coordinates_of(problem: TrajectoryProblem) -> Coordinates:
     """The coordinates of a problem: joints, or the path coordinate where a path is given."""
-    if problem.path is None:
-        return JointCoordinates(problem)
-    return PathCoordinates(problem)
+    if problem.path is not None:
+        return PathCoordinates(problem)
+    if problem.plans_links:
+        return LinkCoordinates(problem)
+    return JointCoordinates(problem)
 
 
 class Coordinates(ABC):
@@ -53,9 +60,14 @@ class Coordinates(ABC):
         """States at the start and at the end."""
 
     @property
+    def order(self) -> int:
+        """Which derivative of the coordinates the controls are."""
+        return len(self.state_names) // self.size
+
+    @property
     def bounds_joints(self) -> bool:
         """Whether joint limits are bounds of states and controls rather than path rows."""
-        return isinstance(self, JointCoordinates)
+        return type(self) is JointCoordinates
 
 
 class JointCoordinates(Coordinates):
@@ -98,6 +110,49 @@ class JointCoordinates(Coordinates):
         zero = np.zeros(self.size)
         start, end = self.problem.boundary_velocity or (zero, zero)
         return np.concatenate([motion.start, start]), np.concatenate([motion.end, end])
+
+
+class LinkCoordinates(JointCoordinates):
+    """States are the motion of the links and its derivatives up to snap; controls are crackles.
+
+    The motors add the wind-up to it, a function of the links' acceleration: a motor's jerk holds
+    the links' fifth derivative. What limits the motors are path rows; bounds of the states only
+    keep the positions within their range.
+    """
+
+    def __init__(self, problem: TrajectoryProblem) -> None:
+        super().__init__(problem)
+        n = self.size
+        names = ("position", "velocity", "acceleration", "jerk", "snap")
+        self.state_names = tuple(f"{what} of link {j + 1}" for what in names for j in range(n))
+        self.control_names = tuple(f"crackle of link {j + 1}" for j in range(n))
+        rate = _RISES / _typical(problem.duration)
+        scales = [self.control_scale * rate**k for k in range(4)]
+        self.state_scale = np.concatenate([self.state_scale, *scales[:3]])
+        self.control_scale = scales[3]
+
+    def joint_motion(self, x: Quantity, u: Quantity) -> tuple[Quantity, Quantity, Quantity]:
+        """The first three states, of the links."""
+        n = self.size
+        return x[:n], x[n : 2 * n], x[2 * n : 3 * n]
+
+    def state_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Limits on position."""
+        low, high = derivative_bounds(self.limits, 0, margins)
+        free = np.full(4 * self.size, np.inf)
+        return np.concatenate([low, -free]), np.concatenate([high, free])
+
+    def control_bounds(self, margins: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """None: motors are limited by path rows."""
+        free = np.full(self.size, np.inf)
+        return -free, free
+
+    rate_bounds = control_bounds
+
+    def boundary_states(self, motion: ResolvedMotion) -> tuple[np.ndarray, np.ndarray]:
+        """Resolved poses at rest in every derivative, so that nothing swings on."""
+        rest = np.zeros(4 * self.size)
+        return np.concatenate([motion.start, rest]), np.concatenate([motion.end, rest])
 
 
 class PathCoordinates(Coordinates):

@@ -16,6 +16,7 @@ import numpy as np
 
 from stiffopt.dynamics.kinematics import tool_pose
 from stiffopt.problem.coordinates import Coordinates, coordinates_of
+from stiffopt.problem.motor_model import MotorModel
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.rest import torque_sides
 from stiffopt.problem.stage_model import StageModel
@@ -63,31 +64,22 @@ def formulate(
     """
     margins = margins or {}
     coordinates = coordinates_of(problem)
-    x, u = ca.SX.sym("x", 2 * coordinates.size), ca.SX.sym("u", coordinates.size)
+    size, order = coordinates.size, coordinates.order
+    x, u = ca.SX.sym("x", order * size), ca.SX.sym("u", size)
     p = ca.SX.sym("smoothing")
-    position, velocity, acceleration = coordinates.joint_motion(x, u)
-    sides = torque_sides(problem, motion)
-    model = StageModel(
-        problem.robot,
-        position,
-        velocity,
-        acceleration,
-        problem.process_force,
-        smoothing=p,
-        sides=sides,
-    )
+    model = stage_model(problem, coordinates, x, u, p, torque_sides(problem, motion))
     goal = _WeightedSum(problem, model, scales)
     blocks = [*_limit_rows(problem, model, coordinates, margins), *goal.path_rows]
     path = _stacked([row for block in blocks for row in block.expressions])
     stage = ca.Function("stage", [x, u, goal.statics, p], [_stacked(goal.integrands), path])
-    dynamics = ca.Function("dynamics", [x, u, p], [ca.vertcat(x[coordinates.size :], u)])
+    dynamics = ca.Function("dynamics", [x, u, p], [ca.vertcat(x[size:], u)])
     return OptimalControlProblem(
         name=problem.title or "trajectory",
         states=coordinates.state_names,
         controls=coordinates.control_names,
         dynamics=dynamics,
         stage=stage,
-        objective=goal.function(2 * coordinates.size, p),
+        objective=goal.function(order * size, p),
         duration=problem.duration,
         statics=tuple(variable.name for variable in goal.variables),
         path_rows=tuple(
@@ -104,9 +96,30 @@ def formulate(
         static_lower=np.zeros(len(goal.variables)),
         static_upper=np.full(len(goal.variables), np.inf),
         static_scale=np.array(goal.static_scales),
-        second_order=tuple((i, coordinates.size + i, i) for i in range(coordinates.size)),
+        chains=tuple((*(k * size + i for k in range(order)), i) for i in range(size)),
         parameters=np.ones(1),
         **_bounds(problem, motion, coordinates, margins),
+    )
+
+
+def stage_model(
+    problem: TrajectoryProblem,
+    coordinates: Coordinates,
+    x: Quantity,
+    u: Quantity,
+    smoothing: Quantity,
+    sides: np.ndarray,
+) -> StageModel:
+    """The stage model of a problem at a state and control of its coordinates."""
+    if problem.plans_links:
+        derivatives = [*ca.vertsplit(x, coordinates.size), u]
+        return MotorModel(problem.robot, derivatives, smoothing, sides)
+    return StageModel(
+        problem.robot,
+        *coordinates.joint_motion(x, u),
+        problem.process_force,
+        smoothing=smoothing,
+        sides=sides,
     )
 
 
@@ -229,25 +242,26 @@ def _bounds(
         if not fixed:
             low[free], high[free] = lower[free], upper[free]
         bounds[f"{side}_lower"], bounds[f"{side}_upper"] = low, high
-        rest = np.zeros(coordinates.size) if problem.boundary_acceleration == "zero" else None
+        held = coordinates.order == 2 and problem.boundary_acceleration == "zero"
+        rest = np.zeros(coordinates.size) if held else None
         bounds[f"{side}_control_lower"] = bounds[f"{side}_control_upper"] = rest
     return bounds
 
 
 def _boundary_waypoint(problem: TrajectoryProblem, target: Target, side: str) -> Waypoint:
     """The tool position at the start or end of a motion whose end pose is otherwise free."""
-    x, position, _ = _tool_pose(problem)
+    x, _, position, _ = _tool_pose(problem)
     rows = Rows.make(f"{side} position", ["x", "y", "z"], 0.0, 0.0, unit="m")
     return Waypoint(function=ca.Function(side, [x], [position - target.position]), rows=(rows,))
 
 
 def _via_waypoint(problem: TrajectoryProblem, target: Target, number: int) -> Waypoint:
     """A via point: joints, a tool position or a tool pose, each within its tolerance."""
-    x, position, rotation = _tool_pose(problem)
+    x, joints, position, rotation = _tool_pose(problem)
     name = f"via {number}"
     if target.joints is not None:
         labels = [f"joint {j + 1}" for j in range(problem.joints)]
-        miss = (x[: problem.joints] - target.joints) / target.tolerance
+        miss = (joints - target.joints) / target.tolerance
         rows = Rows.make(name, labels, -1.0, 1.0)
         return Waypoint(function=ca.Function("via", [x], [miss]), rows=(rows,))
     offset = (position - target.position) / target.tolerance
@@ -271,11 +285,18 @@ def _via_waypoint(problem: TrajectoryProblem, target: Target, number: int) -> Wa
     return Waypoint(function=function, rows=tuple(blocks))
 
 
-def _tool_pose(problem: TrajectoryProblem) -> tuple[ca.SX, Quantity, Quantity]:
-    """Symbol of the state, and the tool's position and rotation there."""
-    x = ca.SX.sym("x", 2 * problem.joints)
+def _tool_pose(problem: TrajectoryProblem) -> tuple[ca.SX, Quantity, Quantity, Quantity]:
+    """Symbol of the state, and the planned joints, tool position and tool rotation there."""
+    n = problem.joints
+    x = ca.SX.sym("x", coordinates_of(problem).order * n)
+    joints = x[:n]
+    if problem.plans_links:
+        model = MotorModel(
+            problem.robot, ca.vertsplit(x, n), smoothing_stages(problem)[-1], np.zeros(n)
+        )
+        joints = model.position
     tool = problem.robot.tool
     position, rotation = tool_pose(
-        problem.robot.tree, tool.joint, tool.offset, tool.rotation, x[: problem.joints]
+        problem.robot.tree, tool.joint, tool.offset, tool.rotation, joints
     )
-    return x, position, rotation
+    return x, joints, position, rotation

@@ -73,6 +73,8 @@ class ObjectiveKind(ABC):
         Factors on the smoothing widths, stage by stage.
     deflection_part : str
         Part of the tool's deflection that it is about; "" for none.
+    plans_links : bool
+        Whether the links' motion is planned, with the motors ahead of it by the wind-up.
     comparatives : (str, str)
         Of a smaller and of a larger value.
     compared_as_ratio : bool
@@ -88,6 +90,7 @@ class ObjectiveKind(ABC):
     ends_motion = False
     smoothing: tuple[float, ...] = UNSMOOTHED
     deflection_part = ""
+    plans_links = False
     comparatives = ("less", "more")
     compared_as_ratio = True
 

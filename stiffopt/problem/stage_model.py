@@ -58,6 +58,11 @@ class StageModel:
         self.smoothing = smoothing
         self.sides = sides
 
+    @property
+    def link(self) -> tuple[Quantity, Quantity, Quantity]:
+        """Motion that loads the springs: position, velocity, acceleration."""
+        return self.position, self.velocity, self.acceleration
+
     @cached_property
     def chains(self) -> list[CompactChain | None]:
         """Drivetrains in their compact form."""
@@ -75,9 +80,7 @@ class StageModel:
             self.robot.tree,
             tool.joint,
             tool.offset,
-            self.position,
-            self.velocity,
-            self.acceleration,
+            *self.link,
             force,
         )
 
@@ -85,7 +88,7 @@ class StageModel:
     def jacobian(self) -> Quantity:
         """Position Jacobian of the tool (3, n), base axes."""
         tool = self.robot.tool
-        return point_jacobian(self.robot.tree, tool.joint, tool.offset, self.position)
+        return point_jacobian(self.robot.tree, tool.joint, tool.offset, self.link[0])
 
     @cached_property
     def drive_torque(self) -> Quantity:

@@ -182,6 +182,11 @@ class TrajectoryProblem:
         objective.kind.check(objective, self)
 
     @property
+    def plans_links(self) -> bool:
+        """Whether the links' motion is planned, and the motors follow with the wind-up added."""
+        return any(objective.kind.plans_links for objective in self.objectives)
+
+    @property
     def active_limits(self) -> Limits:
         """The limits in force."""
         return Limits.of(self.robot) if self.limits is None else self.limits

@@ -15,8 +15,10 @@ class Believed:
     ----------
     time : array (K,)
         Nodes and midpoints [s].
-    spring_torque, torque : array (K, n)
-        Of the springs and of the drives [N m].
+    spring_torque : array (K, n)
+        Of the springs [N m].
+    torque : array (K, n) or None
+        Of the drives [N m]; None where the optimiser knows it nearly only.
     friction_width : array (n,)
         Speed within which the dry friction in `torque` is smoothed: tanh(velocity/width) [rad/s].
     windup : array (K, n) or None
@@ -27,7 +29,7 @@ class Believed:
 
     time: np.ndarray
     spring_torque: np.ndarray
-    torque: np.ndarray
+    torque: np.ndarray | None
     friction_width: np.ndarray
     windup: np.ndarray | None = None
     deflection: dict[str, np.ndarray] = field(default_factory=dict)

@@ -5,6 +5,7 @@ A trajectory is called like toppra's: `trajectory(t, order)`; both plot with the
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -39,6 +40,9 @@ class Trajectory:
         Coefficient j of interval k multiplies (t - times[k])**j. [rad/s^(2+j)] or [m/s^(2+j)]
     q0, v0 : array (n,)
         Position [rad] or [m] and velocity [rad/s] or [m/s] at time 0.
+    link : Trajectory or None
+        Motion of the links, where this is that of the motors, ahead by the wind-up; None where one
+        motion is planned for both.
 
     Notes
     -----
@@ -50,6 +54,7 @@ class Trajectory:
     acceleration: np.ndarray
     q0: np.ndarray
     v0: np.ndarray
+    link: Trajectory | None = None
     _position: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -93,6 +98,30 @@ class Trajectory:
             )
         slope = np.diff(a, axis=0) / np.diff(t)[:, None]
         return cls.from_acceleration(t, np.stack([a[:-1], slope], axis=1), q0, v0)
+
+    @classmethod
+    def through(cls, times: np.ndarray, derivatives: np.ndarray, link: Trajectory) -> Trajectory:
+        """Motion of motors ahead of their links: of degree 7 between samples, C3 at them.
+
+        Parameters
+        ----------
+        times : array (K + 1,)
+            Samples, from 0. [s]
+        derivatives : array (4, K + 1, n)
+            Position, velocity, acceleration and jerk at the samples.
+        link : Trajectory
+        """
+        step = np.diff(times)[:, None]
+        # Taylor coefficients in the share of an interval: four from its start, four for its end.
+        first = [derivatives[k, :-1] * step**k / math.factorial(k) for k in range(4)]
+        wanted = np.stack([derivatives[k, 1:] * step**k for k in range(4)])
+        powers = np.array([[float(math.perm(j, k)) for j in range(8)] for k in range(4)])
+        missing = wanted - np.einsum("kj,jin->kin", powers[:, :4], np.stack(first))
+        last = np.einsum("jk,kin->jin", np.linalg.inv(powers[:, 4:]), missing)
+        position = np.concatenate([first, last])
+        acceleration = [j * (j - 1) * position[j] / step**j for j in range(2, 8)]
+        start = derivatives[:, 0]
+        return cls(times, np.stack(acceleration, axis=1), start[0], start[1], link)
 
     @property
     def duration(self) -> float:

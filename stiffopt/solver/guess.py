@@ -14,6 +14,11 @@ from stiffopt.result.solution import Baseline
 from stiffopt.transcription.ocp import Guess
 
 
+# Samples of a smoothed guess, and how many of the windows it is averaged over fill its duration.
+_FINE = 2000
+_WINDOWS = 25
+
+
 def initial_guess(
     problem: TrajectoryProblem, motion: ResolvedMotion, beside: dict[str, Baseline]
 ) -> Guess:
@@ -30,15 +35,45 @@ def guess_along(problem: TrajectoryProblem, motion: ResolvedMotion, source: Asse
     statics = _statics(problem, motion, source)
     if problem.path is not None:
         return _path_guess(source, statics)
-    states = np.hstack([source.position, source.velocity])
+    states, controls = np.hstack([source.position, source.velocity]), source.acceleration
     s = source.time / source.duration
+    if problem.plans_links:
+        s, states, controls = _smoothed(source)
     return Guess(
         states=_sampler(s, states),
-        controls=_sampler(s, source.acceleration),
+        controls=_sampler(s, controls),
         duration=source.duration,
         statics=statics,
         phase_fractions=_phase_fractions(source, motion),
     )
+
+
+def _smoothed(source: Assessment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A motion compressed and then averaged five times over a short window, back to its duration.
+
+    Returns
+    -------
+    s : array (m,)
+        Scaled time.
+    states, controls : array (m, 5 n), (m, n)
+        Position and its derivatives up to snap, and the fifth.
+    """
+    s = np.linspace(0.0, 1.0, _FINE + 1)
+    window = 2 * (_FINE // (2 * _WINDOWS)) + 1
+    spread = 5 * (window - 1) / _FINE
+    inside = np.clip((s - spread / 2.0) / (1.0 - spread), 0.0, 1.0)
+    time = inside * source.duration
+    columns = [np.interp(time, source.time, each) for each in source.position.T]
+    values = np.stack(columns, axis=1)
+    box = np.ones(window) / window
+    for _ in range(5):
+        padded = np.pad(values, ((window // 2, window // 2), (0, 0)), mode="edge")
+        smooth = [np.convolve(each, box, mode="valid") for each in padded.T]
+        values = np.stack(smooth, axis=1)
+    orders = [values]
+    for _ in range(5):
+        orders.append(np.gradient(orders[-1], source.duration / _FINE, axis=0))
+    return s, np.hstack(orders[:5]), orders[5]
 
 
 def _sampler(s: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:

@@ -47,6 +47,7 @@ from stiffopt.transcription.refine import refine_mesh
 _AIM = 0.8 * CERTIFIED
 _REFINEMENTS = 3
 _GROWTH = 1.25
+_LARGEST_MARGIN = 0.5
 
 
 def solve(
@@ -140,9 +141,10 @@ def _certified_solve(run: SolveRun, guess: Guess) -> Outcome:
         excess = _excess(outcome.assessment)
         if not outcome.raw.converged or not (excess or outcome.objective_gap > TRUE_OBJECTIVE):
             break
-        if attempt > 1:
+        # Rows of motors are known to be approximate, so that a finer mesh would not help them.
+        if attempt > 1 or run.problem.plans_links:
             for name, value in excess.items():
-                margins[name] = margins.get(name, 0.0) + value
+                margins[name] = min(margins.get(name, 0.0) + value, _LARGEST_MARGIN)
         intervals = int(np.ceil(method.intervals * _GROWTH**attempt))
         refined = _refined(run, outcome, SolveStage(intervals, final), margins)
         if not refined.raw.converged and refined.raw.status not in ("interrupted", "time_limit"):
@@ -155,7 +157,9 @@ def _refined(
     run: SolveRun, outcome: Outcome, stage: SolveStage, margins: dict[str, float]
 ) -> Outcome:
     """Solve again from an outcome, with short intervals where its controls change."""
-    mesh = refine_mesh(outcome.transcription, outcome.raw.x, stage.intervals)
+    mesh = outcome.transcription.mesh
+    if not run.problem.plans_links:
+        mesh = refine_mesh(outcome.transcription, outcome.raw.x, stage.intervals)
     guess = outcome.transcription.guess_from(outcome.raw.x)
     return run_stages(run, (stage,), guess, margins, mesh)
 
@@ -180,7 +184,7 @@ def _perturbed(guess: Guess, problem: TrajectoryProblem, random: np.random.Gener
         bump = 16.0 * (np.asarray(s) * (1.0 - np.asarray(s))) ** 2
         slope = 32.0 * np.asarray(s) * (1.0 - np.asarray(s)) * (1.0 - 2.0 * np.asarray(s))
         values[:, :n] += bump[:, None] * amplitude
-        values[:, n:] += slope[:, None] * amplitude / guess.duration
+        values[:, n : 2 * n] += slope[:, None] * amplitude / guess.duration
         return values
 
     return replace(guess, states=moved)

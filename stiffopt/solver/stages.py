@@ -12,6 +12,7 @@ import numpy as np
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.problem.formulation import Scales, formulate, smoothing_stages
+from stiffopt.problem.motor_model import motor_motion
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
 from stiffopt.problem.trajectory import TrajectoryProblem
@@ -54,6 +55,9 @@ def stages(problem: TrajectoryProblem, intervals: int) -> tuple[SolveStage, ...]
     if len(widths) == 1:
         # Smooth problems converge from the guess at once; a coarse mesh would only cost time.
         return (SolveStage(intervals, 1.0),)
+    if problem.plans_links:
+        # Long chains of integrators take a new mesh badly: one, and the narrow smoothing at once.
+        return (SolveStage(coarse, widths[1]), SolveStage(intervals, widths[-1], new_mesh=True))
     first = [SolveStage(coarse, width) for width in widths[:2]]
     fine = [SolveStage(intervals, width) for width in widths[1:]]
     # On the first fine mesh the intervals follow the coarse motion.
@@ -252,6 +256,8 @@ def _trajectory(
 ) -> Trajectory:
     """The motion of the joints, exactly as the transcription integrates it."""
     motion = Trajectory.from_acceleration(*transcription.acceleration_polynomials(x))
+    if problem.plans_links:
+        return motor_motion(problem.robot, motion, smoothing_stages(problem)[-1])
     if problem.path is None:
         return motion
     return JointPath.through(problem.path).follow(motion)

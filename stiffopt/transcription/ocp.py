@@ -122,9 +122,11 @@ class OptimalControlProblem:
         Smallest share of the upper duration that a phase may take (only with vias).
     control_rate_lower, control_rate_upper : array (nu,)
         Bounds of du/dt (jerk where u is an acceleration).
-    second_order : tuple of (position index, velocity index, control index)
-        States whose second derivative IS that control: integrated exactly by every transcription.
-        With these, piecewise-linear control gives positions that are C2 cubic splines.
+    chains : tuple of (position index, velocity index, .., control index)
+        Chains of integrators: each state's derivative IS the next one, the last one's IS that
+        control; all of one length. Integrated exactly. Of length 3 (the control is an
+        acceleration) in every transcription: piecewise-linear control then gives positions that
+        are C2 cubic splines. Longer ones, for smoother motions, with piecewise-linear control only.
     parameters : array (np,)
         Default value of p.
     """
@@ -160,7 +162,7 @@ class OptimalControlProblem:
     initial_control_upper: np.ndarray | None = None
     final_control_lower: np.ndarray | None = None
     final_control_upper: np.ndarray | None = None
-    second_order: tuple[tuple[int, int, int], ...] = ()
+    chains: tuple[tuple[int, ...], ...] = ()
     parameters: np.ndarray = field(default_factory=lambda: np.zeros(0))
     state_scale: np.ndarray | None = None
     control_scale: np.ndarray | None = None

@@ -10,6 +10,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from stiffopt.errors import ProblemError
 from stiffopt.transcription import grid
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import Places
@@ -99,14 +100,26 @@ class Symbols:
     @cached_property
     def first_order(self) -> list[int]:
         """Indices of the states that the dynamics integrate."""
-        taken = {i for q, v, _ in self.ocp.second_order for i in (q, v)}
+        taken = {i for chain in self.ocp.chains for i in chain[:-1]}
         return [i for i in range(len(self.ocp.states)) if i not in taken]
+
+    @cached_property
+    def chain(self) -> list[list[int]]:
+        """Indices of all chains by order of derivative: positions, velocities, .., controls."""
+        return [list(order) for order in zip(*self.ocp.chains, strict=True)]
 
     @cached_property
     def second_order(self) -> tuple[list[int], list[int], list[int]]:
         """Indices of positions, velocities and the controls that are their accelerations."""
-        q, v, a = zip(*self.ocp.second_order, strict=True) if self.ocp.second_order else ((),) * 3
-        return list(q), list(v), list(a)
+        if not self.chain:
+            return [], [], []
+        if len(self.chain) != 3:
+            raise ProblemError(
+                "motions smoother than piecewise-linear acceleration need the transcription "
+                "'piecewise_linear_acceleration'."
+            )
+        q, v, a = self.chain
+        return q, v, a
 
     def step(self, rows: int) -> ca.MX:
         """Interval durations repeated over rows (rows, K)."""
@@ -175,8 +188,11 @@ class Scheme(abc.ABC):
 
         A polynomial lies within its Bernstein coefficients, so these linear rows keep the bounds
         of second-order states at every instant, not at nodes only; where the polynomial is constant
-        or enters a constant stretch they cost nothing.
+        or enters a constant stretch they cost nothing. Longer chains are smooth enough for nodes
+        and midpoints, and their problems bound what they must by path rows.
         """
+        if len(s.chain) > 3:
+            return
         _, v, a = s.second_order
         ocp, nodes, places = s.ocp, self.control_nodes, s.intervals.places
         degree = len(nodes)

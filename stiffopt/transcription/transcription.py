@@ -158,19 +158,21 @@ class Transcription:
             [s]
         coefficients : array (K, degree + 1, n)
             Power basis in the time since the interval's start [s], lowest power first; n runs
-            over `ocp.second_order`.
+            over `ocp.chains`.
         position, velocity : array (n,)
             At the start.
         """
-        if not self.ocp.second_order:
+        if not self.ocp.chains:
             raise ProblemError(
                 f"{self.ocp.name}: no second-order states, so there is no acceleration to export."
             )
-        q, v, a = (list(index) for index in zip(*self.ocp.second_order, strict=True))
+        q, v, *higher, u = (list(index) for index in zip(*self.ocp.chains, strict=True))
         steps = self.intervals.shares @ self.phase_durations(x)
-        first = self.states.take(x)[0]
+        states, controls = self.states.take(x), self.control_polynomials(x)[:, :, u]
         breaks = np.concatenate([[0.0], np.cumsum(steps)])
-        return breaks, self.control_polynomials(x)[:, :, a], first[q], first[v]
+        starts = states[self.scheme.state_columns(len(steps))[:, 0]]
+        coefficients = _integrated([starts[:, own] for own in higher], controls)
+        return breaks, coefficients, states[0, q], states[0, v]
 
     def guess_from(self, x: np.ndarray) -> Guess:
         """Return the motion as a guess for another mesh or scheme.
@@ -201,17 +203,28 @@ class Transcription:
         powers = steps[:, None] ** np.arange(len(nodes))
         basis = grid.power_from_values(nodes)
         fitted = np.einsum("ij,kjn->kin", basis, values) / powers[:, :, None]
-        degree = max(fitted.shape[1], controls.shape[1] + 2 * bool(self.ocp.second_order))
+        longest = max((len(chain) - 1 for chain in self.ocp.chains), default=0)
+        degree = max(fitted.shape[1], controls.shape[1] + longest)
         result = np.zeros((len(steps), degree, values.shape[2]))
         result[:, : fitted.shape[1]] = fitted
-        order = np.arange(1, controls.shape[1] + 1)[None, :]
-        for q, v, a in self.ocp.second_order:
-            result[:, :, [q, v]] = 0.0
-            result[:, 0, q], result[:, 0, v] = values[:, 0, q], values[:, 0, v]
-            result[:, 1 : 1 + controls.shape[1], v] = controls[:, :, a] / order
-            result[:, 1, q] = values[:, 0, v]
-            result[:, 2 : 2 + controls.shape[1], q] = controls[:, :, a] / (order * (order + 1))
+        for chain in self.ocp.chains:
+            own = list(chain[:-1])
+            result[:, :, own] = 0.0
+            for k, state in enumerate(own):
+                starts = [values[:, 0, [i]] for i in own[k:]]
+                integrated = _integrated(starts, controls[:, :, [chain[-1]]])
+                result[:, : integrated.shape[1], state] = integrated[:, :, 0]
         return result
+
+
+def _integrated(starts: list[np.ndarray], coefficients: np.ndarray) -> np.ndarray:
+    """Integrate polynomials (K, m, n) as often as there are starts (K, n), outermost first."""
+    for start in reversed(starts):
+        order = np.arange(1.0, coefficients.shape[1] + 1)
+        coefficients = np.concatenate(
+            [start[:, None], coefficients / order[None, :, None]], axis=1
+        )
+    return coefficients
 
 
 def _sampled(

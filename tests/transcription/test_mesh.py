@@ -60,7 +60,7 @@ def test_refinement_resolves_boundary_layers():
 
 def test_refinement_finds_the_switch():
     """An odd uniform mesh misses the switch at half time; refinement shortens intervals there."""
-    case = minimum_time(second_order=((0, 1, 0),))
+    case = minimum_time(chains=((0, 1, 0),))
     made = transcribe(case.ocp, "piecewise_linear", uniform_mesh(15))
     found = IpoptSolver(made.nlp).solve(made.pack(case.guess))
     mesh = refine_mesh(made, found.x, 15)

@@ -24,7 +24,7 @@ def solved(ocp, method, mesh, start):
 
 def with_rows(midpoints: bool):
     """Block move with a power row and a speed row (second without bounds)."""
-    case = block_move(second_order=((0, 1, 0),))
+    case = block_move(chains=((0, 1, 0),))
     x, u, p, z = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p", 0), ca.SX.sym("z", 0)
     stage = ca.Function("stage", [x, u, z, p], [u**2, ca.vertcat(x[1] * u, x[1])])
     rows = Rows.make(
@@ -36,7 +36,7 @@ def with_rows(midpoints: bool):
 @pytest.mark.parametrize("method", METHODS)
 def test_pack_and_unpack_are_inverse(method):
     scaled = {"state_scale": np.array([10.0, 0.5]), "control_scale": np.array([4.0])}
-    case = minimum_time(second_order=((0, 1, 0),), **scaled)
+    case = minimum_time(chains=((0, 1, 0),), **scaled)
     made = transcribe(case.ocp, method, uniform_mesh(7))
     start = guess(lambda s: [s**2, 0.3 + s], [0.25], 2.5)
     motion = made.unpack(made.pack(start))
@@ -120,7 +120,7 @@ def test_worst_rows_are_relative_to_the_scale_and_unique():
 
 
 def test_velocity_bounds_hold_at_every_instant():
-    case = minimum_time(second_order=((0, 1, 0),))
+    case = minimum_time(chains=((0, 1, 0),))
     ocp = replace(case.ocp, state_upper=np.array([INF, 0.7]))
     made, found = solved(ocp, "piecewise_linear", uniform_mesh(9), case.guess)
     speed = made.guess_from(found.x).states(np.linspace(0, 1, 901))[:, 1]
@@ -130,7 +130,7 @@ def test_velocity_bounds_hold_at_every_instant():
 
 @pytest.mark.parametrize("method", METHODS)
 def test_exported_acceleration_reproduces_the_states(method):
-    case = minimum_time(second_order=((0, 1, 0),))
+    case = minimum_time(chains=((0, 1, 0),))
     made, found = solved(case.ocp, method, uniform_mesh(10), case.guess)
     motion = made.unpack(found.x)
     breaks, coefficients, q, v = made.acceleration_polynomials(found.x)
@@ -195,7 +195,7 @@ def test_out_and_back_through_a_via(method, declared):
     """Rest at 0, through 1, rest at 0 in T = 2: by symmetry two block moves, 12 each, t1 = 1."""
     case = block_move()
     ocp = replace(
-        case.ocp, duration=(2.0, 2.0), vias=(via(1.0),), second_order=declared,
+        case.ocp, duration=(2.0, 2.0), vias=(via(1.0),), chains=declared,
         final_lower=np.zeros(2), final_upper=np.zeros(2),
     )  # fmt: skip
     start = replace(
@@ -214,7 +214,7 @@ def test_out_and_back_through_a_via(method, declared):
 
 def test_minimum_time_through_a_via_and_names_of_phases():
     """Out and back with |u| <= 1 takes 1 + 2 + 1."""
-    case = minimum_time(second_order=((0, 1, 0),))
+    case = minimum_time(chains=((0, 1, 0),))
     ocp = replace(
         case.ocp, duration=(0.1, 20.0), vias=(via(1.0),), final_lower=np.zeros(2),
         final_upper=np.zeros(2),
@@ -237,7 +237,7 @@ def test_jerk_limited_minimum_time():
     """From rest to rest with zero end acceleration: T = (32 distance/jerk)^(1/3)."""
     zero = np.zeros(1)
     ocp = replace(
-        minimum_time(second_order=((0, 1, 0),)).ocp,
+        minimum_time(chains=((0, 1, 0),)).ocp,
         control_lower=np.array([-INF]), control_upper=np.array([INF]),
         control_rate_lower=np.array([-32.0]), control_rate_upper=np.array([32.0]),
         initial_control_lower=zero, initial_control_upper=zero,
@@ -252,7 +252,7 @@ def test_jerk_limited_minimum_time():
 def test_rate_bounds_make_radau_controls_continuous():
     """With free end acceleration T = (12 distance/jerk)^(1/3), by a linear acceleration."""
     ocp = replace(
-        minimum_time(second_order=((0, 1, 0),)).ocp,
+        minimum_time(chains=((0, 1, 0),)).ocp,
         control_lower=np.array([-INF]), control_upper=np.array([INF]),
         control_rate_lower=np.array([-12.0]), control_rate_upper=np.array([12.0]),
     )  # fmt: skip
@@ -265,7 +265,7 @@ def test_rate_bounds_make_radau_controls_continuous():
 
 def test_statics_bound_a_peak():
     """Smallest peak control of the block move is 4: half at +4, half at -4."""
-    case = block_move(second_order=((0, 1, 0),))
+    case = block_move(chains=((0, 1, 0),))
     x, u, p, z = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p", 0), ca.SX.sym("z", 1)
     ends = [ca.SX.sym("I", 0), ca.SX.sym("T"), z, ca.SX.sym("a", 2), ca.SX.sym("b", 2), p]
     ocp = replace(
@@ -304,7 +304,7 @@ def test_mixed_first_and_second_order_states():
     """A motor's heat as a first-order state beside an exactly integrated axis."""
     ocp = problem(
         "heated axis", "x v heat", "u", lambda x, u: [x[1], u[0], u[0] ** 2 - 0.0 * x[2]],
-        start=[0, 0, 0], end=[1, 0, None], duration=(1, 1), second_order=((0, 1, 0),),
+        start=[0, 0, 0], end=[1, 0, None], duration=(1, 1), chains=((0, 1, 0),),
         objective=lambda integrals, total, xf: xf[2],
     )  # fmt: skip
     start = guess(lambda s: [s, 0 * s, 0 * s], [0.0], 1.0)

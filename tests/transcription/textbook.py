@@ -423,4 +423,4 @@ CASES: dict[str, Case] = {
 
 def second_order(case: Case) -> Case:
     """The same double-integrator problem with its states declared as second order."""
-    return replace(case, ocp=replace(case.ocp, second_order=((0, 1, 0),)))
+    return replace(case, ocp=replace(case.ocp, chains=((0, 1, 0),)))

@@ -279,7 +279,7 @@ def _problem(model: _Instant, motion: Trajectory, limits: MotionLimits) -> Optim
         initial_upper=start,
         final_lower=free,
         final_upper=end,
-        second_order=tuple((j, n + j, j) for j in range(n)),
+        chains=tuple((j, n + j, j) for j in range(n)),
         state_scale=np.maximum(np.abs(lower), np.abs(upper)),
         control_scale=limits.acceleration,
         objective_scale=max(float(np.mean(along)) * motion.duration, 1e-12),

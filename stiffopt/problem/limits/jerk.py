@@ -22,7 +22,9 @@ class Jerk(JointMagnitude):
     """Bound of the controls' rate; a jump of the acceleration exceeds any."""
 
     def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
-        """None can be kept on a fixed path, where it bounds no rate of a control."""
+        """One row a joint; none can be kept on a fixed path, where it bounds no control's rate."""
+        if problem.plans_links:
+            return super().rows(problem, model, margin)
         raise ProblemError(
             "Jerk limits cannot be kept on a fixed path: the path coordinate has a limited "
             'acceleration only. Write limits.jerk = "none" (inf in Python), or give poses instead '

@@ -1,0 +1,130 @@
+"""Motion of the motors that makes the links of an elastic arm move as planned.
+
+An arm with elastic joints is flat in the motion of its links: a link motion q(t) needs the spring
+torques tau = ID(q, v, a), these the wind-ups phi(tau), and so the motors must be at q + phi(tau).
+Planned poses hold at rest, where gravity's wind-up is calibrated away: the motors' plan is
+
+    theta = q + phi(tau(q, v, a)) - phi(tau(q, 0, 0)).
+
+Its derivatives follow by the chain rule; the motors' jerk holds the fifth derivative of q. Damping
+of the joints would add 2 zeta / omega times the wind-up's rate (zeta the damping ratio, omega the
+mode's angular frequency), 1 to 2 % of the wind-up, and is left out.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.problem.stage_model import StageModel
+from stiffopt.result.trajectory import Trajectory
+from stiffopt.symbolic import Quantity
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+# Samples of the motors' motion in every interval of the links'.
+_SAMPLES = 8
+
+
+class MotorModel(StageModel):
+    """Stage model of a motion planned for the links: position to jerk are those of the motors.
+
+    For the optimiser the torques' rates are those of the links' inertia times the links' jerk,
+    snap and crackle at the present tangent compliance. What they leave out, the change of inertia,
+    compliance and velocity torques within a rise of the acceleration, the certificate sees, and
+    limits are tightened by it. Exact derivatives cost ten times as much an iteration.
+
+    Parameters
+    ----------
+    robot : Robot
+    derivatives : list of SX (n,)
+        Of the links: position, velocity, and so on up to the fifth.
+    smoothing : SX or float
+        Factor on every smoothing width of the stiffness model.
+    sides : array (n,)
+        As for `StageModel`.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        derivatives: list[Quantity],
+        smoothing: Quantity,
+        sides: np.ndarray,
+    ) -> None:
+        self.robot, self.smoothing, self.sides = robot, smoothing, sides
+        self.process_force = np.zeros(3)
+        self._derivatives = derivatives
+
+    @property
+    def link(self) -> tuple[Quantity, Quantity, Quantity]:
+        """The links' own motion."""
+        q, v, a = self._derivatives[:3]
+        return q, v, a
+
+    @cached_property
+    def position(self) -> Quantity:
+        """Of the motors (n,) [rad]."""
+        sag = self.windup(self.torques.gravity)
+        return self.link[0] + self.windup(self.torques.motion) - sag
+
+    @cached_property
+    def velocity(self) -> Quantity:
+        """Of the motors, nearly (n,) [rad/s]."""
+        return self._ahead(1)
+
+    @cached_property
+    def acceleration(self) -> Quantity:
+        """Of the motors, nearly (n,) [rad/s^2]."""
+        return self._ahead(2)
+
+    @cached_property
+    def jerk(self) -> Quantity:
+        """Of the motors, nearly (n,) [rad/s^3]."""
+        return self._ahead(3)
+
+    @cached_property
+    def _softness(self) -> Quantity:
+        """Wind-up by a change of the links' acceleration (n, n) [s^2]."""
+        inertia = ca.jacobian(self.torques.motion, self.link[2])
+        compliance = [
+            0.0 if chain is None else self.compliance(j) for j, chain in enumerate(self.chains, 1)
+        ]
+        return ca.mtimes(ca.diag(ca.vertcat(*compliance)), inertia)
+
+    def _ahead(self, order: int) -> Quantity:
+        along = self._derivatives
+        return along[order] + ca.mtimes(self._softness, along[order + 2])
+
+    def exact_derivatives(self) -> list[Quantity]:
+        """Position of the motors and its first three derivatives by time, each (n,)."""
+        found, along = [self.position], self._derivatives
+        for orders in range(3, 6):
+            inputs, rates = ca.vertcat(*along[:orders]), ca.vertcat(*along[1 : orders + 1])
+            found.append(ca.jtimes(found[-1], inputs, rates))
+        return found
+
+
+def motor_motion(robot: Robot, link: Trajectory, smoothing: float) -> Trajectory:
+    """Motion of the motors that makes the links move as given.
+
+    Parameters
+    ----------
+    robot : Robot
+    link : Trajectory
+        At rest at both ends, with five derivatives.
+    smoothing : float
+        Factor on the smoothing widths: a law with corners would ask for jumps of the speed.
+    """
+    derivatives = [ca.SX.sym(f"d{k}", robot.n) for k in range(6)]
+    model = MotorModel(robot, derivatives, smoothing, np.zeros(robot.n))
+    outputs = [ca.densify(each) for each in model.exact_derivatives()]
+    law = ca.Function("motors", derivatives, outputs)
+    inner = np.linspace(link.times[:-1], link.times[1:], _SAMPLES, endpoint=False, axis=1).ravel()
+    times = np.append(inner, link.duration)
+    found = law.map(len(times))(*(link(times, k).T for k in range(6)))
+    return Trajectory.through(times, np.stack([each.full().T for each in found]), link)
