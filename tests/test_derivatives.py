@@ -19,6 +19,7 @@ MAP = "q1,v1,q2,v2,q3,v3\n-3,2,-3,5,-3,5\n0,3,0,5,0,4\n3,4,3,6,3,5\n"
 REGISTRY = {
     "dynamic_deflection": {"minimise": 'objective = "dynamic_deflection"'},
     "dynamic_deflection rms": {"minimise": 'objective = "dynamic_deflection"\nmeasure = "rms"'},
+    "tool_deviation": {"minimise": 'objective = "tool_deviation"'},
     "total_deflection": {
         "minimise": 'objective = "total_deflection"\naccept_bound = true',
         "extra": FORCE,
@@ -70,6 +71,8 @@ def states(sizes, fixed_path):
             x = np.array([rng.uniform(0.05, 0.95), rng.uniform(0.5, 1.5)])
         else:
             x = np.concatenate([rng.uniform(0.2, 1.0, n), rng.uniform(-1.5, 1.5, n)])
+            # Motions of links: acceleration, jerk and snap too.
+            x = np.concatenate([x, rng.uniform(-6, 6, sizes[0] - 2 * n)])
         yield np.concatenate([x, rng.uniform(-6, 6, n), rng.uniform(0.5, 1.5, sizes[2])])
 
 

@@ -56,7 +56,7 @@ def assess(
     link = getattr(motion, "link", None)
     moved = (position, velocity, acceleration)
     if link is not None:
-        moved = tuple(np.asarray(link(times, k)) for k in range(3))
+        moved = (np.asarray(link(times)), np.asarray(link(times, 1)), np.asarray(link(times, 2)))
     body = rigid_body_history(robot, *moved)
     process = np.einsum("kij,i->kj", body.jacobian, np.asarray(problem.process_force, dtype=float))
     spring_torque = body.link_torque - process

@@ -15,7 +15,6 @@ from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.joint_path import JointPath
 from stiffopt.symbolic import Quantity
 
-
 # Angular frequency of the acceleration's rises and falls times the duration, for the scales of its
 # derivatives.
 _RISES = 40.0

@@ -26,8 +26,10 @@ from stiffopt.symbolic import Quantity
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
-# Samples of the motors' motion in every interval of the links'.
-_SAMPLES = 8
+# Distance of the samples of the motors' motion [s], and their least number in an interval of the
+# links': between them a polynomial of degree 7 is as good as exact.
+_STEP = 2.5e-3
+_LEAST = 4
 
 
 class MotorModel(StageModel):
@@ -124,7 +126,9 @@ def motor_motion(robot: Robot, link: Trajectory, smoothing: float) -> Trajectory
     model = MotorModel(robot, derivatives, smoothing, np.zeros(robot.n))
     outputs = [ca.densify(each) for each in model.exact_derivatives()]
     law = ca.Function("motors", derivatives, outputs)
-    inner = np.linspace(link.times[:-1], link.times[1:], _SAMPLES, endpoint=False, axis=1).ravel()
-    times = np.append(inner, link.duration)
+    begins, ends = link.times[:-1], link.times[1:]
+    counts = np.maximum(np.ceil((ends - begins) / _STEP).astype(int), _LEAST)
+    parts = [np.linspace(*each, endpoint=False) for each in zip(begins, ends, counts, strict=True)]
+    times = np.append(np.concatenate(parts), link.duration)
     found = law.map(len(times))(*(link(times, k).T for k in range(6)))
     return Trajectory.through(times, np.stack([each.full().T for each in found]), link)

@@ -73,7 +73,8 @@ class Trajectory:
         cls, times: object, coefficients: object, q0: object, v0: object
     ) -> Trajectory:
         """Trajectory from acceleration polynomials; parameters as for the class."""
-        return cls(*(np.asarray(x, dtype=float) for x in (times, coefficients, q0, v0)))
+        t, a, q, v = (np.asarray(x, dtype=float) for x in (times, coefficients, q0, v0))
+        return cls(t, a, q, v)
 
     @classmethod
     def piecewise_linear_acceleration(

@@ -13,7 +13,6 @@ from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Baseline
 from stiffopt.transcription.ocp import Guess
 
-
 # Samples of a smoothed guess, and how many of the windows it is averaged over fill its duration.
 _FINE = 2000
 _WINDOWS = 25

@@ -47,7 +47,8 @@ from stiffopt.transcription.refine import refine_mesh
 _AIM = 0.8 * CERTIFIED
 _REFINEMENTS = 3
 _GROWTH = 1.25
-_LARGEST_MARGIN = 0.5
+# Of a motor's margin at once: a large excess is a narrow one, and goes with less.
+_LARGEST_STEP = 0.2
 
 
 def solve(
@@ -139,12 +140,14 @@ def _certified_solve(run: SolveRun, guess: Guess) -> Outcome:
     final = smoothing_stages(run.problem)[-1]
     for attempt in range(1, _REFINEMENTS + 1):
         excess = _excess(outcome.assessment)
-        if not outcome.raw.converged or not (excess or outcome.objective_gap > TRUE_OBJECTIVE):
+        loose = outcome.objective_gap > TRUE_OBJECTIVE and not run.problem.plans_links
+        if not outcome.raw.converged or not (excess or loose):
             break
         # Rows of motors are known to be approximate, so that a finer mesh would not help them.
         if attempt > 1 or run.problem.plans_links:
             for name, value in excess.items():
-                margins[name] = min(margins.get(name, 0.0) + value, _LARGEST_MARGIN)
+                more = min(value, _LARGEST_STEP) if run.problem.plans_links else value
+                margins[name] = margins.get(name, 0.0) + more
         intervals = int(np.ceil(method.intervals * _GROWTH**attempt))
         refined = _refined(run, outcome, SolveStage(intervals, final), margins)
         if not refined.raw.converged and refined.raw.status not in ("interrupted", "time_limit"):
@@ -157,9 +160,12 @@ def _refined(
     run: SolveRun, outcome: Outcome, stage: SolveStage, margins: dict[str, float]
 ) -> Outcome:
     """Solve again from an outcome, with short intervals where its controls change."""
-    mesh = outcome.transcription.mesh
-    if not run.problem.plans_links:
-        mesh = refine_mesh(outcome.transcription, outcome.raw.x, stage.intervals)
+    if run.problem.plans_links:
+        same = SolveStage(len(outcome.transcription.intervals), stage.smoothing)
+        mesh = outcome.transcription.mesh
+        guess = outcome.transcription.guess_from(outcome.raw.x)
+        return run_stages(run, (same,), guess, margins, mesh, outcome.raw)
+    mesh = refine_mesh(outcome.transcription, outcome.raw.x, stage.intervals)
     guess = outcome.transcription.guess_from(outcome.raw.x)
     return run_stages(run, (stage,), guess, margins, mesh)
 

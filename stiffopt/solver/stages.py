@@ -170,6 +170,7 @@ def run_stages(
     guess: Guess,
     margins: dict[str, float],
     mesh: Mesh | None = None,
+    warm: RawSolution | None = None,
 ) -> Outcome:
     """Solve the stages one after another, each from the last.
 
@@ -182,6 +183,8 @@ def run_stages(
         Shares by which limits are tightened.
     mesh : Mesh, optional
         Of the first stage; uniform if left out.
+    warm : RawSolution, optional
+        Where the first stage starts, multipliers included: of the same mesh, other margins.
     """
     ocp = formulate(run.problem, run.motion, run.scales, margins)
     last = len(plan) - 1
@@ -190,7 +193,7 @@ def run_stages(
         stage = plan[index]
         if made is None or raw is None:
             made = _make(run, ocp, mesh or _uniform(ocp, stage, guess))
-            x, warm = made.transcription.pack(guess), None
+            x = made.transcription.pack(guess) if warm is None else warm.x
         elif stage.new_mesh:
             guess = made.transcription.guess_from(raw.x)
             made = _make(run, ocp, refine_mesh(made.transcription, raw.x, stage.intervals))

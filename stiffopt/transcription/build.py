@@ -10,6 +10,7 @@ import numpy as np
 
 from stiffopt.errors import ProblemError, nearest
 from stiffopt.transcription.hermite_simpson import HermiteSimpson
+from stiffopt.transcription.integrator_chain import IntegratorChain
 from stiffopt.transcription.mesh import Mesh, checked_mesh
 from stiffopt.transcription.nlp import Block, Blocks, Nlp, Places
 from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
@@ -22,11 +23,14 @@ METHODS = ("piecewise_linear", "hermite_simpson", "radau")
 _ALIASES = {"piecewise_linear_acceleration": "piecewise_linear"}
 
 
-def scheme_of(method: str, degree: int = 3) -> Scheme:
-    """Find the scheme of a name; `degree` counts the Radau points of an interval."""
+def scheme_of(method: str, degree: int = 3, integrators: int = 2) -> Scheme:
+    """Find the scheme of a name; `degree` counts the Radau points of an interval.
+
+    `integrators` is how many stand between a control and its position.
+    """
     name = _ALIASES.get(method, method)
     if name == "piecewise_linear":
-        return PiecewiseLinear()
+        return PiecewiseLinear() if integrators == 2 else IntegratorChain()
     if name == "hermite_simpson":
         return HermiteSimpson()
     if name == "radau":
@@ -57,7 +61,9 @@ def transcribe(
     degree : int
         Points in each interval of "radau".
     """
-    return _Builder(ocp, scheme_of(method, degree), checked_mesh(mesh, ocp.phases)).build()
+    integrators = len(ocp.chains[0]) - 1 if ocp.chains else 2
+    scheme = scheme_of(method, degree, integrators)
+    return _Builder(ocp, scheme, checked_mesh(mesh, ocp.phases)).build()
 
 
 class _Builder:

@@ -7,7 +7,6 @@ is restricted.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 import casadi as ca
@@ -32,13 +31,16 @@ class PiecewiseLinear(Scheme):
     rate_nodes = np.array([0.0])
 
     def defects(self, s: Symbols) -> Iterator[Defect]:
-        """Exact integration of the chains, and the trapezoidal rule for the rest."""
+        """Exact double integration, and the trapezoidal rule for the rest."""
         places = s.intervals.places(np.array([0.5]))
+        q, v, a = s.second_order
         x0, x1, u0, u1 = _ends(s)
-        names = _names(len(s.chain) - 1)
-        for order, reached in reversed([*enumerate(_reached(s, 1.0))]):
-            own = s.chain[order]
-            yield f"{names[order]} step", own, x1[own, :] - reached, places
+        if q:
+            h = s.step(len(q))
+            v0, a0, a1 = x0[v, :], u0[a, :], u1[a, :]
+            yield "velocity step", v, x1[v, :] - v0 - h * (a0 + a1) / 2.0, places
+            moved = h * v0 + h * h * (2.0 * a0 + a1) / 6.0
+            yield "position step", q, x1[q, :] - x0[q, :] - moved, places
         first = s.first_order
         if first:
             f = s.rates(s.states, s.controls)
@@ -59,7 +61,7 @@ class PiecewiseLinear(Scheme):
                 main=np.ones(count + 1, dtype=bool),
             )
         middle = s.intervals.places(np.array([0.5]))
-        x_mid, u_mid = _middle(s)
+        x_mid, u_mid = self.middle(s)
         return StagePoints(
             states=ca.horzcat(s.states, x_mid),
             controls=ca.horzcat(s.controls, u_mid),
@@ -70,43 +72,27 @@ class PiecewiseLinear(Scheme):
             main=np.arange(2 * count + 1) <= count,
         )
 
+    def middle(self, s: Symbols) -> tuple[ca.MX, ca.MX]:
+        """States and controls in the middles of the intervals."""
+        q, v, a = s.second_order
+        first = s.first_order
+        x0, x1, u0, u1 = _ends(s)
+        parts, order = [], []
+        if q:
+            h = s.step(len(q))
+            v0, a0, a1 = x0[v, :], u0[a, :], u1[a, :]
+            parts += [
+                x0[q, :] + h * v0 / 2.0 + h * h * (5.0 * a0 + a1) / 48.0,
+                v0 + h * (3.0 * a0 + a1) / 8.0,
+            ]
+            order += [*q, *v]
+        if first:
+            f = s.rates(s.states, s.controls)
+            hermite = s.step(len(first)) * (f[:, :-1] - f[:, 1:]) / 8.0
+            parts.append((x0[first, :] + x1[first, :]) / 2.0 + hermite)
+            order += first
+        return ca.vertcat(*parts)[np.argsort(order).tolist(), :], (u0 + u1) / 2.0
+
 
 def _ends(s: Symbols) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
     return s.states[:, :-1], s.states[:, 1:], s.controls[:, :-1], s.controls[:, 1:]
-
-
-def _names(count: int) -> list[str]:
-    """Names of the states of a chain."""
-    return ["position", "velocity", "acceleration", "jerk", "snap"][:count]
-
-
-def _reached(s: Symbols, share: float) -> list[ca.MX]:
-    """States of the chains, position first, after a share of every interval from its start."""
-    if not s.chain:
-        return []
-    x0, _, u0, u1 = _ends(s)
-    h = share * s.step(len(s.chain[0]))
-    *orders, control = s.chain
-    rows = [x0[own, :] for own in orders]
-    first, rise = u0[control, :], share * (u1[control, :] - u0[control, :])
-    reached = []
-    for order in range(len(rows)):
-        left = len(rows) - order
-        value = ca.MX(rows[order])
-        for k in range(1, left):
-            value += h**k / math.factorial(k) * rows[order + k]
-        value += h**left / math.factorial(left) * (first + rise / (left + 1))
-        reached.append(value)
-    return reached
-
-
-def _middle(s: Symbols) -> tuple[ca.MX, ca.MX]:
-    first = s.first_order
-    x0, x1, u0, u1 = _ends(s)
-    parts, order = [*_reached(s, 0.5)], [i for own in s.chain[:-1] for i in own]
-    if first:
-        f = s.rates(s.states, s.controls)
-        hermite = s.step(len(first)) * (f[:, :-1] - f[:, 1:]) / 8.0
-        parts.append((x0[first, :] + x1[first, :]) / 2.0 + hermite)
-        order += first
-    return ca.vertcat(*parts)[np.argsort(order).tolist(), :], (u0 + u1) / 2.0

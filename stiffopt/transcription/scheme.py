@@ -188,11 +188,8 @@ class Scheme(abc.ABC):
 
         A polynomial lies within its Bernstein coefficients, so these linear rows keep the bounds
         of second-order states at every instant, not at nodes only; where the polynomial is constant
-        or enters a constant stretch they cost nothing. Longer chains are smooth enough for nodes
-        and midpoints, and their problems bound what they must by path rows.
+        or enters a constant stretch they cost nothing.
         """
-        if len(s.chain) > 3:
-            return
         _, v, a = s.second_order
         ocp, nodes, places = s.ocp, self.control_nodes, s.intervals.places
         degree = len(nodes)

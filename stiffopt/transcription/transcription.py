@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -219,12 +220,12 @@ class Transcription:
 
 def _integrated(starts: list[np.ndarray], coefficients: np.ndarray) -> np.ndarray:
     """Integrate polynomials (K, m, n) as often as there are starts (K, n), outermost first."""
-    for start in reversed(starts):
-        order = np.arange(1.0, coefficients.shape[1] + 1)
-        coefficients = np.concatenate(
-            [start[:, None], coefficients / order[None, :, None]], axis=1
-        )
-    return coefficients
+    if not starts:
+        return coefficients
+    power = np.arange(coefficients.shape[1], dtype=float)
+    divisor = np.prod([power + i for i in range(1, len(starts) + 1)], axis=0)
+    first = [start / math.factorial(k) for k, start in enumerate(starts)]
+    return np.concatenate([np.stack(first, axis=1), coefficients / divisor[:, None]], axis=1)
 
 
 def _sampled(

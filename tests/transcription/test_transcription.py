@@ -9,6 +9,7 @@ from numpy.polynomial import polynomial
 from textbook import CASES, block_move, guess, minimum_time, problem, second_order
 
 from stiffopt.errors import ProblemError
+from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.ipopt import IpoptSolver
 from stiffopt.transcription import METHODS, Guess, Rows, Waypoint, transcribe, uniform_mesh
 
@@ -315,3 +316,53 @@ def test_mixed_first_and_second_order_states():
     ):
         _, found = solved(ocp, method, uniform_mesh(20), start)
         assert found.objective == pytest.approx(12.0, abs=tolerance)
+
+
+def test_a_chain_of_five_integrators_is_exact():
+    """A position of degree 7 meets every row, is exported, resampled and evaluated midway."""
+    coefficients = np.array([0.3, -0.2, 0.5, 1.0, -0.7, 0.4, 0.8, -0.9])
+    position = np.polynomial.Polynomial(coefficients)
+    x, u, p, z = ca.SX.sym("x", 5), ca.SX.sym("u"), ca.SX.sym("p", 0), ca.SX.sym("z", 0)
+    case = block_move()
+    free = np.full(5, INF)
+    rows = Rows.make("all", [str(k) for k in range(5)], -1e9, 1e9, midpoints=True)
+    ocp = replace(
+        case.ocp,
+        states=("q", "v", "a", "j", "s"),
+        dynamics=ca.Function("dynamics", [x, u, p], [ca.vertcat(x[1:], u)]),
+        stage=ca.Function("stage", [x, u, z, p], [u**2, x]),
+        objective=ca.Function(
+            "objective", [ca.SX.sym("I"), ca.SX.sym("T"), z, x, ca.SX.sym("xf", 5), p], [x[0]]
+        ),
+        path_rows=(rows,),
+        state_lower=-free, state_upper=free, initial_lower=-free, initial_upper=free,
+        final_lower=-free, final_upper=free, chains=((0, 1, 2, 3, 4, 0),), duration=(1.5, 1.5),
+        control_lower=np.array([-INF]), control_upper=np.array([INF]),
+    )  # fmt: skip
+    made = transcribe(ocp, "piecewise_linear", [np.array([0.2, 0.5, 0.3])])
+
+    def of(derivatives):
+        return lambda s: np.stack([position.deriv(k)(1.5 * s) for k in derivatives], axis=1)
+
+    # The fifth derivative is quadratic: between nodes the chain has its chord, so take degree 6.
+    position = position.cutdeg(6)
+    start = Guess(states=of(range(5)), controls=of([5]), duration=1.5)
+    packed = made.pack(start)
+    residuals = np.asarray(
+        ca.Function("g", [made.nlp.x, made.nlp.p], [made.nlp.g])(packed, [])
+    ).ravel()
+    midway = 1.5 * np.array([0.1, 0.45, 0.85])
+    nodes = 1.5 * np.array([0.0, 0.2, 0.7, 1.0])
+    assert residuals[:15] == pytest.approx(0.0, abs=1e-12)
+    found = residuals[15:].reshape(-1, 5)
+    for k in range(5):
+        wanted = position.deriv(k)(np.append(nodes, midway))
+        assert np.sort(found[:, k]) == pytest.approx(np.sort(wanted), abs=1e-12)
+    motion = Trajectory.from_acceleration(*made.acceleration_polynomials(packed))
+    times = np.linspace(0.0, 1.5, 31)
+    for k in range(6):
+        assert motion(times, k)[:, 0] == pytest.approx(position.deriv(k)(times), abs=1e-10)
+    again = made.guess_from(packed)
+    assert again.states(times / 1.5) == pytest.approx(start.states(times / 1.5), abs=1e-10)
+    with pytest.raises(ProblemError, match="piecewise_linear_acceleration"):
+        transcribe(ocp, "radau", uniform_mesh(3))

@@ -1,0 +1,114 @@
+"""Motors that lead their links by the wind-up: derivatives, export, and the arm that swings."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.polynomial import Polynomial
+from small_arms import load
+
+from stiffopt.certificate.assess import assess
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.simulate import simulate
+from stiffopt.errors import InputError
+from stiffopt.problem.motor_model import MotorModel, motor_motion
+from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.solve import solve
+
+GOAL = 'objective = "tool_deviation"'
+SMOOTHING = 0.25
+
+
+def smooth_link(start, end, duration):
+    """From rest to rest in every derivative up to the fifth: degree 11."""
+    # The velocity is 2772 times s^5 (1 - s)^5.
+    speed = 2772.0 * Polynomial([0, 1]) ** 5 * Polynomial([1, -1]) ** 5
+    second = speed.deriv().coef / duration ** (2.0 + np.arange(10))
+    change = np.asarray(end) - np.asarray(start)
+    acceleration = second[None, :, None] * change
+    return Trajectory([0.0, duration], acceleration, start, np.zeros(len(change)))
+
+
+@pytest.fixture(scope="module")
+def planar(tmp_path_factory):
+    return load(tmp_path_factory.mktemp("arm"), minimise=GOAL)
+
+
+@pytest.fixture(scope="module")
+def link():
+    return smooth_link([0.2, 0.5], [1.1, -0.2], 0.7)
+
+
+def test_exact_derivatives_are_those_of_the_position(planar, link):
+    robot = planar.robot
+    symbols = [ca.SX.sym(f"d{k}", robot.n) for k in range(6)]
+    model = MotorModel(robot, symbols, SMOOTHING, np.zeros(robot.n))
+    law = ca.Function("law", symbols, model.exact_derivatives())
+    near = ca.Function("near", symbols, [model.velocity, model.acceleration, model.jerk])
+    step = 2e-5
+    for t in np.linspace(0.1, 0.6, 7):
+        at = {k: law(*(link(t + k * step, order) for order in range(6))) for k in (-1, 0, 1)}
+        for order in range(3):
+            difference = (at[1][order] - at[-1][order]).full().ravel() / (2 * step)
+            exact = at[0][order + 1].full().ravel()
+            assert difference == pytest.approx(exact, rel=1e-5, abs=1e-5 * 10.0**order)
+    # Out of rest, what the optimiser's rows hold is exact.
+    rest = [np.array([0.2, 0.5]), *(np.zeros(2) for _ in range(5))]
+    for order, first in ((1, 3), (2, 4), (3, 5)):
+        leaving = [*rest[:first], np.array([3.0, -7.0]), *rest[first + 1 :]]
+        assert near(*leaving)[order - 1].full() == pytest.approx(law(*leaving)[order].full())
+        assert np.all(law(*leaving)[order].full() != 0.0)
+
+
+def test_exported_motors_follow_the_law_between_samples(planar, link):
+    robot = planar.robot
+    motors = motor_motion(robot, link, SMOOTHING)
+    symbols = [ca.SX.sym(f"d{k}", robot.n) for k in range(6)]
+    exact = MotorModel(robot, symbols, SMOOTHING, np.zeros(robot.n)).exact_derivatives()
+    law = ca.Function("law", symbols, exact)
+    assert motors.link is link
+    times = np.linspace(0.0, 0.7, 997)
+    for order, limit in enumerate((1e-7, 1e-5, 2e-3)):
+        found = np.array(
+            [law(*(link(t, k) for k in range(6)))[order].full().ravel() for t in times]
+        )
+        assert motors(times, order) == pytest.approx(found, abs=limit)
+    for t, place in ((0.0, [0.2, 0.5]), (0.7, [1.1, -0.2])):
+        assert motors(t) == pytest.approx(place, abs=1e-9)
+        assert motors(t, 1) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_swinging_arm_does_what_is_predicted_and_rests(planar, link):
+    motors = motor_motion(planar.robot, link, SMOOTHING)
+    predicted = assess(planar, motors).deflection_summary()["dynamic"].peak
+    arm = ElasticArm(planar.robot, motors(0.0))
+    found = simulate(arm, MotorMotion.of(motors))
+    assert found.peak == pytest.approx(predicted, rel=0.03)
+    assert found.peak_after < 0.03 * predicted
+    rigid = simulate(arm, MotorMotion.of(link))
+    # Commanded without the lead, the same motion swings more than the lead leaves.
+    assert rigid.peak_after > 3.0 * found.peak_after
+
+
+def test_planned_for_the_links_nothing_rings(planar):
+    solution = solve(planar, simulate=True)
+    assert solution.status.usable
+    assert solution.assessment.worst_violation.value <= 5e-3
+    swinging = solution.simulation.optimised.simulated
+    assert swinging.peak == pytest.approx(solution.objective.value, rel=0.1, abs=5e-6)
+    assert swinging.peak_after < max(0.05 * solution.objective.value, 5e-6)
+
+
+@pytest.mark.parametrize(
+    ("pieces", "words"),
+    [
+        ({"motion": 'boundary_acceleration = "free"'}, "at rest at both ends"),
+        ({"extra": "[tool]\nprocess_force = [5.0, 2.0, -20.0]"}, "tool.process_force"),
+        ({"method": 'transcription = "radau"'}, "piecewise_linear_acceleration"),
+    ],
+)
+def test_what_cannot_be_planned_for_the_links_is_said(pieces, words, tmp_path):
+    with pytest.raises(InputError, match=words):
+        solve(load(tmp_path, minimise=GOAL, **pieces))
