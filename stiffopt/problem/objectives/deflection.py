@@ -131,8 +131,8 @@ OBJECTIVES.add(
     ToolDeflection(
         "dynamic",
         phrase="dynamic tool deflection",
-        description="Deviation of the tool from the static sag of the same pose: what calibration "
-        "cannot remove.",
+        description="Quasi-static deviation of the tool from the static sag of the same pose: what "
+        "calibration cannot remove, without the links' swing.",
     )
 )
 OBJECTIVES.add(
