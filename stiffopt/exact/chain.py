@@ -75,29 +75,29 @@ def breakpoints(chain: Chain) -> tuple[float, ...]:
 def compliance_shares(chain: Chain, torque: float) -> dict[str, float]:
     """Share of each element in the tangent compliance at a torque; they sum to 1.
 
-    A group in parallel is split among its members by the stiffness of each.
+    A group in parallel is split among its members by the stiffness of each. What slips takes all.
     """
     at, shares = np.array([float(torque)]), {}
     for group in chain.groups():
         splits = torque_shares(group, at, None)
-        stiff = [
-            1.0 / float(stage_compliance(s, f * at, None)[0])
-            for s, f in zip(group, splits, strict=True)
-        ]
-        for stage, k in zip(group, stiff, strict=True):
-            shares[stage.element.name] = k / sum(stiff) ** 2
+        slopes = [stage_compliance(s, f * at, None) for s, f in zip(group, splits, strict=True)]
+        whole = float(_side_by_side(slopes)[0])
+        for stage, slope in zip(group, slopes, strict=True):
+            part = whole / float(slope[0]) if np.isfinite(whole) else 1.0
+            shares[stage.element.name] = whole * part
     return _normalised(shares)
 
 
 def windup_shares(chain: Chain, torque: float) -> dict[str, float]:
     """Share of each element in the wind-up from zero to a torque; they sum to 1.
 
-    A group in parallel is split among its members by the torque that each carries. Without torque
-    the shares are their limit, those of the compliance.
+    A group in parallel is split among its members by the torque that each carries. What slips, or
+    has no stiffness without pressure, takes all. Without torque the shares are their limit, those
+    of the compliance.
     """
     if torque == 0.0:
         return compliance_shares(chain, torque)
-    at, shares = np.array([float(torque)]), {}
+    at, shares = np.array([abs(float(torque))]), {}
     for group in chain.groups():
         splits = torque_shares(group, at, None)
         whole = float(stage_windup(group[0], splits[0] * at, None)[0])
@@ -114,6 +114,9 @@ def _side_by_side(compliances: list[np.ndarray]) -> np.ndarray:
 
 
 def _normalised(shares: dict[str, float]) -> dict[str, float]:
+    """Shares of a sum; what is infinite takes all of it."""
+    if not np.isfinite(list(shares.values())).all():
+        shares = {name: float(np.isinf(value)) for name, value in shares.items()}
     total = sum(shares.values())
     return {name: value / total for name, value in shares.items()}
 

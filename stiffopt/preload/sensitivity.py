@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from stiffopt.drivetrain.chain import Chain
-from stiffopt.exact.chain import compliance_shares, exact_compliance, exact_windup, windup_shares
+from stiffopt.exact.chain import compliance_shares, windup_shares
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 
@@ -170,9 +169,10 @@ def _shares(model: PreloadModel, preloads: np.ndarray) -> Iterator[WindupShare]:
             torque = float(case.torque[joint - 1])
             angles: dict[str, float] = dict.fromkeys(kinds, 0.0)
             slopes = dict(angles)
-            for name, (angle, slope) in element_shares(chain, torque).items():
-                angles[owners[name]] += angle
-                slopes[owners[name]] += slope
+            by_angle, by_slope = windup_shares(chain, torque), compliance_shares(chain, torque)
+            for name, owner in owners.items():
+                angles[owner] += by_angle[name]
+                slopes[owner] += by_slope[name]
             for name, kind in kinds.items():
                 yield WindupShare(
                     joint=joint,
@@ -182,49 +182,3 @@ def _shares(model: PreloadModel, preloads: np.ndarray) -> Iterator[WindupShare]:
                     share=angles[name],
                     compliance_share=slopes[name],
                 )
-
-
-def element_shares(chain: Chain, torque: float) -> dict[str, tuple[float, float]]:
-    """Shares of the elements in wind-up and in tangent compliance by the exact law.
-
-    Parameters
-    ----------
-    chain : Chain
-        With the preloads in question.
-    torque : float
-        Of the joint [N m].
-
-    Returns
-    -------
-    dict of element name to (share of wind-up, share of compliance)
-        Each sums to 1. What slips, or has no stiffness without pressure, takes the whole.
-    """
-    groups: dict[object, list[str]] = {}
-    for stage in chain.stages:
-        alone = stage.element.name
-        groups.setdefault(("alone", alone) if stage.group is None else stage.group, []).append(
-            alone
-        )
-    names = list(groups.values())
-    parts = [chain.split(group)[0] for group in names]
-    at = np.array([torque])
-    slopes = [float(exact_compliance(part, at)[0]) for part in parts]
-    angles = [abs(float(exact_windup(part, at)[0])) for part in parts] if torque else slopes
-    found: dict[str, tuple[float, float]] = {}
-    for group, part, angle, slope in zip(
-        names, parts, _normalised(angles), _normalised(slopes), strict=True
-    ):
-        if len(group) == 1:
-            found[group[0]] = (angle, slope)
-            continue
-        by_angle, by_slope = windup_shares(part, torque), compliance_shares(part, torque)
-        found |= {name: (angle * by_angle[name], slope * by_slope[name]) for name in group}
-    return found
-
-
-def _normalised(values: list[float]) -> list[float]:
-    """Shares of a sum; what is infinite takes all of it."""
-    if not np.isfinite(values).all():
-        values = [float(np.isinf(value)) for value in values]
-    whole = sum(values)
-    return [value / whole for value in values]
