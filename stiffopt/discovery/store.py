@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
 from stiffopt.discovery.extended.store import extended_text
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.proof.predict import Prediction
-from stiffopt.files import atomic_write
+from stiffopt.files import atomic_write, plain
 from stiffopt.recording.signals import Signals
 
 SCHEMA = 1
@@ -94,8 +93,8 @@ def answer(diagnosis: Diagnosis) -> dict[str, Any]:
             for run, fault in diagnosis.faults
         ],
     }
-    plain: dict[str, Any] = _plain(document)
-    return plain
+    found: dict[str, Any] = plain(document)
+    return found
 
 
 def _finding(finding: Finding, constants: RobotConstants) -> dict[str, Any]:
@@ -145,17 +144,6 @@ def _unexplained(unexplained: Unexplained) -> dict[str, Any]:
         "ratio": unexplained.ratio,
         "brief": unexplained.brief,
     }
-
-
-def _plain(value: Any) -> Any:
-    """NumPy's numbers as Python's, what is not finite as null."""
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list):
-        return [_plain(each) for each in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return int(value) if isinstance(value, np.integer) else value
 
 
 def _arrays(prediction: Prediction, signals: Signals) -> bytes:

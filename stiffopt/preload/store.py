@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.files import atomic_write, write_csv
+from stiffopt.files import atomic_write, plain, write_csv
 from stiffopt.preload.catalogue_choice import CatalogueChoice
 from stiffopt.preload.catalogue_designs import CatalogueDesign
 from stiffopt.preload.curves import curve_rows
@@ -23,7 +23,6 @@ from stiffopt.preload.problem import OBJECTIVES
 from stiffopt.preload.solution import PreloadSolution
 from stiffopt.preload.study import PreloadStudy, named_values
 from stiffopt.result.provenance import inputs_hash
-from stiffopt.result.store import plain
 
 SCHEMA = 1
 STUDY_FILE = "study.json"

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+from stiffopt.files import plain
 from stiffopt.recording.channel import noise_level, resolution
 from stiffopt.recording.clock import GAP
 from stiffopt.recording.facts import JointFacts, joint_facts
@@ -136,9 +137,9 @@ class RecordingReport:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON; what is no finite number is None."""
-        plain: dict[str, Any] = _plain(asdict(self))
-        del plain["facts"]
-        return plain
+        found: dict[str, Any] = plain(asdict(self))
+        del found["facts"]
+        return found
 
     @property
     def training_runs(self) -> int:
@@ -266,13 +267,3 @@ def missing_signals(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tu
         if not run.usable
     ]
     return tuple(found)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -9,13 +9,12 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from stiffopt.files import atomic_write, write_csv
+from stiffopt.files import atomic_write, plain, write_csv
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
 from stiffopt.result.simulation import ElasticMotion, Simulation
 from stiffopt.result.solution import Baseline, ObjectiveValue, Solution
@@ -222,18 +221,3 @@ def _elastic(motion: ElasticMotion) -> dict[str, Any]:
         "settling_band": simulated.band,
         "notes": simulated.notes,
     }
-
-
-def plain(value: object) -> Any:
-    """Value as JSON knows it: plain Python types, null for what is not finite."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(each) for key, each in value.items()}
-    if isinstance(value, np.ndarray | list | tuple):
-        return [plain(each) for each in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value if value is None else str(value)
