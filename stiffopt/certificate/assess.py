@@ -93,6 +93,7 @@ def assess(
         deflection=deflection,
         violations=(),
         lowest_stiffness=lowest,
+        link=None if link is None else moved[0],
     )
     integrals = {name: kind.joint_integrals(robot, assessment) for name, kind in OBJECTIVES.items()}
     named = {

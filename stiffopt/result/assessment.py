@@ -70,6 +70,8 @@ class Assessment:
         One a joint.
     integrals : dict
         Time integrals and means, named by objective and joint: "torque_squared_2".
+    link : array (K, n) or None
+        Position [rad] of the links, sag calibrated away, where planned apart from the motors'.
     """
 
     time: np.ndarray
@@ -87,6 +89,7 @@ class Assessment:
     violations: tuple[Violation, ...]
     lowest_stiffness: tuple[LowestStiffness, ...]
     integrals: dict[str, float] = field(default_factory=dict)
+    link: np.ndarray | None = None
 
     @property
     def duration(self) -> float:

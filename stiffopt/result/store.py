@@ -108,6 +108,9 @@ def trajectory_columns(joints: int) -> list[str]:
 def write_trajectory(assessment: Assessment, directory: str | Path) -> Path:
     """Write trajectory.csv into `directory`; return its path.
 
+    Where the links are planned apart from the motors, their positions follow as further columns:
+    q is then the command that makes them do what they are planned to.
+
     Parameters
     ----------
     assessment : Assessment
@@ -128,7 +131,11 @@ def write_trajectory(assessment: Assessment, directory: str | Path) -> Path:
         assessment.deflection["dynamic"],
     ]
     path = Path(directory) / TRAJECTORY_FILE
-    names = trajectory_columns(assessment.position.shape[1])
+    joints = assessment.position.shape[1]
+    names = trajectory_columns(joints)
+    if assessment.link is not None:
+        columns.append(assessment.link)
+        names += [f"link{joint}" for joint in range(1, joints + 1)]
     write_csv(path, names, np.hstack(columns).tolist())
     return path
 

@@ -14,6 +14,7 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import InputError
 from stiffopt.problem.motor_model import MotorModel, motor_motion
+from stiffopt.result.store import export_times, write_trajectory
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.solve import solve
 
@@ -90,6 +91,25 @@ def test_the_swinging_arm_does_what_is_predicted_and_rests(planar, link):
     rigid = simulate(arm, MotorMotion.of(link))
     # Commanded without the lead, the same motion swings more than the lead leaves.
     assert rigid.peak_after > 3.0 * found.peak_after
+
+
+def test_the_command_makes_the_links_do_what_is_written(planar, link, tmp_path):
+    motors = motor_motion(planar.robot, link, SMOOTHING)
+    times = export_times(motors.duration)
+    write_trajectory(assess(planar, motors, times=times), tmp_path)
+    written = np.genfromtxt(tmp_path / "trajectory.csv", delimiter=",", names=True)
+    command = np.stack([written["q1"], written["q2"]], axis=1)
+    planned = np.stack([written["link1"], written["link2"]], axis=1)
+    speed = np.stack([written["qd1"], written["qd2"]], axis=1)
+    assert planned == pytest.approx(link(written["t"]), abs=1e-12)
+    arm = ElasticArm(planar.robot, command[0])
+    found = simulate(arm, MotorMotion(written["t"], command, speed))
+    at = np.minimum(found.time, motors.duration)
+    wanted = arm.tool(arm.hanging(link(at)))
+    missed = np.max(np.linalg.norm(arm.tool(found.position) - wanted, axis=1))
+    # Commanded as they are planned, the links swing about that place.
+    plain = simulate(arm, MotorMotion.of(link)).peak
+    assert missed < 0.05 * plain
 
 
 def test_planned_for_the_links_nothing_rings(planar):
