@@ -27,7 +27,7 @@ from stiffopt.report.diagnosis.words import (
     proof_sentence,
 )
 from stiffopt.units import joint_unit
-from tests.discovery.simulated import diagnosed
+from tests.discovery.simulated_sets import diagnosed
 
 # Two joints; the second has more dry friction than its nominal model.
 FRICTION = CaseSpec(
