@@ -38,7 +38,7 @@ class MotorModel(StageModel):
     For the optimiser the torques' rates are those of the links' inertia times the links' jerk,
     snap and crackle at the present tangent compliance. What they leave out, the change of inertia,
     compliance and velocity torques within a rise of the acceleration, the certificate sees, and
-    limits are tightened by it. Exact derivatives cost ten times as much an iteration.
+    limits are tightened by it. Exact derivatives cost several times as much an iteration.
 
     Parameters
     ----------
