@@ -155,3 +155,15 @@ def test_a_rigid_arm_has_no_modes(tmp_path, capsys):
     rigid = write_robot(tmp_path, joints=[joint("shoulder", ""), joint("elbow", "")])
     assert run(["modes", str(rigid), "--at", "0 0"]) == 2
     assert "is rigid: no joint has a drivetrain" in capsys.readouterr().err
+
+
+def test_a_bare_number_is_si_on_the_command_line(solved, capsys):
+    found = []
+    for number, name in (("1e-4", "bare"), ("0.1 mm", "unit")):
+        out = solved / name
+        assert run(["simulate", str(solved / "out"), "--out", str(out), "--band", number]) == 0
+        found.append((out / "simulation.json").read_text())
+    assert found[0] == found[1]
+    capsys.readouterr()
+    assert run(["simulate", str(solved / "out"), "--band", "1 kg"]) == 2
+    assert "--band" in capsys.readouterr().err
