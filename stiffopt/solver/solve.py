@@ -159,14 +159,13 @@ def _certified_solve(run: SolveRun, guess: Guess) -> Outcome:
 def _refined(
     run: SolveRun, outcome: Outcome, stage: SolveStage, margins: dict[str, float]
 ) -> Outcome:
-    """Solve again from an outcome, with short intervals where its controls change."""
+    """Solve again from an outcome: short intervals where its controls change, or its own mesh."""
+    before = outcome.transcription
+    guess = before.guess_from(outcome.raw.x)
     if run.problem.plans_links:
-        same = SolveStage(len(outcome.transcription.intervals), stage.smoothing)
-        mesh = outcome.transcription.mesh
-        guess = outcome.transcription.guess_from(outcome.raw.x)
-        return run_stages(run, (same,), guess, margins, mesh, outcome.raw)
-    mesh = refine_mesh(outcome.transcription, outcome.raw.x, stage.intervals)
-    guess = outcome.transcription.guess_from(outcome.raw.x)
+        same = SolveStage(len(before.intervals), stage.smoothing)
+        return run_stages(run, (same,), guess, margins, before.mesh, outcome.raw)
+    mesh = refine_mesh(before, outcome.raw.x, stage.intervals)
     return run_stages(run, (stage,), guess, margins, mesh)
 
 

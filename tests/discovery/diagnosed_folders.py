@@ -17,18 +17,6 @@ from simulated_sets import simulated
 from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.cli import run
 
-# Two joints with link encoders; the second has more dry friction than its nominal model.
-COULOMB = CaseSpec(
-    effects=(("coulomb", 2, 1.5),),
-    seed=3,
-    train=3,
-    test=1,
-    extrapolate=1,
-    seconds=5.0,
-    rate=250.0,
-    substeps=8,
-)
-
 
 @dataclass(frozen=True)
 class Answered:

@@ -17,6 +17,17 @@ from stiffopt.discovery.diagnosis import Diagnosis, Finding
 
 # A parameter agrees within so many of its standard deviations, or within that share.
 DEVIATIONS, SHARE = 3.0, 0.1
+# Two joints with link encoders; the second has more dry friction than its nominal model.
+COULOMB = CaseSpec(
+    effects=(("coulomb", 2, 1.5),),
+    seed=3,
+    train=3,
+    test=1,
+    extrapolate=1,
+    seconds=5.0,
+    rate=250.0,
+    substeps=8,
+)
 
 
 @cache

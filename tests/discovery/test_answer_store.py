@@ -5,7 +5,8 @@ import tomllib
 
 import numpy as np
 import pytest
-from diagnosed_folders import COULOMB, answered, columns_of, contents
+from diagnosed_folders import answered, columns_of, contents
+from simulated_sets import COULOMB
 
 NUMBER, TEXT = (int, float), (str,)
 NULL = (type(None),)

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from diagnosed_folders import COULOMB
-from simulated_sets import simulated
+from simulated_sets import COULOMB, simulated
 
 from benchmarks.simulator import write_case
 from stiffopt.discovery.catalogue import CATALOGUE

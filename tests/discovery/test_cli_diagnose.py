@@ -9,8 +9,8 @@ import time
 
 import numpy as np
 import pytest
-from diagnosed_folders import COULOMB, columns_of, contents, copied, written
-from simulated_sets import diagnosed
+from diagnosed_folders import columns_of, contents, copied, written
+from simulated_sets import COULOMB, diagnosed
 
 from stiffopt.cli import run
 from tests.identification.static_arms import THREE, BentArm, measure

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosed_folders import COULOMB, answered, columns_of, command, copied
-from simulated_sets import diagnosed, said
+from diagnosed_folders import answered, columns_of, command, copied
+from simulated_sets import COULOMB, diagnosed, said
 from test_answer_store import conforms
 
 from stiffopt.discovery.diagnose import diagnose

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from diagnosed_folders import COULOMB, answered, command
+from diagnosed_folders import answered, command
+from simulated_sets import COULOMB
 
 from stiffopt.discovery.extended.model import load_extended
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosed_folders import COULOMB, columns_of, command, copied
+from diagnosed_folders import columns_of, command, copied
+from simulated_sets import COULOMB
 from small_arms import ROOT
 
 from stiffopt.cli import run

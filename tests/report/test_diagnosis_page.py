@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from page_reader import Page
 
-from benchmarks.simulator import CaseSpec
 from stiffopt.discovery.diagnosis import Rival
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.report.common.text import pm, significant
@@ -27,24 +26,12 @@ from stiffopt.report.diagnosis.words import (
     proof_sentence,
 )
 from stiffopt.units import joint_unit
-from tests.discovery.simulated_sets import diagnosed
-
-# Two joints; the second has more dry friction than its nominal model.
-FRICTION = CaseSpec(
-    effects=(("coulomb", 2, 1.5),),
-    seed=3,
-    train=3,
-    test=1,
-    extrapolate=1,
-    seconds=5.0,
-    rate=250.0,
-    substeps=8,
-)
+from tests.discovery.simulated_sets import COULOMB, diagnosed
 
 
 @pytest.fixture(scope="module")
 def friction():
-    return diagnosed(FRICTION)
+    return diagnosed(COULOMB)
 
 
 def page_of(diagnosis, folder):
