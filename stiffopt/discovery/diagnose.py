@@ -19,6 +19,7 @@ from stiffopt.discovery.diagnosis import (
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import ExperimentPlan, leading_pair, plan_experiment
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
+from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.judging.detection import detection_limits
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, channel_name
@@ -27,11 +28,13 @@ from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.proof.proof import RunProof, prove
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.rivals import Selected
-from stiffopt.discovery.search.search import search, unstated_effects, without_bounds
+from stiffopt.discovery.search.search import search
+from stiffopt.discovery.search.told import told_effects, unstated_effects, without_bounds
 from stiffopt.discovery.search.uncertainty import Estimate, estimate
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training, train
 from stiffopt.discovery.user_effects import load_effects
+from stiffopt.recording.facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
 
 Say = Callable[[str], object]
@@ -86,11 +89,16 @@ def diagnose(
     if base is not None:
         recordings = base.applied_to(recordings)
     training = train(recordings, settings, base, say)
+    facts = joint_facts(recordings, training.recorded)
+    checks = effect_checks(recordings, facts, len(training.recorded), catalogue)
+    asked = told_effects(catalogue, checks)
     say("compare with the nominal model" if base is None else f"compare with {base.source}")
     result = search(
         training.comparison(),
-        without_bounds(catalogue, recordings),
-        start=unstated_effects(catalogue, recordings) if base is None else (),
+        without_bounds(asked, recordings),
+        start=(
+            unstated_effects(asked, recordings, training.constants.joints) if base is None else ()
+        ),
         most=settings.effects,
         report=say,
     )
@@ -99,7 +107,7 @@ def diagnose(
     located = tuple(s.located for s in selected)
     parameters = estimate(result.comparison, located)
     findings = _findings(result.comparison, selected, parameters, training)
-    limits = detection_limits(Scorer(result.comparison, located), catalogue)
+    limits = detection_limits(Scorer(result.comparison, located), asked, result.effects)
     found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
     start = () if base is None else (base.extension,)
     if unexplained is None and not findings:

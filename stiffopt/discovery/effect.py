@@ -172,6 +172,8 @@ class Effect:
         Of reported values that are no amplitude and no shape.
     applies : callable, optional
         (constants) -> bool; False where the joint cannot have it (no pole pairs known).
+    possible : callable, optional
+        (shapes, constants) -> bool; False for shapes that the recordings themselves rule out.
     separate : str
         The motion that separates it from what looks alike.
     log_prior : callable, optional
@@ -208,6 +210,7 @@ class Effect:
     report: Report | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     applies: Callable[[Any], bool] | None = None
+    possible: Callable[[Sequence[float], Any], bool] | None = None
     separate: str = ""
     log_prior: Callable[[Any], float] | None = None
     title: str = ""

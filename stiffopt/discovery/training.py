@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from stiffopt.discovery.comparison.channel_noise import KnownNoise, known_noise
-from stiffopt.discovery.comparison.comparison import FEW_RUNS, Comparison
+from stiffopt.discovery.comparison.comparison import FEW_RUNS, Comparison, bridged
 from stiffopt.discovery.comparison.extension import extended
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import merged
@@ -91,7 +93,7 @@ def train(
             "runs",
             f"no training run can be used. {' '.join(notes)} `stiffopt recording check` says more.",
         )
-    ranged = robot.ranged([run.signals for run in prepared])
+    ranged = robot.ranged([run.signals for run in prepared], _largest_torques(prepared))
     if model is not None:
         ranged = model.scaled(ranged)
         check_extended(model, ranged)
@@ -114,3 +116,14 @@ def train(
         box=settings.box,
         assumptions=(*recordings.assumptions, *noise.assumptions(), *notes),
     )
+
+
+def _largest_torques(runs: Sequence[PreparedRun]) -> np.ndarray:
+    """Largest filtered torque measured of every joint (n,); 0 where none is [N m]."""
+    largest = np.zeros(runs[0].torque.shape[1])
+    for run in runs:
+        for j, used in enumerate(run.torque_used.T):
+            if used.any():
+                torque = bridged(run.torque[:, j : j + 1])[:, 0]
+                largest[j] = max(largest[j], np.abs(run.low_pass(torque)[used]).max())
+    return largest

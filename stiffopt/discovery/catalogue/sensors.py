@@ -18,6 +18,8 @@ from stiffopt.symbolic import Quantity, softplus
 
 # Share of the highest torque over which a drive rounds its limit off.
 _LIMIT_ROUNDING = 0.01
+# Share of the largest filtered torque that a drive's limit lies above.
+_OVERSHOOT = 0.97
 
 
 def torque_gain_term(
@@ -74,6 +76,11 @@ def _limit(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
     return {"limit": shapes[0] * constants.torque_max}
+
+
+def _not_exceeded(shapes: Sequence[float], constants: Constants) -> bool:
+    """Whether no run shows more torque than the limit; a filter overshoots a little."""
+    return bool(shapes[0] * constants.torque_max >= _OVERSHOOT * constants.measured_torque)
 
 
 def _offset(constants: JointConstants) -> float:
@@ -153,7 +160,7 @@ TIME_DELAY = Effect(
     phrase="torque recorded late",
     needs=("torque", "moves"),
     term=time_delay_term,
-    amplitudes=(Amplitude(name="d", unit="s", scale=5e-3, lower=-4.0, upper=10.0),),
+    amplitudes=(Amplitude(name="d", unit="s", scale=5e-3, lower=0.0, upper=10.0),),
     separate="Change speed quickly, then hold it: a delay shows while the torque changes, friction"
     " and inertia do not depend on how fast it does.",
 )
@@ -187,6 +194,7 @@ SATURATION = Effect(
     shapes=(Shape(name="share", unit="", starts=_limits, lower=0.05, upper=1.2),),
     report=_limit,
     units={"limit": "N m"},
+    possible=_not_exceeded,
     separate="Ask for the highest torque several times: below the limit nothing is missing, a gain"
     " error shows at every torque.",
 )

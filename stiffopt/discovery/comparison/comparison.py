@@ -145,8 +145,8 @@ class Comparison:
                 added = self.link_torque[index]
                 drive = drive - added
                 windup = windup - self.robot.compliance(signals.spring_torque) * added
-            torque.append(_bridged(run.torque) - drive)
-            deflection.append(_bridged(run.deflection) - windup)
+            torque.append(bridged(run.torque) - drive)
+            deflection.append(bridged(run.deflection) - windup)
         return self._column(torque, deflection)
 
     def effect_columns(self, located: LocatedEffect) -> np.ndarray:
@@ -204,7 +204,7 @@ def _within(sums: Sums, prior: np.ndarray, limits: np.ndarray) -> np.ndarray:
     return np.asarray(prior * lsq_linear(root.T, goal, (-limits, limits)).x)
 
 
-def _bridged(samples: np.ndarray) -> np.ndarray:
+def bridged(samples: np.ndarray) -> np.ndarray:
     """Single missing samples bridged for the filter; whole missing channels are zero."""
     out = np.where(np.isfinite(samples), samples, 0.0)
     for j in range(samples.shape[1]):

@@ -96,6 +96,23 @@ class LocatedEffect:
         own = self.constants(robot)
         return np.array([a.size(own) for a in self.effect.amplitudes])
 
+    def possible(self, robot: RobotConstants) -> bool:
+        """Whether the recordings themselves do not rule the shapes out."""
+        rule = self.effect.possible
+        return rule is None or rule(self.shapes, self.constants(robot))
+
+    def bounds(self, robot: RobotConstants) -> np.ndarray:
+        """Lowest and highest amplitudes over their sizes (k, 2).
+
+        What adds to a nominal value leaves at least nothing of it: no friction drives a joint.
+        """
+        found = np.array([(a.lower, a.upper) for a in self.effect.amplitudes], dtype=float)
+        own = self.constants(robot)
+        if self.effect.nominal and isinstance(own, JointConstants):
+            least = -getattr(own, self.effect.nominal) / self.sizes(robot)[0]
+            found[0, 0] = max(found[0, 0], least)
+        return found
+
     def contribution(self, run: PreparedRun, amplitudes: Sequence[float]) -> Contribution:
         """What it adds to a run, not filtered."""
         signals = run.signals

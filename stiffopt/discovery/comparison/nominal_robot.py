@@ -81,8 +81,17 @@ class RobotModel:
             tool_range=np.array([[-1.0] * 3, [1.0] * 3]),
         )
 
-    def ranged(self, signals: Sequence[RobotSignals]) -> RobotConstants:
-        """Constants with the ranges that some runs meet; unknown torques from what they carry."""
+    def ranged(
+        self, signals: Sequence[RobotSignals], measured: np.ndarray | None = None
+    ) -> RobotConstants:
+        """Constants with the ranges that some runs meet; unknown torques from what they carry.
+
+        Parameters
+        ----------
+        signals : sequence of RobotSignals
+        measured : array (n,), optional
+            Largest torque that they show [N m].
+        """
         base = self.constants
 
         def stack(name: str) -> np.ndarray:
@@ -102,6 +111,7 @@ class RobotModel:
                     torque_rated=own.torque_rated if known else max(largest / 2.0, 1e-6),
                     stroke=(float(motor[:, j].min()), float(motor[:, j].max())),
                     fastest=max(float(speed[:, j].max()), 1e-6),
+                    measured_torque=0.0 if measured is None else float(measured[j]),
                     largest_torque=max(float(spring[:, j].max()), 1e-9),
                 )
             )

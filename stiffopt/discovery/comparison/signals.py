@@ -46,6 +46,8 @@ class JointConstants:
         Largest motor speed met [rad/s].
     largest_torque : float
         Largest nominal spring torque met [N m].
+    measured_torque : float
+        Largest measured drive torque of the training runs, filtered; 0 where none is [N m].
     prismatic : bool
     belt : bool or None
         Whether a belt is among the connections; None where they are unknown.
@@ -63,6 +65,7 @@ class JointConstants:
     stroke: tuple[float, float] = (-np.pi, np.pi)
     fastest: float = 1.0
     largest_torque: float = 1.0
+    measured_torque: float = 0.0
     prismatic: bool = False
     belt: bool | None = None
 

@@ -46,7 +46,9 @@ class DetectionLimit:
         )
 
 
-def detection_limits(scorer: Scorer, catalogue: Sequence[Effect]) -> tuple[DetectionLimit, ...]:
+def detection_limits(
+    scorer: Scorer, catalogue: Sequence[Effect], seen: Sequence[LocatedEffect] = ()
+) -> tuple[DetectionLimit, ...]:
     """Limits of every effect with a single amplitude, at every place.
 
     Parameters
@@ -54,6 +56,9 @@ def detection_limits(scorer: Scorer, catalogue: Sequence[Effect]) -> tuple[Detec
     scorer : Scorer
         Beside what was found.
     catalogue : sequence of Effect
+    seen : sequence of LocatedEffect
+        What the search found, withdrawn findings included: of what was seen there no limit is
+        given.
 
     Notes
     -----
@@ -63,16 +68,18 @@ def detection_limits(scorer: Scorer, catalogue: Sequence[Effect]) -> tuple[Detec
     found = []
     for effect in catalogue:
         if len(effect.amplitudes) == 1 and effect.amplitudes[0] is not WEIGHT:
-            found += list(_of_effect(scorer, effect))
+            found += list(_of_effect(scorer, effect, seen))
     return tuple(found)
 
 
-def _of_effect(scorer: Scorer, effect: Effect) -> Iterator[DetectionLimit]:
+def _of_effect(
+    scorer: Scorer, effect: Effect, seen: Sequence[LocatedEffect]
+) -> Iterator[DetectionLimit]:
     constants = scorer.comparison.constants
     runs = [run.name for run in scorer.comparison.runs]
     by_place: dict[tuple[int | None, str | None], list[LocatedEffect]] = {}
     for located in places(effect, constants, runs):
-        if not any(located.same_place(other) for other in scorer.base):
+        if not any(located.same_place(other) for other in (*scorer.base, *seen)):
             by_place.setdefault((located.joint, located.run), []).append(located)
     for (joint, run), tried in by_place.items():
         if run is not None:

@@ -80,7 +80,11 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
     excess = np.maximum(before**2 - 1.0, 1e-9)
     share = 1.0 - (after**2 - 1.0) / excess
     poor = {int(c) for c in remaining if share[c] < EXPLAINED_SHARE}
-    kept = tuple(s for s in result.selected if s.channel not in poor)
+    unstated = result.comparison.robot.recordings.unstated
+    # A value that the nominal model does not give at all is there, however much else is missing.
+    kept = tuple(
+        s for s in result.selected if s.channel not in poor or s.located.effect.nominal in unstated
+    )
     if not poor and kept and after[remaining[0]] < PASSED_OVER_RATIO:
         # What formulas that differ from nature leave behind, small against what they explain.
         return kept, None
@@ -223,6 +227,8 @@ def _period(
     if span <= 0.0 or step <= 0.0:
         return None
     frequencies = np.arange(2.0 / span, 0.35 / step, 0.2 / span)
+    if not frequencies.size:
+        return None  # blocks too short for two periods of anything that the rows resolve
     power = np.zeros(len(frequencies))
     for b in np.unique(block):
         own = block == b

@@ -80,6 +80,8 @@ class Scorer:
         price : float
             Log of the number of shapes tried.
         """
+        if not located.possible(self.comparison.constants):
+            return None
         added = self.comparison.effect_columns(located)
         size = np.sum(added**2, axis=0)
         if not np.isfinite(size).all() or not np.any(size > 1e-12):
@@ -126,7 +128,7 @@ class Scorer:
     ) -> tuple[Posterior | None, np.ndarray]:
         """Posterior with amplitudes outside their bounds left out one after another."""
         kept = np.arange(added.shape[1])
-        bounds = np.array([(a.lower, a.upper) for a in located.effect.amplitudes])
+        bounds = located.bounds(self.comparison.constants)
         p = self._columns.shape[1]
         whole = self._sums.extended(added)
         while kept.size:

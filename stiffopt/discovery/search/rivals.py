@@ -59,12 +59,16 @@ def ranked_among_rivals(
     effects: Sequence[LocatedEffect],
     located: LocatedEffect,
     catalogue: Sequence[Effect],
-) -> Ranked:
-    """Weigh a found effect against everything that could stand in its place."""
+) -> Ranked | None:
+    """Weigh a found effect against everything that could stand in its place.
+
+    None where it has come to nothing, or to what cannot be, beside the others.
+    """
     others = [e for e in effects if e is not located]
     scorer = Scorer(comparison, others)
     own = scorer.score(located)
-    assert own is not None
+    if own is None:
+        return None
     found = [c for c in scan(scorer, catalogue, about=located) if not c.located.same_place(located)]
     width = float(np.clip(TEMPERED_SHARE * own.evidence, 1.0, TEMPERED_MOST))
     constants = comparison.constants

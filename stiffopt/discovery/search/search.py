@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from stiffopt.discovery.comparison.extension import with_amplitudes
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
-from stiffopt.discovery.search.rivals import Selected, ranked_among_rivals
+from stiffopt.discovery.search.rivals import Ranked, Selected, ranked_among_rivals
 from stiffopt.discovery.search.uncertainty import significance
 from stiffopt.discovery.thresholds import (
     BORNE_OUT_SHARE,
@@ -23,7 +23,6 @@ from stiffopt.discovery.thresholds import (
     NAMED_SHARE,
     RELIEF_SHARE,
 )
-from stiffopt.recording.recording_set import RecordingSet
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,24 +105,35 @@ def search(
     confirmed = _confirmed(current, effects)
     if len(confirmed) < len(effects):
         current, effects = _fitted_jointly(comparison, confirmed)
-    ranked = [ranked_among_rivals(current, effects, e, catalogue) for e in effects]
+    ranked = _ranked(current, effects, catalogue)
     for _ in range(EXCHANGES):
         likelier = _distinct([r.likeliest for r in ranked])
         if likelier == effects:
             break
         current, effects = _fitted_jointly(comparison, likelier)
-        ranked = [ranked_among_rivals(current, effects, e, catalogue) for e in effects]
+        ranked = _ranked(current, effects, catalogue)
     else:
         # Explanations that go on taking each other's place explain nothing.
         kept = [r.selected.located for r in ranked if r.likeliest is r.selected.located]
         if len(kept) < len(effects):
             current, effects = _fitted_jointly(comparison, kept)
-            ranked = [ranked_among_rivals(current, effects, e, catalogue) for e in effects]
+            ranked = _ranked(current, effects, catalogue)
+    kept = [r.selected.located for r in ranked]
+    if len(kept) < len(effects):
+        current, effects = _fitted_jointly(comparison, kept)
     selected = sorted((r.selected for r in ranked), key=lambda s: -s.loss)
     fit = current.fit(tuple(s.located for s in selected))
     return SearchResult(
         tuple(selected), current, fit, before, calibrated, current.channel_ratio(fit.residual)
     )
+
+
+def _ranked(
+    comparison: Comparison, effects: list[LocatedEffect], catalogue: Sequence[Effect]
+) -> list[Ranked]:
+    """Effects among their rivals, without those that have come to nothing beside the others."""
+    found = (ranked_among_rivals(comparison, effects, e, catalogue) for e in effects)
+    return [each for each in found if each is not None]
 
 
 def _passes(candidate: Candidate, scorer: Scorer) -> bool:
@@ -237,35 +247,3 @@ def _distinct(effects: Sequence[LocatedEffect]) -> list[LocatedEffect]:
         if not any(located.same_place(other) for other in kept):
             kept.append(located)
     return kept
-
-
-def unstated_effects(
-    catalogue: Sequence[Effect], recordings: RecordingSet
-) -> tuple[LocatedEffect, ...]:
-    """Effects that stand for values the set does not give.
-
-    They are tried together before anything else; what the recordings do not bear out is dropped.
-    """
-    return tuple(
-        LocatedEffect(effect=_unbounded(effect), joint=j)
-        for effect in catalogue
-        if _stands_for_unstated(effect, recordings)
-        for j in range(len(recordings.joints))
-    )
-
-
-def without_bounds(catalogue: Sequence[Effect], recordings: RecordingSet) -> tuple[Effect, ...]:
-    """The catalogue, where what the nominal model does not state may be of any size."""
-    return tuple(
-        _unbounded(each) if _stands_for_unstated(each, recordings) else each for each in catalogue
-    )
-
-
-def _stands_for_unstated(effect: Effect, recordings: RecordingSet) -> bool:
-    return effect.nominal in recordings.unstated
-
-
-def _unbounded(entry: Effect) -> Effect:
-    """The effect without the upper bounds that compare it with a nominal value."""
-    amplitudes = tuple(replace(a, upper=float("inf")) for a in entry.amplitudes)
-    return replace(entry, amplitudes=amplitudes)

@@ -1,0 +1,78 @@
+"""The catalogue as a recording set can show it: what is asked of it, and where."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.signals import JointConstants
+from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.identifiable import EffectCheck
+from stiffopt.recording.recording_set import RecordingSet
+
+
+def told_effects(catalogue: Sequence[Effect], checks: Sequence[EffectCheck]) -> tuple[Effect, ...]:
+    """The catalogue, each entry only where the recordings can tell it.
+
+    What `recording check` says cannot be told of a joint is never claimed there.
+
+    Parameters
+    ----------
+    catalogue : sequence of Effect
+    checks : sequence of EffectCheck
+        Of every entry at every joint.
+    """
+    told: dict[str, set[int | None]] = {}
+    for check in checks:
+        joints = told.setdefault(check.effect.name, set())
+        if check.possible:
+            joints.add(check.joint)
+    return tuple(_only(entry, told.get(entry.name, set())) for entry in catalogue)
+
+
+def _only(entry: Effect, joints: set[int | None]) -> Effect:
+    own = entry.applies
+
+    def applies(constants: Any) -> bool:
+        if own is not None and not own(constants):
+            return False
+        # Of a link or the robot one joint that shows it is enough.
+        joint = getattr(constants, "joint", None)
+        return bool(joints) if joint is None else joint in joints
+
+    return replace(entry, applies=applies)
+
+
+def unstated_effects(
+    catalogue: Sequence[Effect], recordings: RecordingSet, joints: Sequence[JointConstants]
+) -> tuple[LocatedEffect, ...]:
+    """Effects that stand for values the set does not give.
+
+    They are tried together before anything else; what the recordings do not bear out is dropped.
+    """
+    return tuple(
+        LocatedEffect(effect=_unbounded(effect), joint=j)
+        for effect in catalogue
+        if _stands_for_unstated(effect, recordings)
+        for j, constants in enumerate(joints)
+        if effect.applies is None or effect.applies(constants)
+    )
+
+
+def without_bounds(catalogue: Sequence[Effect], recordings: RecordingSet) -> tuple[Effect, ...]:
+    """The catalogue, where what the nominal model does not state may be of any size."""
+    return tuple(
+        _unbounded(each) if _stands_for_unstated(each, recordings) else each for each in catalogue
+    )
+
+
+def _stands_for_unstated(effect: Effect, recordings: RecordingSet) -> bool:
+    return effect.nominal in recordings.unstated
+
+
+def _unbounded(entry: Effect) -> Effect:
+    """The effect without the upper bounds that compare it with a nominal value."""
+    amplitudes = tuple(replace(a, upper=float("inf")) for a in entry.amplitudes)
+    return replace(entry, amplitudes=amplitudes)

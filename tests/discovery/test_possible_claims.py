@@ -1,0 +1,74 @@
+"""What the recordings themselves rule out is never claimed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.signals import JointConstants, RobotConstants
+from stiffopt.discovery.identifiable import EffectCheck
+from stiffopt.discovery.judging.unexplained import _period
+from stiffopt.discovery.search.told import told_effects
+
+JOINT = JointConstants(
+    joint=1,
+    ratio=100.0,
+    coulomb=4.0,
+    viscous=0.0,
+    torque_rated=40.0,
+    torque_max=120.0,
+    rotor_inertia=0.0,
+    measured_torque=60.0,
+)
+ROBOT = RobotConstants(
+    joints=(JOINT, replace(JOINT, joint=2)),
+    links=("link1", "link2"),
+    masses=np.ones(2),
+    centres=np.zeros((2, 3)),
+    tool_range=np.zeros((2, 3)),
+)
+
+
+@pytest.mark.parametrize(("share", "possible"), [(0.3, False), (0.45, False), (0.5, True)])
+def test_a_drive_gives_no_more_than_its_limit(share: float, possible: bool) -> None:
+    """Of 60 N m measured and 120 N m at most, a limit below half was passed and is none."""
+    limit = LocatedEffect(effect=effect("saturation"), joint=0, shapes=(share,))
+    assert limit.possible(ROBOT) == possible
+
+
+@pytest.mark.parametrize(
+    ("name", "least"), [("coulomb", -4.0), ("viscous", 0.0), ("rotor_inertia", 0.0)]
+)
+def test_nothing_falls_below_none(name: str, least: float) -> None:
+    """A change takes away at most what the nominal model has; of nothing it takes nothing."""
+    located = LocatedEffect(effect=effect(name), joint=0)
+    assert located.bounds(ROBOT)[0, 0] * located.sizes(ROBOT)[0] == pytest.approx(least)
+
+
+def test_no_torque_is_recorded_before_it_is_given() -> None:
+    """A delay has one sign."""
+    delay = LocatedEffect(effect=effect("time_delay"))
+    assert delay.bounds(ROBOT)[0, 0] == 0.0
+
+
+def test_an_effect_is_sought_only_where_it_can_be_told() -> None:
+    """What `recording check` says cannot be told of a joint is not tried there."""
+    entry = effect("coulomb")
+    checks = [
+        EffectCheck(effect=entry, joint=1, lacks=("it does not move",)),
+        EffectCheck(effect=entry, joint=2, lacks=()),
+    ]
+    (told,) = told_effects([entry], checks)
+    assert told.applies is not None
+    assert [told.applies(joint) for joint in ROBOT.joints] == [False, True]
+
+
+def test_a_block_too_short_for_any_period_has_none() -> None:
+    """Three rows a block resolve no wave; that is an answer, not an error."""
+    block = np.repeat([0, 1], 3)
+    time = np.array([0.0, 0.1, 0.2, 1.0, 1.1, 1.2])
+    assert _period(np.ones(6), block, time) is None
