@@ -74,7 +74,7 @@ def solve(
             exported = assess(stated, solution.trajectory, times=times)
             write_trajectory(exported, folder)
         write_solve_report(stated, solution, folder)
-        write_result(solution, folder, problem)
+        write_result(solution, folder, problem, stated=stated)
     print_solution(stated, solution, folder)
     return solution.status.exit_code
 

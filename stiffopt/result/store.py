@@ -10,14 +10,18 @@ import json
 import math
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stiffopt.files import atomic_write, plain, write_csv
+from stiffopt.errors import InputFileError
+from stiffopt.files import atomic_write, check_file, plain, write_csv
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
 from stiffopt.result.simulation import ElasticMotion, Simulation
 from stiffopt.result.solution import Baseline, ObjectiveValue, Solution
+
+if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
 
 SCHEMA = 1
 EXPORT_RATE = 500.0
@@ -58,7 +62,11 @@ def result_document(solution: Solution) -> dict[str, Any]:
 
 
 def write_result(
-    solution: Solution, directory: str | Path, problem: str | Path | None = None
+    solution: Solution,
+    directory: str | Path,
+    problem: str | Path | None = None,
+    *,
+    stated: TrajectoryProblem | None = None,
 ) -> Path:
     """Write result.json into `directory`; return its path.
 
@@ -68,14 +76,57 @@ def write_result(
     directory : path
     problem : path, optional
         File that was solved; kept relative to the folder, so that both can move together.
+    stated : TrajectoryProblem, optional
+        Its title and the names of its joints go with the motion.
     """
     document = result_document(solution)
+    if stated is not None:
+        document["title"] = stated.title
+        document["joints"] = [
+            {"name": name, "slides": bool(slides)}
+            for name, slides in zip(stated.robot.joint_names, stated.robot.prismatic, strict=True)
+        ]
     if problem is not None:
         document["problem"] = Path(os.path.relpath(problem, directory)).as_posix()
     text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
     path = Path(directory) / RESULT_FILE
     atomic_write(path, text + "\n")
     return path
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """Content of a result.json.
+
+    Raises
+    ------
+    InputFileError
+        No such file, or one of something else.
+    """
+    check_file(path)
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputFileError(path, "", f"is no JSON text: {error}") from error
+    if not isinstance(document, dict) or "inputs_hash" not in document:
+        raise InputFileError(path, "", "is no result of `stiffopt solve`.")
+    return document
+
+
+def joints_of(document: dict[str, Any], path: Path) -> tuple[tuple[str, ...], np.ndarray]:
+    """Names of the joints of a result, and which of them slide (n,).
+
+    Raises
+    ------
+    InputFileError
+        The result does not say; `path` is its file.
+    """
+    try:
+        joints = [(str(joint["name"]), bool(joint["slides"])) for joint in document["joints"]]
+    except (KeyError, TypeError) as error:
+        raise InputFileError(
+            path, "joints", "this result does not name its joints. Solve again."
+        ) from error
+    return tuple(name for name, _ in joints), np.array([slides for _, slides in joints])
 
 
 def export_times(duration: float, rate: float = EXPORT_RATE) -> np.ndarray:

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from stiffopt.baseline.baselines import baselines
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.errors import InputFileError
-from stiffopt.files import check_file, read_table
+from stiffopt.files import read_table
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.resolve import ResolvedMotion, resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import PeakRms
 from stiffopt.result.provenance import inputs_hash
-from stiffopt.result.store import RESULT_FILE, TRAJECTORY_FILE
+from stiffopt.result.store import RESULT_FILE, TRAJECTORY_FILE, read_document
 from stiffopt.solver.simulation import PlannedMotion, rivals
 
 
@@ -58,7 +56,7 @@ def read_result(folder: Path, problem: Path | None = None) -> StoredResult:
         A file is missing or of something else, names no problem, or the problem has changed.
     """
     path = folder / RESULT_FILE
-    document = _document(path)
+    document = read_document(path)
     if problem is None:
         named = document.get("problem")
         if not isinstance(named, str):
@@ -99,17 +97,6 @@ def read_result(folder: Path, problem: Path | None = None) -> StoredResult:
         counted=worst <= CERTIFIED,
     )
     return StoredResult(problem=stated, motion=resolve(stated), optimised=own)
-
-
-def _document(path: Path) -> dict[str, Any]:
-    check_file(path)
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise InputFileError(path, "", f"is no JSON text: {error}") from error
-    if not isinstance(document, dict) or "inputs_hash" not in document:
-        raise InputFileError(path, "", "is no result of `stiffopt solve`.")
-    return document
 
 
 def _trajectory(path: Path, joints: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,0 +1,35 @@
+"""CSV: time, then positions, velocities and accelerations under the joints' names."""
+
+from __future__ import annotations
+
+import csv
+import io
+
+import numpy as np
+
+from stiffopt.export.format import FORMATS, ExportFormat
+from stiffopt.export.motion import SampledMotion
+
+
+class Csv(ExportFormat):
+    """One header row, SI numbers with full precision."""
+
+    name = "csv"
+    title = "CSV"
+    rate = 500.0
+    rate_max = 20000.0
+
+    def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:
+        """One file."""
+        names = ["time"]
+        for suffix in ("", "_velocity", "_acceleration"):
+            names += [f"{joint}{suffix}" for joint in motion.joint_names]
+        columns = [motion.time[:, None], motion.position, motion.velocity, motion.acceleration]
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(names)
+        writer.writerows(np.hstack(columns).tolist())
+        return {f"{motion.which}.csv": text.getvalue()}
+
+
+FORMATS.add(Csv())

@@ -1,0 +1,91 @@
+"""KUKA: a KRL program that goes to the start, and the axis corrections that RSI is sent then."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from stiffopt.export.format import FORMATS, ExportFormat
+from stiffopt.export.motion import SampledMotion, StoredMotion
+from stiffopt.export.six_axes import require_cycle, require_six_axes
+
+_AXES = tuple(f"A{axis}" for axis in range(1, 7))
+
+
+class KrlRsi(ExportFormat):
+    """Absolute corrections of the axes from the start, in degrees, one row a cycle.
+
+    Notes
+    -----
+    KUKA.RobotSensorInterface: a cycle of 4 ms (IPO_FAST) or 12 ms; with RSI_ON(#ABSOLUTE) a
+    correction counts from where the sensor-guided motion began. What sends the rows over Ethernet,
+    and the limits of the corrections in the RSI context, are the cell's own.
+    """
+
+    name = "krl-rsi"
+    title = "KUKA RSI"
+    rate = 250.0
+    rate_max = 250.0
+    whole_steps = True
+
+    def check(self, stored: StoredMotion, rate: float) -> None:
+        """Six turning joints, at a whole number of cycles."""
+        require_six_axes(stored, self.title)
+        require_cycle(rate, self.rate_max, self.title)
+
+    def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:
+        """The program, the rows, and the range of each correction in the program's head."""
+        name = re.sub(r"\W", "_", motion.title.lower(), flags=re.ASCII).strip("_")[:12]
+        name = f"stiffopt_{name}".rstrip("_")
+        angles = np.degrees(motion.position)
+        corrections = angles - angles[0]
+        spans = ", ".join(
+            f"{axis} {low:.3f} to {high:.3f}"
+            for axis, low, high in zip(
+                _AXES, corrections.min(axis=0), corrections.max(axis=0), strict=True
+            )
+        )
+        start = ", ".join(
+            f"{axis} {value:.6f}" for axis, value in zip(_AXES, angles[0], strict=True)
+        )
+        program = [
+            "&ACCESS RVP",
+            f"DEF {name}( )",
+            f"; {_plain(motion.title)}: motion of the {motion.which}s, {rate:g} Hz, "
+            f"{motion.time[-1]:g} s",
+            f"; Send one row of {name}_rsi.csv a cycle as AKorr; signs and zeros of the axes are",
+            "; those of the URDF: compare them with the controller's before the first run.",
+            f"; Corrections [deg]: {spans}",
+            "DECL INT ret",
+            "DECL INT context",
+            "BAS (#INITMOV,0)",
+            "BAS (#VEL_PTP,10)",
+            f"PTP {{{start}}}",
+            f'ret = RSI_CREATE("{name}.rsi", context, TRUE)',
+            *_halt(),
+            "ret = RSI_ON(#ABSOLUTE)",
+            *_halt(),
+            "RSI_MOVECORR()",
+            "ret = RSI_OFF()",
+            *_halt(),
+            "END",
+        ]
+        rows = [",".join(f"{value:.6f}" for value in row) for row in corrections]
+        return {
+            f"{name}.src": "\n".join(program) + "\n",
+            f"{name}_rsi.csv": "\n".join([",".join(_AXES), *rows]) + "\n",
+        }
+
+
+def _halt() -> list[str]:
+    """What follows every call of RSI."""
+    return ["IF (ret <> RSIOK) THEN", "  HALT", "ENDIF"]
+
+
+def _plain(title: str) -> str:
+    """KRL sources are ASCII."""
+    return title.encode("ascii", "replace").decode()
+
+
+FORMATS.add(KrlRsi())

@@ -1,0 +1,62 @@
+"""ROS 2: a trajectory_msgs/msg/JointTrajectory as YAML, for a joint trajectory controller."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+
+from stiffopt.export.format import FORMATS, ExportFormat
+from stiffopt.export.motion import SampledMotion
+
+_NANO = 1_000_000_000
+
+
+class Ros2(ExportFormat):
+    """Fields of the message in their order; efforts are left to the controller.
+
+    Notes
+    -----
+    Fields after https://github.com/ros2/common_interfaces, trajectory_msgs: JointTrajectory and
+    JointTrajectoryPoint. Controllers refuse points whose times do not increase, and some refuse
+    efforts, so the list of efforts stays empty.
+    """
+
+    name = "ros2"
+    title = "a ROS 2 joint trajectory"
+    rate = 500.0
+    rate_max = 20000.0
+
+    def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:
+        """One file."""
+        lines = [
+            f"# {motion.title}: motion of the {motion.which}s at {rate:g} Hz, "
+            "trajectory_msgs/msg/JointTrajectory. Run it with:",
+            "# ros2 topic pub --once /joint_trajectory_controller/joint_trajectory "
+            'trajectory_msgs/msg/JointTrajectory "$(cat joint_trajectory.yaml)"',
+            'header: {stamp: {sec: 0, nanosec: 0}, frame_id: ""}',
+            f"joint_names: {json.dumps(list(motion.joint_names), ensure_ascii=False)}",
+            "points:",
+        ]
+        rows = zip(
+            motion.time, motion.position, motion.velocity, motion.acceleration, strict=True
+        )  # fmt: skip
+        for time, position, velocity, acceleration in rows:
+            seconds, rest = divmod(round(float(time) * _NANO), _NANO)
+            lines += [
+                f"- positions: {_numbers(position)}",
+                f"  velocities: {_numbers(velocity)}",
+                f"  accelerations: {_numbers(acceleration)}",
+                "  effort: []",
+                f"  time_from_start: {{sec: {seconds}, nanosec: {rest}}}",
+            ]
+        return {"joint_trajectory.yaml": "\n".join(lines) + "\n"}
+
+
+def _numbers(values: Iterable[float]) -> str:
+    """List of floats; YAML reads 1e-05 as a text, 1.0e-05 as a number."""
+    texts = [repr(float(value)) for value in values]
+    exact = [t if "." in t or "e" not in t else t.replace("e", ".0e") for t in texts]
+    return f"[{', '.join(exact)}]"
+
+
+FORMATS.add(Ros2())

@@ -1,0 +1,66 @@
+"""URScript: a program of servoj commands for arms of Universal Robots."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from stiffopt.errors import InputError
+from stiffopt.export.format import FORMATS, ExportFormat
+from stiffopt.export.motion import SampledMotion, StoredMotion
+from stiffopt.export.six_axes import require_cycle, require_six_axes
+
+# Joints of these arms turn by one turn to either side [rad].
+_RANGE = 2.0 * np.pi
+# The shortest look-ahead rounds and delays the motion least; the gain is the controller's default.
+_LOOKAHEAD, _GAIN = 0.03, 300
+
+
+class UrScript(ExportFormat):
+    """Slow approach to the start, then one servoj a cycle.
+
+    Notes
+    -----
+    Universal Robots, The URScript Programming Language: servoj(q, a, v, t, lookahead_time in 0.03
+    to 0.2 s, gain in 100 to 2000). e-Series controllers have a cycle of 2 ms, CB3 of 8 ms.
+    """
+
+    name = "urscript"
+    title = "URScript"
+    rate = 500.0
+    rate_max = 500.0
+    whole_steps = True
+
+    def check(self, stored: StoredMotion, rate: float) -> None:
+        """Six turning joints, within one turn, at a whole number of cycles."""
+        require_six_axes(stored, self.title)
+        require_cycle(rate, self.rate_max, self.title)
+        motion = stored.sampled(rate)
+        largest = np.max(np.abs(motion.position), axis=0)
+        for j in np.flatnonzero(largest > _RANGE):
+            raise InputError(
+                f"joint {j + 1} ({stored.joint_names[j]}) goes to {largest[j]:.4g} rad; arms of "
+                "Universal Robots turn by 2 pi rad to either side. Change its range in [limits]."
+            )
+
+    def files(self, motion: SampledMotion, rate: float) -> dict[str, str]:
+        """One program."""
+        name = re.sub(r"\W", "_", motion.title.lower(), flags=re.ASCII).strip("_")[:40]
+        name = f"stiffopt_{name}"
+        poses = [f"[{', '.join(f'{angle:.9f}' for angle in row)}]" for row in motion.position]
+        follow = f"t={1.0 / rate:g}, lookahead_time={_LOOKAHEAD:g}, gain={_GAIN}"
+        lines = [
+            f"# {motion.title}: motion of the {motion.which}s, {rate:g} Hz, {motion.time[-1]:g} s.",
+            f"# Joints: {', '.join(motion.joint_names)}. Try it at reduced speed first.",
+            f"def {name}():",
+            f"  movej({poses[0]}, a=0.5, v=0.25)",
+            *(f"  servoj({pose}, {follow})" for pose in poses[1:]),
+            "  stopj(2.0)",
+            "end",
+            f"{name}()",
+        ]
+        return {"motion.script": "\n".join(lines) + "\n"}
+
+
+FORMATS.add(UrScript())

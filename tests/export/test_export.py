@@ -1,0 +1,222 @@
+"""Exported motions read back by what reads them: the same motion, the same joints."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+
+import numpy as np
+import pytest
+from synthetic_solution import assessment, robot, solution
+
+from stiffopt.cli import run
+from stiffopt.export.format import FORMATS
+from stiffopt.export.motion import read_motion
+from stiffopt.files import write_csv
+from stiffopt.result.store import export_times, trajectory_columns, write_result, write_trajectory
+
+DURATION = 0.4507
+
+
+def swing(time):
+    """Positions (K, 6) of a rest-to-rest motion and their first two derivatives."""
+    s, rate = time[:, None] / DURATION, 1.0 / DURATION
+    far = np.array([0.5, -1.0, 1.2, -2.0, 0.3, 6.0])
+    position = far * (10 * s**3 - 15 * s**4 + 6 * s**5)
+    velocity = far * rate * (30 * s**2 - 60 * s**3 + 30 * s**4)
+    return position, velocity, far * rate**2 * (60 * s - 180 * s**2 + 120 * s**3)
+
+
+def stated(joints, **changes):
+    from types import SimpleNamespace
+
+    arm = robot(joints)
+    arm.prismatic[:] = False
+    for name, value in changes.items():
+        setattr(arm, name, value)
+    return SimpleNamespace(title="Pick – and place", robot=arm)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Result folder of a motion of six turning joints, links 1 % behind the motors."""
+    time = export_times(DURATION)
+    position, velocity, acceleration = swing(time)
+    names = trajectory_columns(6) + [f"link{j}" for j in range(1, 7)]
+    columns = np.zeros((len(time), len(names)))
+    columns[:, 0], columns[:, 1:7], columns[:, 7:13] = time, position, velocity
+    columns[:, 13:19], columns[:, -6:] = acceleration, 0.99 * position
+    write_csv(tmp_path / "trajectory.csv", names, columns.tolist())
+    found = assessment(6, DURATION)
+    write_result(solution(6, assessment=found), tmp_path, stated=stated(6))
+    return tmp_path
+
+
+def test_sampled_between_rows_the_motion_is_the_same(folder):
+    motion = read_motion(folder).sampled(777.0)
+    position, velocity, acceleration = swing(motion.time)
+    assert motion.time[-1] == DURATION
+    np.testing.assert_allclose(motion.position, position, atol=1e-9)
+    np.testing.assert_allclose(motion.velocity, velocity, atol=1e-6)
+    np.testing.assert_allclose(motion.acceleration, acceleration, atol=1e-3)
+    links = read_motion(folder, "link").sampled(777.0)
+    np.testing.assert_allclose(links.position, 0.99 * position, atol=1e-6)
+
+
+def test_whole_steps_hold_the_end(folder):
+    motion = read_motion(folder).sampled(250.0, whole_steps=True)
+    np.testing.assert_allclose(np.diff(motion.time), 4e-3, rtol=1e-9)
+    assert DURATION <= motion.time[-1] < DURATION + 4e-3
+    np.testing.assert_allclose(motion.position[-1], swing(np.array([DURATION]))[0][0], atol=1e-12)
+    assert not motion.velocity[-1].any()
+    assert not motion.acceleration[-1].any()
+
+
+def test_ros2_is_a_message_of_rosbags_types(folder):
+    stores = pytest.importorskip("rosbags.typesys")
+    yaml = pytest.importorskip("ruamel.yaml").YAML(typ="safe")
+    assert run(["export", str(folder), "--to", "ros2", "--rate", "125"]) == 0
+    document = yaml.load((folder / "joint_trajectory.yaml").read_text(encoding="utf-8"))
+    store = stores.get_typestore(stores.Stores.LATEST)
+    kind = {name.rsplit("/", 1)[1]: known for name, known in store.types.items()}
+    # Each message takes exactly the fields of the document: one missing or unknown is an error.
+    points = [
+        kind["JointTrajectoryPoint"](
+            **{name: np.array(values, dtype=float) for name, values in point.items()
+               if name != "time_from_start"},
+            time_from_start=kind["Duration"](**point["time_from_start"]),
+        )
+        for point in document["points"]
+    ]  # fmt: skip
+    header = document["header"]
+    message = kind["JointTrajectory"](
+        header=kind["Header"](stamp=kind["Time"](**header["stamp"]), frame_id=header["frame_id"]),
+        joint_names=document["joint_names"],
+        points=points,
+    )
+    name = "trajectory_msgs/msg/JointTrajectory"
+    back = store.deserialize_cdr(store.serialize_cdr(message, name), name)
+    assert back.joint_names == [f"axis_{j}" for j in range(1, 7)]
+    time = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in back.points])
+    assert time[0] == 0.0
+    assert time[-1] == pytest.approx(DURATION, abs=1e-9)
+    expected = swing(np.minimum(time, DURATION))
+    for quantity, values in zip(
+        ("positions", "velocities", "accelerations"), expected, strict=True
+    ):
+        found = np.array([getattr(point, quantity) for point in back.points])
+        np.testing.assert_allclose(found, values, atol=1e-4)
+    assert not any(len(point.effort) for point in back.points)
+
+
+def test_tiny_numbers_stay_numbers_in_yaml():
+    from stiffopt.export.formats.ros2 import _numbers
+
+    yaml = pytest.importorskip("ruamel.yaml").YAML(typ="safe")
+    values = [1e-05, -3e-17, 1.5e-08, 0.0, 12.0]
+    assert yaml.load(_numbers(values)) == values
+
+
+def test_urscript_parsed_back_is_the_motion(folder):
+    assert run(["export", str(folder), "--to", "urscript"]) == 0
+    text = (folder / "motion.script").read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if not line.startswith("#")]
+    (name,) = re.fullmatch(r"def (\w+)\(\):", lines[0]).groups()
+    assert name.isascii()
+    assert lines[-3:] == ["  stopj(2.0)", "end", f"{name}()"]
+    first = re.fullmatch(r"  movej\(\[(.+)\], a=0.5, v=0.25\)", lines[1])
+    follow = [
+        re.fullmatch(r"  servoj\(\[(.+)\], t=(\S+), lookahead_time=(\S+), gain=(\d+)\)", line)
+        for line in lines[2:-3]
+    ]
+    assert {match[2] for match in follow} == {"0.002"}
+    assert all(0.03 <= float(m[3]) <= 0.2 and 100 <= int(m[4]) <= 2000 for m in follow)
+    poses = np.array([[float(q) for q in m[1].split(",")] for m in [first, *follow]])
+    time = np.minimum(np.arange(len(poses)) * 0.002, DURATION)
+    np.testing.assert_allclose(poses, swing(time)[0], atol=1e-8)
+    assert time[-1] == DURATION
+
+
+def test_krl_starts_where_the_corrections_count_from(folder):
+    assert run(["export", str(folder), "--to", "krl-rsi", "--of", "link"]) == 0
+    (source,) = folder.glob("*.src")
+    program = source.read_text(encoding="ascii").splitlines()
+    (start,) = [line for line in program if line.startswith("PTP {")]
+    begin = np.array([float(v) for v in re.findall(r"A\d (-?[\d.]+)", start)])
+    order = [line for line in program if line.startswith(("PTP {", "ret =", "RSI_MOVECORR"))]
+    words = ["PTP", "RSI_CREATE", "RSI_ON(#ABSOLUTE)", "RSI_MOVECORR()", "RSI_OFF()"]
+    assert all(word in line for word, line in zip(words, order, strict=True))
+    with (folder / f"{source.stem}_rsi.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    corrections = np.array([[float(row[f"A{j}"]) for j in range(1, 7)] for row in rows])
+    assert not corrections[0].any()
+    time = np.minimum(np.arange(len(rows)) / 250.0, DURATION)
+    wanted = np.degrees(0.99 * swing(time)[0])
+    np.testing.assert_allclose(begin + corrections, wanted, atol=1e-4)
+    assert all(len(line) < 256 for line in program)
+
+
+def test_csv_has_the_joints_names(folder, tmp_path):
+    assert run(["export", str(folder), "--to", "csv", "--rate", "1000", "--out",
+                str(tmp_path / "out")]) == 0  # fmt: skip
+    text = (tmp_path / "out" / "motor.csv").read_text(encoding="utf-8")
+    rows = list(csv.DictReader(io.StringIO(text)))
+    time = np.array([float(row["time"]) for row in rows])
+    np.testing.assert_allclose([float(r["axis_6"]) for r in rows], swing(time)[0][:, 5], atol=1e-9)
+    assert float(rows[200]["axis_6_velocity"]) == pytest.approx(swing(time)[1][200, 5], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--to", "urscript", "--rate", "501"], "up to 500 Hz"),
+        (["--to", "krl-rsi", "--rate", "500"], "up to 250 Hz"),
+        (["--to", "urscript", "--rate", "300"], "cycle of 2 ms"),
+        (["--to", "csv", "--rate", "0"], "above 0"),
+        (["--to", "csv", "--rate", "nan"], "above 0"),
+        (["--to", "abb"], "Allowed: csv, krl-rsi, ros2, urscript"),
+    ],
+)
+def test_beyond_a_format_is_refused(folder, arguments, words, capsys):
+    assert run(["export", str(folder), *arguments]) == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["urscript", "krl-rsi"])
+def test_controllers_of_six_axes_refuse_other_arms(tmp_path, name):
+    motion = assessment(2, times=export_times(0.5))
+    write_trajectory(motion, tmp_path)
+    write_result(solution(2), tmp_path, stated=stated(2))
+    with pytest.raises(ValueError, match="6 turning joints"):
+        FORMATS[name].export(read_motion(tmp_path))
+    with pytest.raises(ValueError, match="none of the links alone"):
+        read_motion(tmp_path, "link")
+
+
+def test_a_turn_too_far_is_refused_for_universal_robots(folder):
+    path = folder / "trajectory.csv"
+    with path.open(newline="") as stream:
+        names, *rows = csv.reader(stream)
+    column = names.index("q6")
+    for row in rows:
+        row[column] = str(1.1 * float(row[column]))
+    write_csv(path, names, rows)
+    with pytest.raises(ValueError, match=r"joint 6 \(axis_6\) goes to 6\.6 rad"):
+        FORMATS["urscript"].export(read_motion(folder))
+
+
+def test_a_motion_that_breaks_a_limit_is_not_exported(folder, capsys):
+    write_result(solution(6, assessment=assessment(6, excess=0.02)), folder, stated=stated(6))
+    assert run(["export", str(folder), "--to", "csv"]) == 2
+    assert "exceeds torque by 2.00%" in capsys.readouterr().err
+
+
+def test_results_that_name_no_joints_are_refused(folder, capsys):
+    path = folder / "result.json"
+    document = json.loads(path.read_text())
+    del document["joints"]
+    path.write_text(json.dumps(document))
+    assert run(["export", str(folder), "--to", "csv"]) == 2
+    assert "does not name its joints" in capsys.readouterr().err
