@@ -89,6 +89,7 @@ def diagnose(
     if base is not None:
         recordings = base.applied_to(recordings)
     training = train(recordings, settings, base, say)
+    settings = training.settings
     facts = joint_facts(recordings, training.recorded)
     checks = effect_checks(recordings, facts, len(training.recorded), catalogue)
     asked = told_effects(catalogue, checks)

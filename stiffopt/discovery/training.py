@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stiffopt.discovery.comparison.bands import choose_bands
 from stiffopt.discovery.comparison.channel_noise import KnownNoise, known_noise
 from stiffopt.discovery.comparison.comparison import FEW_RUNS, Comparison, bridged
 from stiffopt.discovery.comparison.extension import extended
@@ -15,7 +16,7 @@ from stiffopt.discovery.comparison.nuisance import merged
 from stiffopt.discovery.comparison.prepare import PreparedRun, prepare
 from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.extended.model import ExtendedModel, check_extended
-from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.settings import PREDICTED_CUTOFF, Settings
 from stiffopt.errors import InputFileError
 from stiffopt.recording.nominal import Tolerance
 from stiffopt.recording.recording_set import RecordingSet
@@ -41,6 +42,8 @@ class Training:
     tolerance : Tolerance
     box : float
         Standard deviations that nominal values stay within.
+    settings : Settings
+        With the bands that were chosen.
     assumptions : tuple of str
     """
 
@@ -51,6 +54,7 @@ class Training:
     noise: KnownNoise
     tolerance: Tolerance
     box: float
+    settings: Settings
     assumptions: tuple[str, ...]
 
     def comparison(self) -> Comparison:
@@ -77,7 +81,6 @@ def train(
     """
     robot = RobotModel(recordings)
     opened: list[RecordedRun] = []
-    prepared: list[PreparedRun] = []
     notes: list[str] = []
     for entry in recordings.with_role("train"):
         say(f"read {entry.file}")
@@ -85,7 +88,6 @@ def train(
         if not run.usable:
             notes.append(f"{entry.file} is left out: a joint of it has no usable position.")
             continue
-        prepared.append(prepare(robot, run, len(opened), None, settings))
         opened.append(run)
     if not opened:
         raise InputFileError(
@@ -93,6 +95,11 @@ def train(
             "runs",
             f"no training run can be used. {' '.join(notes)} `stiffopt recording check` says more.",
         )
+    if settings.cutoff is None and not robot.swings:
+        say("choose how fast a motion to follow")
+        settings, note = _with_bands(robot, opened, settings)
+        notes.append(note)
+    prepared = [prepare(robot, run, k, None, settings) for k, run in enumerate(opened)]
     ranged = robot.ranged([run.signals for run in prepared], _largest_torques(prepared))
     if model is not None:
         ranged = model.scaled(ranged)
@@ -114,8 +121,23 @@ def train(
         noise=noise,
         tolerance=merged(recordings.tolerance, settings.tolerance),
         box=settings.box,
+        settings=settings,
         assumptions=(*recordings.assumptions, *noise.assumptions(), *notes),
     )
+
+
+def _with_bands(
+    robot: RobotModel, runs: Sequence[RecordedRun], settings: Settings
+) -> tuple[Settings, str]:
+    bands = choose_bands(
+        robot, runs, slow=settings.slow, fit=settings.fit_band, predict=PREDICTED_CUTOFF
+    )
+    each = ", ".join(f"{j}: {band:g}" for j, band in enumerate(bands.predict, start=1))
+    note = (
+        f"Fits follow the recordings up to {bands.fit:g} Hz, predicted torques up to"
+        f" (joint {each}) Hz: as stretches of the training runs left out bear it out best."
+    )
+    return replace(settings, cutoff=bands.fit, predict=bands.predict), note
 
 
 def _largest_torques(runs: Sequence[PreparedRun]) -> np.ndarray:

@@ -10,6 +10,8 @@ from scipy.signal import fftconvolve, firwin
 
 # Half the length of the kernel over rate / cutoff: short enough to lose little at the ends.
 _HALF_LENGTH = 1.5
+# Rows of a fit a second and Hz of the cutoff.
+ROWS_A_BAND = 2.5
 # Of the polynomial that a motion goes on with beyond its ends.
 _DEGREE = 5
 # Fourth-order differences at the first two of five samples, times 12.
@@ -79,7 +81,7 @@ class ZeroPhaseFilter:
     @property
     def step(self) -> int:
         """Samples between rows of a fit: closer ones say nothing new after the filter."""
-        return max(1, int(self.rate / (2.5 * self.cutoff)))
+        return max(1, int(self.rate / (ROWS_A_BAND * self.cutoff)))
 
     @cached_property
     def settling(self) -> int:

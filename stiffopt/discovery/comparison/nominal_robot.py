@@ -125,6 +125,12 @@ class RobotModel:
         """Whether any nominal joint winds up."""
         return any(joint.elastic for joint in self.constants.joints)
 
+    @property
+    def swings(self) -> bool:
+        """Whether every joint's spring and damping is known."""
+        known = self.recordings.nominal.joint_damping is not None
+        return known and all(joint.elastic for joint in self.constants.joints)
+
     def windup(self, torque: np.ndarray) -> np.ndarray:
         """Nominal wind-up under spring torques [rad]."""
         return np.column_stack(

@@ -76,10 +76,10 @@ def prepare(
     links : float
         Of the links' motion where it is to be slower than the motors' [Hz].
     """
-    time, position, link, torque = _uniform(run)
+    time, position, link, torque = uniform(run)
     dt = float(time[1] - time[0])
-    low_pass = ZeroPhaseFilter(1.0 / dt, min(settings.cutoff, 0.2 / dt))
-    followed = _filled(position)
+    low_pass = ZeroPhaseFilter(1.0 / dt, min(settings.fit_band, 0.2 / dt))
+    followed = whole(position)
     motor = low_pass.motion(followed)
     velocity = derivative(motor, dt)
     acceleration = derivative(velocity, dt)
@@ -152,7 +152,7 @@ def with_link_torque(prepared: PreparedRun, robot: RobotModel, added: np.ndarray
     )
 
 
-def _uniform(run: RecordedRun) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def uniform(run: RecordedRun) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Channels on an even clock; linear between the stamps, which lie closer than any motion."""
     step = run.step
     count = int(np.floor((run.time[-1] - run.time[0]) / step + 1e-6)) + 1
@@ -179,7 +179,7 @@ def _resampled(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.
     return np.column_stack(columns)
 
 
-def _filled(samples: np.ndarray) -> np.ndarray:
+def whole(samples: np.ndarray) -> np.ndarray:
     """Single missing samples bridged, so that the filter can pass."""
     out = samples.copy()
     for column in out.T:

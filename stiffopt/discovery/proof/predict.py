@@ -11,14 +11,13 @@ from stiffopt.discovery.comparison.extension import Extension, added_inertia, ex
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepare import PreparedRun, prepare, with_link_torque
 from stiffopt.discovery.comparison.signals import RobotConstants
-from stiffopt.discovery.proof.vibration import Vibration, posture_step, swings, vibration
-from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.proof.vibration import Vibration, posture_step, vibration
+from stiffopt.discovery.settings import PREDICTED_CUTOFF, Settings
 from stiffopt.recording.run import RecordedRun
 
-# Of the motion of motors and of links that predictions follow [Hz]: wider than a fit's, since what
-# is predicted is not filtered; links' beyond it is for their vibration.
+# Of the motion of motors that predictions follow where their links swing [Hz]; links' beyond
+# theirs is for their vibration.
 MOTOR_CUTOFF = 45.0
-LINK_CUTOFF = 20.0
 # Of the slope of a spring's law, over the rated torque.
 _SLOPE_STEP = 0.01
 # Slope of an extended spring over the nominal one; beyond, a wave or a gap is no spring's.
@@ -61,12 +60,24 @@ class Predictor:
     ) -> None:
         self.robot, self.run = robot, run
         # Links that were never seen have springs that nothing confirms.
-        self.swinging = run.link_position is not None and swings(robot)
-        widest = MOTOR_CUTOFF if self.swinging else LINK_CUTOFF
-        wide = replace(settings, cutoff=max(settings.cutoff, widest))
+        self.swinging = run.link_position is not None and robot.swings
+        widest = MOTOR_CUTOFF if self.swinging else PREDICTED_CUTOFF
+        links = PREDICTED_CUTOFF if self.swinging else np.inf
+        usual = max(settings.fit_band, widest) if settings.predict is None else widest
         # What is predicted must not be seen.
         blind = replace(run, torque=np.full_like(run.torque, np.nan), link_position=None)
-        self._nominal = prepare(robot, blind, 0, constants, wide, links=LINK_CUTOFF)
+
+        def along(cutoff: float) -> PreparedRun:
+            followed = replace(settings, cutoff=cutoff)
+            return prepare(robot, blind, 0, constants, followed, links=links)
+
+        self._nominal = along(usual)
+        # Joints whose torque follows another band than the rest.
+        bands = settings.predict or (usual,) * robot.n
+        self._others = {
+            band: (along(band), [j for j, own in enumerate(bands) if own == band])
+            for band in sorted(set(bands) - {usual})
+        }
         self._position = _at_stamps(run.time, run.position, run.stamps)
         self._even = _at_stamps(run.time, run.position, self._nominal.time)
 
@@ -83,7 +94,9 @@ class Predictor:
     def predict(self, *extensions: Extension) -> Prediction:
         """Prediction of the nominal model with extensions, each on top of those before it."""
         prepared = self._with(extensions)
-        drive, windup = prepared.signals.drive_torque, prepared.signals.windup
+        drive, windup = prepared.signals.drive_torque.copy(), prepared.signals.windup
+        for other, joints in self._others.values():
+            drive[:, joints] = self._with(extensions, run=other).signals.drive_torque[:, joints]
         fast = self._vibration(prepared, extensions)
         if fast is not None:
             drive = drive + prepared.low_pass(fast.torque)
@@ -96,10 +109,13 @@ class Predictor:
         )
 
     def _with(
-        self, extensions: Sequence[Extension], added: np.ndarray | float = 0.0
+        self,
+        extensions: Sequence[Extension],
+        added: np.ndarray | float = 0.0,
+        run: PreparedRun | None = None,
     ) -> PreparedRun:
         """The run with extensions, and with a torque (n,) added in the springs."""
-        prepared = self._nominal
+        prepared = self._nominal if run is None else run
         if np.any(added):
             load = np.broadcast_to(added, prepared.signals.spring_torque.shape)
             prepared = with_link_torque(prepared, self.robot, load)

@@ -41,12 +41,6 @@ class Vibration:
     torque: np.ndarray
 
 
-def swings(robot: RobotModel) -> bool:
-    """Whether every joint's spring and damping is known."""
-    known = robot.recordings.nominal.joint_damping is not None
-    return known and all(joint.elastic for joint in robot.constants.joints)
-
-
 def posture_step(dt: float) -> int:
     """Samples between inertia matrices."""
     return max(1, round(_POSTURE / dt))

@@ -1,0 +1,172 @@
+"""How fast a motion fits and predictions follow, chosen for every set and channel.
+
+A wide band follows what happens at reversals and in pulses; a narrow one keeps the noise of twice
+derived encoders out of the torque. Which is better is a fact of the recordings: of every band a
+small linear model (bodies, rotor, dry and viscous friction, offset) is fitted to some stretches of
+the measured torque and predicts the others, unfiltered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.discovery.comparison.filtering import ROWS_A_BAND, ZeroPhaseFilter, derivative
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison.prepare import uniform, whole
+from stiffopt.discovery.comparison.signals import smooth_sign
+from stiffopt.recording.run import RecordedRun
+
+# Bands that are tried [Hz], as far as the sampling rate bears them.
+BANDS = (4.0, 6.0, 8.0, 12.0, 20.0, 35.0, 60.0, 100.0, 150.0)
+# Of a fit at most and at least: rows of wider ones are too many, narrower ones too few.
+_FIT_LEAST, _FIT_MOST = 8.0, 100.0
+# Highest band over the sampling rate.
+_OF_RATE = 0.2
+# Samples of all runs that a band is tried with; stretches of all runs, and parts that they make.
+_SAMPLES, _STRETCHES, _FOLDS = 2000, 40, 5
+# Length of a stretch, at least and at most [s].
+_SHORTEST, _LONGEST = 0.2, 2.0
+# Of columns scaled to one, a share of the samples.
+_RIDGE = 1e-3
+# Less is no reason to leave the usual band, of a joint's mean square.
+_BETTER = 0.02
+# Rows of a fit at most: wider bands have more.
+_ROWS = 60_000
+# A joint with fewer moving samples chooses nothing.
+_FEWEST = 100
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bands:
+    """Bands of one set.
+
+    Parameters
+    ----------
+    fit : float
+        Of the rows of a fit [Hz].
+    predict : tuple of float (n,)
+        Of the motion that the torque of each joint is predicted from [Hz].
+    """
+
+    fit: float
+    predict: tuple[float, ...]
+
+
+def choose_bands(
+    robot: RobotModel,
+    runs: Sequence[RecordedRun],
+    *,
+    slow: float,
+    fit: float,
+    predict: float,
+) -> Bands:
+    """Bands that predict stretches left out best.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    runs : sequence of RecordedRun
+        Training runs.
+    slow : float
+        Joints slower than this stand [rad/s].
+    fit, predict : float
+        Where too little moves to choose [Hz].
+    """
+    rate = 1.0 / max(run.step for run in runs)
+    tried = sorted({*(b for b in BANDS if b <= _OF_RATE * rate), min(predict, _OF_RATE * rate)})
+    errors = np.array([_errors(robot, runs, band, slow) for band in tried])
+    usual = errors[tried.index(min(predict, _OF_RATE * rate))]
+    usable = np.isfinite(errors).all(axis=0)
+    bands = [
+        tried[int(np.argmin(column))] if own and column.min() < (1.0 - _BETTER) * now else predict
+        for own, column, now in zip(usable, errors.T, usual, strict=True)
+    ]
+    if not usable.any():
+        return Bands(fit=fit, predict=tuple(bands))
+    most = _ROWS / (sum(run.duration for run in runs) * robot.n * ROWS_A_BAND)
+    fits = [k for k, b in enumerate(tried) if _FIT_LEAST <= b <= max(min(_FIT_MOST, most), fit)]
+    together = np.log(errors[:, usable]).mean(axis=1)
+    best = min(fits, key=lambda k: float(together[k]), default=0)
+    near = [k for k in fits if together[k] < together[best] + _BETTER]
+    return Bands(
+        fit=min((tried[k] for k in near), key=lambda band: abs(band - fit), default=fit),
+        predict=tuple(bands),
+    )
+
+
+def _errors(robot: RobotModel, runs: Sequence[RecordedRun], band: float, slow: float) -> np.ndarray:
+    """Mean square of the unfiltered torque in stretches left out (n,); nan where none can be."""
+    length = float(np.clip(sum(run.duration for run in runs) / _STRETCHES, _SHORTEST, _LONGEST))
+    parts = [_samples(robot, run, band, len(runs), length) for run in runs]
+    found = np.full(robot.n, np.nan)
+    for j in range(robot.n):
+        columns, target, stretch = [], [], []
+        first = 0
+        for part in parts:
+            used = (np.abs(part.velocity[:, j]) >= slow) & np.isfinite(part.residual[:, j])
+            columns.append(part.columns(j)[used])
+            target.append(part.residual[used, j])
+            stretch.append(first + part.stretch[used])
+            first += int(part.stretch.max()) + 1
+        fold = np.concatenate(stretch) % _FOLDS
+        if len(fold) >= _FEWEST and len(np.unique(fold)) == _FOLDS:
+            found[j] = _left_out(np.vstack(columns), np.concatenate(target), fold)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Some samples of a run, its motion filtered and its torque not."""
+
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    bodies: np.ndarray
+    residual: np.ndarray
+    stretch: np.ndarray
+
+    def columns(self, j: int) -> np.ndarray:
+        """What the torque of a joint may be made of (m, k)."""
+        speed = self.velocity[:, j]
+        own = (np.ones_like(speed), smooth_sign(speed), speed, self.acceleration[:, j])
+        return np.column_stack([*own, self.bodies[:, j]])
+
+
+def _samples(
+    robot: RobotModel, run: RecordedRun, band: float, runs: int, length: float
+) -> _Samples:
+    time, position, _, torque = uniform(run)
+    dt = float(time[1] - time[0])
+    low_pass = ZeroPhaseFilter(1.0 / dt, band)
+    motor = low_pass.motion(whole(position))
+    velocity = derivative(motor, dt)
+    acceleration = derivative(velocity, dt)
+    # The same samples for every band, clear of the ends of the narrowest.
+    margin = min(ZeroPhaseFilter(1.0 / dt, BANDS[0]).settling, len(time) // 4)
+    every = max(1, (len(time) - 2 * margin) * runs // _SAMPLES)
+    kept = np.arange(margin, len(time) - margin, every)
+    q, v, a = motor[kept], velocity[kept], acceleration[kept]
+    nominal = robot.spring_torque(q, v, a) + robot.rotor_inertia * a + robot.friction(v)
+    return _Samples(
+        velocity=v,
+        acceleration=a,
+        bodies=robot.body_regressor(q, v, a),
+        residual=torque[kept] - nominal,
+        stretch=((time[kept] - time[0]) / length).astype(int),
+    )
+
+
+def _left_out(columns: np.ndarray, target: np.ndarray, fold: np.ndarray) -> float:
+    size = np.sqrt(np.mean(columns**2, axis=0))
+    scaled = columns[:, size > 0.0] / size[size > 0.0]
+    ridge = _RIDGE * len(target) * np.eye(scaled.shape[1])
+    gram, moment = scaled.T @ scaled + ridge, scaled.T @ target
+    total = 0.0
+    for k in range(_FOLDS):
+        own = fold == k
+        part, left = scaled[own], target[own]
+        fitted = np.linalg.solve(gram - part.T @ part, moment - part.T @ left)
+        total += float(np.sum((left - part @ fitted) ** 2))
+    return total / len(target)

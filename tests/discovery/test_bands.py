@@ -1,0 +1,43 @@
+"""Bands of fit and prediction follow what the training runs hold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from stiffopt.discovery.comparison.bands import BANDS, choose_bands
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.recording.recording_set import load_recordings
+from stiffopt.recording.run import RecordedRun
+
+SET = Path(__file__).parents[2] / "problems" / "recordings" / "two_link_friction"
+
+
+def test_noisy_encoders_are_followed_more_slowly() -> None:
+    """A quantised motion is derived twice at the highest band that its noise bears, not beyond."""
+    recordings = load_recordings(SET)
+    robot = RobotModel(recordings)
+    clean = [recordings.open(entry) for entry in recordings.with_role("train")]
+    rng = np.random.default_rng(5)
+
+    def noisy(run: RecordedRun) -> RecordedRun:
+        return replace(run, position=run.position + 2e-3 * rng.standard_normal(run.position.shape))
+
+    usual = {"slow": 0.03, "fit": 12.0, "predict": 20.0}
+    wide = choose_bands(robot, clean, **usual)
+    narrow = choose_bands(robot, [noisy(run) for run in clean], **usual)
+    assert set((wide.fit, *wide.predict)) <= set(BANDS)
+    assert max(narrow.predict) < min(wide.predict)
+    assert narrow.fit <= wide.fit
+
+
+def test_too_little_motion_chooses_nothing() -> None:
+    """Where nothing moves, the usual bands stay."""
+    recordings = load_recordings(SET)
+    robot = RobotModel(recordings)
+    run = recordings.open(recordings.with_role("train")[0])
+    still = replace(run, position=np.tile(run.position[:1], (len(run.time), 1)))
+    bands = choose_bands(robot, [still], slow=0.03, fit=12.0, predict=20.0)
+    assert (bands.fit, set(bands.predict)) == (12.0, {20.0})
