@@ -28,7 +28,7 @@ def test_noisy_encoders_are_followed_more_slowly() -> None:
     usual = {"slow": 0.03, "fit": 12.0, "predict": 20.0}
     wide = choose_bands(robot, clean, **usual)
     narrow = choose_bands(robot, [noisy(run) for run in clean], **usual)
-    assert set((wide.fit, *wide.predict)) <= set(BANDS)
+    assert {wide.fit, *wide.predict} <= set(BANDS)
     assert max(narrow.predict) < min(wide.predict)
     assert narrow.fit <= wide.fit
 
