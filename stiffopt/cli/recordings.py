@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Annotated
 
-from cyclopts import App
+from cyclopts import App, Parameter
 
 from stiffopt.cli.base import Out, app, print_json
 from stiffopt.errors import InputFileError
@@ -25,6 +26,7 @@ def diagnose(
     experiment: bool = True,
     report: bool = True,
     png: bool = False,
+    despite_doubts: Annotated[bool, Parameter(negative=())] = False,
     quiet: bool = False,
 ) -> int:
     """Find what the nominal model of recordings lacks, and prove it on runs never fitted to.
@@ -49,6 +51,8 @@ def diagnose(
         Write report.html and its figures.
     png
         Write the figures of the report as PNG beside SVG.
+    despite_doubts
+        Go on where units, signs or orders contradict the recordings; the answer tells the doubts.
     quiet
         No progress display.
     """
@@ -69,7 +73,12 @@ def diagnose(
     with output_folder(chosen) as folder:
         with nullcontext() if quiet else StepDisplay(loaded.title) as progress:
             found = find(
-                loaded, effects=effects or (), model=model, experiment=experiment, progress=progress
+                loaded,
+                effects=effects or (),
+                model=model,
+                experiment=experiment,
+                progress=progress,
+                despite_doubts=despite_doubts,
             )
         # A motion designed by an earlier diagnosis is none of this one's.
         (folder / EXPERIMENT_FILE).unlink(missing_ok=True)
@@ -90,7 +99,8 @@ def diagnose(
 def check(recordings: Path, *, effects: Path | None = None, json: bool = False) -> int:
     """Say what a recording set holds, what it lacks and what can be identified with it.
 
-    Ends with 2 where `stiffopt diagnose` (of a static set: `identify-stiffness`) cannot use it.
+    Ends with 2 where `stiffopt diagnose` (of a static set: `identify-stiffness`) cannot use it, and
+    where units, signs or orders contradict the recordings.
 
     Parameters
     ----------
@@ -103,6 +113,9 @@ def check(recordings: Path, *, effects: Path | None = None, json: bool = False) 
     """
     from stiffopt.discovery.catalogue import CATALOGUE
     from stiffopt.discovery.identifiable import effect_checks
+    from stiffopt.discovery.sanity.doubt import DoubtfulRecordings
+    from stiffopt.discovery.sanity.gate import doubts
+    from stiffopt.discovery.training import training_runs
     from stiffopt.discovery.user_effects import load_effects
     from stiffopt.recording.check import check_recordings
     from stiffopt.recording.recording_set import load_recordings, require_usable
@@ -120,10 +133,19 @@ def check(recordings: Path, *, effects: Path | None = None, json: bool = False) 
     report = check_recordings(loaded)
     every = (*CATALOGUE, *(load_effects(effects) if effects else ()))
     found = effect_checks(loaded, report.facts, report.training_runs, every)
+    doubted = doubts(loaded, training_runs(loaded))
     if json:
-        print_json(report.as_dict() | {"effects": [each.as_dict() for each in found]})
+        print_json(
+            report.as_dict()
+            | {
+                "effects": [each.as_dict() for each in found],
+                "doubts": [doubt.as_dict() for doubt in doubted],
+            }
+        )
     else:
         terminal.print_check(report, found)
+    if doubted:
+        raise DoubtfulRecordings(loaded.path, doubted)
     require_usable(loaded, {run.file for run in report.runs if run.usable})
     return 0
 

@@ -26,13 +26,16 @@ from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings,
 from stiffopt.discovery.judging.variance_explained import variance_explained
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.proof.proof import RunProof, prove
+from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
+from stiffopt.discovery.sanity.gate import doubts
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import search
 from stiffopt.discovery.search.told import told_effects, unstated_effects, without_bounds
 from stiffopt.discovery.search.uncertainty import Estimate, estimate
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.training import Training, train
+from stiffopt.discovery.thresholds import OPEN_RATIO
+from stiffopt.discovery.training import Training, train, training_runs
 from stiffopt.discovery.user_effects import load_effects
 from stiffopt.recording.facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
@@ -48,6 +51,7 @@ def diagnose(
     progress: Say | None = None,
     model: ExtendedModel | str | os.PathLike[str] | None = None,
     experiment: bool = True,
+    despite_doubts: bool = False,
 ) -> Diagnosis:
     """Find what the nominal model of a recording set lacks, and prove it on held-out runs.
 
@@ -64,6 +68,8 @@ def diagnose(
         extended.toml of an earlier diagnosis, in place of the nominal model.
     experiment : bool
         Design the motion that would separate the leading explanations best; some seconds.
+    despite_doubts : bool
+        Go on where the recordings contradict their own description; the doubts are kept.
 
     Returns
     -------
@@ -73,6 +79,8 @@ def diagnose(
     ------
     InputFileError
         A set or run that cannot be used, no training run or no test run.
+    DoubtfulRecordings
+        Recordings that contradict their own description: units, signs, orders, gravity.
 
     Notes
     -----
@@ -88,7 +96,12 @@ def diagnose(
     base = load_extended(model, extra) if isinstance(model, str | os.PathLike) else model
     if base is not None:
         recordings = base.applied_to(recordings)
-    training = train(recordings, settings, base, say)
+    runs = training_runs(recordings, say)
+    say("check units, signs and orders")
+    doubted = doubts(recordings, runs)
+    if doubted and not despite_doubts:
+        raise DoubtfulRecordings(recordings.path, doubted)
+    training = train(recordings, settings, base, say, runs)
     settings = training.settings
     facts = joint_facts(recordings, training.recorded)
     checks = effect_checks(recordings, facts, len(training.recorded), catalogue)
@@ -118,7 +131,7 @@ def diagnose(
     plan = None if pair is None else plan_experiment(training, result, settings, pair, say=say)
     # The findings are fixed: from here on other runs may be opened, and change nothing above.
     proofs = _proofs(recordings, training, settings, start, found, say)
-    runs = (*training.recorded, *(proof.run for proof in proofs))
+    every = (*training.recorded, *(proof.run for proof in proofs))
     return Diagnosis(
         recordings=recordings,
         settings=settings,
@@ -133,10 +146,15 @@ def diagnose(
         detection_limits=limits,
         unexplained=unexplained,
         next_experiment=_next_experiment(findings, plan),
-        assumptions=training.assumptions,
-        faults=tuple((run.name, fault) for run in runs for fault in run.faults),
+        assumptions=(*_despite(doubted), *training.assumptions),
+        faults=tuple((run.name, fault) for run in every for fault in run.faults),
         experiment=plan,
+        doubts=doubted,
     )
+
+
+def _despite(doubted: Sequence[Doubt]) -> list[str]:
+    return [f"Diagnosed despite a doubt: {doubt.evidence}" for doubt in doubted]
 
 
 def _given(effects: Sequence[Effect] | str | os.PathLike[str]) -> tuple[Effect, ...]:
@@ -146,7 +164,7 @@ def _given(effects: Sequence[Effect] | str | os.PathLike[str]) -> tuple[Effect, 
 
 
 def _verdict(findings: tuple[Finding, ...], unexplained: Unexplained | None) -> Verdict:
-    if findings:
+    if findings and (unexplained is None or unexplained.ratio < OPEN_RATIO):
         return "named"
     return "nothing_missing" if unexplained is None else "outside_catalogue"
 

@@ -14,6 +14,7 @@ from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.detection import DetectionLimit
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.proof.proof import RunProof, nrmse
+from stiffopt.discovery.sanity.doubt import Doubt
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.settings import Settings
@@ -146,7 +147,8 @@ class Diagnosis:
     model : str or None
         Path of the extended model that the diagnosis started from.
     verdict : str
-        "named", "nothing_missing" or "outside_catalogue".
+        "named", "nothing_missing" or "outside_catalogue": the last also where findings leave many
+        times the noise.
     findings : tuple of Finding
         The strongest first; fixed before any test run was opened.
     extension : Extension
@@ -172,6 +174,8 @@ class Diagnosis:
     experiment : ExperimentPlan or None
         The designed motion of `next_experiment`; None where there are no two explanations to
         separate, or no motion separates them better than the training runs.
+    doubts : tuple of Doubt
+        What the recordings contradict of their own description; diagnosed all the same.
     """
 
     recordings: RecordingSet
@@ -190,6 +194,7 @@ class Diagnosis:
     assumptions: tuple[str, ...]
     faults: tuple[tuple[str, Fault], ...]
     experiment: ExperimentPlan | None = None
+    doubts: tuple[Doubt, ...] = ()
 
     def proofs(self, role: str) -> tuple[RunProof, ...]:
         """Held-out runs of one role, "test" or "extrapolate"."""

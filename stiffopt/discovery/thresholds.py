@@ -47,6 +47,8 @@ UNEXPLAINED_RATIO = 1.3
 EXPLAINED_SHARE = 0.6
 # Beside findings that explain the most of it, what is left below this ratio is passed over.
 PASSED_OVER_RATIO = 5.0
+# From this ratio on nothing counts as named, whatever was found: the most is open.
+OPEN_RATIO = 10.0
 # Without findings, a remainder is something from this ratio on, or if flexible functions of the
 # signals predict this share of it in runs left out; else the noise is larger than stated.
 REMAINDER_RATIO, REMAINDER_SHARE = 1.8, 0.25

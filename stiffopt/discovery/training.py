@@ -62,11 +62,21 @@ class Training:
         return Comparison(self.robot, self.runs, self.noise.channels, self.tolerance, box=self.box)
 
 
+def training_runs(recordings: RecordingSet, say: Say = lambda _: None) -> list[RecordedRun]:
+    """Open the training runs, and no other run."""
+    opened = []
+    for entry in recordings.with_role("train"):
+        say(f"read {entry.file}")
+        opened.append(recordings.open(entry))
+    return opened
+
+
 def train(
     recordings: RecordingSet,
     settings: Settings,
     model: ExtendedModel | None = None,
     say: Say = lambda _: None,
+    runs: Sequence[RecordedRun] | None = None,
 ) -> Training:
     """Open and prepare the training runs, and no other run.
 
@@ -78,15 +88,15 @@ def train(
         To start from in place of the nominal model.
     say : callable
         Called with a sentence at every step.
+    runs : sequence of RecordedRun, optional
+        The training runs where they are open already.
     """
     robot = RobotModel(recordings)
     opened: list[RecordedRun] = []
     notes: list[str] = []
-    for entry in recordings.with_role("train"):
-        say(f"read {entry.file}")
-        run = recordings.open(entry)
+    for run in training_runs(recordings, say) if runs is None else runs:
         if not run.usable:
-            notes.append(f"{entry.file} is left out: a joint of it has no usable position.")
+            notes.append(f"{run.file} is left out: a joint of it has no usable position.")
             continue
         opened.append(run)
     if not opened:
@@ -104,18 +114,18 @@ def train(
     if model is not None:
         ranged = model.scaled(ranged)
         check_extended(model, ranged)
-    runs = [replace(run, signals=replace(run.signals, constants=ranged)) for run in prepared]
-    noise = known_noise(recordings.noise, runs)
+    ready = [replace(run, signals=replace(run.signals, constants=ranged)) for run in prepared]
+    noise = known_noise(recordings.noise, ready)
     if model is not None:
-        runs = [extended(run, robot, model.extension) for run in runs]
-    if len(runs) < FEW_RUNS:
+        ready = [extended(run, robot, model.extension) for run in ready]
+    if len(ready) < FEW_RUNS:
         notes.append(
-            f"With {len(runs)} training run{'s' * (len(runs) > 1)}, candidates are cross-validated"
-            " over stretches of runs instead of whole runs."
+            f"With {len(ready)} training run{'s' * (len(ready) > 1)}, candidates are"
+            " cross-validated over stretches of runs instead of whole runs."
         )
     return Training(
         robot=robot,
-        runs=tuple(runs),
+        runs=tuple(ready),
         recorded=tuple(opened),
         constants=ranged,
         noise=noise,

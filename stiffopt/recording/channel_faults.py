@@ -20,6 +20,7 @@ from stiffopt.recording.signals import Kind
 STILL = (1e-3, 1e-4)
 # Slope between two sensors of one motion within which neither contradicts the other.
 _AGREES = (0.8, 1.25)
+_FOLLOWS = 0.8
 _ANGLES: tuple[Kind, ...] = ("position", "link_position")
 _SECOND: tuple[Kind, ...] = ("velocity", "link_position")
 # Jumps below this share of the range a channel covers do no harm, and clocks make them too.
@@ -59,6 +60,7 @@ class JointChannels:
         detail: str,
         bad: np.ndarray | None = None,
         keep: bool = False,
+        ratio: float | None = None,
     ) -> None:
         """Name a fault; `bad` (K,) marks the samples, None the whole channel."""
         values = self.channels[signal]
@@ -75,6 +77,7 @@ class JointChannels:
                 detail=detail + ending,
                 left_out=left_out,
                 share=share,
+                ratio=ratio,
             )
         )
 
@@ -182,16 +185,18 @@ def _contradicts(joint: JointChannels, signal: Kind) -> None:
         return
     path = travelled(values, joint.time) if signal == "velocity" else values
     slope, correlation = slope_to(position, path, joint.time)
-    if _AGREES[0] <= slope <= _AGREES[1] and correlation > 0.8:
+    if _AGREES[0] <= slope <= _AGREES[1] and correlation > _FOLLOWS:
         return
-    if not correlation > 0.8:
-        hint = "the other way round" if correlation < -0.8 else "or belongs to another joint"
+    if not correlation > _FOLLOWS:
+        hint = "the other way round" if correlation < -_FOLLOWS else "or belongs to another joint"
         text = f"does not follow the motor encoder (correlation {correlation:.2f}), {hint}."
     else:
         degrees = abs(slope * np.pi / 180.0 - 1.0) < 0.1
         hint = ", as degrees would" if degrees else ""
         text = f"changes {slope:.3g} times as much as the motor encoder{hint}."
-    joint.report(signal, "contradicts position", text)
+    # Runs too short to compare have no ratio that is a number.
+    known = np.isnan(correlation) or abs(correlation) > _FOLLOWS
+    joint.report(signal, "contradicts position", text, ratio=slope if known else None)
 
 
 def _stuck(joint: JointChannels, signal: Kind) -> None:

@@ -126,7 +126,7 @@ class RecordingSet(RecordedArm):
             samples.
         """
         path = inside(self.path, "runs", entry.file)
-        columns = read_columns(path, self.signals)
+        columns = self.signals.to_si(read_columns(path, self.signals))
         return clean(
             columns,
             self.signals,

@@ -47,6 +47,9 @@ class Fault:
         The whole channel was replaced by nan.
     share : float
         Of the samples that have the fault, 0 to 1.
+    ratio : float or None
+        Of a second sensor's motion to that of the position, where it contradicts it but follows it;
+        nan where the run is too short to tell.
     """
 
     signal: Kind | Literal["time"]
@@ -55,6 +58,7 @@ class Fault:
     detail: str
     left_out: bool
     share: float
+    ratio: float | None = None
 
     @property
     def channel(self) -> str:

@@ -32,6 +32,26 @@ _Velocity = Annotated[JointVelocity, NOT_NEGATIVE]
 _Torque = Annotated[JointTorque, NOT_NEGATIVE]
 
 
+Factor = Annotated[float, Unit("ratio", bare=True)] | Text
+Factors = Factor | tuple[Factor, ...]
+
+
+class ScaleSection(Section):
+    """What columns are multiplied with to be SI: a number, or the unit they are recorded in.
+
+    One entry holds for all joints, a list has one a joint; a negative number turns a sign round.
+    """
+
+    time: Annotated[Factor | None, Doc('Of the time, such as "ms".')] = None
+    position: Annotated[Factors | None, Doc('Of positions, such as "deg" or [1, -1].')] = None
+    velocity: Annotated[Factors | None, Doc('Of velocities, such as "deg/s".')] = None
+    link_position: Annotated[Factors | None, Doc("Of the encoders on the link's side.")] = None
+    torque: Annotated[
+        Factors | None,
+        Doc('Of torques: "mN*m", or N m per recorded unit, as of a motor current in A.'),
+    ] = None
+
+
 class SignalsSection(Section):
     """Columns of the run files, "" where a joint lacks that signal."""
 
@@ -47,6 +67,8 @@ class SignalsSection(Section):
             "joint torque sensor."
         ),
     ] = None
+    torque_delay: Annotated[Time, Doc("By which torques were recorded later than positions.")] = 0.0
+    scale: ScaleSection = ScaleSection()
 
 
 class ReducerCurvesSection(Section):

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from stiffopt.errors import InputFileError
-from stiffopt.recording.schema import SignalsSection
+import numpy as np
+
+from stiffopt.errors import InputFileError, UnitError
+from stiffopt.recording.schema import ScaleSection, SignalsSection
+from stiffopt.units import joint_to_si
 
 Kind = Literal["position", "velocity", "link_position", "torque"]
 KINDS: tuple[Kind, ...] = ("position", "velocity", "link_position", "torque")
+_DIMENSIONS = {
+    "time": "time",
+    "position": "angle",
+    "velocity": "angular velocity",
+    "link_position": "angle",
+    "torque": "torque",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +35,10 @@ class Signals:
     velocity, link_position : tuple of str (n,) or None
     torque_side : str
         "motor": before friction, from current; "link": a joint torque sensor.
+    scale : mapping of kind of signal to array (n,), of "time" to a number
+        What columns are multiplied with to be SI; left out where they are.
+    torque_delay : float
+        By which torques were recorded later than positions [s].
 
     Notes
     -----
@@ -39,6 +53,24 @@ class Signals:
     link_position: tuple[str, ...] | None
     torque: tuple[str, ...]
     torque_side: Literal["motor", "link"] = "motor"
+    scale: Mapping[str, np.ndarray] = field(default_factory=dict)
+    torque_delay: float = 0.0
+
+    def scale_of(self, kind: str, n: int) -> np.ndarray:
+        """Factors (n,) that columns of a kind are multiplied with to be SI."""
+        return np.asarray(self.scale.get(kind, np.ones(n)))
+
+    def to_si(self, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Columns of a file in SI, torques at the time at which they acted."""
+        out = dict(columns)
+        if "time" in self.scale:
+            out[self.time] = out[self.time] * float(self.scale["time"])
+        for kind, joint, name in self.columns():
+            if kind in self.scale:
+                out[name] = out[name] * self.scale[kind][joint]
+            if kind == "torque" and self.torque_delay:
+                out[name] = _earlier(out[self.time], out[name], self.torque_delay)
+        return out
 
     def of(self, kind: Kind) -> tuple[str, ...] | None:
         """Column names of one kind of channel."""
@@ -87,7 +119,48 @@ def as_signals(section: SignalsSection, n: int, path: Path) -> Signals:
         link_position=_some(section.link_position),
         torque=section.torque,
         torque_side=section.torque_side or "motor",
+        scale=_scale(section.scale, n, path),
+        torque_delay=section.torque_delay,
     )
+
+
+def _scale(section: ScaleSection, n: int, path: Path) -> dict[str, np.ndarray]:
+    """Factors of the section's entries: numbers, or units by name."""
+    factors: dict[str, np.ndarray] = {}
+    for kind, dimension in _DIMENSIONS.items():
+        entry = getattr(section, kind)
+        if entry is None:
+            continue
+        where = f"signals.scale.{kind}"
+        entries = (
+            list(entry) if isinstance(entry, tuple) else [entry] * (1 if kind == "time" else n)
+        )
+        if kind != "time" and len(entries) != n:
+            raise InputFileError(
+                path, where, f"needs one entry, or one a joint ({n}), got {len(entries)}."
+            )
+        values = [_factor(one, dimension, path, where) for one in entries]
+        factors[kind] = np.array(values[0] if kind == "time" else values)
+    return factors
+
+
+def _factor(entry: float | str, dimension: str, path: Path, where: str) -> float:
+    try:
+        value = joint_to_si(f"1 {entry}", dimension) if isinstance(entry, str) else entry
+    except UnitError as error:
+        raise InputFileError(path, where, f"{error}") from None
+    if not value or not np.isfinite(value):
+        raise InputFileError(path, where, f"got {entry}; a factor is finite and not 0.")
+    return float(value)
+
+
+def _earlier(time: np.ndarray, values: np.ndarray, delay: float) -> np.ndarray:
+    """What was recorded `delay` later; nan beyond the end of the recording."""
+    known = np.isfinite(time) & np.isfinite(values)
+    if known.sum() < 2:
+        return values
+    later = np.interp(time + delay, time[known], values[known], left=np.nan, right=np.nan)
+    return np.asarray(later)
 
 
 def _some(names: tuple[str, ...] | None) -> tuple[str, ...] | None:

@@ -156,6 +156,11 @@ class RobotModel:
             torque[:, j] -= balance.at(q[:, j])
         return torque
 
+    def gravity_torque(self, q: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+        """Torque (K, n) that holds the weight under another gravity (3,) [m/s^2]."""
+        bodies = self._bodies.with_gravity(gravity)
+        return np.array([bodies.gravity_torque(row) for row in self._of_robot(q)])[:, self.order]
+
     def inertia(self, q: np.ndarray) -> np.ndarray:
         """Inertia matrices of the rigid bodies (K, n, n) [kg m^2]."""
         full = (self._bodies.inertia_matrix(row) for row in self._of_robot(q))

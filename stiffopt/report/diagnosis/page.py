@@ -31,7 +31,6 @@ from stiffopt.report.diagnosis.regimes import (
 )
 from stiffopt.report.diagnosis.residuals import channel_residuals
 from stiffopt.report.diagnosis.words import (
-    VERDICTS,
     channel_words,
     channels_in_words,
     fall,
@@ -45,6 +44,7 @@ from stiffopt.report.diagnosis.words import (
     prismatic,
     proof_sentence,
     unexplained_sentence,
+    verdict_words,
     worst_channel,
     worst_ratio,
 )
@@ -92,7 +92,7 @@ def write_diagnosis_report(
         "title": f"{recordings.title}: what the nominal model lacks",
         "headline": headline(diagnosis),
         "lead": lead(diagnosis),
-        "verdict": VERDICTS[diagnosis.verdict],
+        "verdict": verdict_words(diagnosis),
         "proof": proof_sentence(diagnosis),
         "unexplained": unexplained_sentence(diagnosis),
         "shown": shown,

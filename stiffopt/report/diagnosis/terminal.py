@@ -7,7 +7,12 @@ from typing import TYPE_CHECKING
 
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, pm, significant
-from stiffopt.report.diagnosis.words import place, prismatic, unexplained_sentence
+from stiffopt.report.diagnosis.words import (
+    channels_in_words,
+    place,
+    prismatic,
+    unexplained_sentence,
+)
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
@@ -24,7 +29,7 @@ _HEAD = ("effect", "where", "parameters", "explains", "probability", "confused w
 
 def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     """Verdict, findings with deviations and rivals, fit on held-out runs, where the files are."""
-    print_lines([f"{diagnosis.verdict}: {_VERDICTS[diagnosis.verdict]}"])
+    print_lines([f"{diagnosis.verdict}: {_verdict(diagnosis)}"])
     if diagnosis.findings:
         print_table(_HEAD, [_row(diagnosis, finding) for finding in diagnosis.findings])
     lines = []
@@ -44,6 +49,17 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
             "diagnosis.json."
         )
     print_lines([*lines, f"Answer: {folder / 'diagnosis.json'}"])
+
+
+def _verdict(diagnosis: Diagnosis) -> str:
+    left = diagnosis.unexplained
+    if diagnosis.findings and diagnosis.verdict == "outside_catalogue" and left is not None:
+        return (
+            "Something is missing in the nominal model; part of it was found, but"
+            f" {significant(left.ratio, 2)} times the noise stays open in"
+            f" {channels_in_words(left.channels[:1])}, so that no finding is more than a start."
+        )
+    return _VERDICTS[diagnosis.verdict]
 
 
 def _row(diagnosis: Diagnosis, finding: Finding) -> tuple[str, ...]:

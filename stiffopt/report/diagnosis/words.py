@@ -62,19 +62,36 @@ def headline(diagnosis: Diagnosis) -> str:
     """What is missing and where, or that nothing is."""
     if diagnosis.verdict == "nothing_missing":
         return "Nothing is missing within the tolerances"
-    if diagnosis.verdict == "outside_catalogue":
+    if not diagnosis.findings:
         where = (
             channels_in_words(diagnosis.unexplained.channels[:1]) if diagnosis.unexplained else ""
         )
         return f"Something outside the catalogue acts on {where}"
     new, unstated = new_and_unstated(diagnosis)
     if not new:
-        return f"Found what the nominal model does not give: {_unstated_words(unstated)}"
+        text = f"Found what the nominal model does not give: {_unstated_words(unstated)}"
+        return text + _open_words(diagnosis)
     by_place: dict[str, list[str]] = {}
     for finding in new:
         by_place.setdefault(place(diagnosis, finding.located), []).append(phrase(finding))
     text = "; ".join(f"{where}: {listed(what)}" for where, what in by_place.items())
-    return capital(text)
+    return capital(text) + _open_words(diagnosis)
+
+
+def _open_words(diagnosis: Diagnosis) -> str:
+    """That most is open, where findings leave many times the noise."""
+    left = diagnosis.unexplained
+    if diagnosis.verdict != "outside_catalogue" or left is None:
+        return ""
+    where = channels_in_words(left.channels[:1])
+    return f"; {significant(left.ratio, 2)} times the noise stays open in {where}"
+
+
+def verdict_words(diagnosis: Diagnosis) -> str:
+    """The verdict, and beside findings that it is not all."""
+    if diagnosis.findings and diagnosis.verdict == "outside_catalogue":
+        return "named in part, much stays open"
+    return VERDICTS[diagnosis.verdict]
 
 
 def lead(diagnosis: Diagnosis) -> str:
@@ -85,7 +102,7 @@ def lead(diagnosis: Diagnosis) -> str:
             "No effect of the catalogue is needed. With nominal values moved within their "
             f"tolerances, the worst channel of the training runs is at {most:.2g} times its noise."
         )
-    elif diagnosis.verdict == "outside_catalogue":
+    elif not diagnosis.findings:
         text = unexplained_sentence(diagnosis)
     else:
         new, unstated = new_and_unstated(diagnosis)
@@ -170,7 +187,7 @@ def proof_sentence(diagnosis: Diagnosis) -> str:
         "of the sensor noise."
     )
     left = [diagnosis.nrmse(role)[1] for role in ("test", "extrapolate") if diagnosis.proofs(role)]
-    if max(left) > _MUCH_LEFT and diagnosis.verdict == "named":
+    if max(left) > _MUCH_LEFT and diagnosis.findings:
         worst = worst_channel(diagnosis, diagnosis.search.after)
         text += (
             f" So not all is explained: most is left in {channels_in_words([worst])}, at "

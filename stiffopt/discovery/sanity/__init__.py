@@ -1,0 +1,1 @@
+"""Whether recordings can be what recordings.toml says: units, signs, order, delay, gravity."""

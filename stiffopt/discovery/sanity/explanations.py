@@ -1,0 +1,254 @@
+"""Descriptions of the files that explain the torques where the file's own does not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.sanity.balance import Additions, Balance, Motion, may_have
+from stiffopt.discovery.sanity.orders import Motions, Reading
+from stiffopt.discovery.sanity.samples import Samples
+
+# Share of a torque's variance up to which another description explains it.
+EXPLAINS = 0.15
+# The file's own fails from the first share on, where the other leaves less by the second factor.
+_FAILS = ((0.3, 4.0), (0.04, 6.0))
+# Or, of two joints or more at once, without anything that a robot may have besides.
+_PLAINLY = (0.15, 8.0, 0.06)
+# A joint must not be the worse for it: added share, and factor.
+_WORSE = (0.1, 1.3)
+_LEAST = min(share for share, _ in _FAILS)
+# Gains up to which drives and their constants differ from data sheets.
+_USUAL = (0.5, 2.0)
+_FLOOR = 0.02
+_MOST_STEPS = 3
+# What one more step of a reading must gain, of the sum of logarithms over joints.
+_STEP = 0.7
+# Delays that are tried [s]; shorter ones than the second are an effect of the catalogue.
+_DELAYS = np.concatenate([-np.geomspace(2.0, 0.01, 40), np.geomspace(0.01, 2.0, 40)])
+_LATE = 0.06
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """Another description and the shares of the torques that it leaves.
+
+    Parameters
+    ----------
+    left : array (n,)
+        nan where undecidable.
+    joints : tuple of int
+        That it explains, from 0.
+    score : float
+        Sum of the logarithms of how much less it leaves.
+    reading : Reading
+    gains : array (n,) or None
+        Recorded over true torque.
+    gravity : array (3,) or None
+        Direction, of unit length, in the base.
+    delay : float or None
+        Of the torque [s].
+    """
+
+    left: np.ndarray
+    joints: tuple[int, ...]
+    score: float
+    reading: Reading
+    gains: np.ndarray | None = None
+    gravity: np.ndarray | None = None
+    delay: float | None = None
+
+
+class Explanations:
+    """Search among other descriptions of the same files.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    samples : Samples
+    """
+
+    def __init__(self, robot: RobotModel, samples: Samples) -> None:
+        self.robot, self.samples, self.n = robot, samples, robot.n
+        self.balance = Balance(robot)
+        self.motions = Motions(robot, samples)
+        self.own = Reading.as_described(self.n)
+        self.motion = self.motions.of(self.own)
+
+    @cached_property
+    def strict(self) -> np.ndarray:
+        """Shares (n,) that the file's own reading leaves."""
+        return self._left(self.motion, self.samples.torque)
+
+    @cached_property
+    def left(self) -> np.ndarray:
+        """The same where each joint may have a spring, and the arm another payload, besides."""
+        strict = self.strict
+        return np.array([
+            self.balance.left(self.motion, self.samples.torque[:, j], j, self._additions(j))
+            if strict[j] > _LEAST else strict[j]
+            for j in range(self.n)
+        ])  # fmt: skip
+
+    def best(self) -> Explanation | None:
+        """The description that explains most of what the file's own does not, if one does."""
+        if not (self.strict > _LEAST).any():
+            return None
+        found = [self._gravity(), self._delay(), self._gains(self.own), *self._readings()]
+        candidates = [e for e in found if e is not None]
+        return max(candidates, key=lambda e: e.score - 0.5 * e.reading.steps, default=None)
+
+    # ---- kinds of explanations
+
+    def _gains(self, reading: Reading) -> Explanation | None:
+        """Each joint's torque off by a factor, where that is far from 1."""
+        motion = self.motions.of(reading)
+        torque = reading.torque(self.samples.torque)
+        before = self._left(motion, torque) if reading.steps else self.left
+        gains, left = np.ones(self.n), np.array(before)
+        ratio = [joint.ratio for joint in self.robot.constants.joints]
+        for j in range(self.n):
+            if not before[j] > _LEAST:
+                continue
+            usual = (-1.0, 1e3, 1e-3, -1e3, -1e-3, 1.0 / ratio[j], -1.0 / ratio[j])
+            gain, share = self.balance.gain(motion, torque[:, j], j, usual)
+            if not _USUAL[0] < gain < _USUAL[1] and _mends(before[j], share):
+                gains[j], left[j] = gain, share
+        if (gains == 1.0).all():
+            return None
+        return self._explained(left, reading, gains=gains)
+
+    def _readings(self) -> list[Explanation]:
+        """Other columns, signs and units, step by step; beside each its gains."""
+        found, reading, left = [], self.own, self.strict
+        for _ in range(_MOST_STEPS):
+            tried = [
+                (other, self._left(self.motions.of(other), other.torque(self.samples.torque)))
+                for other in reading.neighbours(self.robot.recordings.prismatic)
+            ]
+            if not tried:
+                break
+            other, after = max(tried, key=lambda one: self._gain_of(left, one[1]))
+            if reading is self.own:
+                # Degrees and amperes at once: neither explains anything alone.
+                found.append(self._gains(tried[0][0]))
+            if self._gain_of(left, after) < _STEP:
+                break
+            reading, left = other, after
+            found.append(self._explained(left, reading))
+        return [e for e in found if e is not None]
+
+    def _gravity(self) -> Explanation | None:
+        """Gravity along another direction of the base."""
+        robot, motion = self.robot, self.motion
+        stated = np.asarray(robot.recordings.gravity, dtype=float)
+        pulls = np.stack(
+            [robot.gravity_torque(motion.position, axis) for axis in np.eye(3)], axis=2
+        )
+        moving = motion.spring - pulls @ stated
+        if not np.abs(pulls).max() > 0.0:
+            return None
+        direction = self._fitted_direction(moving, pulls)
+        if direction is None:
+            return None
+        size = float(np.linalg.norm(stated))
+        if size > 0.0 and 9.0 < size < 10.5 and direction @ stated > np.cos(np.pi / 6.0) * size:
+            return None
+        spring = moving + pulls @ (9.81 * direction)
+        left = self._left(replace(motion, spring=spring), self.samples.torque)
+        # A spring at one joint may look like it there, but not at all joints that carry weight.
+        if not np.all((left <= self.left + 0.05) | np.isnan(left)):
+            return None
+        return self._explained(left, self.own, gravity=direction, against=self.strict)
+
+    def _fitted_direction(self, moving: np.ndarray, pulls: np.ndarray) -> np.ndarray | None:
+        """Unit vector of the gravity that fits the torques best; the axis where it is near one."""
+        gram, moment = np.zeros((3, 3)), np.zeros(3)
+        velocity, torque = self.motion.velocity, self.samples.torque
+        for j in range(self.n):
+            known = np.isfinite(torque[:, j])
+            if not known.any():
+                continue
+            speed = velocity[known, j]
+            free = np.column_stack(
+                [np.ones(len(speed)), np.tanh(speed / 0.01), speed,
+                 self.motion.acceleration[known, j]]
+            )  # fmt: skip
+            both = np.column_stack([pulls[known, j], torque[known, j] - moving[known, j]])
+            rest = both - free @ np.linalg.lstsq(free, both, rcond=None)[0]
+            weight = 1.0 / max(float(np.var(torque[known, j])), 1e-12)
+            gram += weight * rest[:, :3].T @ rest[:, :3]
+            moment += weight * rest[:, :3].T @ rest[:, 3]
+        # Gravity along parallel axes shows in no torque.
+        found = np.linalg.pinv(gram, rcond=1e-4, hermitian=True) @ moment
+        size = float(np.linalg.norm(found))
+        if not 7.0 < size < 13.0:
+            return None
+        found = found / size
+        main = int(np.argmax(np.abs(found)))
+        if abs(found[main]) > np.cos(np.pi / 12.0):
+            found = np.eye(3)[main] * np.sign(found[main])
+        return np.asarray(found)
+
+    def _delay(self) -> Explanation | None:
+        """All torques recorded later or earlier than the motion."""
+        best: tuple[float, np.ndarray] | None = None
+        for delay in _DELAYS:
+            left = self._left(self.motion, self.samples.torque_after(float(delay)))
+            if best is None or np.nansum(left) < np.nansum(best[1]):
+                best = float(delay), left
+        if best is None or abs(best[0]) < _LATE:
+            return None
+        return self._explained(best[1], self.own, delay=best[0])
+
+    # ---- how much they explain
+
+    def _left(self, motion: Motion, torque: np.ndarray) -> np.ndarray:
+        return np.array([self.balance.left(motion, torque[:, j], j) for j in range(self.n)])
+
+    def _additions(self, joint: int) -> Additions:
+        return may_have(self.robot, self.motion, joint)
+
+    def _gain_of(self, before: np.ndarray, after: np.ndarray) -> float:
+        ratio = np.log((before + _FLOOR) / (after + _FLOOR))
+        return float(np.nansum(ratio))
+
+    def _explained(
+        self,
+        left: np.ndarray,
+        reading: Reading,
+        *,
+        gains: np.ndarray | None = None,
+        gravity: np.ndarray | None = None,
+        delay: float | None = None,
+        against: np.ndarray | None = None,
+    ) -> Explanation | None:
+        """The explanation, if it explains what nothing else does and worsens no joint."""
+        before = self.left if against is None else against
+        with np.errstate(invalid="ignore"):
+            mended = np.array([_mends(b, a) for b, a in zip(before, left, strict=True)])
+            if reading.steps and gains is None:
+                share, factor, most = _PLAINLY
+                plain = (self.strict > share) & (left * factor < self.strict) & (left < most)
+                mended |= plain & (plain.sum() > 1)
+            worse = left > np.maximum(self.strict + _WORSE[0], self.strict * _WORSE[1])
+        if not mended.any() or worse.any():
+            return None
+        return Explanation(
+            left=left,
+            joints=tuple(int(j) for j in np.flatnonzero(mended)),
+            score=self._gain_of(self.strict, left),
+            reading=reading,
+            gains=gains,
+            gravity=gravity,
+            delay=delay,
+        )
+
+
+def _mends(before: float, after: float) -> bool:
+    """Whether one share of the variance explains what another leaves."""
+    fails = any(before > share and after * factor < before for share, factor in _FAILS)
+    return fails and after < EXPLAINS

@@ -1,0 +1,282 @@
+"""The sanity gate: what is doubted of recordings before anything is diagnosed from them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.sanity.doubt import Doubt
+from stiffopt.discovery.sanity.explanations import Explanation, Explanations
+from stiffopt.discovery.sanity.lines import (
+    column_line,
+    joints_in_words,
+    listed_numbers,
+    scale_line,
+    share_words,
+)
+from stiffopt.discovery.sanity.orders import DEGREE
+from stiffopt.discovery.sanity.samples import sampled
+from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.run import RecordedRun
+
+# How far beyond its limits a joint may read: share of its range, and [rad] or [m].
+_BEYOND = (0.05, 0.02)
+# Within which a factor counts as that of a unit, a sign or a gear.
+_LIKE, _NEAR = 0.2, 0.1
+
+
+def doubts(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[Doubt, ...]:
+    """What is doubted of a set by some of its runs; nothing where it can be what it says.
+
+    Parameters
+    ----------
+    recordings : RecordingSet
+    runs : sequence of RecordedRun
+        Training runs: no other run is looked at before findings are fixed.
+
+    Notes
+    -----
+    The nominal model, wrong as it may be, tells a unit or an order: other readings of the same
+    files (degrees, swapped joints and columns, turned signs, any gain, another gravity, a delay)
+    are doubted for only where they explain the torques many times better than the file's own
+    reading with any friction, rotor inertia, spring and payload that a robot may have besides.
+    """
+    found = list(_second_sensors(recordings, runs))
+    samples = sampled(runs)
+    explanation = None
+    if samples is not None:
+        search = Explanations(RobotModel(recordings), samples)
+        explanation = search.best()
+        if explanation is not None:
+            found = [*_explained(recordings, search, explanation), *found]
+    if not any(doubt.kind == "position unit" for doubt in found):
+        found += _beyond_limits(recordings, runs)
+    return tuple(found)
+
+
+# ---- by the torques
+
+
+def _explained(
+    recordings: RecordingSet, search: Explanations, explanation: Explanation
+) -> Iterator[Doubt]:
+    shares = share_words(search.strict, explanation.left, explanation.joints)
+    joints = tuple(j + 1 for j in explanation.joints)
+    if explanation.gravity is not None:
+        direction = 9.81 * explanation.gravity
+        stated = listed_numbers(recordings.gravity)
+        yield Doubt(
+            kind="gravity",
+            joints=joints,
+            evidence=f"Gravity is stated as {stated} m/s^2, but the torques fit gravity along "
+            f"{listed_numbers(direction)}: {shares}.",
+            line=f"gravity = {listed_numbers(direction)}",
+        )
+    elif explanation.delay is not None:
+        later = "later" if explanation.delay > 0.0 else "earlier"
+        yield Doubt(
+            kind="delay",
+            joints=joints,
+            evidence=f"The torques fit the motion if they were recorded"
+            f" {1e3 * abs(explanation.delay):.0f} ms {later} than the positions: {shares}.",
+            line=f"torque_delay = {explanation.delay:.3f} in [signals]",
+        )
+    else:
+        yield from _of_reading(recordings, explanation, shares)
+        if explanation.gains is not None:
+            yield from _of_gains(recordings, explanation, search.strict)
+
+
+def _of_reading(recordings: RecordingSet, explanation: Explanation, shares: str) -> Iterator[Doubt]:
+    """Degrees, swapped columns and turned signs of a reading."""
+    reading, n = explanation.reading, recordings.n
+    scale = np.array(reading.position_scale)
+    degrees = np.flatnonzero(np.abs(scale) == DEGREE)
+    turned = np.flatnonzero(scale < 0.0)
+    if reading.time_scale != 1.0:
+        yield Doubt(
+            kind="time unit",
+            joints=(),
+            evidence=f"The time looks {1.0 / reading.time_scale:g} times too large for the torques"
+            f" of this motion: {shares}.",
+            line=f"time = {reading.time_scale:g} in [signals.scale]",
+        )
+    if degrees.size:
+        every = degrees.size == n - int(recordings.prismatic.sum())
+        which = "all joints" if every else joints_in_words(degrees)
+        yield Doubt(
+            kind="position unit",
+            joints=tuple(int(j) + 1 for j in degrees),
+            evidence=f"The positions of {which} look like degrees: {shares}.",
+            line=scale_line(recordings, "position", np.abs(scale), "deg" if every else ""),
+        )
+    swapped = {
+        kind: [j for j, source in enumerate(order) if j != source]
+        for kind, order in (("position", reading.position_from), ("torque", reading.torque_from))
+    }
+    both = reading.position_from == reading.torque_from
+    for kind, order in (("position", reading.position_from), ("torque", reading.torque_from)):
+        if not swapped[kind] or (both and kind == "torque"):
+            continue
+        kinds = ("position", "torque") if both else (kind,)
+        what = "positions and torques" if both else f"{kind} columns"
+        lines = " and ".join(column_line(recordings, each, order) for each in kinds)
+        yield Doubt(
+            kind="joint order" if both else f"{kind} order",
+            joints=tuple(j + 1 for j in swapped[kind]),
+            evidence=f"The {what} of {joints_in_words(swapped[kind])} look exchanged: {shares}.",
+            line=f"{lines} in [signals]",
+        )
+    torque_turned = np.flatnonzero(np.array(reading.torque_scale) < 0.0)
+    if turned.size:
+        with_torque = set(turned) == set(torque_turned)
+        what = "Position and torque" if with_torque else "The position"
+        lines = scale_line(recordings, "position", np.sign(scale))
+        if with_torque:
+            lines += " and " + scale_line(recordings, "torque", np.array(reading.torque_scale))
+        yield Doubt(
+            kind="position sign",
+            joints=tuple(int(j) + 1 for j in turned),
+            evidence=f"{what} of {joints_in_words(turned)} look turned round, as about an axis of"
+            f" the other direction: {shares}.",
+            line=lines,
+        )
+        torque_turned = np.array([] if with_torque else torque_turned, dtype=int)
+    if torque_turned.size:
+        yield Doubt(
+            kind="torque sign",
+            joints=tuple(int(j) + 1 for j in torque_turned),
+            evidence=f"The torque of {joints_in_words(torque_turned)} has the other sign:"
+            f" {shares}.",
+            line=scale_line(recordings, "torque", np.array(reading.torque_scale)),
+        )
+
+
+def _of_gains(
+    recordings: RecordingSet, explanation: Explanation, before: np.ndarray
+) -> Iterator[Doubt]:
+    """Torques off by a factor, joint by joint; one line mends them all."""
+    gains = explanation.gains
+    assert gains is not None
+    ratio = recordings.nominal.gear_ratio
+    factors = np.array([float(f"{1.0 / gain:.3g}") for gain in gains])
+    line = scale_line(recordings, "torque", factors)
+    for j in np.flatnonzero(gains != 1.0):
+        kind, words = _gain_in_words(float(gains[j]), None if ratio is None else float(ratio[j]))
+        shares = share_words(before, explanation.left, [int(j)])
+        yield Doubt(
+            kind=kind,
+            joints=(int(j) + 1,),
+            evidence=f"The torque of joint {j + 1} {words}: {shares}.",
+            line=line,
+        )
+
+
+def _gain_in_words(gain: float, ratio: float | None) -> tuple[str, str]:
+    size = abs(gain)
+    turned = ", and has the other sign" if gain < 0.0 else ""
+    if abs(size - 1.0) < _LIKE and gain < 0.0:
+        return "torque sign", "has the other sign"
+    for factor, unit in ((1e3, "mN m"), (1e-3, "kN m")):
+        if abs(size / factor - 1.0) < _LIKE:
+            return "torque unit", f"looks like {unit}{turned}"
+    if ratio is not None and abs(ratio) > 2.0 and abs(size * abs(ratio) - 1.0) < _LIKE:
+        return "torque unit", f"looks like that of the motor, before the gear of {ratio:g}{turned}"
+    if size < 1.0:
+        return "torque unit", f"looks like current, about {1.0 / size:.3g} N m/A{turned}"
+    return "torque gain", f"is {gain:.3g} times what the model expects{turned}"
+
+
+# ---- by the other sensors and by the limits
+
+
+def _second_sensors(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
+    """Velocities and link angles that are not of the motion that positions tell."""
+    seen: dict[str, dict[int, tuple[str, float | None]]] = {}
+    for run in runs:
+        for fault in run.faults:
+            too_short = fault.ratio is not None and np.isnan(fault.ratio)
+            if fault.kind == "contradicts position" and fault.joint is not None and not too_short:
+                detail = fault.detail.removesuffix(". Left out.")
+                seen.setdefault(fault.signal, {}).setdefault(fault.joint, (detail, fault.ratio))
+    for signal, joints in seen.items():
+        noun = "velocity" if signal == "velocity" else "link position"
+        each = "; ".join(f"that of joint {joint} {detail}" for joint, (detail, _) in joints.items())
+        ratios = {joint: ratio for joint, (_, ratio) in joints.items()}
+        yield Doubt(
+            kind=noun,
+            joints=tuple(joints),
+            evidence=f"The {noun} is not that of the position: {each}.",
+            line=_ratio_line(recordings, signal, ratios),
+        )
+
+
+def _ratio_line(recordings: RecordingSet, signal: str, ratios: Mapping[int, float | None]) -> str:
+    """Line that mends all joints of a signal by one cause, "" where there is none."""
+    units = {"velocity": "deg/s", "link_position": "deg"}
+    known = np.array([np.nan if ratio is None else ratio for ratio in ratios.values()])
+    if np.all(np.abs(known * DEGREE - 1.0) < _NEAR):
+        return scale_line(recordings, signal, np.ones(recordings.n), units[signal])
+    if np.all(np.abs(known / DEGREE - 1.0) < _NEAR):
+        return 'position = "deg" in [signals.scale]'
+    if np.all(np.abs(known + 1.0) < _LIKE):
+        signs = np.ones(recordings.n)
+        signs[np.array(list(ratios)) - 1] = -1.0
+        return scale_line(recordings, signal, signs)
+    return ""
+
+
+def _beyond_limits(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
+    lower = recordings.robot.position_lower[recordings.order]
+    upper = recordings.robot.position_upper[recordings.order]
+    span = upper - lower
+    reach = np.full((2, recordings.n), np.nan)
+    for run in runs:
+        known = np.isfinite(run.position)
+        low = np.where(known, run.position, np.inf).min(axis=0)
+        high = np.where(known, run.position, -np.inf).max(axis=0)
+        reach[0], reach[1] = np.fmin(reach[0], low), np.fmax(reach[1], high)
+    margin = np.maximum(_BEYOND[0] * span, _BEYOND[1])
+    with np.errstate(invalid="ignore"):
+        out = np.isfinite(span) & ((reach[0] < lower - margin) | (reach[1] > upper + margin))
+    if not out.any():
+        return
+    turning = ~recordings.prismatic
+    in_degrees = DEGREE * reach
+    fits = (in_degrees[0] >= lower - margin) & (in_degrees[1] <= upper + margin)
+    far = np.nanmax(np.abs(reach[:, turning & out]), initial=0.0) > 3.0 * np.pi
+    if far and np.all(fits | ~turning | ~np.isfinite(span)):
+        yield Doubt(
+            kind="position unit",
+            joints=tuple(int(j) + 1 for j in np.flatnonzero(out)),
+            evidence="The positions look like degrees: "
+            + _reaches(recordings, reach, lower, upper, out),
+            line=scale_line(recordings, "position", np.ones(recordings.n), "deg"),
+        )
+        return
+    yield Doubt(
+        kind="position limits",
+        joints=tuple(int(j) + 1 for j in np.flatnonzero(out)),
+        evidence="Positions lie beyond the limits of the robot's own file: "
+        + _reaches(recordings, reach, lower, upper, out)
+        + " Check their zero, sign and unit, or mend the limits there.",
+        line="",
+    )
+
+
+def _reaches(
+    recordings: RecordingSet,
+    reach: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    out: np.ndarray,
+) -> str:
+    parts = [
+        f"joint {j + 1} reads {reach[0, j]:.3g} to {reach[1, j]:.3g}"
+        f" {'m' if recordings.prismatic[j] else 'rad'}, its limits are {lower[j]:.3g} to"
+        f" {upper[j]:.3g}"
+        for j in np.flatnonzero(out)
+    ]
+    return "; ".join(parts) + "."

@@ -1,0 +1,256 @@
+"""Recordings that contradict their own description are stopped, with the line that mends them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from simulated_sets import simulated
+from small_arms import ROOT
+
+from benchmarks.simulator import CaseSpec, write_case
+from stiffopt.cli import run
+from stiffopt.discovery.diagnose import diagnose
+from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
+from stiffopt.discovery.sanity.gate import doubts
+from stiffopt.discovery.training import training_runs
+from stiffopt.recording.recording_set import load_recordings
+
+SHIPPED = ROOT / "problems" / "recordings" / "two_link_friction"
+PUBLISHED = ROOT.parent / "shared" / "recordings"
+OPEN_CASES = ROOT.parent / "shared" / "blind" / "open"
+
+Columns = dict[str, np.ndarray]
+DEGREES = 180.0 / np.pi
+
+
+def changed_copy(source: Path, folder: Path, change: Callable[[Columns], None]) -> Path:
+    """The set with the columns of all its runs changed."""
+    shutil.copytree(source, folder)
+    for file in folder.glob("*.npz"):
+        with np.load(file) as stored:
+            columns = dict(stored)
+        change(columns)
+        np.savez_compressed(file, **columns)
+    return folder
+
+
+def rewritten(folder: Path, old: str, new: str) -> None:
+    file = folder / "recordings.toml"
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new))
+
+
+def doubted(folder: Path) -> tuple[Doubt, ...]:
+    recordings = load_recordings(folder)
+    return doubts(recordings, training_runs(recordings))
+
+
+def times(names: str, factor: float) -> Callable[[Columns], None]:
+    def change(columns: Columns) -> None:
+        for name in names.split():
+            columns[name] = columns[name] * factor
+
+    return change
+
+
+def exchanged(*pairs: tuple[str, str]) -> Callable[[Columns], None]:
+    def change(columns: Columns) -> None:
+        for one, two in pairs:
+            columns[one], columns[two] = columns[two], columns[one]
+
+    return change
+
+
+def late(columns: Columns) -> None:
+    for name in ("tau1", "tau2"):
+        columns[name] = np.interp(columns["t"] - 0.15, columns["t"], columns[name])
+
+
+ANGLES = "q1 q2 ql1 ql2 qd1 qd2"
+SCALE = "[signals.scale]\n"
+# What is done to the columns, what is doubted of which joints, what mends it.
+CASES = {
+    "degrees": (
+        times(ANGLES, DEGREES),
+        ("position unit", (1, 2)),
+        SCALE + 'position = "deg"\nvelocity = "deg/s"\nlink_position = "deg"\n',
+    ),
+    "mN m": (
+        times("tau1 tau2", 1e3),
+        ("torque unit", (1,)),
+        SCALE + "torque = [0.001, 0.001]\n",
+    ),
+    "amperes": (
+        times("tau1 tau2", 1.0 / 13.9),
+        ("torque unit", (1,)),
+        SCALE + "torque = [13.8, 13.7]\n",
+    ),
+    "a turned sign": (
+        times("tau2", -1.0),
+        ("torque sign", (2,)),
+        SCALE + "torque = [1.0, -1.0]\n",
+    ),
+    "an axis turned round": (
+        times("tau2 q2 ql2 qd2", -1.0),
+        ("position sign", (2,)),
+        SCALE + "torque = [1.0, -1.0]\nposition = [1.0, -1.0]\nvelocity = [1, -1]\n"
+        "link_position = [1, -1]\n",
+    ),
+    "a gain": (times("tau1", 20.0), ("torque gain", (1,)), SCALE + "torque = [0.0497, 1.0]\n"),
+    "torque before the gear": (
+        lambda columns: columns.update(tau1=columns["tau1"] / 101.0, tau2=columns["tau2"] / 81.0),
+        ("torque unit", (1,)),
+        SCALE + "torque = [101.0, 81.0]\n",
+    ),
+    "velocity in degrees": (
+        times("qd1 qd2", DEGREES),
+        ("velocity", (1, 2)),
+        SCALE + 'velocity = "deg/s"\n',
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_it_is_stopped_and_its_own_line_mends_it(case: str, tmp_path: Path) -> None:
+    change, (kind, joints), mended = CASES[case]
+    folder = changed_copy(SHIPPED, tmp_path / "set", change)
+    found = doubted(folder)
+    assert (found[0].kind, found[0].joints) == (kind, joints)
+    assert all(line.split(" = ")[0] in found[0].line for line in mended.splitlines()[1:2])
+    if "[1.0, -1.0]" not in mended and '"' not in mended:
+        assert mended.splitlines()[1] in found[0].line
+    rewritten(folder, "[nominal]\n", f"{mended}\n[nominal]\n")
+    assert doubted(folder) == ()
+
+
+def test_exchanged_torque_columns(tmp_path: Path) -> None:
+    folder = changed_copy(SHIPPED, tmp_path / "set", exchanged(("tau1", "tau2")))
+    (found,) = doubted(folder)
+    assert (found.kind, found.joints) == ("torque order", (1, 2))
+    assert found.line == 'torque = ["tau2", "tau1"] in [signals]'
+    rewritten(folder, 'torque = ["tau1", "tau2"]', 'torque = ["tau2", "tau1"]')
+    assert doubted(folder) == ()
+
+
+def test_exchanged_joints(tmp_path: Path) -> None:
+    pairs = [(f"{kind}1", f"{kind}2") for kind in ("q", "qd", "ql", "tau")]
+    folder = changed_copy(SHIPPED, tmp_path / "set", exchanged(*pairs))
+    found = doubted(folder)
+    assert (found[0].kind, found[0].joints) == ("joint order", (1, 2))
+    assert 'position = ["q2", "q1"] and torque = ["tau2", "tau1"]' in found[0].line
+
+
+@pytest.mark.parametrize("stated", ["[0.0, 0.0, 9.81]", "[0.0, 0.0, -1.0]", "[9.81, 0.0, 0.0]"])
+def test_gravity_upside_down_or_in_g(stated: str, tmp_path: Path) -> None:
+    folder = changed_copy(SHIPPED, tmp_path / "set", lambda columns: None)
+    rewritten(folder, "[0.0, 0.0, -9.81]", stated)
+    (found,) = doubted(folder)
+    assert found.kind == "gravity"
+    assert found.line == "gravity = [0.0, 0.0, -9.81]"
+
+
+def test_late_torques(tmp_path: Path) -> None:
+    folder = changed_copy(SHIPPED, tmp_path / "set", late)
+    (found,) = doubted(folder)
+    assert found.kind == "delay"
+    delay = float(found.line.split()[2])
+    assert delay == pytest.approx(0.15, abs=0.01)
+    rewritten(folder, "[nominal]\n", "\n[nominal]\n")
+    rewritten(folder, "[signals]\n", "[signals]\ntorque_delay = 0.15\n")
+    assert doubted(folder) == ()
+
+
+def test_positions_beyond_the_limits(tmp_path: Path) -> None:
+    folder = changed_copy(SHIPPED, tmp_path / "set", lambda columns: None)
+    urdf = folder / "robot.urdf"
+    recordings = load_recordings(folder)
+    lower = recordings.robot.position_lower[0]
+    text = urdf.read_text()
+    assert f'lower="{lower:g}"' in text
+    urdf.write_text(text.replace(f'lower="{lower:g}"', 'lower="0.3"'))
+    (found,) = doubted(folder)
+    assert found.kind == "position limits"
+    assert 1 in found.joints
+    assert "its limits are 0.3 to" in found.evidence
+
+
+def test_nothing_is_written_and_nothing_is_named(tmp_path: Path, capsys) -> None:
+    folder = changed_copy(SHIPPED, tmp_path / "set", times(ANGLES, DEGREES))
+    assert run(["diagnose", str(folder), "--out", str(tmp_path / "out"), "--quiet"]) == 2
+    assert not (tmp_path / "out").exists()
+    said = capsys.readouterr().err
+    assert "look like degrees" in said
+    assert 'position = "deg"' in said
+    assert "--despite-doubts" in said
+    assert run(["recording", "check", str(folder)]) == 2
+    assert "look like degrees" in capsys.readouterr().err
+
+
+def test_who_insists_gets_an_answer_that_tells_the_doubt(tmp_path: Path) -> None:
+    folder = changed_copy(SHIPPED, tmp_path / "set", times("tau2", -1.0))
+    with pytest.raises(DoubtfulRecordings, match="has the other sign"):
+        diagnose(folder)
+    out = tmp_path / "out"
+    options = ["--no-report", "--no-experiment", "--quiet", "--despite-doubts"]
+    assert run(["diagnose", str(folder), "--out", str(out), *options]) == 0
+    document = json.loads((out / "diagnosis.json").read_text())
+    assert [doubt["kind"] for doubt in document["doubts"]] == ["torque sign"]
+    assert document["assumptions"][0].startswith("Diagnosed despite a doubt: The torque of joint 2")
+    assert document["verdict"] != "named"
+
+
+def test_the_shipped_set_passes() -> None:
+    assert doubted(SHIPPED) == ()
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        ("torque_gain", 2, 4.0),
+        ("gravity_spring", 2, 4.0),
+        ("payload", None, 4.0),
+        ("time_delay", None, 4.0),
+        ("coulomb", 1, 4.0),
+    ],
+)
+def test_effects_of_the_catalogue_are_no_doubts(effect, tmp_path: Path) -> None:
+    spec = CaseSpec(effects=(effect,), seed=8, train=2, test=1, extrapolate=0, seconds=3.0,
+                    rate=250.0, substeps=8)  # fmt: skip
+    folder = write_case(simulated(spec), tmp_path / "set")
+    assert doubted(folder) == ()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not PUBLISHED.is_dir(), reason="the recordings lie beside the package")
+def test_recordings_of_others_pass() -> None:
+    folders = [*PUBLISHED.iterdir(), *(OPEN_CASES.iterdir() if OPEN_CASES.is_dir() else ())]
+    stopped = {
+        folder.name: [str(doubt) for doubt in found]
+        for folder in folders
+        if (folder / "recordings.toml").is_file() and (found := doubted(folder))
+    }
+    assert stopped == {}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not PUBLISHED.is_dir(), reason="the recordings lie beside the package")
+@pytest.mark.parametrize(
+    ("change", "kind"),
+    [
+        (times("q1 q2 q3 q4 q5 q6 qd1 qd2 qd3 qd4 qd5 qd6", DEGREES), "position unit"),
+        (times("tau1 tau2 tau3 tau4 tau5 tau6", 1.0 / 13.9), "torque unit"),
+        (times("tau1 tau2 tau3 tau4 tau5 tau6", 1e3), "torque unit"),
+        (times("tau2", -1.0), "torque sign"),
+        (exchanged(("tau2", "tau3")), "torque order"),
+        (exchanged(("q2", "q3"), ("qd2", "qd3"), ("tau2", "tau3")), "joint order"),
+    ],
+)
+def test_a_real_arm_with_six_joints(change, kind: str, tmp_path: Path) -> None:
+    folder = changed_copy(PUBLISHED / "unisa_ur10", tmp_path / "set", change)
+    assert doubted(folder)[0].kind == kind
