@@ -85,6 +85,24 @@ class NoSolutionFound(StiffoptError):
         super().__init__(message)
 
 
+def shortened(value: object) -> str:
+    """Value or error as a message shows it: what is long loses its middle.
+
+    >>> shortened("x" * 1000)[:4], len(shortened("x" * 1000))
+    ("'xxx", 100)
+    """
+    try:
+        text = str(value) if isinstance(value, BaseException) else repr(value)
+    except (ValueError, RecursionError):  # an integer of too many digits, too deep a list
+        return f"a {type(value).__name__} too long to show"
+    text = " ".join(text.split()) if isinstance(value, BaseException) else text
+    text = text.rstrip(".") if isinstance(value, BaseException) else text
+    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 33]}...{text[-30:]}"
+
+
+_SHOWN = 100
+
+
 def nearest(name: str, allowed: Iterable[str]) -> str:
     """Sentence that names the closest allowed word and lists the rest."""
     names = sorted(str(a) for a in allowed)

@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import difflib
 import io
+import json
 import math
 import os
 import re
@@ -21,7 +22,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from stiffopt.declaration import Unit
-from stiffopt.errors import InputError, InputFileError, nearest
+from stiffopt.errors import InputError, InputFileError, nearest, shortened
 from stiffopt.units import reader
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -29,6 +30,14 @@ Model = TypeVar("Model", bound=BaseModel)
 # Files are where texts with units become SI numbers.
 Unit.reader = reader
 
+# What a file written by people stays far below; beyond it lie mistakes and attacks.
+LARGEST_TEXT = 32 * 2**20
+DEEPEST = 40
+# A key of more parts than this: tomllib's time grows with their square.
+_LONG_KEY = re.compile(rf"""(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}""")
+
+# As many of them as anybody reads in one message.
+_MOST_FAULTS = 30
 # Errors that say no more than that a value has not this form.
 _FORMS = ("model_type", "dataclass_type", "list_type", "dict_type", "literal_error", "tuple_type")
 
@@ -45,22 +54,79 @@ def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     Raises
     ------
     InputFileError
-        No such file (with the nearest names in that folder), not text, or not TOML (with the line).
+        No such file (with the nearest names in that folder), not text, not TOML (with the line), or
+        larger, deeper or with longer integers than any such file.
     """
     path = Path(path)
-    check_file(path)
+    text = read_text(path)
+    key = _LONG_KEY.search(text)
+    if key is not None:
+        line = text.count("\n", 0, key.start()) + 1
+        raise InputFileError(path, f"line {line}", f"a key has more than {DEEPEST} parts.")
     try:
-        text = path.read_text(encoding="utf-8")
-        return tomllib.loads(text)
-    except UnicodeDecodeError as error:
-        raise InputFileError(path, "", "is not UTF-8 text. Save it as a TOML text file.") from error
-    except OSError as error:
-        raise InputFileError(path, "", f"cannot be read: {error.strerror}.") from error
+        data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         place = re.search(r"at line (\d+)", str(error))
         line = int(place[1]) if place else len(text.splitlines())
         where = f"line {line}"
-        raise InputFileError(path, where, f"is not valid TOML: {error}.") from error
+        raise InputFileError(path, where, f"is not valid TOML: {shortened(error)}.") from error
+    except RecursionError as error:
+        raise InputFileError(path, "", _TOO_DEEP) from error
+    except ValueError as error:  # more digits than Python reads
+        raise InputFileError(path, "", "has an integer of more than 64 bits.") from error
+    _check_values(path, data)
+    return data
+
+
+_TOO_DEEP = f"is nested deeper than {DEEPEST} levels. Write it flatter."
+
+
+def _check_values(path: Path, data: object, where: str = "", depth: int = 0) -> None:
+    """Depth as any file of people has it, and integers of 64 bits as TOML wants them."""
+    if depth > DEEPEST:
+        raise InputFileError(path, "", _TOO_DEEP)
+    if isinstance(data, Mapping):
+        for key, value in data.items():
+            _check_values(path, value, f"{where}.{key}" if where else str(key), depth + 1)
+    elif isinstance(data, list):
+        for number, value in enumerate(data, start=1):
+            _check_values(path, value, f"{where}[{number}]", depth + 1)
+    elif isinstance(data, int) and not -(2**63) <= data < 2**63:
+        raise InputFileError(
+            path, where, "this integer has more than 64 bits. Write a smaller number."
+        )
+
+
+def read_text(path: str | os.PathLike[str]) -> str:
+    """Text of a file of UTF-8.
+
+    Raises
+    ------
+    InputFileError
+        No such file, not text, not to be read, or larger than any such file.
+    """
+    path = Path(path)
+    check_file(path)
+    try:
+        if path.stat().st_size > LARGEST_TEXT:
+            raise InputFileError(
+                path, "", f"is larger than {LARGEST_TEXT / 2**20:.0f} MiB. Give another file."
+            )
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise InputFileError(
+            path, "", f"is not UTF-8 text. Save it as a {path.suffix[1:].upper()} text file."
+        ) from error
+    except OSError as error:
+        raise InputFileError(path, "", f"cannot be read: {error.strerror}.") from error
+
+
+def load_json(path: str | os.PathLike[str]) -> Any:
+    """Content of a JSON file; raises `InputFileError` where there is none."""
+    try:
+        return json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise InputFileError(path, "", f"is no JSON text: {shortened(error)}.") from error
 
 
 def check_file(path: str | os.PathLike[str]) -> None:
@@ -83,10 +149,10 @@ def check_file(path: str | os.PathLike[str]) -> None:
 def check_header(data: Mapping[str, Any], path: object, kind: str, schema: int = 1) -> None:
     """Check the two keys that every file has: `schema` and `kind`."""
     if data.get("kind") != kind:
-        got = f"got {data['kind']!r}" if "kind" in data else "the key is missing"
+        got = f"got {shortened(data['kind'])}" if "kind" in data else "the key is missing"
         raise InputFileError(path, "kind", f'this place needs kind = "{kind}", {got}.')
     if data.get("schema") != schema or isinstance(data.get("schema"), bool):
-        got = f"got {data['schema']!r}" if "schema" in data else "the key is missing"
+        got = f"got {shortened(data['schema'])}" if "schema" in data else "the key is missing"
         raise InputFileError(path, "schema", f"this version reads schema = {schema}, {got}.")
 
 
@@ -101,9 +167,12 @@ def validate(model: type[Model], data: Mapping[str, Any], path: object) -> Model
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        faults = _faults(model, data, error.errors(include_url=False))
+        errors = error.errors(include_url=False)
+    faults = _faults(model, data, errors[:_MOST_FAULTS])
     where, reason = faults[0]
     more = "".join(f"\nAlso {place}: {text}" for place, text in faults[1:])
+    if len(errors) > _MOST_FAULTS:
+        more += f"\nAnd {len(errors) - _MOST_FAULTS} more."
     raise InputFileError(path, where, reason + more)
 
 
@@ -172,7 +241,10 @@ def _fault(model: type[BaseModel], where: str, error: Any) -> tuple[str, str]:
     kind, given = error["type"], error.get("input")
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         allowed = _fields(model, error["loc"][:-1])
-        return where, f"unknown key {error['loc'][-1]!r}. {nearest(error['loc'][-1], allowed)}"
+        return (
+            where,
+            f"unknown key {shortened(error['loc'][-1])}. {nearest(error['loc'][-1], allowed)}",
+        )
     if kind == "missing" and isinstance(error["loc"][-1], int):
         return where, "this entry of the list is required and missing."
     if kind == "missing":
@@ -184,19 +256,19 @@ def _fault(model: type[BaseModel], where: str, error: Any) -> tuple[str, str]:
         allowed = re.findall(r"'([^']*)'", context["expected_tags"])
         return (
             f"{where}.type",
-            f"unknown type {context['tag']!r}. {nearest(context['tag'], allowed)}",
+            f"unknown type {shortened(context['tag'])}. {nearest(context['tag'], allowed)}",
         )
     if kind == "literal_error":
         allowed = re.findall(r"'([^']*)'", error["ctx"]["expected"])
         if allowed:
-            return where, f"got {given!r}. {nearest(str(given), allowed)}"
+            return where, f"got {shortened(given)}. {nearest(str(given), allowed)}"
     if kind == "value_error":
         cause = error["ctx"]["error"]
         if isinstance(cause, InputError):
             return where, str(cause)
         if isinstance(given, Mapping):
             return where, f"{cause}."
-    return where, f"{error['msg']}, got {given!r}."
+    return where, f"{error['msg']}, got {shortened(given)}."
 
 
 def _fields(model: Any, location: Sequence[str | int]) -> list[str]:
@@ -325,7 +397,7 @@ def _number(path: Path, row: int, column: str, text: str | None) -> float:
         value = math.nan
     if not math.isfinite(value):
         raise InputFileError(
-            path, f"row {row}, {column}", f"needs a finite number, got {text or ''!r}."
+            path, f"row {row}, {column}", f"needs a finite number, got {shortened(text or '')}."
         )
     return value
 

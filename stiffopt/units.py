@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 from stiffopt.declaration import DIMENSIONS, PRISMATIC, Dimension, Unit
-from stiffopt.errors import UnitError
+from stiffopt.errors import UnitError, shortened
 
 # Far above any modulus or stiffness, far below what overflows when multiplied.
 LARGEST = 1e15
@@ -39,17 +39,33 @@ def _registry() -> Any:
     return registry
 
 
-@functools.lru_cache(maxsize=1024)
-def _factor(unit: str, dimension: Dimension) -> float:
-    """Factor from `unit` to the SI unit of `dimension`; raises ValueError with the reason."""
+# Names joined by "*" and "/", each with a power of one digit: pint would work out any arithmetic.
+_NAME = r"(?:1|[^\W\d]\w*|[%°])"
+_POWER = r"(?:\s*(?:\*\*|\^)\s*(?:-?\d|\(-?\d\)))?"
+_UNIT = re.compile(
+    rf"[\s(]*{_NAME}[\s)]*{_POWER}(?:(?:\s*[*/]\s*|\s+)[\s(]*{_NAME}[\s)]*{_POWER})*"
+)
+_LONGEST = 60
+
+
+def _parsed(unit: str) -> Any:
+    """Unit as pint has it; raises ValueError with the reason."""
     import pint
 
+    if len(unit) > _LONGEST or not _UNIT.fullmatch(unit):
+        raise ValueError(f"the unit {shortened(unit)} cannot be read")
     try:
-        parsed = _registry().parse_units(unit)
+        return _registry().parse_units(unit)
     except (pint.UndefinedUnitError, pint.errors.DefinitionSyntaxError) as error:
         raise ValueError(f"the unit {unit!r} is not known") from error
     except Exception as error:  # pint's parser lets Python's tokenizer errors through
         raise ValueError(f"the unit {unit!r} cannot be read") from error
+
+
+@functools.lru_cache(maxsize=1024)
+def _factor(unit: str, dimension: Dimension) -> float:
+    """Factor from `unit` to the SI unit of `dimension`; raises ValueError with the reason."""
+    parsed = _parsed(unit)
     if dimension.unit == "degC" and unit != "degC":
         raise ValueError(f"temperatures are given in degC, not in {unit!r}")
     angle = sum(power for name, power in parsed._units.items() if str(name).endswith(_ANGLE_UNITS))
@@ -86,23 +102,26 @@ def to_si(value: object, dimension: str, where: str = "") -> float:
     allowed = f"Give a number{unit} or a text such as {kind.example!r}."
     place = f"{where}: " if where else ""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise UnitError(f"{place}expected {kind.name}, got {value!r}. {allowed}")
+        raise UnitError(f"{place}expected {kind.name}, got {shortened(value)}. {allowed}")
     if isinstance(value, str):
         match = _NUMBER_AND_UNIT.match(value)
         if match is None:
-            raise UnitError(f"{place}expected {kind.name}, got {value!r}. {allowed}")
+            raise UnitError(f"{place}expected {kind.name}, got {shortened(value)}. {allowed}")
         if not match[2] and kind.unit:
-            raise UnitError(f"{place}{value!r} has no unit. {allowed}")
+            raise UnitError(f"{place}{shortened(value)} has no unit. {allowed}")
         try:
             number = float(match[1]) * (_factor(match[2], kind) if match[2] else 1.0)
         except ValueError as error:
-            raise UnitError(f"{place}got {value!r}, but {error}. {allowed}") from error
+            raise UnitError(f"{place}got {shortened(value)}, but {error}. {allowed}") from error
     else:
-        number = float(value)
+        # An integer of any size is a number to Python, but no float.
+        number = float(max(min(value, 10**300), -(10**300)) if isinstance(value, int) else value)
     if not math.isfinite(number):
-        raise UnitError(f"{place}{kind.name} must be a finite number, got {value!r}. {allowed}")
+        got = shortened(value)
+        raise UnitError(f"{place}{kind.name} must be a finite number, got {got}. {allowed}")
     if abs(number) > LARGEST:
-        raise UnitError(f"{place}{value!r} is beyond any machine, at most {LARGEST:g}. {allowed}")
+        got = shortened(value)
+        raise UnitError(f"{place}{got} is beyond any machine, at most {LARGEST:g}. {allowed}")
     return number
 
 
@@ -119,10 +138,12 @@ def convert(value: float, unit: str, target: str) -> float:
     import pint
 
     try:
-        factor = _registry().Quantity(1.0, _spelled(unit)).to(_spelled(target)).magnitude
-    except (pint.PintError, TypeError, ValueError) as error:
-        raise UnitError(f"{unit!r} cannot be converted to {target!r}: {error}") from error
-    return value * float(factor)
+        held = _registry().Quantity(1.0, _parsed(_spelled(unit)))
+        factor = float(held.to(_parsed(_spelled(target))).magnitude)
+    except (pint.PintError, TypeError, ValueError, ArithmeticError) as error:
+        reason = shortened(error)
+        raise UnitError(f"{unit!r} cannot be converted to {shortened(target)}: {reason}") from error
+    return value * factor
 
 
 def _spelled(unit: str) -> str:

@@ -24,6 +24,9 @@ from stiffopt.recording.run import RecordedRun
 
 Say = Callable[[str], object]
 
+# Wind-up of a joint beyond which it is no drivetrain's, [rad] or [m].
+_SOFTEST = 1.0
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Training:
@@ -93,11 +96,18 @@ def train(
     """
     robot = RobotModel(recordings)
     opened: list[RecordedRun] = []
+    prepared: list[PreparedRun] = []
     notes: list[str] = []
     for run in training_runs(recordings, say) if runs is None else runs:
         if not run.usable:
             notes.append(f"{run.file} is left out: a joint of it has no usable position.")
             continue
+        ready = prepare(robot, run, len(opened), None, settings)
+        _check_nominal(recordings, run, ready)
+        if not (ready.torque_used.any() or ready.deflection_used.any()):
+            notes.append(_nothing_to_fit(run, ready))
+            continue
+        prepared.append(ready)
         opened.append(run)
     if not opened:
         raise InputFileError(
@@ -109,7 +119,7 @@ def train(
         say("choose how fast a motion to follow")
         settings, note = _with_bands(robot, opened, settings)
         notes.append(note)
-    prepared = [prepare(robot, run, k, None, settings) for k, run in enumerate(opened)]
+        prepared = [prepare(robot, run, k, None, settings) for k, run in enumerate(opened)]
     ranged = robot.ranged([run.signals for run in prepared], _largest_torques(prepared))
     if model is not None:
         ranged = model.scaled(ranged)
@@ -148,6 +158,40 @@ def _with_bands(
         f" (joint {each}) Hz: as stretches of the training runs left out bear it out best."
     )
     return replace(settings, cutoff=bands.fit, predict=bands.predict), note
+
+
+def _check_nominal(recordings: RecordingSet, run: RecordedRun, ready: PreparedRun) -> None:
+    """Raise `InputFileError` where the nominal model says nothing of a run that can be compared."""
+    signals = ready.signals
+    if not np.isfinite(signals.drive_torque).all():
+        raise InputFileError(
+            recordings.path,
+            "",
+            f"the nominal model gives no finite torque along {run.file}. Check its positions and "
+            "times, and masses and stiffnesses of the robot.",
+        )
+    widest = np.abs(signals.windup).max(axis=0)
+    joint = int(widest.argmax())
+    if widest[joint] > _SOFTEST:
+        name = recordings.joints[joint]
+        raise InputFileError(
+            recordings.path,
+            "nominal",
+            f"the drivetrain of {name!r} winds up by {widest[joint]:.3g} rad along {run.file}, "
+            f"and no joint does so by more than {_SOFTEST:g}. Check its stiffness, and masses and "
+            "times.",
+        )
+
+
+def _nothing_to_fit(run: RecordedRun, ready: PreparedRun) -> str:
+    """Why no sample of a run can be fitted."""
+    lost = 2.0 * ready.low_pass.settling * run.step
+    if run.duration <= 2.0 * lost:
+        return (
+            f"{run.file} is left out: it lasts {run.duration:.3g} s, of which the filter takes "
+            f"{lost:.3g} s. Record some seconds or more."
+        )
+    return f"{run.file} is left out: no joint of it moves with a torque that can be used."
 
 
 def _largest_torques(runs: Sequence[PreparedRun]) -> np.ndarray:

@@ -103,7 +103,8 @@ def windup_shares(chain: Chain, torque: float) -> dict[str, float]:
         whole = float(stage_windup(group[0], splits[0] * at, None)[0])
         for stage, split in zip(group, splits, strict=True):
             shares[stage.element.name] = whole * float(split[0])
-    return _normalised(shares)
+    # A torque so small that nothing winds up is none.
+    return _normalised(shares) if any(shares.values()) else compliance_shares(chain, 0.0)
 
 
 def _side_by_side(compliances: list[np.ndarray]) -> np.ndarray:

@@ -125,6 +125,8 @@ class MotionSection(Section):
             raise ValueError("give `start` and `end`, or a fixed joint `path`")
         if self.path is not None and (self.start or self.end or self.via):
             raise ValueError("`path` fixes start, end and vias; remove those or the path")
+        if self.path is not None and len(self.path) < 2:
+            raise ValueError("`path` needs two waypoints or more")
         return self
 
 

@@ -102,7 +102,9 @@ class Method:
     )
     time_limit: Annotated[Time, POSITIVE, Doc("Time after which the best motion is taken.")] = 300.0
     max_iterations: Annotated[
-        int, Bounds(least=1), Doc("Largest number of iterations of IPOPT, each stage.")
+        int,
+        Bounds(least=1, most=1_000_000),
+        Doc("Largest number of iterations of IPOPT, each stage."),
     ] = 500
     starts: Annotated[
         int,
@@ -112,7 +114,7 @@ class Method:
     tolerance: Annotated[
         Ratio, Bounds(above=0.0, most=1e-2), Doc("Relative tolerance of IPOPT.")
     ] = 1e-8
-    seed: Annotated[int, Doc("Of the further initial guesses.")] = 1
+    seed: Annotated[int, Bounds(least=0), Doc("Of the further initial guesses.")] = 1
 
     def __post_init__(self) -> None:
         check_fields(self, "method", ProblemError)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -277,6 +278,13 @@ def load_arm(
             raise InputFileError(path, f"joints[{number + 1}]", f"{name!r} is named twice.")
     locked = tuple(name for name in names if name not in joints)
     robot = robot.with_joints_locked(locked)
+    if gravity is not None and 0.9 < math.hypot(*gravity) < 1.1:
+        raise InputFileError(
+            path,
+            "gravity",
+            f"{list(gravity)} has the length of 1 m/s^2, which looks like units of g. Write it in "
+            "m/s^2, such as [0.0, 0.0, -9.81].",
+        )
     robot = robot.with_gravity((0.0, 0.0, -9.81) if gravity is None else gravity)
     frames = frame_names(robot.model)
     if tool_frame is not None and tool_frame not in frames:

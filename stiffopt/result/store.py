@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stiffopt.errors import InputFileError
-from stiffopt.files import atomic_write, check_file, plain, write_csv
+from stiffopt.files import atomic_write, load_json, plain, write_csv
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
 from stiffopt.result.simulation import ElasticMotion, Simulation
 from stiffopt.result.solution import Baseline, ObjectiveValue, Solution
@@ -102,11 +102,7 @@ def read_document(path: Path) -> dict[str, Any]:
     InputFileError
         No such file, or one of something else.
     """
-    check_file(path)
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise InputFileError(path, "", f"is no JSON text: {error}") from error
+    document = load_json(path)
     if not isinstance(document, dict) or "inputs_hash" not in document:
         raise InputFileError(path, "", "is no result of `stiffopt solve`.")
     return document

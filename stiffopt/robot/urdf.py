@@ -9,12 +9,16 @@ from pathlib import Path
 
 import pinocchio as pin
 
-from stiffopt.errors import InputFileError, RobotError, nearest
-from stiffopt.files import check_file
+from stiffopt.errors import InputFileError, RobotError, shortened
+from stiffopt.robot.urdf_tree import read_tree
 
 _KINDS = ("revolute", "continuous", "prismatic", "fixed")
 # Stands in for the limits of a continuous joint, which pinocchio would read as a unit circle.
 UNLIMITED = 1e9
+# Beyond any machine in every unit of a URDF, far below what overflows when multiplied.
+_LARGEST = 1e9
+# Limits that are meant as none are written larger.
+_NO_LIMIT = 1e30
 
 
 def load_urdf(path: str | os.PathLike[str]) -> tuple[pin.Model, dict[str, dict[str, float]]]:
@@ -38,18 +42,10 @@ def load_urdf(path: str | os.PathLike[str]) -> tuple[pin.Model, dict[str, dict[s
         missing or cannot be.
     """
     path = Path(path)
-    check_file(path)
-    try:
-        tree = ET.parse(path).getroot()
-    except (ET.ParseError, UnicodeDecodeError) as error:
-        raise InputFileError(path, "", f"is not a URDF: {error}.") from error
-    if tree.tag != "robot":
-        raise InputFileError(path, "", f"is not a URDF: the root is <{tree.tag}>, not <robot>.")
+    tree = read_tree(path)
     _check_links(tree, path)
-    links = [link.get("name", "") for link in tree.findall("link")]
     moving = {}
     for joint in tree.findall("joint"):
-        _check_ends(joint, links, path)
         found = _joint(joint, path)
         if found is not None:
             moving[joint.get("name", "")] = found
@@ -58,7 +54,7 @@ def load_urdf(path: str | os.PathLike[str]) -> tuple[pin.Model, dict[str, dict[s
     try:
         model = pin.buildModelFromXML(ET.tostring(tree, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
-        raise InputFileError(path, "", f"cannot be read as a URDF: {error}.") from error
+        raise InputFileError(path, "", f"cannot be read as a URDF: {shortened(error)}.") from error
     return model, moving
 
 
@@ -90,7 +86,7 @@ def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
     values = {}
     for key in ("effort", "velocity", "lower", "upper"):
         text = "0" if limit is None else limit.get(key, "0")
-        values[key] = _numbers(text, 1, f"{path}: joint {name!r}, limit {key}")[0]
+        values[key] = _numbers(text, 1, f"{path}: joint {name!r}, limit {key}", _NO_LIMIT)[0]
     if kind == "continuous":
         joint.set("type", "revolute")
         limit = ET.SubElement(joint, "limit") if limit is None else limit
@@ -108,17 +104,6 @@ def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
         text = "0" if dynamics is None else dynamics.get(key, "0")
         values[key] = _numbers(text, 1, f"{path}: joint {name!r}, dynamics {key}")[0]
     return values
-
-
-def _check_ends(joint: ET.Element, links: list[str], path: Path) -> None:
-    for end in ("parent", "child"):
-        found = joint.find(end)
-        link = "" if found is None else found.get("link", "")
-        if link not in links:
-            raise RobotError(
-                f"{path}: joint {joint.get('name')!r} names the {end} {link!r}, which is no link. "
-                f"{nearest(link, links)}"
-            )
 
 
 def _check_links(tree: ET.Element, path: Path) -> None:
@@ -139,12 +124,16 @@ def _check_links(tree: ET.Element, path: Path) -> None:
                 raise RobotError(f"{place}: {key} = {text} is below 0. Correct it.")
 
 
-def _numbers(text: str, count: int, place: str) -> list[float]:
+def _numbers(text: str, count: int, place: str, most: float = _LARGEST) -> list[float]:
     try:
         values = [float(part) for part in text.split()]
     except ValueError:
         values = []
     if len(values) != count or not all(math.isfinite(v) for v in values):
         wanted = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise RobotError(f"{place}: got {text!r}, allowed is {wanted}. Correct the URDF.")
+        got = shortened(text)
+        raise RobotError(f"{place}: got {got}, allowed is {wanted}. Correct the URDF.")
+    if any(abs(v) > most for v in values):
+        got = shortened(text)
+        raise RobotError(f"{place}: {got} is beyond any machine. Correct the URDF.")
     return values

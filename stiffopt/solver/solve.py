@@ -117,11 +117,14 @@ def _best_of_starts(run: SolveRun, guess: Guess) -> Outcome:
     problem = run.problem
     random = np.random.default_rng(problem.method.seed)
     best = _certified_solve(run, guess)
-    for _ in range(problem.method.starts - 1):
-        if best.raw.status in ("interrupted", "time_limit"):
+    last = best
+    for start in range(1, problem.method.starts):
+        ended = last.raw.status in ("interrupted", "time_limit")
+        if ended or run.elapsed > problem.method.time_limit:
+            run.notes.append(f"{start} of {problem.method.starts} starts were made.")
             break
-        other = _certified_solve(run, _perturbed(guess, problem, random))
-        best = min(best, other, key=lambda outcome: _rank(problem, outcome))
+        last = _certified_solve(run, _perturbed(guess, problem, random))
+        best = min(best, last, key=lambda outcome: _rank(problem, outcome))
     return best
 
 
@@ -218,7 +221,7 @@ def _solution(
         baselines=beside,
         ratio_to_better_baseline=ratio,
         solver=_record(run, len(outcome.transcription.intervals)),
-        notes=notes,
+        notes=(*notes, *run.notes),
         inputs_hash=inputs_hash(problem),
         versions=versions(),
     )

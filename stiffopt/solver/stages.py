@@ -111,6 +111,7 @@ class SolveRun:
     solve_s: float = 0.0
     iterations: int = 0
     homotopy: list[dict[str, Any]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     @property
     def elapsed(self) -> float:

@@ -52,7 +52,7 @@ def vibration(
     position: np.ndarray,
     stiffer: np.ndarray,
     added: np.ndarray,
-) -> Vibration:
+) -> Vibration | None:
     """Links driven by what recorded motor angles have beside the slow motion.
 
     Parameters
@@ -67,6 +67,11 @@ def vibration(
         Slope of the springs at the slow torque with what was found over the nominal one.
     added : array (m, n, n)
         To the nominal inertia matrices of every `posture_step` samples [kg m^2].
+
+    Returns
+    -------
+    Vibration or None
+        None where the swing grows beyond all bounds: the model is then none of swinging links.
 
     Notes
     -----
@@ -92,22 +97,27 @@ def vibration(
     shares = np.arange(steps)[:, None] / steps
     begin = min(run.settling, len(driven) - 1)
     swing = driven[begin].copy()
-    speed = derivative(ZeroPhaseFilter(1.0 / dt, _BEGIN).motion(driven), dt)[begin]
-    for k in range(begin, len(driven)):
-        deflection[k] = driven[k] - swing
-        wound = slow[k] + stiffer[k] * deflection[k]
-        torque[k] = spring(wound) - carried[k] + damping * (rate[k] - speed)
-        if k + 1 == len(driven):
-            break
-        scale = stiffer[k]
-        apart = slow[k] + scale * driven[k]
-        apart = apart + shares * (slow[k + 1] + scale * driven[k + 1] - apart)
-        moved = rate[k] + shares * (rate[k + 1] - rate[k])
-        held = carried[k] + shares * (carried[k + 1] - carried[k]) - damping * moved
-        free = mobility[k // every] * h
-        for i in range(steps):
-            speed = speed + free @ (spring(apart[i] - scale * swing) - held[i] - damping * speed)
-            swing = swing + h * speed
+    speed = derivative(ZeroPhaseFilter(1.0 / dt, min(_BEGIN, 0.2 / dt)).motion(driven), dt)[begin]
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(begin, len(driven)):
+            deflection[k] = driven[k] - swing
+            wound = slow[k] + stiffer[k] * deflection[k]
+            torque[k] = spring(wound) - carried[k] + damping * (rate[k] - speed)
+            if k + 1 == len(driven):
+                break
+            scale = stiffer[k]
+            apart = slow[k] + scale * driven[k]
+            apart = apart + shares * (slow[k + 1] + scale * driven[k + 1] - apart)
+            moved = rate[k] + shares * (rate[k + 1] - rate[k])
+            held = carried[k] + shares * (carried[k + 1] - carried[k]) - damping * moved
+            free = mobility[k // every] * h
+            for i in range(steps):
+                speed = speed + free @ (
+                    spring(apart[i] - scale * swing) - held[i] - damping * speed
+                )
+                swing = swing + h * speed
+    if not (np.isfinite(deflection).all() and np.isfinite(torque).all()):
+        return None
     return Vibration(deflection, torque)
 
 
@@ -126,7 +136,8 @@ class _Springs:
         )
 
     def __call__(self, deflection: np.ndarray) -> np.ndarray:
-        place = np.clip((deflection + self._end) * self._scale, 0.0, _POINTS - 2.0)
+        place = np.nan_to_num((deflection + self._end) * self._scale)
+        place = np.clip(place, 0.0, _POINTS - 2.0)
         low = place.astype(int)
         share = place - low
         below, above = self._table[low, self._columns], self._table[low + 1, self._columns]

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from stiffopt.errors import InputFileError
+from stiffopt.errors import InputFileError, shortened
 from stiffopt.recording.readers.columns import missing, require_time
+from stiffopt.recording.readers.limits import check_bytes, check_numbers
 from stiffopt.recording.signals import Signals
 
 _DELIMITERS = (",", ";", "\t")
@@ -20,9 +21,10 @@ _EMPTY = ("", "nan", "na", "n/a", "null", "none", "-")
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     """Columns of a CSV file, separated by comma, semicolon or tab; "#" may begin the header."""
     require_time(signals, path)
+    check_bytes(path, path.stat().st_size)
     try:
         text = path.read_text(encoding="utf-8-sig")
-    except (UnicodeDecodeError, OSError) as error:
+    except UnicodeDecodeError as error:
         raise InputFileError(path, "", "is not a CSV text file. Save it as one.") from error
     first, _, body = text.lstrip("\r\n").partition("\n")
     wanted = (signals.time, *signals.wanted)
@@ -30,6 +32,7 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     mark = max(headers, key=lambda m: (sum(name in headers[m] for name in wanted), len(headers[m])))
     header = headers[mark]
     missing(path, wanted, header)
+    check_numbers(path, body.count("\n"), len(wanted))
     places = [header.index(name) for name in wanted]
     try:
         table = np.loadtxt(
@@ -73,4 +76,6 @@ def _number(path: Path, row: int, column: str, text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InputFileError(path, f"row {row}, {column}", f"{text!r} is no number.") from None
+        raise InputFileError(
+            path, f"row {row}, {column}", f"{shortened(text)} is no number."
+        ) from None

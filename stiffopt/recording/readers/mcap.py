@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 from mcap.decoder import DecoderFactory
-from mcap.exceptions import McapError
-from mcap.reader import McapReader, make_reader
+from mcap.reader import McapReader, SeekingReader
 from mcap.records import Channel, Schema
 from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 
-from stiffopt.errors import InputError, InputFileError
+from stiffopt.errors import InputFileError
+from stiffopt.recording.readers.limits import MOST_BYTES, check_bytes
 from stiffopt.recording.readers.messages import Message, gather, wanted_topics
 from stiffopt.recording.signals import Signals
 
@@ -31,26 +31,24 @@ class _JsonDecoderFactory(DecoderFactory):
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     """Columns of an MCAP file."""
     with path.open("rb") as stream:
-        try:
-            reader = make_reader(
-                stream, decoder_factories=[Ros2DecoderFactory(), _JsonDecoderFactory()]
-            )
-            channels = _channels(reader)
-            topics = [channel.topic for channel in channels]
-            wanted = wanted_topics(signals, topics, path)
-            _readable(path, [channel for channel in channels if channel.topic in wanted])
-            return gather(path, signals, topics, _messages(reader, wanted))
-        except InputError:
-            raise
-        except (McapError, ValueError, EOFError, UnicodeDecodeError) as error:
-            reason = str(error) or type(error).__name__
-            raise InputFileError(path, "", f"cannot be read as MCAP: {reason}.") from error
+        reader = SeekingReader(
+            stream,
+            decoder_factories=[Ros2DecoderFactory(), _JsonDecoderFactory()],
+            record_size_limit=MOST_BYTES,
+        )
+        channels = _channels(path, reader)
+        topics = [channel.topic for channel in channels]
+        wanted = wanted_topics(signals, topics, path)
+        _readable(path, [channel for channel in channels if channel.topic in wanted])
+        return gather(path, signals, topics, _messages(reader, wanted))
 
 
-def _channels(reader: McapReader) -> list[Channel]:
+def _channels(path: Path, reader: McapReader) -> list[Channel]:
     summary = reader.get_summary()
-    if summary is not None and summary.channels:
-        return list(summary.channels.values())
+    if summary is not None:
+        check_bytes(path, sum(chunk.uncompressed_size for chunk in summary.chunk_indexes))
+        if summary.channels:
+            return list(summary.channels.values())
     # A file that was cut off has no summary.
     found = {channel.id: channel for _, channel, _ in reader.iter_messages()}
     return list(found.values())

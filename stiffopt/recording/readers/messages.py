@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from stiffopt.errors import InputFileError, nearest
+from stiffopt.recording.readers.limits import check_messages, check_numbers
 from stiffopt.recording.signals import Signals
 
 # Topic, log time [ns], decoded message.
@@ -20,6 +21,9 @@ _STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\]]+)\]")
 # Fields in which messages name the entries of their lists.
 _NAMES = ("name", "names", "joint_names")
 _NANO = 1_000_000_000
+# Stamps [s] and [ns] that 64 bits of nanoseconds can count; numbers beyond are of no machine.
+_LATEST = 4e9
+_LARGEST = 1e15
 
 
 @dataclass(frozen=True)
@@ -42,18 +46,18 @@ class Field:
         for step in self.steps:
             if isinstance(step, str) and step.startswith("["):
                 names = next((n for key in _NAMES if (n := _get(holder, key)) is not None), ())
-                if step[1:-1] not in names:
+                if not isinstance(names, Sequence) or step[1:-1] not in names:
                     return None
                 step = list(names).index(step[1:-1])
             if isinstance(step, int):
-                if not hasattr(value, "__len__") or step >= len(value):
+                if not isinstance(value, Sequence | np.ndarray) or step >= len(value):
                     return None
                 value = value[step]
                 continue
             holder, value = value, _get(value, step)
             if value is None:
                 return None
-        return float(value)
+        return _number(value)
 
 
 @dataclass
@@ -144,9 +148,11 @@ def gather(
         if one.topic != base:
             raise InputFileError(path, "", f"signals.time must be a field of {base}.")
         own[base].fields[signals.time] = one
-    for topic, log_time, message in messages:
+    for count, (topic, log_time, message) in enumerate(messages):
+        check_messages(path, count)
         if topic in own:
             own[topic].add(log_time, message)
+            check_numbers(path, len(own[topic].rows), len(own[topic].fields))
     columns = _columns(path, own, base)
     if not timed:
         clock = own[base].clock
@@ -192,8 +198,19 @@ def _get(value: Any, key: str) -> Any:
 def _stamp(message: Any) -> int:
     """Header stamp [ns], 0 if there is none."""
     stamp = _get(_get(message, "header"), "stamp")
-    seconds = _get(stamp, "sec")
-    if seconds is None:
-        return 0
+    seconds = _number(_get(stamp, "sec"))
     rest = next((r for key in ("nanosec", "nsec") if (r := _get(stamp, key)) is not None), 0)
-    return int(seconds) * _NANO + int(rest)
+    nanoseconds = _number(rest)
+    if seconds is None or not abs(seconds) < _LATEST or not abs(nanoseconds or 0.0) < _LATEST:
+        return 0
+    return int(seconds) * _NANO + int(nanoseconds or 0.0)
+
+
+def _number(value: Any) -> float | None:
+    """A number as a float, None of anything else that a message may hold."""
+    if not isinstance(value, int | float | np.number):
+        return None
+    # An integer of JSON may have any number of digits.
+    if isinstance(value, int) and abs(value) > _LARGEST:
+        return float(np.inf)
+    return float(value)

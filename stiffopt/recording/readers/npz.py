@@ -2,28 +2,41 @@
 
 from __future__ import annotations
 
+import math
 import zipfile
 from pathlib import Path
 
 import numpy as np
+from numpy.lib import format as npy
 
-from stiffopt.errors import InputError, InputFileError
+from stiffopt.errors import InputFileError
 from stiffopt.recording.readers.columns import missing, require_time
+from stiffopt.recording.readers.limits import check_numbers
 from stiffopt.recording.signals import Signals
 
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     """Columns of an .npz file."""
     require_time(signals, path)
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            wanted = (signals.time, *signals.wanted)
-            missing(path, wanted, archive.files)
-            return {name: _numbers(path, name, archive[name]) for name in wanted}
-    except InputError:
-        raise
-    except (zipfile.BadZipFile, ValueError, OSError, EOFError, AttributeError) as error:
-        raise InputFileError(path, "", f"is not an NPZ file of numbers: {error}.") from error
+    wanted = (signals.time, *signals.wanted)
+    with zipfile.ZipFile(path) as archive:
+        held = [name.removesuffix(".npy") for name in archive.namelist()]
+        missing(path, wanted, held)
+        for name in wanted:
+            _check_size(path, archive, name, len(wanted))
+    with np.load(path, allow_pickle=False) as arrays:
+        return {name: _numbers(path, name, arrays[name]) for name in wanted}
+
+
+def _check_size(path: Path, archive: zipfile.ZipFile, name: str, columns: int) -> None:
+    """Raise `InputFileError` where the header of an array promises more than a run can hold."""
+    with archive.open(f"{name}.npy") as stream:
+        version = npy.read_magic(stream)
+        header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+        shape, _, kind = header(stream)
+    if kind.kind not in "fiub":
+        raise InputFileError(path, name, f"needs a list of numbers, got {kind}.")
+    check_numbers(path, math.prod(shape), columns)
 
 
 def _numbers(path: Path, name: str, array: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ import pyarrow.parquet as parquet
 
 from stiffopt.errors import InputFileError
 from stiffopt.recording.readers.columns import missing, require_time
+from stiffopt.recording.readers.limits import check_numbers
 from stiffopt.recording.signals import Signals
 
 
@@ -17,16 +18,17 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     """Columns of a .parquet file; a time stamp column becomes seconds after its first entry."""
     require_time(signals, path)
     wanted = (signals.time, *signals.wanted)
-    try:
-        missing(path, wanted, parquet.read_schema(path).names)
-        table = parquet.read_table(path, columns=list(wanted))
-    except (arrow.ArrowException, OSError) as error:
-        raise InputFileError(path, "", f"is not a Parquet file: {error}.") from error
+    with parquet.ParquetFile(path) as file:
+        missing(path, wanted, file.schema_arrow.names)
+        check_numbers(path, file.metadata.num_rows, len(wanted))
+        table = file.read(columns=list(wanted), use_threads=False)
     return {name: _numbers(path, name, table.column(name)) for name in wanted}
 
 
 def _numbers(path: Path, name: str, column: arrow.ChunkedArray) -> np.ndarray:
     kind = column.type
+    if len(column) == 0:
+        return np.empty(0)
     if arrow.types.is_timestamp(kind) or arrow.types.is_duration(kind):
         stamps = column.to_numpy().astype("timedelta64[ns]" if arrow.types.is_duration(kind)
                                           else "datetime64[ns]")  # fmt: skip

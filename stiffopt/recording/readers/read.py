@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from stiffopt.errors import InputError, InputFileError
+from stiffopt.errors import InputError, InputFileError, shortened
 from stiffopt.files import check_file
+from stiffopt.recording.readers.limits import MOST_MEMORY, bounded_memory
 from stiffopt.recording.signals import Signals
 
 Columns = dict[str, np.ndarray]
@@ -26,6 +27,13 @@ _READERS = {
     ".db3": "rosbag2",
 }
 _BAG = "rosbag2"
+_NAMES = {
+    "csv": "a CSV text file",
+    "npz": "an NPZ file of numbers",
+    "parquet": "Parquet",
+    "mcap": "MCAP",
+    "rosbag2": "a rosbag2",
+}
 
 
 def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
@@ -69,10 +77,31 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
             f"{path}: reading it needs the package {error.name!r}. "
             "Install it with: pip install 'stiffopt[recordings]'"
         ) from error
-    read: Callable[[Path, Signals], Columns] = reader.read
-    columns = read(path, signals)
+    columns = _read(reader.read, path, signals, module)
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name}: {count}" for name, count in lengths.items())
         raise InputFileError(path, "", f"the columns have unequal lengths: {listed}.")
     return columns
+
+
+def _read(
+    read: Callable[[Path, Signals], Columns], path: Path, signals: Signals, module: str
+) -> Columns:
+    """What a format's reader gives; whatever its library meets in a wrong file is one sentence."""
+    name = _NAMES[module]
+    try:
+        with bounded_memory():
+            return read(path, signals)
+    except InputError:
+        raise
+    except MemoryError as error:
+        raise InputFileError(
+            path, "", f"cannot be read as {name}: it needs more than "
+            f"{MOST_MEMORY / 2**30:.1f} GiB of memory. Split it, or check that it is whole."
+        ) from error  # fmt: skip
+    except Exception as error:  # each library has errors of its own, and lets those below through
+        reason = shortened(error) or type(error).__name__
+        raise InputFileError(
+            path, "", f"cannot be read as {name}: {reason}. Check the file, or record it anew."
+        ) from error

@@ -6,36 +6,39 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
-from rosbags.rosbag2 import ReaderError
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, TypesysError, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
 from stiffopt.errors import InputFileError
+from stiffopt.recording.readers.limits import check_bytes
 from stiffopt.recording.readers.messages import Message, gather, wanted_topics
 from stiffopt.recording.signals import Signals
+
+# Bytes; YAML is slow to read.
+_LARGEST_DESCRIPTION = 2**20
 
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     """Columns of a rosbag2, given by its folder or by the storage file in it."""
     folder = path if path.is_dir() else path.parent
-    if not (folder / "metadata.yaml").is_file():
+    description = folder / "metadata.yaml"
+    if not description.is_file():
         raise InputFileError(
             path, "", "a rosbag2 needs its metadata.yaml beside it. Give the folder of the bag, or "
             "make the file anew with: ros2 bag reindex"
         )  # fmt: skip
+    if description.stat().st_size > _LARGEST_DESCRIPTION:
+        raise InputFileError(description, "", "is too large to describe a bag.")
     # Bags written before Jazzy do not hold the definitions of their messages.
     store = get_typestore(Stores.LATEST)
-    try:
-        with AnyReader([folder], default_typestore=store) as reader:
-            topics = sorted(reader.topics)
-            wanted = wanted_topics(signals, topics, path)
-            chosen = [one for one in reader.connections if one.topic in wanted]
-            return gather(path, signals, topics, _messages(reader, chosen))
-    except (AnyReaderError, ReaderError, SerdeError, TypesysError, KeyError) as error:
-        reason = str(error) or type(error).__name__
-        raise InputFileError(path, "", f"cannot be read as a rosbag2: {reason}.") from error
+    for file in folder.iterdir():
+        check_bytes(file, file.stat().st_size if file.is_file() else 0)
+    with AnyReader([folder], default_typestore=store) as reader:
+        topics = sorted(reader.topics)
+        wanted = wanted_topics(signals, topics, path)
+        chosen = [one for one in reader.connections if one.topic in wanted]
+        return gather(path, signals, topics, _messages(reader, chosen))
 
 
 def _messages(reader: AnyReader, connections: list[Connection]) -> Iterator[Message]:

@@ -1,0 +1,121 @@
+"""The XML of a URDF before any library sees it: its links and joints are one tree, and small."""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ET
+from collections import Counter
+from pathlib import Path
+
+from stiffopt.errors import InputFileError, RobotError, nearest, shortened
+from stiffopt.files import LARGEST_TEXT, check_file
+
+# Of links or joints; the loader's time grows with their square.
+_MOST = 1000
+# What of a link and of a joint is mechanics; shapes and colours are left out.
+_KEPT = {
+    "link": ("inertial",),
+    "joint": ("parent", "child", "origin", "axis", "limit", "dynamics", "mimic"),
+}
+
+
+def read_tree(path: str | os.PathLike[str]) -> ET.Element:
+    """Mechanics of a URDF: `<robot>` with its links and joints, which make up one tree.
+
+    Raises
+    ------
+    InputFileError, RobotError
+        No URDF; a name that is missing or given twice; a joint between links that are not there; a
+        link with two parents, a loop, more than one root.
+    """
+    path = Path(path)
+    check_file(path)
+    if path.stat().st_size > LARGEST_TEXT:
+        raise InputFileError(path, "", f"is larger than {LARGEST_TEXT / 2**20:.0f} MiB.")
+    try:
+        found = ET.parse(path).getroot()
+    except (ET.ParseError, UnicodeDecodeError, LookupError, ValueError) as error:
+        # Encodings that are unknown or of several bytes are no ParseError.
+        raise InputFileError(path, "", f"is not a URDF: {shortened(error)}.") from error
+    if found.tag != "robot":
+        tag = shortened(found.tag)[1:-1]
+        raise InputFileError(path, "", f"is not a URDF: the root is <{tag}>, not <robot>.")
+    tree = ET.Element("robot", name=found.get("name", "robot"))
+    for kind, kept in _KEPT.items():
+        for each in found.findall(kind):
+            bare = ET.SubElement(tree, kind, each.attrib)
+            for name in kept:
+                part = each.find(name)
+                if part is not None:
+                    _copy(part, bare)
+        _check_names(tree, kind, path)
+    _check_joined(tree, path)
+    return tree
+
+
+def _copy(part: ET.Element, bare: ET.Element) -> None:
+    """Add a part with its own parts, which have none again."""
+    copied = ET.SubElement(bare, part.tag, part.attrib)
+    for inner in part:
+        if isinstance(inner.tag, str):
+            ET.SubElement(copied, inner.tag, inner.attrib)
+
+
+def _check_names(tree: ET.Element, kind: str, path: Path) -> None:
+    names = Counter(each.get("name", "") for each in tree.findall(kind))
+    if names.total() > _MOST:
+        raise RobotError(f"{path}: has {names.total()} {kind}s; at most {_MOST} are read.")
+    for name, count in names.items():
+        if not name:
+            raise RobotError(f"{path}: a {kind} has no name. Give each a name of its own.")
+        if count > 1:
+            raise RobotError(
+                f"{path}: {count} {kind}s are named {shortened(name)}. Give each a name of its own."
+            )
+
+
+def _check_joined(tree: ET.Element, path: Path) -> None:
+    """Raise `RobotError` unless joints lead from one link to every other, to each on one way."""
+    links = [link.get("name", "") for link in tree.findall("link")]
+    above: dict[str, tuple[str, str]] = {}
+    for joint in tree.findall("joint"):
+        name = joint.get("name", "")
+        parent, child = (_end(joint, end, links, path) for end in ("parent", "child"))
+        if child in above:
+            raise RobotError(
+                f"{path}: link {child!r} is the child of two joints, {above[child][1]!r} and "
+                f"{name!r}. An arm is a tree: keep one."
+            )
+        above[child] = (parent, name)
+    roots = [link for link in links if link not in above]
+    reached, waiting = set(), roots[:1]
+    below: dict[str, list[str]] = {}
+    for child, (parent, _) in above.items():
+        below.setdefault(parent, []).append(child)
+    while waiting:
+        link = waiting.pop()
+        reached.add(link)
+        waiting += below.get(link, [])
+    if len(roots) > 1:
+        raise RobotError(
+            f"{path}: the links {', '.join(map(repr, roots[:5]))} have no joint to a parent. An "
+            "arm has one such link, its base: join the others to it, or remove them."
+        )
+    lost = [link for link in links if link not in reached]
+    if lost:
+        joints = [above[link][1] for link in lost if link in above]
+        raise RobotError(
+            f"{path}: the joints {', '.join(map(repr, joints[:5]))} form a loop. An arm is a tree "
+            "that begins at its base: correct a parent."
+        )
+
+
+def _end(joint: ET.Element, end: str, links: list[str], path: Path) -> str:
+    found = joint.find(end)
+    link = "" if found is None else found.get("link", "")
+    if link not in links:
+        raise RobotError(
+            f"{path}: joint {joint.get('name')!r} names the {end} {shortened(link)}, which is no "
+            f"link. {nearest(link, links)}"
+        )
+    return link
