@@ -102,12 +102,12 @@ def train(
         if not run.usable:
             notes.append(f"{run.file} is left out: a joint of it has no usable position.")
             continue
-        ready = prepare(robot, run, len(opened), None, settings)
-        _check_nominal(recordings, run, ready)
-        if not (ready.torque_used.any() or ready.deflection_used.any()):
-            notes.append(_nothing_to_fit(run, ready))
+        probe = prepare(robot, run, len(opened), None, settings)
+        _check_nominal(recordings, run, probe)
+        if not (probe.torque_used.any() or probe.deflection_used.any()):
+            notes.append(_nothing_to_fit(run, probe))
             continue
-        prepared.append(ready)
+        prepared.append(probe)
         opened.append(run)
     if not opened:
         raise InputFileError(
