@@ -13,6 +13,8 @@ from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
 from stiffopt.result.solution import Baseline, ObjectiveValue, Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
+from stiffopt.robot.body_tree import Body, BodyTree
+from stiffopt.robot.frames import LinkFrame
 
 
 class ClampedShaft(Shaft):
@@ -39,6 +41,21 @@ def two_element_chain():
     return Chain((Stage(wave), Stage(shaft)))
 
 
+def body(number, prismatic):
+    """A weightless link of 0.3 m along x, about y."""
+    return Body(
+        name=f"axis_{number + 1}",
+        parent=number,
+        prismatic=bool(prismatic),
+        axis=np.array([0.0, 1.0, 0.0]),
+        rotation=np.eye(3),
+        translation=np.array([0.3, 0.0, 0.0]),
+        mass=0.0,
+        centre=np.zeros(3),
+        inertia=np.zeros((3, 3)),
+    )
+
+
 def robot(joints=2):
     prismatic = np.zeros(joints, dtype=bool)
     prismatic[1::2] = True
@@ -49,6 +66,10 @@ def robot(joints=2):
         prismatic=prismatic,
         chains=(two_element_chain(),) * (joints - 1) + (None,),
         torque_max=np.full(joints, 30.0),
+        tree=BodyTree(tuple(body(j, prismatic[j]) for j in range(joints)), np.zeros(3)),
+        tool=LinkFrame(joints, np.array([0.2, 0.0, 0.0]), np.eye(3)),
+        placed_shapes=lambda purpose: [],
+        rigid_bodies=lambda: SimpleNamespace(gravity_torque=np.zeros_like),
         estimated=lambda: [
             SimpleNamespace(joint="axis_1", element="key", key="width", source="a guess"),
             SimpleNamespace(joint="axis_1", element="key", key="length", source="a guess"),

@@ -27,7 +27,8 @@ def inputs_hash(problem: object) -> str:
 def _plain(value: object) -> object:
     """Nested plain data of dataclasses, arrays and rigid-body models."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = dataclasses.fields(value)
+        # What takes no part in comparisons is no input: where a file lies, say.
+        fields = [f for f in dataclasses.fields(value) if f.compare]
         return {
             "class": type(value).__name__,
             **{f.name: _plain(getattr(value, f.name)) for f in fields},

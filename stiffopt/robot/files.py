@@ -18,6 +18,7 @@ from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.element_sections import Cited
 from stiffopt.robot.elements import ElementBuilder, located
 from stiffopt.robot.frames import LinkFrame, link_frame, link_names
+from stiffopt.robot.link_shapes import read_link_shapes
 from stiffopt.robot.robot import Robot, Source
 from stiffopt.robot.schema import JointSection, PlaceSection, RobotFile, robot_file
 from stiffopt.robot.urdf import UNLIMITED, load_urdf
@@ -117,6 +118,7 @@ def _assemble(document: RobotFile, path: Path, urdf: Path) -> Robot:
         tool=tool,
         flange=flange,
         sources=tuple(_sources(document)),
+        shapes=read_link_shapes(urdf),
         **columns,
     )
 

@@ -14,6 +14,7 @@ from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import RobotError
 from stiffopt.robot.body_tree import BodyTree, body_tree
 from stiffopt.robot.frames import LinkFrame, link_frame, named_frame
+from stiffopt.robot.link_shapes import LinkShape, PlacedShape, Purpose, placed_shapes
 from stiffopt.robot.rigid_body import RigidBodies
 
 
@@ -72,6 +73,8 @@ class Robot:
         Of the joint's spring [N m s/rad]; NaN where it is not known.
     hysteresis : array (n,), optional
         Half width of the loop that wind-up describes over torque [rad]; default none.
+    shapes : tuple of LinkShape
+        What the links look like and collide with, as far as the URDF says it.
 
     Notes
     -----
@@ -96,6 +99,7 @@ class Robot:
     title: str = ""
     damping: np.ndarray | None = None
     hysteresis: np.ndarray | None = None
+    shapes: tuple[LinkShape, ...] = ()
 
     @property
     def n(self) -> int:
@@ -120,6 +124,10 @@ class Robot:
     def rigid_bodies(self) -> RigidBodies:
         """Dynamics and kinematics of links and payload in numbers."""
         return RigidBodies(self.model)
+
+    def placed_shapes(self, purpose: Purpose) -> list[PlacedShape]:
+        """Shapes of the links in the frames of their joints."""
+        return placed_shapes(self.model, self.shapes, purpose)
 
     def estimated(self) -> list[Source]:
         """Numbers that are estimates, for reports to mark."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,23 @@ class PageFigures(dict[str, Markup]):
             self.files[f"{full}.png"] = to_png(figure, extent)
 
 
+def with_contents(page: str) -> str:
+    """Page whose sections can be reached: a list of them behind its header."""
+    titles: list[str] = []
+
+    def marked(match: re.Match[str]) -> str:
+        titles.append(match[1])
+        return f'<h2 id="section-{len(titles)}">{match[1]}</h2>'
+
+    page = re.sub(r"<h2>(.*?)</h2>", marked, page)
+    items = "".join(
+        f'<li><a href="#section-{number}">{title}</a></li>'
+        for number, title in enumerate(titles, start=1)
+    )
+    contents = f'<nav class="contents" aria-label="Contents"><ol>{items}</ol></nav>'
+    return page.replace("</header>", f"</header>\n{contents}", 1) if len(titles) > 2 else page
+
+
 def write_page(
     template: str,
     path: Path,
@@ -84,7 +102,7 @@ def write_page(
     )
     environment.tests["finite"] = math.isfinite
     environment.filters |= FILTERS | (filters or {})
-    page = environment.get_template(template).render(context, figures=figures)
+    page = with_contents(environment.get_template(template).render(context, figures=figures))
     contents = {path.parent / name: content for name, content in figures.files.items()}
     contents[path] = page
     new = [each for each in contents if not each.exists()]

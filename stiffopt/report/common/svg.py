@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import itertools
+import json
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -162,8 +163,37 @@ def to_svg(figure: Figure, name: str, description: str, extent: Bbox | None = No
     """
     with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
         buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", bbox_inches=extent or extent_of(figure))
-    return _compact(buffer.getvalue(), name, description)
+        box = extent or extent_of(figure)
+        figure.savefig(buffer, format="svg", bbox_inches=box)
+    text = _compact(buffer.getvalue(), name, description)
+    times = time_axes(figure, box)
+    mark = f' data-times="{json.dumps(times, separators=(",", ":"))}"' if times else ""
+    return text.replace("<svg", f"<svg{mark}", 1)
+
+
+def time_axes(figure: Figure, extent: Bbox) -> list[list[float]]:
+    """Axes over time, for a cursor that moves along them: place in the SVG, first and last time.
+
+    Those whose label begins with "time", and those that share their axis.
+
+    Returns
+    -------
+    list of [left, top, right, bottom, first, last]
+        In the SVG's units, the time in its own.
+    """
+    width, height = figure.get_size_inches()
+    found = []
+    for axes in figure.axes:
+        siblings = axes.get_shared_x_axes().get_siblings(axes)
+        if not axes.get_visible() or not any(
+            each.get_xlabel().startswith("time") for each in [axes, *siblings]
+        ):
+            continue
+        place = axes.get_position()
+        left, right = (72.0 * (x * width - extent.x0) for x in (place.x0, place.x1))
+        top, bottom = (72.0 * (extent.y1 - y * height) for y in (place.y1, place.y0))
+        found.append([round(v, 3) for v in (left, top, right, bottom)] + list(axes.get_xlim()))
+    return found
 
 
 def to_png(figure: Figure, extent: Bbox | None = None) -> bytes:

@@ -12,8 +12,10 @@ from stiffopt.report.common.citations import solve_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.common.robot import estimated_inputs, joint_units
 from stiffopt.report.common.text import capital, scale, words
+from stiffopt.report.solve.arm import arm_in_space
 from stiffopt.report.solve.figures import (
     PARTS,
+    ComparedMotion,
     compared_motions,
     deflection_figure,
     focus_part,
@@ -32,7 +34,7 @@ from stiffopt.report.solve.wording import (
     violation_text,
 )
 from stiffopt.result.provenance import inputs_hash
-from stiffopt.result.solution import Solution
+from stiffopt.result.solution import Baseline, Solution
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -88,6 +90,8 @@ def write_solve_report(
         "estimated": estimated_inputs(problem.robot),
         "references": solve_references(problem, solution.baselines),
         "current_hash": inputs_hash(problem),
+        "space": None,
+        "still": "",
     }
     filters: Filters = {
         "limit": limit_text,
@@ -95,6 +99,11 @@ def write_solve_report(
         "phrase": lambda objective: objective_phrase(objective.name, objective.measure),
     }
     figures = _figures(problem, solution, part)
+    if motions:
+        better = better_baseline(problem, solution.baselines)
+        arm = arm_in_space(problem, _shown(motions, better), part)
+        figures.draw("arm", arm.still, "The arm with the paths of its tool, planned and deflected")
+        context |= {"space": arm.embedded, "still": arm.caption}
     path = Path(directory) / REPORT_FILE
     return write_page("solve/page.html.j2", path, context, figures, filters)
 
@@ -112,14 +121,21 @@ def _terms(terms: dict[str, float]) -> list[tuple[str, float, str]]:
     return [(objective_phrase(name, by), value, OBJECTIVES[name].unit) for name, by, value in split]
 
 
+def _shown(motions: list[ComparedMotion], better: Baseline | None) -> list[ComparedMotion]:
+    """The motion itself, and the better feasible baseline where there is one."""
+    return [
+        motions[0],
+        *(m for m in motions[1:] if better is not None and m.name == better.name),
+    ]
+
+
 def _figures(problem: TrajectoryProblem, solution: Solution, part: str) -> PageFigures:
     figures = PageFigures("solve", svg=False, png=False)
     motion, motions = solution.assessment, compared_motions(solution)
     if motion is None:
         return figures
-    better = better_baseline(problem, solution.baselines)
-    other = next((m for m in motions if better is not None and m.name == better.name), None)
-    shown = [motions[0], *([other] if other is not None else [])]
+    shown = _shown(motions, better_baseline(problem, solution.baselines))
+    other = shown[1] if len(shown) > 1 else None
     for name, figure, description in (
         (
             "deflection",

@@ -1,0 +1,121 @@
+"""Poses of an arm along a motion: where its joints are, how far each is bent, whose share it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from stiffopt.certificate.assess import joint_windup
+from stiffopt.robot.body_tree import BodyTree
+from stiffopt.robot.frames import LinkFrame
+
+if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.assessment import Assessment
+
+FRAMES = 121
+
+
+@dataclass(frozen=True)
+class Poses:
+    """A motion at K instants.
+
+    Parameters
+    ----------
+    time : array (K,) [s]
+    position : array (K, n)
+        As planned [rad].
+    bend : dict of array (K, n)
+        Wind-up of each joint [rad] by part of the deflection; the bent arm is at position - bend.
+    share : dict of array (K, n)
+        Of each joint in the tool's deflection, by part: its own along the whole, over the whole;
+        the shares of an instant add up to 1.
+    deflection : dict of array (K,)
+        Of the tool, by part [m].
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    bend: dict[str, np.ndarray]
+    share: dict[str, np.ndarray]
+    deflection: dict[str, np.ndarray]
+
+
+def poses_along(problem: TrajectoryProblem, motion: Assessment, frames: int = FRAMES) -> Poses:
+    """Poses at equal steps of time, with the instants of the largest deflections among them.
+
+    Parts of the deflection that are zero all along, or infinite where a connection slips, are left
+    out.
+    """
+    robot = problem.robot
+    wanted = np.linspace(0.0, motion.duration, frames)
+    chosen = {int(k) for k in np.searchsorted(motion.time, wanted)}
+    sizes = {part: np.linalg.norm(each, axis=1) for part, each in motion.deflection.items()}
+    parts = [part for part, size in sizes.items() if np.isfinite(size).all() and np.any(size > 0)]
+    chosen |= {int(np.argmax(sizes[part])) for part in parts}
+    at = np.array(sorted(k for k in chosen if k < len(motion.time)))
+    position = motion.position[at]
+    bodies = robot.rigid_bodies()
+    jacobian = tool_jacobian(robot.tree, robot.tool, position)
+    process = np.einsum("kij,i->kj", jacobian, np.asarray(problem.process_force, dtype=float))
+    total = motion.windup[at]
+    static = joint_windup(robot, np.array([bodies.gravity_torque(q) for q in position]))
+    link = joint_windup(robot, motion.spring_torque[at] + process) if process.any() else total
+    bends = {"total": total, "static": static, "process": total - link, "dynamic": link - static}
+    return Poses(
+        time=motion.time[at],
+        position=position,
+        bend={part: bends[part] for part in parts},
+        share={part: _shares(jacobian, bends[part]) for part in parts},
+        deflection={part: sizes[part][at] for part in parts},
+    )
+
+
+def _shares(jacobian: np.ndarray, bend: np.ndarray) -> np.ndarray:
+    """What each joint (K, n) adds along the deflection that all make, over that deflection."""
+    each = jacobian * bend[:, None, :]
+    whole = each.sum(axis=2)
+    square = np.sum(whole**2, axis=1)
+    along = np.einsum("kin,ki->kn", each, whole)
+    return np.asarray(along / np.where(square > 0.0, square, np.inf)[:, None])
+
+
+def joint_frames(tree: BodyTree, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Frames of the joints at positions q (K, n): rotations (K, n, 3, 3), origins (K, n, 3) [m]."""
+    rotations, origins = np.empty((len(q), tree.n, 3, 3)), np.empty((len(q), tree.n, 3))
+    for j, body in enumerate(tree.bodies):
+        turn, at = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
+        if body.parent > 0:
+            turn, at = rotations[:, body.parent - 1], origins[:, body.parent - 1]
+        origins[:, j] = at + turn @ body.translation
+        rotations[:, j] = turn @ body.rotation
+        if body.prismatic:
+            origins[:, j] += q[:, j, None] * (rotations[:, j] @ body.axis)
+        else:
+            own = Rotation.from_rotvec(q[:, j, None] * body.axis).as_matrix()
+            rotations[:, j] = rotations[:, j] @ own
+    return rotations, origins
+
+
+def tool_positions(tree: BodyTree, tool: LinkFrame, q: np.ndarray) -> np.ndarray:
+    """Tool (K, 3) [m] at positions q (K, n)."""
+    rotations, origins = joint_frames(tree, q)
+    carrier = tool.joint - 1
+    return np.asarray(origins[:, carrier] + rotations[:, carrier] @ tool.offset)
+
+
+def tool_jacobian(tree: BodyTree, tool: LinkFrame, q: np.ndarray) -> np.ndarray:
+    """Velocity of the tool (K, 3, n) for a unit of each joint's velocity at positions q (K, n)."""
+    rotations, origins = joint_frames(tree, q)
+    point = origins[:, tool.joint - 1] + rotations[:, tool.joint - 1] @ tool.offset
+    columns = np.zeros((len(q), 3, tree.n))
+    number = tool.joint
+    while number > 0:
+        j, body = number - 1, tree.bodies[number - 1]
+        axis = rotations[:, j] @ body.axis
+        columns[:, :, j] = axis if body.prismatic else np.cross(axis, point - origins[:, j])
+        number = body.parent
+    return columns

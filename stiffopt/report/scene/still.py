@@ -1,0 +1,201 @@
+"""A still of the arm for the top of a page: there without WebGL, without scripts and in print."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+from stiffopt.report.common.svg import BLUE, GREY, PALE, VERMILLION, WIDTH, house_style
+from stiffopt.report.common.text import si
+from stiffopt.report.scene.poses import Poses, joint_frames, tool_positions
+from stiffopt.robot.body_tree import BodyTree
+from stiffopt.robot.frames import LinkFrame
+from stiffopt.robot.skeleton import capsules, joint_radii
+
+_HEIGHT = 4.6
+# Looked at from this far above the horizon [rad].
+_ABOVE = 0.4
+
+
+def still_figure(
+    tree: BodyTree,
+    tool: LinkFrame,
+    motions: Sequence[Poses],
+    part: str,
+    factor: float,
+) -> Figure:
+    """The arm at the largest deflection, bent and as planned, with start, end and tool paths.
+
+    It holds no words, so that it can be as small as a screen: `still_caption` has them.
+
+    Parameters
+    ----------
+    tree : BodyTree
+    tool : LinkFrame
+    motions : sequence of Poses
+        The one that is drawn as an arm; a second one as a path only.
+    part : str
+        Of the deflection; "" where the motion has none.
+    factor : float
+        By which it is enlarged.
+    """
+    poses, at = motions[0], largest(motions[0], part)
+    bent = poses.position - factor * poses.bend[part] if part else poses.position
+    share = poses.share[part][at] if part else np.zeros(tree.n)
+    view = _view(tree, tool, poses.position)
+    paths: list[tuple[np.ndarray, str, Any]] = [(poses.position, BLUE, "-")]
+    if part:
+        paths.append((bent, VERMILLION, "-"))
+    paths += [(other.position, GREY, (0, (4, 2))) for other in motions[1:]]
+    with house_style():
+        figure = Figure(figsize=(WIDTH, _HEIGHT))
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        axes.set_axis_off()
+        ends = poses.position[[0, -1]]
+        scale = _fit(axes, tree, tool, view, np.vstack([ends, bent[at : at + 1]]))
+        for q in ends:
+            _arm(axes, tree, tool, view, q, scale, PALE, None, 0.55)
+        if part:
+            _arm(axes, tree, tool, view, poses.position[at], scale, BLUE, None, 0.25)
+        _arm(axes, tree, tool, view, bent[at], scale, "#c3c9d1", share, 1.0)
+        for positions, colour, dash in paths:
+            flat = tool_positions(tree, tool, positions) @ view.T
+            axes.plot(*flat[:, :2].T, color=colour, linestyle=dash, zorder=20)
+        flat = tool_positions(tree, tool, bent[at : at + 1]) @ view.T
+        axes.plot(*flat[:, :2].T, "o", color=VERMILLION, markersize=6, zorder=21)
+        return figure
+
+
+def largest(poses: Poses, part: str) -> int:
+    """Instant of the largest deflection; the middle where there is none."""
+    return int(np.argmax(poses.deflection[part])) if part else len(poses.time) // 2
+
+
+def still_caption(motions: Mapping[str, Poses], part: str, factor: float) -> str:
+    """What the still shows, in words."""
+    (_, poses), *others = motions.items()
+    at = largest(poses, part)
+    dashed = "".join(f"; dashed: {name}" for name, _ in others)
+    if not part:
+        return f"The arm at {poses.time[at]:.3f} s; start and end are pale. Blue: the tool{dashed}."
+    shares = ", ".join(
+        f"J{number} {round(100 * each) or 0} %".replace("-", "−")
+        for number, each in enumerate(poses.share[part][at], start=1)
+    )
+    size = si(float(poses.deflection[part][at]), "m", 3)
+    return (
+        f"The arm at {poses.time[at]:.3f} s, where its {part} deflection is largest, {size}; start "
+        f"and end are pale. Blue: as planned; red: with {part} deflection × {factor:g}{dashed}. "
+        f"A joint is the redder, the more of the deflection it makes: {shares}."
+    )
+
+
+def _view(tree: BodyTree, tool: LinkFrame, positions: np.ndarray) -> np.ndarray:
+    """Rows: right, up and towards the eye; across the plane in which the arm stretches out."""
+    points = tool_positions(tree, tool, positions)
+    forward = points.mean(axis=0) - np.array([0.0, 0.0, 0.0])
+    heading = np.arctan2(forward[1], forward[0]) if np.hypot(*forward[:2]) > 1e-6 else 0.0
+    turn = heading - 0.35 * np.pi
+    back = np.array([np.cos(turn), np.sin(turn), 0.0]) * np.cos(_ABOVE)
+    back[2] = np.sin(_ABOVE)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(back, right), back])
+
+
+def _rods(
+    tree: BodyTree, tool: LinkFrame, q: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray, float]]:
+    """Ends and radius of the arm's capsules in the base frame."""
+    rotations, origins = joint_frames(tree, q[None])
+    rods = []
+    for rod in capsules(tree, tool):
+        turn, at = np.eye(3), np.zeros(3)
+        if rod.joint > 0:
+            turn, at = rotations[0, rod.joint - 1], origins[0, rod.joint - 1]
+        rods.append((at + turn @ rod.begin, at + turn @ rod.end, rod.radius))
+    return rods
+
+
+def _fit(
+    axes: Axes, tree: BodyTree, tool: LinkFrame, view: np.ndarray, positions: np.ndarray
+) -> float:
+    """Limits in which all poses have room; return points on paper per metre."""
+    ends = [
+        (view @ point)[:2] + side * radius
+        for q in positions
+        for begin, end, radius in _rods(tree, tool, q)
+        for point in (begin, end)
+        for side in (-1.6, 1.6)
+    ]
+    low, high = np.min(ends, axis=0), np.max(ends, axis=0)
+    scale = min(WIDTH / (high - low)[0], _HEIGHT / (high - low)[1])
+    middle = 0.5 * (low + high)
+    half = 0.5 * np.array([WIDTH, _HEIGHT]) / scale
+    axes.set_xlim(middle[0] - half[0], middle[0] + half[0])
+    axes.set_ylim(middle[1] - half[1], middle[1] + half[1])
+    return float(72.0 * scale)
+
+
+def _arm(
+    axes: Axes,
+    tree: BodyTree,
+    tool: LinkFrame,
+    view: np.ndarray,
+    q: np.ndarray,
+    scale: float,
+    colour: str,
+    share: np.ndarray | None,
+    opacity: float,
+) -> None:
+    """Capsules as thick lines, what is farther away first; joints by their share."""
+    front = 10.0 if share is not None else 1.0
+    parts = [
+        (0.5 * (begin + end), np.stack([begin, end]), radius, colour)
+        for begin, end, radius in _rods(tree, tool, q)
+    ]
+    if share is not None:
+        _, origins = joint_frames(tree, q[None])
+        for j, radius in enumerate(joint_radii(tree, tool)):
+            # In front of the links that it joins.
+            at = origins[0, j] + 1.5 * radius * view[2]
+            parts.append((at, np.stack([at, at]), 0.62 * radius, _heat(float(share[j]))))
+    depth = [float(view[2] @ middle) for middle, *_ in parts]
+    for rank, k in enumerate(np.argsort(depth)):
+        _, ends, radius, own = parts[k]
+        flat = ends @ view.T
+        width, order = 2.0 * radius * scale, front + 0.01 * rank
+        if share is not None:
+            _rod(axes, flat, GREY, width + 1.4, order, 1.0)
+        _rod(axes, flat, own, width, order + 0.005, opacity)
+
+
+def _rod(
+    axes: Axes, flat: np.ndarray, colour: str, width: float, order: float, opacity: float
+) -> None:
+    """A thick line with round ends, `width` in points on paper."""
+    axes.plot(
+        flat[:, 0],
+        flat[:, 1],
+        color=colour,
+        linewidth=width,
+        zorder=order,
+        alpha=opacity,
+        solid_capstyle="round",
+        # A joint is a dot, and a line without length may not be drawn.
+        marker="o" if np.array_equal(flat[0], flat[1]) else None,
+        markersize=width,
+        markeredgewidth=0.0,
+    )
+
+
+def _heat(share: float) -> str:
+    """Colour of a share, as in the scene: half of the deflection is as red as it gets."""
+    own = min(max(2.0 * share, 0.0), 1.0)
+    mixed = (1.0 - own) * np.array(to_rgb("#f2f4f6")) + own * np.array(to_rgb(VERMILLION))
+    return "#" + "".join(f"{round(255 * c):02x}" for c in mixed)

@@ -1,0 +1,210 @@
+"""Shapes of an arm's links as its URDF gives them: to be looked at, and to collide with."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+from urllib.parse import unquote, urlparse
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from stiffopt.errors import InputFileError, RobotError
+from stiffopt.robot.rotations import rotation_from_rpy
+
+Purpose = Literal["visual", "collision"]
+Kind = Literal["box", "cylinder", "sphere", "mesh"]
+
+_SIZES: dict[str, tuple[str, ...]] = {"cylinder": ("radius", "length"), "sphere": ("radius",)}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinkShape:
+    """One shape of one link.
+
+    Parameters
+    ----------
+    link : str
+    purpose : "visual" or "collision"
+    kind : "box", "cylinder", "sphere" or "mesh"
+    size : tuple of float
+        Edges of a box; radius and length of a cylinder (along z); radius of a sphere [m]; scale of
+        a mesh along its axes.
+    offset : array (3,)
+        Origin in the link's frame [m].
+    rotation : array (3, 3)
+        Axes, as columns in the link's frame.
+    digest : str
+        Of the content of the mesh; "" where the file is not there.
+    name : str
+        Of a mesh, as the URDF writes it.
+    file : Path or None
+        Of a mesh, where it was found.
+    """
+
+    link: str
+    purpose: Purpose
+    kind: Kind
+    size: tuple[float, ...]
+    offset: np.ndarray
+    rotation: np.ndarray
+    digest: str = ""
+    name: str = ""
+    # Where it lies is no input: the content is.
+    file: Path | None = field(default=None, compare=False)
+
+    @property
+    def known(self) -> bool:
+        """Whether its form is known: False for a mesh that was not found."""
+        return self.kind != "mesh" or self.file is not None
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedShape:
+    """A shape in the frame of the joint that carries its link; joint 0 is the base."""
+
+    shape: LinkShape
+    joint: int
+    offset: np.ndarray
+    rotation: np.ndarray
+
+
+def read_link_shapes(path: str | os.PathLike[str]) -> tuple[LinkShape, ...]:
+    """All shapes of a URDF, which `load_urdf` has read before.
+
+    Raises
+    ------
+    RobotError
+        A size that is no positive finite number.
+    """
+    urdf = Path(path)
+    found = []
+    for link in ET.parse(urdf).getroot().findall("link"):
+        for purpose in ("visual", "collision"):
+            for section in link.findall(purpose):
+                shape = _shape(section, link.get("name", ""), purpose, urdf)
+                if shape is not None:
+                    found.append(shape)
+    return tuple(found)
+
+
+def placed_shapes(
+    model: pin.Model, shapes: Iterable[LinkShape], purpose: Purpose
+) -> list[PlacedShape]:
+    """Shapes of one purpose in the frames of the model's joints."""
+    placed = []
+    for shape in shapes:
+        if shape.purpose != purpose or not model.existBodyName(shape.link):
+            continue
+        frame = model.frames[model.getFrameId(shape.link, pin.FrameType.BODY)]
+        at = frame.placement * pin.SE3(shape.rotation, shape.offset)
+        placed.append(
+            PlacedShape(shape, int(frame.parentJoint), at.translation.copy(), at.rotation.copy())
+        )
+    return placed
+
+
+def triangles(shape: LinkShape) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) [m] and corners of the triangles (T, 3) of a mesh, scaled.
+
+    Raises
+    ------
+    InputFileError
+        The file is no mesh.
+    """
+    model = load_mesh(shape)
+    corners = [[model.tri_indices(i)[k] for k in range(3)] for i in range(model.num_tris)]
+    return np.array(model.vertices(), dtype=float), np.array(corners, dtype=int)
+
+
+def load_mesh(shape: LinkShape) -> coal.BVHModelBase:
+    """Mesh as coal reads it (STL, OBJ, DAE and others), scaled."""
+    assert shape.file is not None
+    try:
+        return coal.MeshLoader().load(str(shape.file), np.array(shape.size))
+    except (ValueError, RuntimeError) as error:
+        raise InputFileError(shape.file, "", f"cannot be read as a mesh: {error}") from error
+
+
+def _shape(section: ET.Element, link: str, purpose: Purpose, urdf: Path) -> LinkShape | None:
+    """One visual or collision section; None where it holds no shape."""
+    geometry = section.find("geometry")
+    if geometry is None or len(geometry) == 0:
+        return None
+    place = f"{urdf}: link {link!r}, {purpose}"
+    origin = section.find("origin")
+    given = {} if origin is None else origin.attrib
+    offset = _numbers(given.get("xyz", "0 0 0"), 3, f"{place} origin xyz")
+    angles = _numbers(given.get("rpy", "0 0 0"), 3, f"{place} origin rpy")
+    own = geometry[0]
+    name, file, digest = "", None, ""
+    if own.tag == "mesh":
+        size = _numbers(own.get("scale", "1 1 1"), 3, f"{place} mesh scale")
+        name = own.get("filename", "")
+        file = find_mesh(name, urdf)
+        if file is not None:
+            digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    elif own.tag == "box":
+        size = _positive(own.get("size", ""), 3, f"{place} box size")
+    elif own.tag in _SIZES:
+        keys = _SIZES[own.tag]
+        size = [_positive(own.get(key, ""), 1, f"{place} {own.tag} {key}")[0] for key in keys]
+    else:
+        return None
+    return LinkShape(
+        link=link,
+        purpose=purpose,
+        kind=own.tag,  # type: ignore[arg-type]
+        size=tuple(size),
+        offset=np.array(offset),
+        rotation=rotation_from_rpy(np.array(angles)),
+        digest=digest,
+        name=name,
+        file=file,
+    )
+
+
+def find_mesh(name: str, urdf: Path) -> Path | None:
+    """File of a mesh that a URDF names; None where there is none.
+
+    A path counts from the URDF's folder. Of package://NAME/REST, the folder NAME is sought among
+    the URDF's own folders upwards and what lies in them, then in ROS_PACKAGE_PATH and
+    AMENT_PREFIX_PATH.
+    """
+    url = urlparse(name)
+    folder = urdf.resolve().parent
+    if url.scheme != "package":
+        path = Path(unquote(url.path)) if url.scheme == "file" else folder / name
+        return path if path.is_file() else None
+    package, rest = url.netloc, unquote(url.path).lstrip("/")
+    roots = [place for up in (folder, *folder.parents) for place in (up, up / package)]
+    roots = [root for root in roots if root.name == package]
+    for variable, share in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
+        for root in filter(None, os.environ.get(variable, "").split(os.pathsep)):
+            roots += [Path(root) / share / package, Path(root)]
+    return next((root / rest for root in roots if (root / rest).is_file()), None)
+
+
+def _positive(text: str, count: int, place: str) -> list[float]:
+    values = _numbers(text, count, place)
+    if min(values) <= 0.0:
+        raise RobotError(f"{place}: got {text!r}, allowed is above 0. Correct the URDF.")
+    return values
+
+
+def _numbers(text: str, count: int, place: str) -> list[float]:
+    try:
+        values = [float(part) for part in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(math.isfinite(value) for value in values):
+        wanted = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise RobotError(f"{place}: got {text!r}, allowed is {wanted}. Correct the URDF.")
+    return values

@@ -1,0 +1,173 @@
+"""The page of a solve in a real browser: no complaint, a scene that moves, no page too wide."""
+
+import io
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, Browser
+from shaped_arms import MESH, with_shapes, write_stl
+from small_arms import write_problem, write_robot
+from synthetic_solution import solution
+
+from stiffopt.certificate.assess import assess
+from stiffopt.problem.files import load_problem
+from stiffopt.report.solve.page import write_solve_report
+from stiffopt.result.solution import Baseline
+from stiffopt.result.trajectory import Trajectory
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine"),
+]
+
+SIZES = [(1280, 900), (390, 844)]
+
+
+def swing(problem, far=1.0):
+    """Half a second from rest to rest along the joints' straight line, `far` of the way."""
+    start, end = problem.start.joints, problem.end.joints
+    nodes = np.outer([0.0, 1.0, -1.0, 0.0], 16.0 * far * (end - start))
+    times = np.array([0.0, 0.125, 0.375, 0.5])
+    return assess(
+        problem,
+        Trajectory.piecewise_linear_acceleration(times, nodes, start, np.zeros_like(start)),
+    )
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("page")
+    write_stl(folder / "link.stl", 300.0)
+    path = write_problem(folder, minimise='objective = "dynamic_deflection"')
+    text = with_shapes("upper", MESH.format(purpose="visual", name="link.stl"))
+    write_robot(folder, urdf_text=text)
+    problem = load_problem(path).problem
+    slower = Baseline(
+        name="toppra", assessment=swing(problem, 0.8), objective=1e-4, feasible=True, reason=""
+    )
+    found = solution(2, assessment=swing(problem), baselines={"toppra": slower})
+    return write_solve_report(problem, found, folder)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    with Browser(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
+
+
+@pytest.fixture
+def shown(browser, page):
+    """Open the page in a state at a size; the scene is drawn then."""
+
+    def show(state="", size=SIZES[0], dark=False):
+        browser.console.clear()
+        browser.size(*size, dark=dark)
+        browser.open(page, state)
+        browser.until("document.getElementById('scene').dataset.tool !== undefined")
+        return browser
+
+    return show
+
+
+def pixels(png):
+    from matplotlib.image import imread
+
+    return imread(io.BytesIO(png))[..., :3]
+
+
+def tool(browser):
+    text = browser.value("document.getElementById('scene').dataset.tool")
+    return np.array([float(part) for part in text.split()])
+
+
+def slide(browser, role, value):
+    """Move a slider as a hand does, and wait for the picture."""
+    browser.value(
+        f"(() => {{ const e = document.querySelector('[data-role={role}]'); e.value = {value}; "
+        "e.dispatchEvent(new Event('input', {bubbles: true})); "
+        "return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))); "
+        "})()"
+    )
+
+
+@pytest.mark.parametrize("size", SIZES, ids=["desk", "phone"])
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_the_page_fits_and_nothing_is_complained_of(shown, size, dark):
+    browser = shown(size=size, dark=dark)
+    wide, window = browser.value("[document.documentElement.scrollWidth, window.innerWidth]")
+    assert wide <= window == size[0]
+    ground = browser.value("getComputedStyle(document.body).backgroundColor")
+    assert ground == ("rgb(20, 24, 29)" if dark else "rgb(255, 255, 255)")
+    # No cell is broken to a letter a line: all are wider than tall letters stacked.
+    narrow = browser.value(
+        "[...document.querySelectorAll('td')].filter((cell) => cell.textContent.trim().length > 6 "
+        "&& cell.clientHeight > 6 * cell.clientWidth).length"
+    )
+    assert narrow == 0
+    assert browser.console == []
+
+
+def test_every_section_is_in_the_contents(shown):
+    browser = shown()
+    titles, links = browser.value(
+        "[[...document.querySelectorAll('h2')].map((h) => `#${h.id} ${h.textContent}`), "
+        "[...document.querySelectorAll('.contents a')].map((a) => "
+        "`${a.getAttribute('href')} ${a.textContent}`)]"
+    )
+    assert len(titles) > 4
+    assert titles == links
+
+
+def test_sliders_move_the_arm_and_the_cursors(shown, page):
+    browser = shown("#time=0&factor=0&ghost=0&planned=0")
+    rest, first = tool(browser), pixels(browser.picture("#scene canvas"))
+    # More than the ground and the grid are drawn.
+    ground = np.median(first.reshape(-1, 3), axis=0)
+    drawn = np.abs(first - ground).max(axis=2) > 0.1
+    assert 0.01 < drawn.mean() < 0.6
+    cursors = "[...document.querySelectorAll('.cursor')].map((c) => Number(c.getAttribute('x1')))"
+    before = browser.value(cursors)
+    assert len(before) > 8
+    slide(browser, "time", 500)
+    moved, second = tool(browser), pixels(browser.picture("#scene canvas"))
+    assert np.linalg.norm(moved - rest) > 0.1
+    assert (np.abs(second - first).max(axis=2) > 0.1).mean() > 0.005
+    assert all(b > a for a, b in zip(before, browser.value(cursors), strict=True))
+    slide(browser, "time", 250)
+    moved, second = tool(browser), pixels(browser.picture("#scene canvas"))
+    *_, size, unit = browser.value("document.querySelector('[data-role=deflection]').value").split()
+    assert unit == "mm"
+    slide(browser, "factor", 51)
+    enlarged = browser.value("document.querySelector('[data-role=factor-shown]').value")
+    # So much, but for the arm's turning meanwhile.
+    wanted = 1e-3 * float(size) * float(enlarged.split()[-1])
+    assert np.linalg.norm(tool(browser) - moved) == pytest.approx(wanted, rel=0.05)
+    third = pixels(browser.picture("#scene canvas"))
+    assert (np.abs(third - second).max(axis=2) > 0.1).mean() > 0.0005
+    assert browser.console == []
+
+
+def test_a_click_in_a_plot_sets_the_time(shown):
+    browser = shown()
+    browser.value(
+        "(() => { const svg = document.querySelector('svg[data-times]'); "
+        "svg.scrollIntoView({block: 'center'}); "
+        "const [l, t, r, b, f, e] = JSON.parse(svg.dataset.times)[0]; "
+        "const p = new DOMPoint(l + (r - l) * (0.1 - f) / (e - f), (t + b) / 2)"
+        ".matrixTransform(svg.getScreenCTM()); svg.dispatchEvent(new MouseEvent('click', "
+        "{clientX: p.x, clientY: p.y, bubbles: true})); })()"
+    )
+    # A pixel is 1 ms.
+    browser.until(
+        "Math.abs(parseFloat(document.querySelector('[data-role=time-shown]').value) - 0.1)"
+        " < 0.0021"
+    )
+
+
+def test_without_webgl_the_still_remains(tmp_path, page):
+    from browser import SWITCHES
+
+    with Browser(tmp_path, [*SWITCHES, "--disable-3d-apis"]) as browser:
+        browser.open(page)
+        assert browser.value("document.getElementById('scene')") is None
+        assert browser.value("document.querySelector('header .plot.whole svg') !== null")

@@ -1,0 +1,134 @@
+"""The scene of a motion: its kinematics are pinocchio's, its shares add up, its meshes fit."""
+
+import json
+from base64 import b64decode
+
+import numpy as np
+import pytest
+from shaped_arms import MESH, load, with_shapes, write_stl
+from small_arms import SLIDE, SPATIAL, write_problem
+
+from stiffopt.certificate.assess import assess
+from stiffopt.problem.files import load_problem
+from stiffopt.report.scene.document import scene_document, scene_json
+from stiffopt.report.scene.mesh import compact_mesh
+from stiffopt.report.scene.poses import (
+    Poses,
+    joint_frames,
+    poses_along,
+    tool_jacobian,
+    tool_positions,
+)
+from stiffopt.result.trajectory import Trajectory
+from stiffopt.robot.frames import LinkFrame
+from stiffopt.robot.link_shapes import LinkShape
+
+
+@pytest.mark.parametrize("text", [SPATIAL, SLIDE], ids=["spatial", "slide"])
+def test_frames_and_jacobians_are_those_of_pinocchio(tmp_path, text):
+    arm = load(tmp_path, text)
+    q = np.random.default_rng(3).uniform(-1, 1, (5, arm.n))
+    rotations, origins = joint_frames(arm.tree, q)
+    bodies = arm.rigid_bodies()
+    for k, angles in enumerate(q):
+        for j in range(arm.n):
+            at, turn = bodies.pose(LinkFrame(j + 1, np.zeros(3), np.eye(3)), angles)
+            np.testing.assert_allclose(origins[k, j], at, atol=1e-12)
+            np.testing.assert_allclose(rotations[k, j], turn, atol=1e-12)
+        np.testing.assert_allclose(
+            tool_positions(arm.tree, arm.tool, q)[k], bodies.pose(arm.tool, angles)[0], atol=1e-12
+        )
+        jacobian = tool_jacobian(arm.tree, arm.tool, q)[k]
+        np.testing.assert_allclose(jacobian, bodies.jacobian(arm.tool, angles)[:3], atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory):
+    """A problem with a tool force, and a motion from rest to rest."""
+    folder = tmp_path_factory.mktemp("scene")
+    path = write_problem(folder, minimise='objective = "dynamic_deflection"')
+    text = path.read_text()
+    path.write_text(f'{text}\n[tool]\nlink = "tip"\nprocess_force = [0.0, 0.0, -20.0]\n')
+    problem = load_problem(path).problem
+    start, end = problem.start.joints, problem.end.joints
+    times, rate = np.array([0.0, 0.25, 0.75, 1.0]) / 2, 4.0
+    nodes = np.outer([0.0, rate, -rate, 0.0], end - start)
+    motion = Trajectory.piecewise_linear_acceleration(times, nodes, start, np.zeros_like(start))
+    return problem, assess(problem, motion)
+
+
+def test_bends_make_the_deflection_and_shares_add_up(moved):
+    problem, motion = moved
+    poses = poses_along(problem, motion)
+    assert set(poses.bend) == {"dynamic", "static", "process", "total"}
+    jacobian = tool_jacobian(problem.robot.tree, problem.robot.tool, poses.position)
+    for part, bend in poses.bend.items():
+        vectors = np.einsum("kij,kj->ki", jacobian, bend)
+        size = np.linalg.norm(vectors, axis=1)
+        np.testing.assert_allclose(size, poses.deflection[part], rtol=1e-9, atol=1e-15)
+        moving = size > 1e-9
+        np.testing.assert_allclose(poses.share[part][moving].sum(axis=1), 1.0, rtol=1e-9)
+    largest = np.linalg.norm(motion.deflection["dynamic"], axis=1).max()
+    assert poses.deflection["dynamic"].max() == largest
+
+
+def test_document_is_plain_data_that_closes_no_script(moved):
+    problem, motion = moved
+    document = scene_document(problem.robot, {"</script><b>": poses_along(problem, motion)}, "x", 5)
+    text = scene_json(document)
+    assert "<" not in text
+    back = json.loads(text)
+    assert back["motions"][0]["name"] == "</script><b>"
+    assert back["part"] == "dynamic"
+    assert {shape["kind"] for shape in back["shapes"]} == {"capsule"}
+
+
+def grid_mesh(path, cells):
+    """A wavy square of 2 cells^2 triangles, as OBJ."""
+    x, y = np.meshgrid(*[np.linspace(0, 1, cells + 1)] * 2, indexing="ij")
+    points = np.stack([x, y, 0.1 * np.sin(9 * x) * np.cos(9 * y)], axis=-1).reshape(-1, 3)
+    lines = [f"v {a:.6f} {b:.6f} {c:.6f}" for a, b, c in points]
+    for i in range(cells):
+        for k in range(cells):
+            a = i * (cells + 1) + k + 1
+            lines += [f"f {a} {a + 1} {a + cells + 2}", f"f {a} {a + cells + 2} {a + cells + 1}"]
+    path.write_text("\n".join(lines))
+
+
+def test_fine_meshes_are_made_coarse_and_stay_in_place(tmp_path):
+    grid_mesh(tmp_path / "wave.obj", 60)
+    shape = LinkShape(
+        link="a",
+        purpose="visual",
+        kind="mesh",
+        size=(1.0, 1.0, 1.0),
+        offset=np.zeros(3),
+        rotation=np.eye(3),
+        file=tmp_path / "wave.obj",
+    )
+    document = compact_mesh(shape, most=2000)
+    cells = np.frombuffer(b64decode(document["vertices"]), "<u2").reshape(-1, 3)
+    corners = np.frombuffer(b64decode(document["triangles"]), "<u2").reshape(-1, 3)
+    assert 500 < len(corners) <= 2000
+    assert corners.max() == len(cells) - 1
+    points = document["origin"] + document["step"] * cells
+    height = 0.1 * np.sin(9 * points[:, 0]) * np.cos(9 * points[:, 1])
+    assert np.abs(points[:, 2] - height).max() < 2 * document["step"]
+    whole = compact_mesh(shape, most=100_000)
+    assert len(b64decode(whole["triangles"])) == 6 * 7200
+
+
+def test_a_mesh_that_cannot_be_read_leaves_a_capsule(tmp_path):
+    write_stl(tmp_path / "good.stl")
+    (tmp_path / "bad.stl").write_text("nothing")
+    text = with_shapes("upper", MESH.format(purpose="visual", name="good.stl"))
+    text = text.replace(
+        '<link name="fore">', f'<link name="fore">{MESH.format(purpose="visual", name="bad.stl")}'
+    )
+    arm = load(tmp_path, text)
+    shapes = scene_document(arm, {"rest": _resting(arm)}, "", 1.0)["shapes"]
+    assert [(shape["joint"], shape["kind"]) for shape in shapes] == [(1, "mesh"), (2, "capsule")]
+
+
+def _resting(arm):
+    return Poses(np.array([0.0, 1.0]), np.zeros((2, arm.n)), {}, {}, {})

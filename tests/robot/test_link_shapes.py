@@ -1,0 +1,99 @@
+"""Shapes of links: read from URDFs, found beside them, placed in the frames of the joints."""
+
+import numpy as np
+import pytest
+from shaped_arms import BOX, MESH, load, with_shapes, write_stl
+from small_arms import PLANAR
+
+from stiffopt.errors import InputFileError, RobotError
+from stiffopt.robot.link_shapes import LinkShape, triangles
+from stiffopt.robot.skeleton import capsules, reach
+
+
+def test_shapes_lie_in_the_frame_of_their_joint(tmp_path):
+    arm = load(tmp_path, with_shapes("fore", BOX))
+    (placed,) = arm.placed_shapes("visual")
+    assert (placed.joint, placed.shape.kind, placed.shape.size) == (2, "box", (0.1, 0.4, 0.1))
+    np.testing.assert_allclose(placed.offset, [0.2, 0.0, 0.0])
+    np.testing.assert_allclose(placed.rotation @ [0, 1, 0], [-1, 0, 0], atol=1e-12)
+    assert arm.placed_shapes("collision") == []
+
+
+def test_shapes_of_what_is_fixed_or_locked_belong_to_the_link_before(tmp_path):
+    tip = '<link name="tip"><visual><geometry><sphere radius="0.05"/></geometry></visual></link>'
+    arm = load(tmp_path, PLANAR.replace('<link name="tip"/>', tip))
+    (placed,) = arm.placed_shapes("visual")
+    assert placed.joint == 2
+    np.testing.assert_allclose(placed.offset, [0.4, 0.0, 0.0])
+    (locked,) = arm.with_joints_locked(["elbow"]).placed_shapes("visual")
+    assert locked.joint == 1
+    np.testing.assert_allclose(locked.offset, [0.8, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("name", ["package://my_arm/meshes/link.stl", "../meshes/link.stl"])
+def test_meshes_are_found_and_scaled(tmp_path, name):
+    write_stl(tmp_path / "my_arm" / "meshes" / "link.stl")
+    folder = tmp_path / "my_arm" / "urdf"
+    folder.mkdir()
+    arm = load(folder, with_shapes("upper", MESH.format(purpose="collision", name=name)))
+    (shape,) = arm.shapes
+    assert shape.known
+    vertices, corners = triangles(shape)
+    assert len(corners) == 4
+    np.testing.assert_allclose(np.ptp(vertices, axis=0), 0.1, rtol=1e-6)
+
+
+def test_meshes_of_ros_packages(tmp_path, monkeypatch):
+    write_stl(tmp_path / "elsewhere" / "share" / "my_arm" / "link.stl")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "elsewhere"))
+    arm = load(
+        tmp_path,
+        with_shapes("upper", MESH.format(purpose="visual", name="package://my_arm/link.stl")),
+    )
+    assert arm.shapes[0].known
+
+
+def test_a_mesh_that_is_not_there_is_told_apart(tmp_path):
+    arm = load(
+        tmp_path,
+        with_shapes("upper", MESH.format(purpose="visual", name="package://other/link.stl")),
+    )
+    assert not arm.shapes[0].known
+    assert arm.shapes[0].name == "package://other/link.stl"
+
+
+def test_what_is_no_mesh_is_named(tmp_path):
+    (tmp_path / "link.stl").write_text("nothing")
+    arm = load(tmp_path, with_shapes("upper", MESH.format(purpose="visual", name="link.stl")))
+    with pytest.raises(InputFileError, match="cannot be read as a mesh"):
+        triangles(arm.shapes[0])
+
+
+@pytest.mark.parametrize("size", ["0.1 0.4", "0.1 0.4 -1", "a b c"])
+def test_sizes_that_cannot_be_are_refused(tmp_path, size):
+    with pytest.raises(RobotError, match="visual box size"):
+        load(tmp_path, with_shapes("fore", BOX.replace("0.1 0.4 0.1", size)))
+
+
+def test_where_a_mesh_lies_is_no_input(tmp_path):
+    from stiffopt.result.provenance import inputs_hash
+
+    one, two = (
+        LinkShape(link="a", purpose="visual", kind="mesh", size=(1.0,), offset=np.zeros(3),
+                  rotation=np.eye(3), digest=digest, file=tmp_path / name)
+        for name, digest in (("one.stl", "1"), ("two.stl", "1"))
+    )  # fmt: skip
+    assert inputs_hash(one) == inputs_hash(two)
+    other = LinkShape(link="a", purpose="visual", kind="mesh", size=(1.0,), offset=np.zeros(3),
+                      rotation=np.eye(3), digest="2")  # fmt: skip
+    assert inputs_hash(one) != inputs_hash(other)
+
+
+def test_capsules_reach_from_base_to_tool(tmp_path):
+    arm = load(tmp_path, PLANAR)
+    # The shoulder lies in the base's origin: no rod leads to it.
+    rods = capsules(arm.tree, arm.tool)
+    assert [rod.joint for rod in rods] == [1, 2]
+    np.testing.assert_allclose(rods[1].end, [0.4, 0.0, 0.0])
+    assert reach(arm.tree, arm.tool) == pytest.approx(0.4)
+    assert rods[0].radius > rods[1].radius > 0
