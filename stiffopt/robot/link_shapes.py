@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -16,12 +16,15 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from stiffopt.errors import InputFileError, RobotError
+from stiffopt.errors import InputFileError, RobotError, shortened
 from stiffopt.robot.rotations import rotation_from_rpy
+from stiffopt.robot.urdf import urdf_numbers
 
 Purpose = Literal["visual", "collision"]
 Kind = Literal["box", "cylinder", "sphere", "mesh"]
 
+# Of a mesh [bytes]; a link of a million triangles has 50 MB.
+_LARGEST = 2**28
 _SIZES: dict[str, tuple[str, ...]] = {"cylinder": ("radius", "length"), "sphere": ("radius",)}
 
 
@@ -130,7 +133,9 @@ def load_mesh(shape: LinkShape) -> coal.BVHModelBase:
     try:
         return coal.MeshLoader().load(str(shape.file), np.array(shape.size))
     except (ValueError, RuntimeError) as error:
-        raise InputFileError(shape.file, "", f"cannot be read as a mesh: {error}") from error
+        raise InputFileError(
+            shape.file, "", f"cannot be read as a mesh: {shortened(error)}."
+        ) from error
 
 
 def _shape(section: ET.Element, link: str, purpose: Purpose, urdf: Path) -> LinkShape | None:
@@ -141,15 +146,18 @@ def _shape(section: ET.Element, link: str, purpose: Purpose, urdf: Path) -> Link
     place = f"{urdf}: link {link!r}, {purpose}"
     origin = section.find("origin")
     given = {} if origin is None else origin.attrib
-    offset = _numbers(given.get("xyz", "0 0 0"), 3, f"{place} origin xyz")
-    angles = _numbers(given.get("rpy", "0 0 0"), 3, f"{place} origin rpy")
+    offset = urdf_numbers(given.get("xyz", "0 0 0"), 3, f"{place} origin xyz")
+    angles = urdf_numbers(given.get("rpy", "0 0 0"), 3, f"{place} origin rpy")
     own = geometry[0]
     name, file, digest = "", None, ""
     if own.tag == "mesh":
-        size = _numbers(own.get("scale", "1 1 1"), 3, f"{place} mesh scale")
+        size = urdf_numbers(own.get("scale", "1 1 1"), 3, f"{place} mesh scale")
         name = own.get("filename", "")
-        file = find_mesh(name, urdf)
+        with suppress(OSError, ValueError):  # names that no file can have
+            file = find_mesh(name, urdf)
         if file is not None:
+            if file.stat().st_size > _LARGEST:
+                raise InputFileError(file, "", f"is larger than {_LARGEST / 2**20:.0f} MiB.")
             digest = hashlib.sha256(file.read_bytes()).hexdigest()
     elif own.tag == "box":
         size = _positive(own.get("size", ""), 3, f"{place} box size")
@@ -193,18 +201,7 @@ def find_mesh(name: str, urdf: Path) -> Path | None:
 
 
 def _positive(text: str, count: int, place: str) -> list[float]:
-    values = _numbers(text, count, place)
+    values = urdf_numbers(text, count, place)
     if min(values) <= 0.0:
-        raise RobotError(f"{place}: got {text!r}, allowed is above 0. Correct the URDF.")
-    return values
-
-
-def _numbers(text: str, count: int, place: str) -> list[float]:
-    try:
-        values = [float(part) for part in text.split()]
-    except ValueError:
-        values = []
-    if len(values) != count or not all(math.isfinite(value) for value in values):
-        wanted = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise RobotError(f"{place}: got {text!r}, allowed is {wanted}. Correct the URDF.")
+        raise RobotError(f"{place}: got {shortened(text)}, allowed is above 0. Correct the URDF.")
     return values

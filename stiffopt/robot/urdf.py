@@ -74,19 +74,19 @@ def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
     origin = joint.find("origin")
     if origin is not None:
         for key in ("xyz", "rpy"):
-            _numbers(origin.get(key, "0 0 0"), 3, f"{path}: joint {name!r}, origin {key}")
+            urdf_numbers(origin.get(key, "0 0 0"), 3, f"{path}: joint {name!r}, origin {key}")
     if kind == "fixed":
         return None
     axis = joint.find("axis")
     if axis is not None:
-        direction = _numbers(axis.get("xyz", "1 0 0"), 3, f"{path}: joint {name!r}, axis")
+        direction = urdf_numbers(axis.get("xyz", "1 0 0"), 3, f"{path}: joint {name!r}, axis")
         if math.hypot(*direction) == 0.0:
             raise RobotError(f"{path}: joint {name!r} has the axis 0 0 0. Give its direction.")
     limit = joint.find("limit")
     values = {}
     for key in ("effort", "velocity", "lower", "upper"):
         text = "0" if limit is None else limit.get(key, "0")
-        values[key] = _numbers(text, 1, f"{path}: joint {name!r}, limit {key}", _NO_LIMIT)[0]
+        values[key] = urdf_numbers(text, 1, f"{path}: joint {name!r}, limit {key}", _NO_LIMIT)[0]
     if kind == "continuous":
         joint.set("type", "revolute")
         limit = ET.SubElement(joint, "limit") if limit is None else limit
@@ -102,7 +102,7 @@ def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
     dynamics = joint.find("dynamics")
     for key in ("damping", "friction"):
         text = "0" if dynamics is None else dynamics.get(key, "0")
-        values[key] = _numbers(text, 1, f"{path}: joint {name!r}, dynamics {key}")[0]
+        values[key] = urdf_numbers(text, 1, f"{path}: joint {name!r}, dynamics {key}")[0]
     return values
 
 
@@ -115,16 +115,17 @@ def _check_links(tree: ET.Element, path: Path) -> None:
         origin, mass, inertia = (inertial.find(k) for k in ("origin", "mass", "inertia"))
         if origin is not None:
             for key in ("xyz", "rpy"):
-                _numbers(origin.get(key, "0 0 0"), 3, f"{place}, origin {key}")
-        if mass is not None and _numbers(mass.get("value", ""), 1, f"{place}, mass")[0] < 0.0:
+                urdf_numbers(origin.get(key, "0 0 0"), 3, f"{place}, origin {key}")
+        if mass is not None and urdf_numbers(mass.get("value", ""), 1, f"{place}, mass")[0] < 0.0:
             raise RobotError(f"{place}: the mass {mass.get('value')} is below 0. Correct it.")
         for key, text in () if inertia is None else inertia.attrib.items():
-            value = _numbers(text, 1, f"{place}, inertia {key}")[0]
+            value = urdf_numbers(text, 1, f"{place}, inertia {key}")[0]
             if key in ("ixx", "iyy", "izz") and value < 0.0:
                 raise RobotError(f"{place}: {key} = {text} is below 0. Correct it.")
 
 
-def _numbers(text: str, count: int, place: str, most: float = _LARGEST) -> list[float]:
+def urdf_numbers(text: str, count: int, place: str, most: float = _LARGEST) -> list[float]:
+    """Finite numbers of an attribute, `count` of them, none larger than `most`."""
     try:
         values = [float(part) for part in text.split()]
     except ValueError:
