@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from cyclopts import CycloptsError
 
 # In the order in which help lists them; importing registers them.
-from stiffopt.cli import exports, motions, recordings, schemas, swings
+from stiffopt.cli import cache, exports, motions, recordings, schemas, swings
 from stiffopt.cli.base import app
 from stiffopt.errors import InputError, NoSolutionFound
 
-__all__ = ["app", "exports", "main", "motions", "recordings", "run", "schemas", "swings"]
+__all__ = ["app", "cache", "exports", "main", "motions", "recordings", "run", "schemas", "swings"]
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

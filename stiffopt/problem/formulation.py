@@ -72,6 +72,7 @@ def formulate(
     blocks = [*_limit_rows(problem, model, coordinates, margins), *goal.path_rows]
     path = _stacked([row for block in blocks for row in block.expressions])
     stage = ca.Function("stage", [x, u, goal.statics, p], [_stacked(goal.integrands), path])
+    through = ca.Function("torques", [x, u, goal.statics, p], [model.computed_torques])
     dynamics = ca.Function("dynamics", [x, u, p], [ca.vertcat(x[size:], u)])
     return OptimalControlProblem(
         name=problem.title or "trajectory",
@@ -79,6 +80,7 @@ def formulate(
         controls=coordinates.control_names,
         dynamics=dynamics,
         stage=stage,
+        intermediate=through,
         objective=goal.function(order * size, p),
         duration=problem.duration,
         statics=tuple(variable.name for variable in goal.variables),

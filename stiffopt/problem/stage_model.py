@@ -84,6 +84,13 @@ class StageModel:
             force,
         )
 
+    @property
+    def computed_torques(self) -> Quantity:
+        """Torques of gravity and motion, if anything asked for them so far; else empty."""
+        if "torques" not in self.__dict__:
+            return ca.SX(0, 1)
+        return ca.vertcat(self.torques.gravity, self.torques.motion)
+
     @cached_property
     def jacobian(self) -> Quantity:
         """Position Jacobian of the tool (3, n), base axes."""

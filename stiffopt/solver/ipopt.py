@@ -141,7 +141,7 @@ class IpoptSolver:
         self.options = options or IpoptOptions()
         begin = time.perf_counter()
         self._monitor = Monitor(nlp)
-        self._solver = self._make({})
+        self._solver = self._make({}, **nlp.derivatives)
         self._warm: ca.Function | None = None
         self.build_s = time.perf_counter() - begin
 
@@ -223,6 +223,9 @@ class IpoptSolver:
             "print_time": False,
             "show_eval_warnings": False,
             "error_on_fail": False,
+            # The derivatives by parameters, which nobody reads, would be CasADi's own.
+            "calc_lam_p": False,
+            "no_nlp_grad": True,
             **functions,
         }
         try:

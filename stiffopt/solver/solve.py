@@ -45,6 +45,8 @@ from stiffopt.transcription.refine import refine_mesh
 # Motions are tightened until the excess is below this, so that the certificate's tolerance is never
 # only just met.
 _AIM = 0.8 * CERTIFIED
+# Gap of the objective between nodes that a finer mesh is worth, where a baseline is better.
+_CLOSE = 1e-3
 _REFINEMENTS = 3
 _GROWTH = 1.25
 # Of a motor's margin at once: a large excess is a narrow one, and goes with less.
@@ -94,7 +96,8 @@ def solve(
     if problem.duration[1] < needed:
         solution = _hopeless(run, beside, notes, why)
     else:
-        outcome = _best_of_starts(run, guess or initial_guess(problem, motion, beside))
+        rival = better_baseline(problem, beside)
+        outcome = _best_of_starts(run, guess or initial_guess(problem, motion, beside), rival)
         solution = _solution(run, outcome, beside, notes)
     if simulate:
         solution = with_simulation(problem, solution)
@@ -112,18 +115,18 @@ def _scales(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> Scales:
     return Scales()
 
 
-def _best_of_starts(run: SolveRun, guess: Guess) -> Outcome:
+def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outcome:
     """The best certified outcome of the problem's number of starts."""
     problem = run.problem
     random = np.random.default_rng(problem.method.seed)
-    best = _certified_solve(run, guess)
+    best = _certified_solve(run, guess, rival)
     last = best
     for start in range(1, problem.method.starts):
         ended = last.raw.status in ("interrupted", "time_limit")
         if ended or run.elapsed > problem.method.time_limit:
             run.notes.append(f"{start} of {problem.method.starts} starts were made.")
             break
-        last = _certified_solve(run, _perturbed(guess, problem, random))
+        last = _certified_solve(run, _perturbed(guess, problem, random), rival)
         best = min(best, last, key=lambda outcome: _rank(problem, outcome))
     return best
 
@@ -135,15 +138,20 @@ def _rank(problem: TrajectoryProblem, outcome: Outcome) -> tuple[bool, float]:
     return not feasible, -value if is_maximised(problem) else value
 
 
-def _certified_solve(run: SolveRun, guess: Guess) -> Outcome:
-    """Solve in stages; while the certificate finds excess, refine the mesh, then tighten limits."""
+def _certified_solve(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outcome:
+    """Solve in stages; while the certificate finds excess, refine the mesh, then tighten limits.
+
+    The mesh is refined also where only between the nodes a feasible baseline is better.
+    """
     margins: dict[str, float] = {}
     method = run.problem.method
     outcome = run_stages(run, stages(run.problem, method.intervals), guess, margins)
     final = smoothing_stages(run.problem)[-1]
     for attempt in range(1, _REFINEMENTS + 1):
         excess = _excess(outcome.assessment)
-        loose = outcome.objective_gap > TRUE_OBJECTIVE and not run.problem.plans_links
+        behind = _is_behind(run.problem, outcome, rival)
+        true = _CLOSE if behind else TRUE_OBJECTIVE
+        loose = outcome.objective_gap > true and not run.problem.plans_links
         if not outcome.raw.converged or not (excess or loose):
             break
         # Rows of motors are known to be approximate, so that a finer mesh would not help them.
@@ -157,6 +165,14 @@ def _certified_solve(run: SolveRun, guess: Guess) -> Outcome:
             break
         outcome = refined
     return outcome
+
+
+def _is_behind(problem: TrajectoryProblem, outcome: Outcome, rival: Baseline | None) -> bool:
+    if rival is None or rival.objective is None:
+        return False
+    value = objective_value(problem, outcome.assessment).value
+    ratio = improvement(problem, value, rival.objective)
+    return ratio is not None and ratio > 1.0
 
 
 def _refined(

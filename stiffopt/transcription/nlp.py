@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -189,6 +190,8 @@ class Nlp:
     """minimise f(x, p) subject to lower_x <= x <= upper_x, lower_g <= g(x, p) <= upper_g.
 
     All vectors are scaled: value = scale * entry. `objective_scale` times f is the objective.
+    `derivatives` are functions that `casadi.nlpsol` takes in place of its own: grad_f, jac_g,
+    hess_lag.
     """
 
     x: Symbols
@@ -202,6 +205,7 @@ class Nlp:
     lower_g: np.ndarray
     upper_g: np.ndarray
     objective_scale: float = 1.0
+    derivatives: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def casadi(self) -> dict[str, Symbols]:

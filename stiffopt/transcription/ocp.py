@@ -106,6 +106,9 @@ class OptimalControlProblem:
         (x, u, p) -> dx/dt
     stage : casadi.Function
         (x, u, z, p) -> (integrands (k,), path rows (m,)); either may be empty (0, 1).
+    intermediate : casadi.Function, optional
+        (x, u, z, p) -> (y,), of the stage's own symbols: quantities through which most of the stage
+        is computed (joint torques). It makes second derivatives cheaper and changes no value.
     objective : casadi.Function
         (I (k,), T, z, x0, xf, p) -> scalar. T is the total duration.
     integral_function : casadi.Function or None
@@ -140,6 +143,7 @@ class OptimalControlProblem:
     duration: tuple[float, float]
     statics: tuple[str, ...] = ()
     path_rows: tuple[Rows, ...] = ()
+    intermediate: ca.Function | None = None
     integral_function: ca.Function | None = None
     integral_rows: tuple[Rows, ...] = ()
     start: Waypoint | None = None

@@ -1,0 +1,34 @@
+"""`stiffopt cache`: the compiled stage functions that later solves start with."""
+
+from __future__ import annotations
+
+from stiffopt.cli.base import app
+
+
+@app.command
+def cache(*, clear: bool = False) -> int:
+    """Show the compiled functions of this user, or remove them.
+
+    A solve has its stage compiled beside it and later solves of the same kind use that, with the
+    same result. STIFFOPT_COMPILE=never turns it off, STIFFOPT_CACHE names another folder.
+
+    Parameters
+    ----------
+    clear
+        Remove them all.
+    """
+    from stiffopt.transcription import compiled
+
+    folder, found = compiled.cache_folder(), compiled.libraries()
+    size = sum(path.stat().st_size for path in found) / 1e6
+    held = f"{len(found)} compiled functions, {size:.1f} MB, in {folder}"
+    if clear:
+        compiled.clear()
+        print(f"Removed {held}")
+        return 0
+    print(held)
+    if compiler := compiled.compiler():
+        print(f"C compiler: {compiler}")
+    else:
+        print("C compiler: none; solves take about three times as long (same results).")
+    return 0

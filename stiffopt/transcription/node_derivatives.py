@@ -1,0 +1,149 @@
+"""A stage function with exact first and second derivatives, ready to be compiled.
+
+Two devices make it fast:
+
+- numbers become inputs: two stages that differ by a payload, a limit or a drivetrain's numbers are
+  one function, so it is compiled once;
+- derivatives go by the chain rule through an intermediate quantity (joint torques): with y = Y(w),
+  the Hessian of L(w, y) is L_ww + L_wy Y' + (L_wy Y')^T + Y'^T L_yy Y' + sum mu_k Y_k'', mu = L_y.
+  On a six-joint arm it halves the number of operations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+# Numbers that shape a formula rather than fill it.
+_STRUCTURAL = (-2.0, -1.0, 0.0, 0.5, 1.0, 2.0)
+
+NAMES = ("stage", "stage_jacobian", "stage_hessian")
+
+
+@dataclass(frozen=True)
+class NumberedStage:
+    """A stage function whose numbers are inputs.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        (w, p, numbers) -> (y, values): w holds state, control and static variables, values the
+        integrands and the path rows; y is the intermediate.
+    numbers : array
+        Values of the last input.
+    """
+
+    function: ca.Function
+    numbers: np.ndarray
+
+
+def numbered(stage: ca.Function, intermediate: ca.Function | None = None) -> NumberedStage:
+    """Take the numbers out of a stage function.
+
+    Parameters
+    ----------
+    stage : casadi.Function
+        (x, u, z, p) -> (integrands, path rows), of SX.
+    intermediate : casadi.Function, optional
+        (x, u, z, p) -> (y,), of the same symbols: what most of the stage is computed through.
+    """
+    *variables, parameters = symbols = stage.sx_in()
+    through = [ca.SX(0, 1)] if intermediate is None else intermediate.call(symbols)
+    # The intermediate comes first, so that what follows is computed from it.
+    outputs = [ca.densify(each) for each in (*through, ca.vertcat(*stage.call(symbols)))]
+    inputs = [ca.vertcat(*variables), parameters]
+    numbers: list[float] = []
+    names: list[ca.SX] = []
+
+    def number(value: float) -> ca.SX:
+        if value in _STRUCTURAL:
+            return ca.SX(value)
+        numbers.append(value)
+        names.append(ca.SX.sym(f"n{len(names)}"))
+        return names[-1]
+
+    replayed = _replayed(ca.Function("stage", inputs, outputs), inputs, number=number)
+    inputs.append(ca.vertcat(ca.SX(0, 1), *names))
+    return NumberedStage(ca.Function("stage", inputs, replayed), np.array(numbers))
+
+
+def with_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function, ca.Function]:
+    """The stage function and its derivatives, by `NAMES`.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Of a `NumberedStage`.
+
+    Returns
+    -------
+    tuple of casadi.Function
+        (w, p, numbers) -> values (m,); (w, p, numbers) -> Jacobian by w (m, n);
+        (w, p, numbers, weights (m,)) -> Hessian of the weighted values by w (n, n). Sparse.
+    """
+    inputs = function.sx_in()
+    w = inputs[0]
+    n = w.numel()
+    y = ca.SX.sym("y", function.numel_out(0))
+    inner, outer = _replayed(function, inputs, intermediate=y)
+    _, values = function.call(inputs)
+    weights, pull = ca.SX.sym("weights", values.numel()), ca.SX.sym("pull", y.numel())
+
+    both = ca.vertcat(w, y)
+    curvature, gradient = ca.hessian(ca.dot(weights, outer), both)
+    curvature, gradient, slope = ca.substitute(
+        [curvature, gradient, ca.jacobian(outer, both)], [y], [inner]
+    )
+    slope_y = ca.jacobian(inner, w)
+    jacobian = slope[:, :n] + ca.mtimes(slope[:, n:], slope_y)
+    (bent,) = ca.substitute([ca.hessian(ca.dot(pull, inner), w)[0]], [pull], [gradient[n:]])
+    cross = ca.mtimes(curvature[:n, n:], slope_y)
+    hessian = curvature[:n, :n] + cross + cross.T + bent
+    hessian += ca.mtimes([slope_y.T, curvature[n:, n:], slope_y])
+    return (
+        ca.Function(NAMES[0], inputs, [values]),
+        ca.Function(NAMES[1], inputs, [jacobian]),
+        ca.Function(NAMES[2], [*inputs, weights], [hessian]),
+    )
+
+
+def _replayed(
+    function: ca.Function,
+    inputs: list[ca.SX],
+    number: Callable[[float], ca.SX] = ca.SX,
+    intermediate: ca.SX | None = None,
+) -> list[ca.SX]:
+    """Outputs of a function, computed again operation by operation.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Of SX, with dense outputs.
+    inputs : list of SX
+    number : callable
+        What stands for a number.
+    intermediate : SX, optional
+        Stands for the first output in all that is computed from it.
+    """
+    work: dict[int, ca.SX] = {}
+    given = [ca.vertsplit(each) for each in inputs]
+    outputs = [[ca.SX(0)] * function.nnz_out(k) for k in range(function.n_out())]
+    for k in range(function.n_instructions()):
+        operation = function.instruction_id(k)
+        read, written = function.instruction_input(k), function.instruction_output(k)
+        if operation == ca.OP_CONST:
+            work[written[0]] = number(function.instruction_constant(k))
+        elif operation == ca.OP_INPUT:
+            work[written[0]] = given[read[0]][read[1]]
+        elif operation == ca.OP_OUTPUT:
+            outputs[written[0]][written[1]] = work[read[0]]
+            if intermediate is not None and written[0] == 0:
+                work[read[0]] = intermediate[written[1]]
+        elif len(read) == 2:
+            work[written[0]] = ca.SX.binary(operation, work[read[0]], work[read[1]])
+        else:
+            work[written[0]] = ca.SX.unary(operation, work[read[0]])
+    return [ca.vertcat(ca.SX(0, 1), *each) for each in outputs]

@@ -1,0 +1,143 @@
+"""Compiled stage functions: the same numbers, one library for many problems, safe to share."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from stiffopt.transcription import compiled
+from stiffopt.transcription.node_derivatives import NAMES, numbered, with_derivatives
+
+pytestmark = pytest.mark.skipif(compiled.shutil.which("cc") is None, reason="needs a C compiler")
+
+
+def stage(payload: float) -> tuple[ca.Function, ca.Function]:
+    """A small stage whose rows go through a torque, and that torque."""
+    x, u, z, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("z"), ca.SX.sym("p")
+    torque = payload * (u * ca.cos(x[0]) + 9.81 * ca.sin(x[0]) * x[1] ** 2)
+    rows = ca.vertcat(torque**3 / (p + torque**2), z - ca.tanh(torque * x[1]), x[0] * u)
+    return (
+        ca.Function("stage", [x, u, z, p], [torque**2, rows]),
+        ca.Function("through", [x, u, z, p], [torque]),
+    )
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("STIFFOPT_CACHE", str(tmp_path / "cache"))
+    monkeypatch.delenv("STIFFOPT_COMPILE", raising=False)
+    compiled._started.clear()
+    return tmp_path / "cache"
+
+
+def made(function: ca.Function) -> Path:
+    """The library, after waiting for it."""
+    assert compiled.library(function) is None
+    compiled.wait()
+    path = compiled.library(function)
+    assert path is not None
+    return path
+
+
+def test_derivatives_are_those_of_casadi() -> None:
+    function, through = stage(3.7)
+    taken = numbered(function, through)
+    w = ca.SX.sym("w", 4)
+    p, weights = ca.SX.sym("p"), ca.SX.sym("weights", 4)
+    values = ca.vertcat(*function(w[:2], w[2], w[3], p))
+    truth = (
+        ca.Function("v", [w, p], [values]),
+        ca.Function("j", [w, p], [ca.jacobian(values, w)]),
+        ca.Function("h", [w, p, weights], [ca.hessian(ca.dot(weights, values), w)[0]]),
+    )
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        point, factors = rng.normal(size=4), rng.normal(size=4)
+        for found, true in zip(with_derivatives(taken.function), truth, strict=True):
+            more = [factors] if true.n_in() == 3 else []
+            ours = found(point, 0.8, taken.numbers, *more)
+            theirs = true(point, 0.8, *more)
+            np.testing.assert_allclose(ours.full(), theirs.full(), rtol=1e-12, atol=1e-12)
+
+
+def test_two_payloads_are_one_library(cache: Path) -> None:
+    light, heavy = (numbered(*stage(payload)) for payload in (3.7, 5.1))
+    path = made(light.function)
+    assert compiled.library(heavy.function) == path
+    point = np.array([0.3, -0.7, 1.1, 0.2])
+    fast = ca.external(NAMES[0], str(path))
+    for each in (light, heavy):
+        slow = with_derivatives(each.function)[0](point, 0.5, each.numbers)
+        np.testing.assert_allclose(fast(point, 0.5, each.numbers).full(), slow.full(), rtol=1e-14)
+    assert not np.allclose(light.numbers, heavy.numbers)
+
+
+def test_compiled_derivatives_are_the_interpreted_ones(cache: Path) -> None:
+    taken = numbered(*stage(2.3))
+    path = made(taken.function)
+    rng = np.random.default_rng(2)
+    for name, slow in zip(NAMES, with_derivatives(taken.function), strict=True):
+        fast = ca.external(name, str(path))
+        inputs = [rng.normal(size=slow.size_in(k)) for k in range(slow.n_in())]
+        np.testing.assert_allclose(fast(*inputs).full(), slow(*inputs).full(), rtol=1e-13)
+
+
+def test_no_compiler_no_library(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "no-such-compiler")
+    assert compiled.library(numbered(*stage(2.3)).function) is None
+    assert not cache.exists()
+    monkeypatch.delenv("CC")
+    monkeypatch.setenv("STIFFOPT_COMPILE", "never")
+    assert compiled.library(numbered(*stage(2.3)).function) is None
+
+
+def test_a_cache_that_cannot_be_written_only_costs_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cache: Path
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("STIFFOPT_CACHE", str(tmp_path / "file" / "cache"))
+    assert compiled.library(numbered(*stage(2.3)).function) is None
+
+
+def test_a_killed_compile_is_done_again(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    slow = cache.parent / "slow-cc"
+    slow.write_text('#!/bin/sh\nsleep 30\nexec cc "$@"\n')
+    slow.chmod(0o755)
+    monkeypatch.setenv("CC", str(slow))
+    function = numbered(*stage(2.3)).function
+    assert compiled.library(function) is None
+    (process,) = compiled._started.values()
+    deadline = time.monotonic() + 20.0
+    while not list(cache.glob("stage-*.parts-*/stage.c")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert compiled.libraries() == []
+    # Another process, or this one later, finds the lock free; what was left is swept away.
+    compiled._started.clear()
+    slow.write_text('#!/bin/sh\nexec cc "$@"\n')
+    made(function)
+    assert list(cache.glob("stage-*.parts-*")) == []
+
+
+def test_many_processes_may_ask_at_once(cache: Path) -> None:
+    function = numbered(*stage(2.3)).function
+    assert compiled.library(function) is None
+    (path,) = compiled._started
+    asking = [
+        subprocess.Popen([sys.executable, "-m", compiled.__name__, str(path), "cc"])
+        for _ in range(3)
+    ]
+    assert [each.wait() for each in asking] == [0, 0, 0]
+    compiled.wait()
+    assert compiled.library(function) == path
+    assert compiled.clear() == 1
+    assert compiled.libraries() == []
