@@ -69,6 +69,38 @@ def slowed_quintic(problem: TrajectoryProblem, motion: ResolvedMotion) -> Assess
     return assessment if assessment.feasible(CERTIFIED) else None
 
 
+def strict_baseline(
+    problem: TrajectoryProblem, motion: ResolvedMotion, beside: dict[str, Baseline]
+) -> Baseline | None:
+    """The best baseline that keeps every limit, those included that a method cannot take.
+
+    Where none does, the quintic motion slowed until it does, which may take longer than the
+    problem allows (`feasible` is False then); None where even that exceeds a limit.
+    """
+    kept = {
+        name: b
+        for name, b in beside.items()
+        if b.feasible and b.assessment is not None and b.assessment.feasible(CERTIFIED)
+    }
+    best = better_baseline(problem, kept)
+    if best is not None or (
+        problem.boundary_velocity is not None and np.any(problem.boundary_velocity)
+    ):
+        return best
+    slowed = slowed_quintic(problem, motion)
+    if slowed is None:
+        return None
+    shortest, longest = problem.duration
+    allowed = shortest <= slowed.duration <= longest
+    return Baseline(
+        name="slowed quintic",
+        assessment=slowed,
+        objective=objective_value(problem, slowed).value,
+        feasible=allowed,
+        reason="" if allowed else f"Keeps every limit, but takes {slowed.duration:.3g} s.",
+    )
+
+
 def better_baseline(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> Baseline | None:
     """The feasible baseline with the better objective; None where neither is feasible."""
     feasible = [b for b in beside.values() if b.feasible and b.objective is not None]

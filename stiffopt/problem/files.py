@@ -117,6 +117,17 @@ def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
         process_force=np.array(document.tool.process_force),
         method=document.method,
         title=document.title or path.stem,
+        remarks=_remarks(document.payload),
+    )
+
+
+def _remarks(payload: PayloadSection | None) -> tuple[str, ...]:
+    """What the file leaves open and a result has to say."""
+    if payload is None or payload.inertia is not None or payload.mass == 0.0:
+        return ()
+    return (
+        f"The payload of {payload.mass:g} kg has no inertia: it is taken as a point at its centre "
+        "of mass. Give payload.inertia.",
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
+from stiffopt.problem.plausible import check_plausible
 from stiffopt.problem.rest import gravity_torque
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.robot.rotations import rotation_between, rotation_from_rpy, rpy_from_rotation
@@ -55,6 +56,7 @@ def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
     ProblemError
         A pose is out of reach or out of range, or cannot be held at rest.
     """
+    check_plausible(problem)
     if problem.path is not None:
         return _resolve_path(problem)
     start = _joints(problem, problem.start, "motion.start", None)

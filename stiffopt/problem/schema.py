@@ -38,9 +38,12 @@ class PayloadSection(Section):
     mass: Annotated[Mass, Bounds(least=0.0, most=1e5), Doc("Mass.")]
     com: Annotated[Vector3, Doc("Centre of mass in the flange frame.")] = (0.0, 0.0, 0.0)
     inertia: Annotated[
-        tuple[Inertia, Inertia, Inertia],
-        Doc("Principal inertias about the centre of mass, along the axes of the flange."),
-    ] = (0.0, 0.0, 0.0)
+        tuple[Inertia, Inertia, Inertia] | None,
+        Doc(
+            "Principal inertias about the centre of mass, along the axes of the flange; without it "
+            "the payload is a point, which results say."
+        ),
+    ] = None
 
 
 class ToolSection(Section):

@@ -142,6 +142,8 @@ class TrajectoryProblem:
     boundary_acceleration : "zero" or "free"
     process_force : array (3,) [N]
         Acts on the tool, base frame.
+    remarks : tuple of str
+        What was left open and a result has to say.
     """
 
     robot: Robot
@@ -157,6 +159,7 @@ class TrajectoryProblem:
     process_force: np.ndarray = field(default_factory=lambda: np.zeros(3))
     method: Method = field(default_factory=Method)
     title: str = ""
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.objectives:

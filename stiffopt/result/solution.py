@@ -75,6 +75,10 @@ class Solution:
         objective is minimised. None where no baseline is feasible.
     notes : tuple of str
         Bounds that the objective cannot beat, estimated inputs, and the like.
+    strict_baseline : Baseline or None
+        The best baseline that keeps every limit; slowed where none does at the problem's duration.
+    ratio_to_strict_baseline : float or None
+        As the other ratio, to that one.
     simulation : Simulation or None
         What the elastic arm does with this motion and the baselines; None where not simulated.
     """
@@ -90,6 +94,8 @@ class Solution:
     notes: tuple[str, ...]
     inputs_hash: str
     versions: dict[str, str]
+    strict_baseline: Baseline | None = None
+    ratio_to_strict_baseline: float | None = None
     simulation: Simulation | None = None
 
     @property

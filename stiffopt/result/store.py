@@ -52,6 +52,7 @@ def result_document(solution: Solution) -> dict[str, Any]:
         "certificate": _certificate(solution.assessment),
         "baselines": {name: _baseline(each) for name, each in solution.baselines.items()},
         "ratio_to_better_baseline": solution.ratio_to_better_baseline,
+        "strict_baseline": _strict(solution),
         "solver": vars(solution.solver),
         "notes": solution.notes,
         "simulation": simulation_document(solution.simulation),
@@ -59,6 +60,14 @@ def result_document(solution: Solution) -> dict[str, Any]:
         "versions": solution.versions,
     }
     return {key: plain(value) for key, value in document.items()}
+
+
+def _strict(solution: Solution) -> dict[str, Any] | None:
+    """The baseline that keeps every limit, with the ratio to it."""
+    strict = solution.strict_baseline
+    if strict is None:
+        return None
+    return {"name": strict.name, **_baseline(strict), "ratio": solution.ratio_to_strict_baseline}
 
 
 def write_result(

@@ -88,9 +88,15 @@ class PlannedMotion:
 
 
 def rivals(
-    problem: TrajectoryProblem, motion: ResolvedMotion, baselines: dict[str, Baseline]
+    problem: TrajectoryProblem,
+    motion: ResolvedMotion,
+    baselines: dict[str, Baseline],
+    strict: Baseline | None = None,
 ) -> list[PlannedMotion]:
-    """The baselines that exist; the quintic one also slowed where it exceeds a limit."""
+    """The baselines that exist; the quintic one also slowed where it exceeds a limit.
+
+    `strict` is the slowed one where it is known already.
+    """
     found = [
         PlannedMotion.of(name, baseline.assessment, baseline.feasible)
         for name, baseline in baselines.items()
@@ -98,7 +104,8 @@ def rivals(
     ]
     quintic = baselines.get("quintic")
     if quintic is not None and not quintic.feasible:
-        slowed = slowed_quintic(problem, motion)
+        known = strict is not None and strict.name == "slowed quintic"
+        slowed = strict.assessment if strict and known else slowed_quintic(problem, motion)
         if slowed is not None:
             shortest, longest = problem.duration
             allowed = shortest <= slowed.duration <= longest
@@ -169,7 +176,7 @@ def with_simulation(problem: TrajectoryProblem, solution: Solution) -> Solution:
         arm = elastic_arm(problem, solution.assessment.position[0])
         counted = solution.assessment.feasible(CERTIFIED)
         own = PlannedMotion.of("optimised", solution.assessment, counted)
-        others = rivals(problem, motion, solution.baselines)
+        others = rivals(problem, motion, solution.baselines, solution.strict_baseline)
         simulation = simulate_motions(problem, arm, [own, *others])
     except KeyboardInterrupt:
         note = (

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stiffopt.baseline.baselines import baselines, better_baseline
+from stiffopt.baseline.baselines import baselines, better_baseline, strict_baseline
 from stiffopt.certificate.objective_value import (
     improvement,
     is_maximised,
@@ -21,6 +21,7 @@ from stiffopt.certificate.objective_value import (
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.errors import NoSolutionFound
 from stiffopt.problem.bounds import check_bounds, shortest_duration
+from stiffopt.problem.files import LoadedProblem
 from stiffopt.problem.formulation import Scales, smoothing_stages
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
@@ -51,10 +52,12 @@ _REFINEMENTS = 3
 _GROWTH = 1.25
 # Of a motor's margin at once: a large excess is a narrow one, and goes with less.
 _LARGEST_STEP = 0.2
+# A tool this far below the base's origin is told [m].
+_BELOW = 0.01
 
 
 def solve(
-    problem: TrajectoryProblem,
+    problem: TrajectoryProblem | LoadedProblem,
     *,
     progress: ProgressCallback | None = None,
     guess: Guess | None = None,
@@ -65,7 +68,8 @@ def solve(
 
     Parameters
     ----------
-    problem : TrajectoryProblem
+    problem : TrajectoryProblem or LoadedProblem
+        The second as `load_problem` returns it.
     progress : callable, optional
         Called with a `SolveProgress` in every iteration.
     guess : Guess, optional
@@ -86,10 +90,12 @@ def solve(
     NoSolutionFound
         With the solution so far, where `throw` is set.
     """
+    if isinstance(problem, LoadedProblem):
+        problem = problem.problem
     motion = resolve(problem)
     if simulate:
         check_simulation(problem, motion)
-    notes = check_bounds(problem, motion)
+    notes = (*problem.remarks, *check_bounds(problem, motion))
     beside = baselines(problem, motion)
     run = SolveRun(problem, motion, _scales(problem, beside), progress)
     needed, why = shortest_duration(problem, motion)
@@ -228,6 +234,7 @@ def _solution(
         and end.status is not SolveStatus.INFEASIBLE
     ):
         ratio = improvement(problem, value.value, rival.objective)
+    strict = None if end.status is SolveStatus.INFEASIBLE else _strict(run, beside)
     return Solution(
         status=end.status,
         message=end.message,
@@ -237,10 +244,35 @@ def _solution(
         baselines=beside,
         ratio_to_better_baseline=ratio,
         solver=_record(run, len(outcome.transcription.intervals)),
-        notes=(*notes, *run.notes),
+        notes=(*notes, *run.notes, *_below_the_base(assessment)),
         inputs_hash=inputs_hash(problem),
         versions=versions(),
+        strict_baseline=strict,
+        ratio_to_strict_baseline=(
+            None
+            if strict is None or strict.objective is None
+            else improvement(problem, value.value, strict.objective)
+        ),
     )
+
+
+def _below_the_base(assessment: Assessment) -> tuple[str, ...]:
+    """A warning where the tool goes lower than the base stands, along the base's z."""
+    lowest = float(assessment.tool[:, 2].min())
+    if lowest > -_BELOW:
+        return ()
+    return (
+        f"The tool goes to {-1e3 * lowest:.0f} mm below the origin of the base (along its z axis)."
+        " Whether there is a floor or a table is not known, and was not checked.",
+    )
+
+
+def _strict(run: SolveRun, beside: dict[str, Baseline]) -> Baseline | None:
+    """The baseline that keeps every limit; not looked for any more after Ctrl-C."""
+    try:
+        return strict_baseline(run.problem, run.motion, beside)
+    except KeyboardInterrupt:
+        return None
 
 
 def _hopeless(

@@ -47,11 +47,12 @@ def add_to_body(robot: Robot, found: EstimatedEffect, joint: int, what: str) -> 
         return RobotChange(None, "it would leave no mass")
     changed = robot.with_inertial_parameters(joint + 1, values)
     body = changed.tree.bodies[joint]
-    centre = ", ".join(f"{1e3 * x:.0f}" for x in body.centre)
+    old, new = (f"({', '.join(f'{1e3 * x:.0f}' for x in each.centre)})" for each in (before, body))
+    mass = f"{before.mass:.4g} to {body.mass:.4g} kg"
+    if f"{before.mass:.4g}" == f"{body.mass:.4g}":
+        mass = f"{body.mass:.4g} kg as before"
     return RobotChange(
-        changed,
-        f"{what} of link {joint + 1}: {before.mass:.4g} to {body.mass:.4g} kg,"
-        f" centre at ({centre}) mm.",
+        changed, f"{what} of link {joint + 1}: {mass}, centre from {old} to {new} mm."
     )
 
 

@@ -48,7 +48,8 @@ from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.extended.schema import EffectSection, ExtendedFile
+from stiffopt.discovery.extended.made_for import require_same_robot
+from stiffopt.discovery.extended.schema import EffectSection, ExtendedFile, MadeForSection
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.files import check_header, load_toml, validate
@@ -71,6 +72,8 @@ class ExtendedModel:
     name : str
         Of the recording set that it comes from.
     joints : tuple of str (n,)
+    robot : MadeForSection or None
+        That it was made for; None where the file does not say.
     nominal : NominalSection
         What it states of the nominal robot.
     chains : tuple of Chain or None (n,), or None
@@ -85,6 +88,7 @@ class ExtendedModel:
     source: str
     name: str
     joints: tuple[str, ...]
+    robot: MadeForSection | None
     nominal: NominalSection
     chains: tuple[Chain | None, ...] | None
     scales: dict[str, tuple[float, ...]]
@@ -106,6 +110,7 @@ class ExtendedModel:
                 f"this model is of {', '.join(self.joints)}, the recordings of"
                 f" {', '.join(recordings.joints)}. Give the model of the same robot.",
             )
+        require_same_robot(self.robot, self.source, self.joints, recordings.robot, recordings.order)
         return recordings.with_nominal(self.nominal, self.source)
 
     def scaled(self, constants: RobotConstants) -> RobotConstants:
@@ -154,6 +159,7 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
         source=str(path),
         name=document.name,
         joints=document.joints,
+        robot=document.robot,
         nominal=document.nominal,
         chains=as_chains(document.nominal, np.array(scales["torque_max"]), Path(path)),
         scales=scales,

@@ -14,6 +14,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.signals import JointConstants
+from stiffopt.discovery.extended.made_for import require_same_robot
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputFileError
@@ -58,7 +59,7 @@ def planner_model(robot: Robot, model: ExtendedModel) -> PlannerModel:
     Raises
     ------
     InputFileError
-        The model's joints are not the robot's.
+        The model was made for another robot.
 
     Notes
     -----
@@ -82,6 +83,7 @@ class _Planner:
         self.robot, self.model = robot, model
         self.own_chains = robot.chains
         self.place = _places(robot, model)
+        require_same_robot(model.robot, model.source, model.joints, robot, self.place)
         self.changes: list[str] = []
         self.left_out: list[str] = []
 

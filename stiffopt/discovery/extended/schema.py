@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from stiffopt.declaration import POSITIVE, Doc
+from stiffopt.declaration import POSITIVE, Doc, Unit
 from stiffopt.files import Section
 from stiffopt.recording.schema import JointTorque, JointVelocity, Names, NominalSection, Ratio
 
@@ -47,6 +47,20 @@ class ScalesSection(Section):
     ]
 
 
+class MadeForSection(Section):
+    """Robot that the model was made for; another one is refused."""
+
+    name: Annotated[str, Doc("Name of the robot.")]
+    lengths: Annotated[
+        tuple[Annotated[float, Unit("length", bare=True)], ...],
+        Doc("From each joint to the next."),
+    ]
+    masses: Annotated[
+        tuple[Annotated[float, Unit("mass", bare=True)], ...],
+        Doc("Of the bodies behind the joints, the last with its payload."),
+    ]
+
+
 class ExtendedFile(Section):
     """The nominal model with what a diagnosis found."""
 
@@ -57,6 +71,7 @@ class ExtendedFile(Section):
         Names, Field(min_length=1), Doc("Joints of the URDF, in the order of every list.")
     ]
     links: Annotated[Names, Field(min_length=1), Doc("Links behind these joints.")]
+    robot: MadeForSection | None = None
     nominal: NominalSection = NominalSection()
     scales: ScalesSection
     calibration: Annotated[

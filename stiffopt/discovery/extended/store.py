@@ -10,6 +10,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.signals import RobotConstants
+from stiffopt.discovery.extended.made_for import made_for
 from stiffopt.recording.schema import NominalSection
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ def extended_text(diagnosis: Diagnosis) -> str:
                 "links": list(constants.links),
             },
         ),
+        _table("robot", made_for(recordings.robot, recordings.order).model_dump()),
         *nominal_tables(recordings.stated),
         _table(
             "scales",

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 from stiffopt.baseline.baselines import better_baseline
 from stiffopt.certificate.objective_value import is_maximised
+from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.problem.objective import OBJECTIVES, ObjectiveKind
-from stiffopt.report.common.text import percent, si, significant, words
+from stiffopt.report.common.text import listed, percent, si, significant, words
 from stiffopt.result.assessment import Violation
 from stiffopt.result.solution import ObjectiveValue, Solution
 
@@ -74,6 +75,47 @@ def difference_text(solution: Solution) -> str:
 
 
 def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
+    """Sentence on the better feasible baseline, and what it was excused from."""
+    return f"{_comparison(problem, solution)}{_excused(problem, solution)}"
+
+
+def _excused(problem: TrajectoryProblem, solution: Solution) -> str:
+    """What the counted baseline exceeds, and the ratio to one that keeps every limit."""
+    better = better_baseline(problem, solution.baselines)
+    if better is None or better.assessment is None or solution.ratio_to_better_baseline is None:
+        return ""
+    exceeded = [v for v in better.assessment.violations if v.value > CERTIFIED]
+    if not exceeded:
+        return ""
+    worst: dict[str, Violation] = {}
+    for each in sorted(exceeded, key=lambda v: -v.value):
+        worst.setdefault(each.limit, each)
+    limits = listed(f"{words(v.limit)} ({violation_text(v)})" for v in worst.values())
+    motion = _motion_of(better.name)
+    text = f" {motion[0].upper()}{motion[1:]} is excused from limits its method cannot take: "
+    return f"{text}{limits}.{_strict(problem, solution)}"
+
+
+def _strict(problem: TrajectoryProblem, solution: Solution) -> str:
+    strict, simulation = solution.strict_baseline, solution.simulation
+    if strict is None or strict.assessment is None:
+        return " No baseline was found that keeps every limit."
+    ratio, how = solution.ratio_to_strict_baseline, ""
+    if simulation is not None and simulation.measure:
+        found = next((m for m in simulation.motions if m.name == strict.name), None)
+        if found is not None and simulation.value(found) > 0.0:
+            ratio = simulation.value(simulation.optimised) / simulation.value(found)
+            how = ", both simulated in flight"
+    if ratio is None:
+        return ""
+    name = "quintic" if strict.name == "slowed quintic" else strict.name
+    slowed = "" if name == strict.name else f", slowed to {si(strict.assessment.duration, 's', 3)}"
+    term = problem.objectives[0].name if len(problem.objectives) == 1 else ""
+    how_much = amount(ratio, term, is_maximised(problem))
+    return f" {how_much} {_motion_of(name)}{slowed}, which keeps every limit{how}."
+
+
+def _comparison(problem: TrajectoryProblem, solution: Solution) -> str:
     """Sentence on the better feasible baseline, both simulated where a deflection is minimised."""
     simulation = solution.simulation
     if simulation is not None and simulation.ratio_to_better_baseline is not None:

@@ -1,0 +1,105 @@
+"""Angles and lengths that are most likely in another unit: questioned by name before a solve."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from stiffopt.errors import ProblemError
+from stiffopt.problem.trajectory import Target, TrajectoryProblem
+from stiffopt.robot.robot import Robot
+
+_TURN = 2.0 * np.pi
+# A tool or a centre of mass so many reaches of the arm away is in another unit.
+_FAR = 2.0
+
+
+def check_plausible(problem: TrajectoryProblem) -> None:
+    """Raise `ProblemError` where an angle or a length cannot be meant in rad or m.
+
+    Angles beyond a turn, unless the joint's own range holds them; positions beyond the arm's reach;
+    a tool or a centre of mass much farther out than the arm is long.
+    """
+    robot = problem.robot
+    reach = reach_of(robot)
+    _check_robot(robot)
+    for where, target in _targets(problem):
+        if target.rpy is not None:
+            for k in np.flatnonzero(np.abs(target.rpy) > _TURN + 1e-9):
+                raise ProblemError(_more_than_a_turn(f"{where}.rpy[{k + 1}]", target.rpy[k]))
+        for key in ("joints", "near"):
+            angles = getattr(target, key)
+            if angles is not None and angles.shape == (problem.joints,):
+                _check_angles(problem, f"{where}.{key}", angles)
+        if target.position is not None:
+            distance = float(np.linalg.norm(target.position))
+            if distance > reach * 1.001:
+                raise ProblemError(
+                    f"{where}.position = {_listed(target.position)} m lies {distance:.4g} m from"
+                    f" the base; {robot.name} with its tool reaches no farther than {reach:.4g} m."
+                    f" Lengths are in m: was {_listed(target.position)} mm meant? Then write"
+                    f' texts such as "{target.position[0]:g} mm".'
+                )
+    if problem.path is not None and problem.path.ndim == 2:
+        for number, angles in enumerate(problem.path, start=1):
+            if angles.shape == (problem.joints,):
+                _check_angles(problem, f"motion.path[{number}]", angles)
+
+
+def reach_of(robot: Robot) -> float:
+    """Distance from the base that the tool cannot exceed [m]; infinite on an endless slide."""
+    way = 0.0
+    for j, body in enumerate(robot.tree.bodies):
+        way += float(np.linalg.norm(body.translation))
+        if body.prismatic:
+            way += max(abs(robot.position_lower[j]), abs(robot.position_upper[j]))
+    return way + float(np.linalg.norm(robot.tool.offset))
+
+
+def _targets(problem: TrajectoryProblem) -> Iterator[tuple[str, Target]]:
+    yield "motion.start", problem.start
+    for number, via in enumerate(problem.vias, start=1):
+        yield f"motion.via[{number}]", via
+    yield "motion.end", problem.end
+
+
+def _check_angles(problem: TrajectoryProblem, where: str, angles: np.ndarray) -> None:
+    limits = problem.active_limits
+    for j in np.flatnonzero(np.abs(angles) > _TURN + 1e-9):
+        low, high = limits.position_lower[j], limits.position_upper[j]
+        if problem.robot.prismatic[j] or (np.isfinite(high - low) and low <= angles[j] <= high):
+            continue
+        name = problem.robot.joint_names[j]
+        raise ProblemError(_more_than_a_turn(f"{where}[{j + 1}] ({name})", float(angles[j])))
+
+
+def _more_than_a_turn(where: str, value: float) -> str:
+    return (
+        f"{where} = {value:g} rad is more than a whole turn. A bare number is in rad: for degrees"
+        f' write "{value:g} deg" (in Python, numpy.radians({value:g})).'
+    )
+
+
+def _check_robot(robot: Robot) -> None:
+    arm = reach_of(robot) - float(np.linalg.norm(robot.tool.offset))
+    if not 0.0 < arm < np.inf:
+        return
+    tool = float(np.linalg.norm(robot.tool.offset))
+    if tool > _FAR * arm:
+        raise ProblemError(
+            f"tool.offset: the tool lies {tool:.4g} m from its joint, the whole arm of {robot.name}"
+            f' is {arm:.4g} m long. Lengths are in m; for millimetres write "78.5 mm".'
+        )
+    for j, body in enumerate(robot.tree.bodies, start=1):
+        far = float(np.linalg.norm(body.centre))
+        if body.mass > 0.0 and far > _FAR * arm:
+            raise ProblemError(
+                f"the centre of mass behind joint {j} ({body.name}), payload included, lies"
+                f" {far:.4g} m from the joint; the whole arm is {arm:.4g} m long. Lengths are in m:"
+                " look at payload.com and at the URDF."
+            )
+
+
+def _listed(values: np.ndarray) -> str:
+    return "[" + ", ".join(f"{value:g}" for value in values) + "]"
