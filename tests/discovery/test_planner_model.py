@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.catalogue.robot_change import ADDED
 from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.extended.made_for import made_for
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.extended.planner_model import joint_constants, planner_model
 from stiffopt.errors import InputFileError
@@ -182,6 +184,32 @@ def test_settled_belt_is_a_spring_in_series(arm: Robot, model: ExtendedModel) ->
     )
 
 
+def test_the_model_of_another_robot_is_refused_and_says_whose_it_is(arm: Robot, tmp_path) -> None:
+    """A UR10's and an ER3A's joints are as many."""
+    ur10 = load_robot("ur10")
+    names = tuple(f"j{k}" for k in range(1, 7))
+    other = extended(tmp_path, names, ur10.torque_max)
+    with pytest.raises(
+        InputFileError, match=r"this model is of j1, .*er3a_c60_contact has joint_1"
+    ):
+        planner_model(arm, other)
+    stated = replace(other, joints=arm.joint_names, robot=made_for(ur10, range(6)))
+    with pytest.raises(InputFileError, match=r"made for the robot ur10 .*not for er3a_c60_contact"):
+        planner_model(arm, stated)
+    own = replace(other, robot=made_for(arm.with_payload(1.0), range(6)))
+    assert planner_model(arm, own).robot.n == 6
+
+
+def test_masses_that_stay_are_not_told_as_a_change(arm: Robot, model: ExtendedModel) -> None:
+    moved = found(model, "inertial_error", (0.0, 0.01, 0.0, 0.0, *[0.0] * 6), link=4)
+    (sentence,) = planner_model(arm, moved).changes
+    assert "kg as before, centre from (0, 1, 0) to (18, 1, 0) mm" in sentence
+    heavier = found(model, "inertial_error", (0.5, 0.01, 0.0, 0.0, *[0.0] * 6), link=4)
+    (sentence,) = planner_model(arm, heavier).changes
+    before, after = re.search(r"([0-9.]+) to ([0-9.]+) kg", sentence).groups()
+    assert float(after) - float(before) == pytest.approx(0.5, abs=1e-3)
+
+
 def test_what_no_planner_knows_is_named(arm: Robot, model: ExtendedModel) -> None:
     changed = planner_model(arm, found(model, "torque_offset", (0.5,), joint=1))
     assert changed.left_out == ("torque_offset of joint 2",)
@@ -198,7 +226,7 @@ def test_solve_with_a_model_shows_the_change(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One command: planned without and with what was found, and the change in deflection."""
-    model = extended(tmp_path, ("shoulder", "elbow"), np.array([120.0, 60.0]))
+    model = extended(tmp_path, ("joint_1", "joint_2"), np.array([120.0, 60.0]))
     text = Path(model.source).read_text() + (
         '[[effect]]\nname = "belt_creep"\njoint = 1\n'
         "[effect.term]\nC_now = 1e-4\nC_creep = 0.0\ntau_r = 0.1\n"

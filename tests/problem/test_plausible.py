@@ -1,0 +1,110 @@
+"""Angles and lengths in another unit are questioned by name; what was left open is told."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from small_arms import ROOT
+
+from stiffopt import Objective, Target, TrajectoryProblem, load_problem, load_robot, solve
+from stiffopt.baseline.baselines import baselines, strict_baseline
+from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.cli import run
+from stiffopt.errors import ProblemError
+from stiffopt.problem.plausible import check_plausible, reach_of
+from stiffopt.problem.resolve import resolve
+from stiffopt.report.solve.wording import comparison
+
+PROBLEM = ROOT / "problems" / "er3a_pick_and_place.toml"
+
+
+def changed(tmp_path, old: str, new: str):
+    text = PROBLEM.read_text()
+    assert old in text
+    path = tmp_path / "p.toml"
+    path.write_text(text.replace(old, new, 1))
+    return path
+
+
+def problem(start: Target, robot=None) -> TrajectoryProblem:
+    return TrajectoryProblem(
+        robot=robot or load_robot("er3a_c60"),
+        start=start,
+        end=Target(joints=np.zeros(6)),
+        duration=(1.0, 1.0),
+        objectives=(Objective(name="torque_squared"),),
+    )
+
+
+def test_bare_degrees_in_a_file_are_no_radians(tmp_path, capsys):
+    rpy = re.search(r"rpy = \[.*?\]", PROBLEM.read_text())[0]
+    path = changed(tmp_path, rpy, "rpy = [180, 0, 0]")
+    assert run(["solve", str(path), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "motion.start.rpy[1] = 180 rad is more than a whole turn" in said
+    assert 'write "180 deg"' in said
+
+
+def test_joints_beyond_a_turn_are_asked_about_unless_the_joint_may():
+    with pytest.raises(ProblemError, match=r"motion.start.joints\[2\] \(joint_2\) = 90 rad"):
+        check_plausible(problem(Target(joints=[0, 90, 0, 0, 0, 0])))
+    check_plausible(problem(Target(joints=[0, 0, 0, 0, 0, 2 * np.pi])))
+
+
+def test_millimetres_are_no_metres():
+    with pytest.raises(ProblemError, match=r"lies 430.* m from the base.*350 mm"):
+        check_plausible(problem(Target(position=[350, 0, 250])))
+    robot = load_robot("er3a_c60")
+    with pytest.raises(ProblemError, match=r"tool.offset: the tool lies 78"):
+        check_plausible(problem(Target(joints=np.zeros(6)), robot.with_tool(offset=[0, 0, 78.5])))
+    heavy = robot.with_payload(1.0, [0.0, 0.0, 50.0])
+    with pytest.raises(ProblemError, match=r"payload\.com"):
+        check_plausible(problem(Target(joints=np.zeros(6)), heavy))
+    assert 0.8 < reach_of(robot) < 2.0
+
+
+def test_a_payload_without_inertia_is_told(tmp_path):
+    inertia = re.search(r"\ninertia = .*", PROBLEM.read_text())[0]
+    loaded = load_problem(changed(tmp_path, inertia, ""))
+    assert "taken as a point" in loaded.problem.remarks[0]
+    assert load_problem(PROBLEM).problem.remarks == ()
+
+
+def test_what_load_problem_gives_can_be_solved_at_once():
+    solution = solve(load_problem(ROOT / "problems" / "two_link.toml"))
+    assert solution.status.usable
+    assert solution.strict_baseline.name == "toppra"
+
+
+def test_the_strict_baseline_keeps_every_limit():
+    stated = load_problem(PROBLEM).problem
+    motion = resolve(stated)
+    beside = baselines(stated, motion)
+    assert not beside["toppra"].assessment.feasible(CERTIFIED)
+    strict = strict_baseline(stated, motion, beside)
+    assert strict.name == "slowed quintic"
+    assert strict.assessment.feasible(CERTIFIED)
+    assert strict.assessment.duration > 0.6
+    assert not strict.feasible
+
+
+@pytest.mark.slow
+def test_a_baseline_that_is_excused_is_said_to_be(solution_of_two_baselines):
+    stated, solution = solution_of_two_baselines
+    text = comparison(stated, solution)
+    assert "toppra's motion is excused from limits its method cannot take: jerk" in text.lower()
+    assert "the quintic motion, slowed to" in text
+    assert "which keeps every limit" in text
+
+
+@pytest.fixture(scope="module")
+def solution_of_two_baselines():
+    """Of few intervals: only the sentence matters."""
+    from dataclasses import replace
+
+    from stiffopt.problem.trajectory import Method
+
+    stated = replace(load_problem(PROBLEM).problem, method=Method(intervals=20, max_iterations=60))
+    return stated, solve(stated, throw=False)
