@@ -341,8 +341,11 @@ def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
     except OSError as error:
         raise InputFileError(path, "", f"cannot be written: {error.strerror}.") from error
     try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(binary)
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(binary)
+        except OSError as error:  # no space left
+            raise InputFileError(path, "", f"cannot be written: {error.strerror}.") from error
         # mkstemp makes files private; give the mode that open() would have given.
         mask = os.umask(0)
         os.umask(mask)

@@ -17,6 +17,8 @@ from stiffopt.result.store import trajectory_columns
 
 PEAK = 'objective = "dynamic_deflection"'
 
+RESULT = ["manifest.json", "report.html", "result.json", "trajectory.csv"]
+
 
 @pytest.fixture(scope="module")
 def solved(tmp_path_factory):
@@ -27,10 +29,10 @@ def solved(tmp_path_factory):
     return code, folder / "out"
 
 
-def test_solve_writes_its_three_files_and_no_more(solved):
+def test_solve_writes_its_files_and_no_more(solved):
     code, out = solved
     assert code == 0
-    assert sorted(p.name for p in out.iterdir()) == ["report.html", "result.json", "trajectory.csv"]
+    assert sorted(p.name for p in out.iterdir()) == RESULT
 
 
 def test_result_file(solved):
@@ -218,4 +220,4 @@ def test_interrupt_keeps_the_best_motion(tmp_path):
         rows = list(csv.reader(stream))
     assert {len(row) for row in rows} == {len(trajectory_columns(3))}
     assert (out / "report.html").read_text().rstrip().endswith("</html>")
-    assert sorted(p.name for p in out.iterdir()) == ["report.html", "result.json", "trajectory.csv"]
+    assert sorted(p.name for p in out.iterdir()) == RESULT

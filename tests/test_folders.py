@@ -1,62 +1,174 @@
-"""Folders for results: nothing half written, nothing left behind."""
+"""Folders for results: all files of a run or none, and nothing of anybody else's lost."""
+
+import json
+import os
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
+from stiffopt import folders
 from stiffopt.errors import InputFileError
-from stiffopt.folders import output_folder, staged
+from stiffopt.folders import MANIFEST, check_result, output_folder
 
 
 def tree(path):
-    return {p.relative_to(path).as_posix(): p.read_text() for p in path.rglob("*") if p.is_file()}
+    """Text by name of what a user sees; nothing hidden may stay."""
+    files = {p.relative_to(path).as_posix(): p for p in path.rglob("*") if p.is_file()}
+    assert not [name for name in files if name.startswith(".")], files
+    return {name: p.read_text() for name, p in files.items() if name != MANIFEST}
 
 
-def interrupted(*files):
-    for file in files:
-        file.write_text("new")
-    raise KeyboardInterrupt
+def write(path, command="solve", of="", **files):
+    """One run of a command: files by stem, all of them .txt."""
+    with output_folder(path, command, of=of) as stage:
+        for name, text in files.items():
+            (stage / f"{name}.txt").write_text(text)
+
+
+def killed(path, moves, **files):
+    """A run that is killed after some of its renames."""
+    plain, count = os.replace, 0
+
+    def replace(source, target):
+        nonlocal count
+        if count == moves:
+            os._exit(9)
+        plain(source, target)
+        count += 1
+
+    if pid := os.fork():
+        return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    try:
+        os.replace = replace
+        write(path, **files)
+    finally:
+        os._exit(0)
 
 
 def test_a_folder_that_stays_empty_is_removed_with_those_above_it(tmp_path):
-    with pytest.raises(KeyboardInterrupt), output_folder(tmp_path / "a" / "b"):
-        interrupted()
+    with pytest.raises(KeyboardInterrupt), output_folder(tmp_path / "a" / "b", "solve"):
+        raise KeyboardInterrupt
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_in_the_way(tmp_path):
+@pytest.mark.parametrize("name", ["a", "a/b", "\0"])
+def test_a_file_in_the_way(tmp_path, name):
     (tmp_path / "a").write_text("")
-    with pytest.raises(InputFileError, match="cannot be written"), output_folder(tmp_path / "a"):
+    with (
+        pytest.raises(InputFileError, match=r"cannot be written|no name of a folder"),
+        output_folder(tmp_path / name, "solve"),
+    ):
         pass
+    assert [p.name for p in tmp_path.iterdir()] == ["a"]
 
 
 def test_files_appear_together(tmp_path):
-    with staged(tmp_path, last="z.json") as stage:
+    with output_folder(tmp_path, "solve") as stage:
         (stage / "z.json").write_text("new")
         (stage / "figures").mkdir()
         (stage / "figures" / "one.svg").write_text("svg")
-        assert tree(tmp_path).keys().isdisjoint({"z.json", "figures/one.svg"})
+        assert [p.name for p in tmp_path.iterdir() if not p.name.startswith(".")] == []
     assert tree(tmp_path) == {"z.json": "new", "figures/one.svg": "svg"}
+    assert set(json.loads((tmp_path / MANIFEST).read_text())["files"]) == set(tree(tmp_path))
 
 
 def test_an_interruption_leaves_what_was_there(tmp_path):
-    (tmp_path / "z.json").write_text("old")
-    with pytest.raises(KeyboardInterrupt), staged(tmp_path, last="z.json") as stage:
-        interrupted(stage / "z.json")
-    assert tree(tmp_path) == {"z.json": "old"}
-    assert len(list(tmp_path.iterdir())) == 1
+    write(tmp_path, a="old")
+    with suppress(KeyboardInterrupt), output_folder(tmp_path, "solve") as stage:
+        (stage / "a.txt").write_text("new")
+        raise KeyboardInterrupt
+    assert tree(tmp_path) == {"a.txt": "old"}
 
 
-def test_the_last_file_is_missing_while_the_others_change(tmp_path, monkeypatch):
-    from pathlib import Path
+def test_what_the_new_answer_has_not_goes_with_the_old(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    write(tmp_path, a="old", b="old")
+    write(tmp_path, "simulate", of="solve", c="of the old")
+    write(tmp_path, "preload", d="of another command")
+    write(tmp_path, a="new")
+    assert tree(tmp_path) == {
+        "a.txt": "new", "d.txt": "of another command", "notes.txt": "mine"
+    }  # fmt: skip
 
-    (tmp_path / "z.json").write_text("old")
-    moved, plain = [], Path.replace
 
-    def watched(self, target):
-        moved.append((self.name, (tmp_path / "z.json").exists()))
-        return plain(self, target)
+def test_a_users_own_files_are_kept(tmp_path, capsys):
+    (tmp_path / "a.txt").write_text("mine")
+    write(tmp_path, a="one", b="one")
+    assert "a.txt.kept" in capsys.readouterr().err
+    (tmp_path / "b.txt").write_text("edited")
+    write(tmp_path, a="two")
+    write(tmp_path, a="three")
+    assert tree(tmp_path) == {"a.txt": "three", "a.txt.kept": "mine", "b.txt.kept": "edited"}
 
-    monkeypatch.setattr(Path, "replace", watched)
-    with staged(tmp_path, last="z.json") as stage:
-        (stage / "z.json").write_text("new")
-        (stage / "zz.npz").write_text("other")
-    assert moved == [("zz.npz", False), ("z.json", False)]
+
+@pytest.mark.parametrize("moves", range(10))
+def test_killed_between_renames(tmp_path, moves):
+    """Never old beside new; what was begun is ended by whoever comes next, and cleared."""
+    old, new = dict.fromkeys("abc", "old"), dict.fromkeys("abd", "new")
+    (tmp_path / "notes.txt").write_text("mine")
+    write(tmp_path, **old)
+    code = killed(tmp_path, moves, **new)
+    seen = {p.name: p.read_text() for p in tmp_path.iterdir() if p.suffix == ".txt"}
+    assert seen.pop("notes.txt") == "mine"
+    assert len(set(seen.values())) <= 1
+    assert code == 9 or seen == {f"{name}.txt": "new" for name in new}
+    with pytest.raises(InputFileError), output_folder(tmp_path, "other"):
+        raise InputFileError(tmp_path, "", "the next command fails.")
+    ended = tree(tmp_path)
+    assert ended.pop("notes.txt") == "mine"
+    assert ended in ({f"{n}.txt": t for n, t in answer.items()} for answer in (old, new))
+    check_result(tmp_path, *ended)
+
+
+def test_two_processes_never_mix(tmp_path):
+    program = (
+        "import sys; from pathlib import Path; from stiffopt.folders import output_folder\n"
+        "with output_folder(Path(sys.argv[1]), 'solve'): print('in', flush=True); input()"
+    )
+    other = subprocess.Popen(
+        [sys.executable, "-c", program, str(tmp_path / "out")],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert other.stdout.readline() == "in\n"
+    with pytest.raises(InputFileError, match="another stiffopt is writing"):
+        write(tmp_path / "out", a="mine")
+    other.communicate("\n")
+    write(tmp_path / "out", a="mine")
+    assert tree(tmp_path / "out") == {"a.txt": "mine"}
+
+
+def test_a_tampered_or_mixed_folder_is_told(tmp_path):
+    check_result(tmp_path, "a.txt")  # of an earlier version: without manifest
+    write(tmp_path, a="one", b="one")
+    check_result(tmp_path, "a.txt", "b.txt")
+    (tmp_path / "c.txt").write_text("of another run")
+    with pytest.raises(InputFileError, match=r"c\.txt: is of another run"):
+        check_result(tmp_path, "a.txt", "c.txt")
+    (tmp_path / "b.txt").write_text("two")
+    with pytest.raises(InputFileError, match=r"b\.txt: was changed since `stiffopt solve`"):
+        check_result(tmp_path, "a.txt", "b.txt")
+    (tmp_path / MANIFEST).write_text('{"files": {"../x": {"by": "solve", "sha256": ""}}}')
+    with pytest.raises(InputFileError, match="no manifest of stiffopt"):
+        check_result(tmp_path, "a.txt")
+    with pytest.raises(InputFileError, match="no manifest of stiffopt"):
+        write(tmp_path, a="three")
+    assert (tmp_path / "a.txt").read_text() == "one"
+
+
+def test_no_space_left(tmp_path, monkeypatch):
+    from stiffopt.files import atomic_write
+
+    write(tmp_path, a="old")
+    full = Path("/dev/full").open("wb", buffering=0)  # noqa: SIM115
+    monkeypatch.setattr(folders.os, "fdopen", lambda *_: full)
+    with (
+        pytest.raises(InputFileError, match=r"a\.txt: cannot be written: No space left") as error,
+        output_folder(tmp_path, "solve") as stage,
+    ):
+        atomic_write(stage / "a.txt", "new")
+    assert error.value.path == str(tmp_path / "a.txt")
+    monkeypatch.undo()
+    assert tree(tmp_path) == {"a.txt": "old"}

@@ -143,6 +143,7 @@ def _assessed(
         objective=objective_value(problem, assessment).value,
         feasible=not counted and not moving,
         reason=reason,
+        trajectory=baseline.motion,
     )
 
 

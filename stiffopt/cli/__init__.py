@@ -11,16 +11,19 @@ from collections.abc import Sequence
 
 from cyclopts import CycloptsError
 
+from stiffopt import folders
+
 # In the order in which help lists them; importing registers them.
 from stiffopt.cli import cache, exports, motions, recordings, schemas, swings
 from stiffopt.cli.base import app
 from stiffopt.errors import InputError, NoSolutionFound
 
-__all__ = ["app", "cache", "exports", "main", "motions", "recordings", "run", "schemas", "swings"]
+__all__ = ["app", "cache", "exports", "motions", "recordings", "run", "schemas", "swings"]
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command line; return its exit code. Errors of the user become one message."""
+    folders.written.clear()
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     try:
         code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
@@ -31,15 +34,12 @@ def run(arguments: Sequence[str] | None = None) -> int:
         print(f"stiffopt: {error}", file=sys.stderr)
         return 3
     except KeyboardInterrupt:
-        print("stiffopt: interrupted; nothing was written.", file=sys.stderr)
+        kept = " and ".join(map(str, folders.written))
+        said = f"{kept} was written before." if kept else "nothing was written."
+        print(f"stiffopt: interrupted; {said}", file=sys.stderr)
         return 130
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         print(f"stiffopt: {place}{error.strerror or error}", file=sys.stderr)
         return 2
     return code if isinstance(code, int) else 0
-
-
-def main() -> None:
-    """Entry point of the `stiffopt` command."""
-    sys.exit(run())

@@ -41,8 +41,9 @@ def export(
     if to not in FORMATS:
         raise InputError(f"--to {to}: unknown format. {nearest(to, list(FORMATS))}")
     texts = FORMATS[to].export(read_motion(result, of), rate)
-    with output_folder(out or result) as folder:
+    folder = out or result
+    with output_folder(folder, f"export --to {to}", of="solve") as stage:
         for name, text in texts.items():
-            atomic_write(folder / name, text)
+            atomic_write(stage / name, text)
     print(f"Wrote {', '.join(str(folder / name) for name in texts)}")
     return 0

@@ -61,7 +61,8 @@ def solve(
         from stiffopt.discovery.extended.planner_solve import read_model, solve_extended
 
         found = read_model(model, effects)
-    with output_folder(out or Path("out") / problem.stem) as folder:
+    folder = out or Path("out") / problem.stem
+    with output_folder(folder, "solve") as stage:
         with _progress(stated, quiet) as progress, _about(problem):
             if found is None:
                 solution = optimise(stated, progress=progress, throw=False, simulate=True)
@@ -72,9 +73,9 @@ def solve(
         if solution.trajectory is not None:
             times = export_times(solution.trajectory.duration)
             exported = assess(stated, solution.trajectory, times=times)
-            write_trajectory(exported, folder)
-        write_solve_report(stated, solution, folder)
-        write_result(solution, folder, problem, stated=stated)
+            write_trajectory(exported, stage)
+        write_solve_report(stated, solution, stage)
+        write_result(solution, stage, problem, home=folder, stated=stated)
     print_solution(stated, solution, folder)
     return solution.status.exit_code
 
@@ -101,7 +102,8 @@ def preload(study: Path, *, out: Out | None = None, quiet: bool = False) -> int:
     from stiffopt.report.preload.terminal import print_study
 
     loaded = load_study(study)
-    with output_folder(out or Path("out") / study.stem) as folder:
+    folder = out or Path("out") / study.stem
+    with output_folder(folder, "preload") as stage:
         with _named_progress(loaded.problem.title, quiet) as display, _about(study):
             result = preload_study(
                 loaded.problem,
@@ -110,9 +112,9 @@ def preload(study: Path, *, out: Out | None = None, quiet: bool = False) -> int:
                 front_points=loaded.front_points,
                 progress=_study_progress(display),
             )
-        write_preload_report(result, folder)
-        write_curves(result, folder)
-        write_study(result, folder)
+        write_preload_report(result, stage)
+        write_curves(result, stage)
+        write_study(result, stage)
     print_study(result, folder)
     return result.status.exit_code
 
@@ -165,11 +167,12 @@ def stiffness(robot: str, *, out: Out | None = None, drivetrain: Path | None = N
     from stiffopt.robot.stiffness_study import stiffness_study, write_stiffness_csv
 
     arm = load_robot(robot, drivetrain)
-    with output_folder(out or Path("out") / f"stiffness_{arm.name}") as folder:
+    folder = out or Path("out") / f"stiffness_{arm.name}"
+    with output_folder(folder, "stiffness") as stage:
         rows = stiffness_study(arm)
-        write_stiffness_csv(rows, folder / "stiffness.csv")
-        page = write_stiffness_report(arm, rows, folder)
-    print(f"Wrote {folder / 'stiffness.csv'} and {page}")
+        write_stiffness_csv(rows, stage / "stiffness.csv")
+        page = write_stiffness_report(arm, rows, stage)
+    print(f"Wrote {folder / 'stiffness.csv'} and {folder / page.name}")
     return 0
 
 

@@ -10,7 +10,7 @@ from cyclopts import App, Parameter
 
 from stiffopt.cli.base import Out, app, print_json
 from stiffopt.errors import InputFileError
-from stiffopt.folders import output_folder, staged
+from stiffopt.folders import output_folder
 
 recording = App(name="recording", help="Look at recordings before they are used.")
 app.command(recording)
@@ -57,8 +57,7 @@ def diagnose(
         No progress display.
     """
     from stiffopt.discovery.diagnose import diagnose as find
-    from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
-    from stiffopt.discovery.store import ANSWER_FILE, write_diagnosis
+    from stiffopt.discovery.store import write_diagnosis
     from stiffopt.recording.recording_set import load_recordings
     from stiffopt.report.common.progress import StepDisplay
     from stiffopt.report.diagnosis.terminal import print_diagnosis
@@ -70,7 +69,7 @@ def diagnose(
         raise InputFileError(
             chosen, "", f"lies in the recording set {home}, which is only read. Give another --out."
         )
-    with output_folder(chosen) as folder:
+    with output_folder(chosen, "diagnose") as stage:
         with nullcontext() if quiet else StepDisplay(loaded.title) as progress:
             found = find(
                 loaded,
@@ -80,18 +79,12 @@ def diagnose(
                 progress=progress,
                 despite_doubts=despite_doubts,
             )
-        # A motion designed by an earlier diagnosis is none of this one's.
-        (folder / EXPERIMENT_FILE).unlink(missing_ok=True)
-        with staged(folder, last=ANSWER_FILE) as stage:
-            if report:
-                from stiffopt.report.diagnosis.page import write_diagnosis_report
+        if report:
+            from stiffopt.report.diagnosis.page import write_diagnosis_report
 
-                write_diagnosis_report(found, stage, png=png)
-            write_diagnosis(found, stage)
-        if not report:
-            # Nor does the page of an earlier diagnosis stand beside another answer.
-            (folder / "report.html").unlink(missing_ok=True)
-    print_diagnosis(found, folder)
+            write_diagnosis_report(found, stage, png=png)
+        write_diagnosis(found, stage)
+    print_diagnosis(found, chosen)
     return 0
 
 
@@ -170,9 +163,10 @@ def identify_stiffness(recordings: Path, *, out: Out | None = None) -> int:
     from stiffopt.report.identification.terminal import print_static
 
     recorded = load_static_set(recordings)
-    with output_folder(out or Path("out") / recorded.path.resolve().parent.name) as folder:
+    folder = out or Path("out") / recorded.path.resolve().parent.name
+    with output_folder(folder, "identify-stiffness") as stage:
         result = identify(recorded)
-        write_static_report(result, folder)
-        write_static(result, folder)
+        write_static_report(result, stage)
+        write_static(result, stage)
     print_static(result, folder)
     return 0

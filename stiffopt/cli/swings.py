@@ -68,10 +68,11 @@ def simulate(
         raise InputError(
             f"{stored.problem.robot.name} is rigid: no joint has a drivetrain that could yield."
         )
-    with output_folder(out or result) as folder:
+    folder = out or result
+    with output_folder(folder, "simulate", of="solve") as stage:
         arm = elastic_arm(stored.problem, stored.optimised.position[0])
         found = simulate_motions(stored.problem, arm, stored.motions(), servo=servo, band=settled)
-        path = write_simulation(found, folder)
+        path = folder / write_simulation(found, stage).name
     print_simulation(found)
     print(f"Wrote {path} and {path.with_suffix('.csv')}")
     return 0
@@ -106,11 +107,12 @@ def modes(
             raise InputError("a folder of a solve has its own poses: leave --at out.")
         stored = read_result(path)
         rows = modes_along(stored.problem.robot, stored.optimised.time, stored.optimised.position)
-        with output_folder(out or path) as folder:
-            write_modes_csv(rows, folder / "modes.csv")
-            figure = write_modes_figure(rows, folder / "modes.svg")
+        folder = out or path
+        with output_folder(folder, "modes", of="solve") as stage:
+            write_modes_csv(rows, stage / "modes.csv")
+            figure = write_modes_figure(rows, stage / "modes.svg")
         print_modes([rows[0], rows[len(rows) // 2], rows[-1]])
-        print(f"Wrote {folder / 'modes.csv'} and {figure}")
+        print(f"Wrote {folder / 'modes.csv'} and {folder / figure.name}")
         return 0
     robot, poses = _poses(source, at)
     print_modes(modes_at(robot, poses))

@@ -85,15 +85,23 @@ def optimise_preloads(
         No preload meets the requirements, with the reason; `solution` holds the best reachable.
     """
     cases = with_worst_instants(problem, problem.load_cases, PreloadModel(problem).design)
-    for _ in range(WORST_INSTANT_ROUNDS):
-        model = PreloadModel(problem, cases)
-        solution = _solve(model, progress)
-        if not solution.status.usable:
-            break
-        more = with_worst_instants(problem, cases, solution.vector)
-        if len(more) == len(cases):
-            break
-        cases = more
+    solution = _solve(PreloadModel(problem, cases), progress)
+    try:
+        for _ in range(WORST_INSTANT_ROUNDS - 1):
+            if not solution.status.usable:
+                break
+            more = with_worst_instants(problem, cases, solution.vector)
+            if len(more) == len(cases):
+                break
+            cases = more
+            solution = _solve(PreloadModel(problem, cases), progress)
+    except KeyboardInterrupt:
+        solution = replace(
+            solution,
+            status=SolveStatus.INTERRUPTED,
+            message="Stopped by the user; the best preloads so far are kept. They are not checked "
+            "against every instant of the motion.",
+        )
     if throw and not (solution.status.usable or solution.status is SolveStatus.INTERRUPTED):
         raise NoSolutionFound(solution.message, solution)
     return solution

@@ -47,6 +47,8 @@ class PreloadStudy:
         None unless the study has [choose].
     motion : MotionStudy or None
         None unless the study has [motion].
+    stopped : bool
+        Ctrl-C ended it between solves; the parts that were not done are None.
     seconds : float
     versions : dict of str
     """
@@ -59,6 +61,7 @@ class PreloadStudy:
     front: ParetoFront | None = None
     choice: CatalogueChoice | None = None
     motion: MotionStudy | None = None
+    stopped: bool = False
     seconds: float = 0.0
     versions: dict[str, str]
 
@@ -66,6 +69,7 @@ class PreloadStudy:
     def status(self) -> SolveStatus:
         """Of the whole study: interrupted where any part of it was."""
         parts = (
+            self.stopped,
             self.solution.status is SolveStatus.INTERRUPTED,
             self.front is not None and self.front.interrupted,
             self.motion is not None and self.motion.status is SolveStatus.INTERRUPTED,
@@ -107,13 +111,17 @@ def preload_study(
     go_on = solution.status is not SolveStatus.INTERRUPTED
     usable = solution.status.usable
     front = choice = together = None
-    if usable and front_points:
-        front = pareto_front(problem, solution.cases, points=front_points, progress=progress)
-        go_on = not front.interrupted
-    if go_on and problem.choose is not None:
-        choice = choose_design(fixed, progress=progress)
-    if go_on and usable and motion is not None:
-        together = motion_study(problem, motion, rounds=rounds, progress=progress)
+    stopped = False
+    try:
+        if usable and front_points:
+            front = pareto_front(problem, solution.cases, points=front_points, progress=progress)
+            go_on = not front.interrupted
+        if go_on and problem.choose is not None:
+            choice = choose_design(fixed, progress=progress)
+        if go_on and usable and motion is not None:
+            together = motion_study(problem, motion, rounds=rounds, progress=progress)
+    except KeyboardInterrupt:  # the parts that are done are kept
+        stopped = True
     return PreloadStudy(
         problem=problem,
         solution=solution,
@@ -123,6 +131,7 @@ def preload_study(
         front=front,
         choice=choice,
         motion=together,
+        stopped=stopped,
         seconds=time.perf_counter() - begin,
         versions=versions(),
     )

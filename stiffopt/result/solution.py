@@ -39,6 +39,7 @@ class Baseline:
     objective: float | None
     feasible: bool
     reason: str
+    trajectory: Trajectory | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

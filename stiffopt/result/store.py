@@ -16,6 +16,7 @@ import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import atomic_write, load_json, plain, write_csv
+from stiffopt.folders import check_result
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
 from stiffopt.result.simulation import ElasticMotion, Simulation
 from stiffopt.result.solution import Baseline, ObjectiveValue, Solution
@@ -76,6 +77,7 @@ def write_result(
     problem: str | Path | None = None,
     *,
     stated: TrajectoryProblem | None = None,
+    home: str | Path | None = None,
 ) -> Path:
     """Write result.json into `directory`; return its path.
 
@@ -87,6 +89,8 @@ def write_result(
         File that was solved; kept relative to the folder, so that both can move together.
     stated : TrajectoryProblem, optional
         Its title and the names of its joints go with the motion.
+    home : path, optional
+        Folder where the file will lie, where it is another than `directory`.
     """
     document = result_document(solution)
     if stated is not None:
@@ -96,7 +100,7 @@ def write_result(
             for name, slides in zip(stated.robot.joint_names, stated.robot.prismatic, strict=True)
         ]
     if problem is not None:
-        document["problem"] = Path(os.path.relpath(problem, directory)).as_posix()
+        document["problem"] = Path(os.path.relpath(problem, home or directory)).as_posix()
     text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
     path = Path(directory) / RESULT_FILE
     atomic_write(path, text + "\n")
@@ -111,6 +115,7 @@ def read_document(path: Path) -> dict[str, Any]:
     InputFileError
         No such file, or one of something else.
     """
+    check_result(path.parent, RESULT_FILE, TRAJECTORY_FILE)
     document = load_json(path)
     if not isinstance(document, dict) or "inputs_hash" not in document:
         raise InputFileError(path, "", "is no result of `stiffopt solve`.")

@@ -103,8 +103,11 @@ def solve(
         solution = _hopeless(run, beside, notes, why)
     else:
         rival = better_baseline(problem, beside)
-        outcome = _best_of_starts(run, guess or initial_guess(problem, motion, beside), rival)
-        solution = _solution(run, outcome, beside, notes)
+        try:
+            outcome = _best_of_starts(run, guess or initial_guess(problem, motion, beside), rival)
+            solution = _solution(run, outcome, beside, notes)
+        except KeyboardInterrupt:
+            solution = _only_baseline(run, beside, notes)
     if simulate:
         solution = with_simulation(problem, solution)
     if throw and not (solution.status.usable or solution.status is SolveStatus.INTERRUPTED):
@@ -132,7 +135,10 @@ def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outc
         if ended or run.elapsed > problem.method.time_limit:
             run.notes.append(f"{start} of {problem.method.starts} starts were made.")
             break
-        last = _certified_solve(run, _perturbed(guess, problem, random), rival)
+        try:
+            last = _certified_solve(run, _perturbed(guess, problem, random), rival)
+        except KeyboardInterrupt:
+            return _stopped(best)
         best = min(best, last, key=lambda outcome: _rank(problem, outcome))
     return best
 
@@ -166,7 +172,10 @@ def _certified_solve(run: SolveRun, guess: Guess, rival: Baseline | None) -> Out
                 more = min(value, _LARGEST_STEP) if run.problem.plans_links else value
                 margins[name] = margins.get(name, 0.0) + more
         intervals = int(np.ceil(method.intervals * _GROWTH**attempt))
-        refined = _refined(run, outcome, SolveStage(intervals, final), margins)
+        try:
+            refined = _refined(run, outcome, SolveStage(intervals, final), margins)
+        except KeyboardInterrupt:
+            return _stopped(outcome)
         if not refined.raw.converged and refined.raw.status not in ("interrupted", "time_limit"):
             break
         outcome = refined
@@ -179,6 +188,11 @@ def _is_behind(problem: TrajectoryProblem, outcome: Outcome, rival: Baseline | N
     value = objective_value(problem, outcome.assessment).value
     ratio = improvement(problem, value, rival.objective)
     return ratio is not None and ratio > 1.0
+
+
+def _stopped(outcome: Outcome) -> Outcome:
+    """An outcome that Ctrl-C made the last."""
+    return replace(outcome, raw=replace(outcome.raw, status="interrupted", reason="Ctrl-C"))
 
 
 def _refined(
@@ -290,6 +304,32 @@ def _hopeless(
         solver=_record(run, 0),
         notes=notes,
         inputs_hash=inputs_hash(run.problem),
+        versions=versions(),
+    )
+
+
+def _only_baseline(run: SolveRun, beside: dict[str, Baseline], notes: tuple[str, ...]) -> Solution:
+    """The better baseline, where Ctrl-C came before the optimiser had a motion of its own."""
+    problem = run.problem
+    made = [b for b in beside.values() if b.trajectory is not None]
+    kept = better_baseline(problem, beside) or next(iter(made), None)
+    if kept is None or kept.trajectory is None or kept.assessment is None:
+        raise KeyboardInterrupt
+    worst = kept.assessment.worst_violation
+    keeps = kept.assessment.feasible(CERTIFIED)
+    state = "It keeps all limits." if keeps else f"It exceeds {worst.describe()}."
+    return Solution(
+        status=SolveStatus.INTERRUPTED,
+        message="Stopped by the user before the optimiser had a motion of its own. What was kept "
+        f"is the {kept.name} motion, with which it would have been compared. {state}",
+        trajectory=kept.trajectory,
+        assessment=kept.assessment,
+        objective=objective_value(problem, kept.assessment),
+        baselines=beside,
+        ratio_to_better_baseline=None,
+        solver=_record(run, 0),
+        notes=(*notes, *run.notes),
+        inputs_hash=inputs_hash(problem),
         versions=versions(),
     )
 

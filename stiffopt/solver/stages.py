@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -186,7 +186,38 @@ def run_stages(
         Of the first stage; uniform if left out.
     warm : RawSolution, optional
         Where the first stage starts, multipliers included: of the same mesh, other margins.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        Ctrl-C before the first stage has begun; later the outcome so far is kept.
     """
+    done: tuple[_Made, RawSolution] | None = None
+    try:
+        for made, raw in _solved(run, plan, guess, margins, mesh, warm):
+            done = made, raw
+    except KeyboardInterrupt:
+        # While the next programme was built: what the one before gave is the best so far.
+        if done is None:
+            raise
+        done = done[0], replace(done[1], status="interrupted", reason="Ctrl-C")
+    assert done is not None
+    made, raw = done
+    trajectory = _trajectory(run.problem, made.transcription, raw.x)
+    assessment = assess(run.problem, trajectory)
+    gap = _objective_gap(run, raw, assessment)
+    return Outcome(raw, made.transcription, trajectory, assessment, gap)
+
+
+def _solved(
+    run: SolveRun,
+    plan: tuple[SolveStage, ...],
+    guess: Guess,
+    margins: dict[str, float],
+    mesh: Mesh | None,
+    warm: RawSolution | None,
+) -> Iterator[tuple[_Made, RawSolution]]:
+    """Every stage with its solution, each from the last."""
     ocp = formulate(run.problem, run.motion, run.scales, margins)
     last = len(plan) - 1
     index, made, raw = 0, None, None
@@ -213,16 +244,11 @@ def run_stages(
             max_seconds=run.remaining,
         )
         run.record(stage, raw)
+        yield made, raw
         if raw.status in ("interrupted", "time_limit"):
             break
         # A coarse mesh may be infeasible where the fine one is not: ask the last stage at once.
         index = last if raw.status == "infeasible" and index < last else index + 1
-    assert made is not None
-    assert raw is not None
-    trajectory = _trajectory(run.problem, made.transcription, raw.x)
-    assessment = assess(run.problem, trajectory)
-    gap = _objective_gap(run, raw, assessment)
-    return Outcome(raw, made.transcription, trajectory, assessment, gap)
 
 
 def _objective_gap(run: SolveRun, raw: RawSolution, assessment: Assessment) -> float:

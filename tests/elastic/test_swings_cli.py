@@ -97,6 +97,8 @@ def test_results_that_cannot_be_simulated_say_why(copied, capsys):
     refused("is not what was solved")
     named = document.pop("problem")
     (out / "result.json").write_text(json.dumps(document))
+    refused("was changed since `stiffopt solve` wrote it")
+    (out / "manifest.json").unlink()
     refused("does not say which problem file")
     (copied / "problem.toml").write_text(text)
     (out / "result.json").write_text(
