@@ -1,0 +1,61 @@
+"""Ctrl-C between the solver's own runs: what there is, is kept and said."""
+
+import pytest
+from small_arms import write_problem
+
+from stiffopt.problem.files import load_problem
+from stiffopt.result.status import SolveStatus
+from stiffopt.solver import solve as solving
+from stiffopt.solver import stages
+
+
+@pytest.fixture(scope="module")
+def stated(tmp_path_factory):
+    path = write_problem(
+        tmp_path_factory.mktemp("interrupted"),
+        minimise='objective = "dynamic_deflection"\nmeasure = "peak"',
+        method="intervals = 16",
+    )
+    return load_problem(path).problem
+
+
+def interrupted_at(monkeypatch, number):
+    """Ctrl-C while the programme of that number is built, from 1."""
+    plain, count = stages._make, iter(range(1, 100))
+
+    def make(*arguments):
+        if next(count) == number:
+            raise KeyboardInterrupt
+        return plain(*arguments)
+
+    monkeypatch.setattr(stages, "_make", make)
+
+
+def test_before_the_first_stage_the_better_baseline_is_kept(stated, monkeypatch):
+    interrupted_at(monkeypatch, 1)
+    kept = solving.solve(stated)
+    assert kept.status is SolveStatus.INTERRUPTED
+    assert kept.message.startswith("Stopped by the user before the optimiser had a motion")
+    names = [name for name, each in kept.baselines.items() if f"the {name} motion" in kept.message]
+    (name,) = names
+    assert kept.assessment is kept.baselines[name].assessment
+    assert kept.objective.value == kept.baselines[name].objective
+    assert kept.trajectory.duration == pytest.approx(0.5)
+
+
+def test_between_stages_the_last_one_is_kept(stated, monkeypatch):
+    interrupted_at(monkeypatch, 2)
+    kept = solving.solve(stated)
+    assert kept.status is SolveStatus.INTERRUPTED
+    assert "the best motion so far is kept" in kept.message
+    assert kept.solver.iterations > 0
+    assert kept.objective.value < min(b.objective for b in kept.baselines.values())
+
+
+def test_before_any_motion_nothing_is_claimed(stated, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(solving, "baselines", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        solving.solve(stated)
