@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from stiffopt.connection.connection import ContactConnection
 from stiffopt.connection.fastener import Bolt
@@ -13,7 +13,7 @@ from stiffopt.contact.shear import ShearLaw, shear_softening, shear_travel
 from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
 from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
 from stiffopt.contact.validate import require_ordered
-from stiffopt.declaration import POSITIVE, Bounds, Doc, Length, Ratio
+from stiffopt.declaration import POSITIVE, Bounds, Doc, Length, Ratio, Torque
 from stiffopt.symbolic import Quantity
 
 # Ring faces of reducers are pressed harder than key flanks.
@@ -53,6 +53,47 @@ class BoltedFlange(ContactConnection):
     bolt: Annotated[
         Bolt | None,
         Doc("What one of the bolts is; sets its limits and its loss of preload, not stiffness."),
+    ] = None
+    preload_is: Annotated[
+        Literal["assembly", "net"],
+        Doc(
+            "What `preload` means: the largest that assembly leaves, or the least that is there in "
+            "service, scatter and embedding taken off, as a maker's transmissible torque implies."
+        ),
+    ] = "assembly"
+    tightening_torque: Annotated[
+        Torque | None,
+        POSITIVE,
+        Doc("Setting of the wrench for the present bolts, where their maker states it."),
+    ] = None
+    bearing: Annotated[
+        Literal["none", "beside"],
+        Doc(
+            "Whether the ring carries all six components of the joint's load, which is taken "
+            "where nothing is known, or a bearing beside it all but the torque."
+        ),
+    ] = "none"
+    face_position: Annotated[
+        Length,
+        Doc("Of the pressed face along the joint's axis, from the origin of the joint."),
+    ] = 0.0
+    fixed_pattern: Annotated[
+        bool,
+        Doc("Whether a purchased part fixes size, number and circle of the bolts."),
+    ] = False
+    roughness: Annotated[
+        Length, POSITIVE, Doc("Rz of the faces; sets how far they settle, not the stiffness.")
+    ] = 16e-6
+    interfaces: Annotated[
+        int, Bounds(least=1), Doc("Faces between the clamped parts that settle.")
+    ] = 1
+    load_introduction: Annotated[
+        Ratio | None,
+        Bounds(least=0.0, most=1.0),
+        Doc(
+            "n, how far from the face the load enters; default the unfavourable end of every "
+            "check: 1 for the bolt, 0 for what it clamps."
+        ),
     ] = None
     # How many such connections share the ring: with bolt_count 1 and as many sectors as there are
     # bolts this is the sector that one bolt presses. Sectors are parallel springs.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from stiffopt.declaration import POSITIVE, Doc, Length, Named, check_fields
 
@@ -31,11 +31,18 @@ class Bolt:
             "estimate."
         ),
     ] = None
+    washer: Annotated[
+        bool, Doc("Whether a hardened washer lies under the head: ISO 7089, 300 HV.")
+    ] = False
+    rolled: Annotated[
+        Literal["before", "after"],
+        Doc("Thread rolled before or after heat treatment; after bears more alternating stress."),
+    ] = "before"
     head_material: Annotated[
-        str, Named("material"), Doc("Material of the part under the head.")
+        str, Named("clamped material"), Doc("Material of the part under the head.")
     ] = "steel"
     thread_material: Annotated[
-        str, Named("material"), Doc("Material of the part with the tapped hole.")
+        str, Named("clamped material"), Doc("Material of the part with the tapped hole.")
     ] = "steel"
 
     def __post_init__(self) -> None:

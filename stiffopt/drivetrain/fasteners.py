@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from stiffopt.drivetrain.tables import Entry, find, read_table, rows
+from stiffopt.drivetrain.tables import Entry, find, read_table, rows, source_text
 from stiffopt.errors import InputError, nearest
 
 
@@ -94,15 +94,40 @@ class ClampedMaterial(Entry):
         Length of thread needed, in bolt diameters.
     engagement_assumed : float
         Length of thread where none is given, in bolt diameters.
+    strength, yield_stress : float
+        R_m and R_p0.2 [Pa].
+    expansion : float
+        Thermal, for 1 K.
     key_pressure : mapping
-        "steady" and "reversing": permissible on key flanks in a hub of it [Pa].
+        "steady" and "reversing": permissible on key flanks in a hub of it [Pa]; empty where it is
+        no hub's.
     """
 
     modulus: float
     head_pressure: float
     engagement: Mapping[str, float]
     engagement_assumed: float
-    key_pressure: Mapping[str, float]
+    strength: float
+    yield_stress: float
+    expansion: float
+    key_pressure: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WasherData(Entry):
+    """Hardened washer: outer diameter and thickness [m], pressure that it bears [Pa]."""
+
+    diameter: float
+    thickness: float
+    pressure: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoatingData(Entry):
+    """Coating of bolts: least and largest friction in the thread and under the head [-]."""
+
+    least: float
+    largest: float
 
 
 def bolt_sizes() -> list[str]:
@@ -149,10 +174,59 @@ def set_screw(size: str) -> SetScrewData:
     return SetScrewData(name=row.pop("size"), nut_factor=factor, **row)
 
 
+def tensile_strength(grade: str) -> float:
+    """Least tensile strength R_m of a bolt grade such as "12.9" [Pa]."""
+    proof_stress(grade)  # refuses grades that are not known
+    return float(read_table("bolts")["strengths"][grade])
+
+
+def bolt_expansion() -> float:
+    """Thermal expansion of bolts, for 1 K."""
+    return float(read_table("bolts")["material"]["expansion"])
+
+
+def washer(size: str) -> WasherData:
+    """Look up the hardened washer of a bolt size."""
+    table = read_table("bolts")["washers"]
+    known = {name: row for name, row in table.items() if isinstance(row, dict)}
+    row = find("washer", size, known)
+    return WasherData(
+        name=size,
+        provenance=table["provenance"],
+        source=table["source"],
+        pressure=float(table["pressure"]),
+        **row,
+    )
+
+
+def coating_names() -> list[str]:
+    """Names of the packaged coatings."""
+    table = read_table("bolts")["coatings"]
+    return [name for name, row in table.items() if isinstance(row, list)]
+
+
+def coating(name: str) -> CoatingData:
+    """Look up the friction of a coating, for example "zinc_flake"."""
+    table = read_table("bolts")["coatings"]
+    if name not in coating_names():
+        raise InputError(f"no coating {name!r} in the catalogue. {nearest(name, coating_names())}")
+    least, largest = table[name]
+    return CoatingData(
+        name=name,
+        provenance=table["provenance"],
+        source=table["source"],
+        least=least,
+        largest=largest,
+    )
+
+
 def clamped_material(name: str) -> ClampedMaterial:
-    """Look up what steel, iron or aluminium bears."""
-    row = find("material", name, read_table("fastening")["material"])
-    modulus = float(read_table("surfaces")["materials"][name]["young"])
+    """Look up what a clamped or tapped material bears."""
+    table = read_table("fastening")
+    row = dict(find("material", name, table["material"]))
+    modulus = float(read_table("surfaces")["materials"][row.pop("of", name)]["young"])
+    row["yield_stress"] = row.pop("yield")
+    row["source"] = source_text(table, row["source"])
     return ClampedMaterial(name=name, modulus=modulus, **row)
 
 

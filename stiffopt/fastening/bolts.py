@@ -11,7 +11,10 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.catalogue import BoltData
 from stiffopt.errors import InputError
 from stiffopt.fastening.compliance import bolt_compliance, clamped_compliance
+from stiffopt.fastening.embedding import flange_embedding
+from stiffopt.fastening.head_pressure import head_bearing
 from stiffopt.fastening.preload_limit import PreloadLimit
+from stiffopt.fastening.thermal import thermal_change
 from stiffopt.fastening.tightening import Tightening, WorkshopTorque, tightening_torque
 from stiffopt.symbolic import Quantity
 
@@ -49,7 +52,7 @@ def limits(flange: BoltedFlange, tightening: Tightening) -> tuple[PreloadLimit, 
     """Bounds on the preload of one bolt; the first is the permissible preload of VDI 2230."""
     bolt = flange_bolt(flange)
     data = catalogue.bolt(bolt.size)
-    head = catalogue.clamped_material(bolt.head_material)
+    bearing = head_bearing(bolt)
     return (
         PreloadLimit(
             name="bolt utilisation",
@@ -63,9 +66,9 @@ def limits(flange: BoltedFlange, tightening: Tightening) -> tuple[PreloadLimit, 
         ),
         PreloadLimit(
             name="head pressure",
-            capacity=head.head_pressure * data.head_area,
-            provenance=head.provenance,
-            source=f"permissible pressure on {head.name}, {head.source}; head by {data.source}",
+            capacity=bearing.capacity,
+            provenance=bearing.provenance,
+            source=bearing.source,
             remedy="a harder part or a hard washer under the head, or a larger bolt",
         ),
         _engagement_limit(bolt, data),
@@ -141,8 +144,8 @@ def assumed_lengths(flange: BoltedFlange) -> dict[str, float]:
     return {name: value for name, value in present.items() if getattr(bolt, name) is None}
 
 
-def joint_compliance(flange: BoltedFlange) -> float:
-    """delta_S + delta_P of one bolt and what it clamps [m/N]."""
+def joint_compliances(flange: BoltedFlange) -> tuple[float, float]:
+    """delta_S and delta_P of one bolt and what it clamps [m/N] (R3)."""
     bolt = flange_bolt(flange)
     data = catalogue.bolt(bolt.size)
     length = clamp_length(bolt)
@@ -151,9 +154,36 @@ def joint_compliance(flange: BoltedFlange) -> float:
     # Each bolt has its share of the ring: as wide as the ring, as long as the way to the next one.
     count = flange.bolt_count * flange.sectors
     share = min(flange.outer_radius - flange.inner_radius, math.pi * flange.circle_diameter / count)
-    return bolt_compliance(
-        data, length, catalogue.bolt_modulus(), thread.modulus
-    ) + clamped_compliance(data, length, share, head.modulus)
+    return (
+        bolt_compliance(data, length, catalogue.bolt_modulus(), thread.modulus),
+        clamped_compliance(data, length, share, head.modulus),
+    )
+
+
+def preload_loss(flange: BoltedFlange, tightening: Tightening) -> float:
+    """F_Z + Delta F_Vth: what settling and a change of temperature take of a preload [N] (R4)."""
+    settled = tightening.embedding
+    if settled is None:
+        settled = flange_embedding(flange)
+    return settled / sum(joint_compliances(flange)) + thermal_preload(flange, tightening)
+
+
+def thermal_preload(flange: BoltedFlange, tightening: Tightening) -> float:
+    """|Delta F_Vth| for the change of temperature, one way a loss, the other way a gain [N]."""
+    bolt = flange_bolt(flange)
+    change = thermal_change(
+        clamp_length(bolt),
+        catalogue.bolt_expansion(),
+        catalogue.clamped_material(bolt.head_material).expansion,
+        tightening.temperature_change,
+        sum(joint_compliances(flange)),
+    )
+    return abs(change)
+
+
+def scatter(flange: BoltedFlange, tightening: Tightening) -> float:
+    """alpha_A of one bolt [-] (R1)."""
+    return tightening.alpha_of(catalogue.bolt(flange_bolt(flange).size))
 
 
 def workshop_torque(flange: BoltedFlange, preload: float, tightening: Tightening) -> WorkshopTorque:
@@ -163,7 +193,7 @@ def workshop_torque(flange: BoltedFlange, preload: float, tightening: Tightening
     nominal = float(tightening_torque(data, preload, thread, head))
     # The thread's pitch takes its part of the torque whatever the friction.
     pitch = float(tightening_torque(data, preload, 0.0, 0.0))
-    alpha = tightening.alpha
+    alpha = tightening.alpha_of(data)
     return WorkshopTorque(
         nominal=nominal,
         lower=nominal / alpha,

@@ -94,12 +94,20 @@ def check_preload(
         )
 
 
-def embedding_loss(element: Connection, tightening: Tightening) -> float:
-    """Preload that one bolt or pin loses as its faces settle, f_Z/(delta_S + delta_P) [N]."""
+def preload_loss(element: Connection, tightening: Tightening) -> float:
+    """Preload that one bolt or pin loses after assembly [N]: faces settle, parts warm (R4)."""
     fastened = _fastened(element)
     if isinstance(fastened, BoltedFlange):
-        return tightening.embedding / bolts.joint_compliance(fastened)
-    return tightening.embedding / set_screws.pin_compliance(fastened)
+        return bolts.preload_loss(fastened, tightening)
+    return set_screws.preload_loss(fastened, tightening)
+
+
+def scatter(element: Connection, tightening: Tightening) -> float:
+    """alpha_A, largest over least preload of a bolt or pin at assembly [-] (R1)."""
+    fastened = _fastened(element)
+    if isinstance(fastened, BoltedFlange):
+        return bolts.scatter(fastened, tightening)
+    return tightening.alpha
 
 
 def workshop_torque(element: Connection, preload: float, tightening: Tightening) -> WorkshopTorque:

@@ -15,6 +15,8 @@ from stiffopt.fastening.tightening import Tightening, WorkshopTorque
 _INDENTATION = 0.9 * 2.8
 # Screw length in diameters, and screw diameter in tip diameters, where they are not given.
 _LENGTH, _DIAMETER = 1.5, 2.0
+# By which thread and tip settle [m]: those of thread and head in VDI 2230 Table 5, Rz below 10 um.
+_SETTLED = 6e-6
 # Shaft where no screw tells: the softer one.
 _SHAFT = "steel_45"
 
@@ -75,6 +77,12 @@ def pin_compliance(pins: ClampingPins) -> float:
         area = catalogue.set_screw(pins.screw.size).minor_area
     screw = screw_length(pins) / (catalogue.bolt_modulus() * area)
     return screw + tip_compliance(pins.surface.contact_modulus, pins.tip_diameter)
+
+
+def preload_loss(pins: ClampingPins, tightening: Tightening) -> float:
+    """Preload that one pin loses as its thread and its tip settle [N]."""
+    settled = _SETTLED if tightening.embedding is None else tightening.embedding
+    return settled / pin_compliance(pins)
 
 
 def workshop_torque(pins: ClampingPins, preload: float, tightening: Tightening) -> WorkshopTorque:

@@ -13,10 +13,20 @@ from stiffopt.declaration import NOT_NEGATIVE, Bounds, Doc, Length, Ratio, check
 from stiffopt.drivetrain.catalogue import BoltData
 from stiffopt.symbolic import Quantity
 
-# alpha_A = F_max/F_min at assembly, by method: the range of VDI 2230 for friction classes known
-# from experience is 1.4 to 1.6 for torque wrenches (its unfavourable end is taken), 1.2 to 1.4 for
-# angle and for yield control (middle and favourable end: the bolt itself ends the tightening).
-SCATTER = {"torque_wrench": 1.6, "angle": 1.3, "yield": 1.2}
+# alpha_A = F_max/F_min at assembly, by method: the unfavourable end of VDI 2230 Table A8. A torque
+# wrench has 1.6 to 2.0 where friction is estimated (class B), 1.4 to 1.6 where tests on the parts
+# themselves tell it.
+SCATTER = {
+    "torque_wrench": 2.0,
+    "torque_wrench_tested": 1.6,
+    "angle": 1.4,
+    "yield": 1.4,
+    "hydraulic": 1.6,
+    "elongation": 1.3,
+    "impact": 4.0,
+}
+# What a torque wrench adds to the scatter of friction: +-5 %.
+_WRENCH = 1.05 / 0.95
 
 # Customary are 0.08 to 0.2.
 _FRICTION = Bounds(above=0.0, below=1.0)
@@ -33,7 +43,16 @@ class Tightening:
     """How bolts and pins are tightened."""
 
     method: Annotated[
-        Literal["torque_wrench", "angle", "yield"], Doc("How tightening is controlled.")
+        Literal[
+            "torque_wrench",
+            "torque_wrench_tested",
+            "angle",
+            "yield",
+            "hydraulic",
+            "elongation",
+            "impact",
+        ],
+        Doc("How tightening is controlled; tested: with the friction measured on the parts."),
     ] = "torque_wrench"
     scatter: Annotated[
         Ratio | None,
@@ -50,19 +69,46 @@ class Tightening:
         _FRICTION,
         Doc("Lowest coefficient to be expected under the head; higher is part of the scatter."),
     ] = 0.12
+    friction_highest: Annotated[
+        Ratio | None,
+        _FRICTION,
+        Doc(
+            "Highest coefficient in thread and head to be expected: with it alpha_A is at least "
+            "what this friction and a wrench of +-5 % leave, bolt by bolt."
+        ),
+    ] = None
     embedding: Annotated[
-        Length,
+        Length | None,
         NOT_NEGATIVE,
-        Doc("f_Z, by which all faces of one fastener together settle after assembly."),
-    ] = 3e-6
+        Doc(
+            "f_Z, by which all faces of one fastener together settle after assembly; default by "
+            "roughness and number of faces (VDI 2230 Table 5)."
+        ),
+    ] = None
+    temperature_change: Annotated[
+        Ratio,
+        NOT_NEGATIVE,
+        Doc("Kelvin, up or down from assembly: parts that expand otherwise change the preload."),
+    ] = 30.0
 
     def __post_init__(self) -> None:
         check_fields(self, "tightening")
 
     @property
     def alpha(self) -> float:
-        """alpha_A in use, F_max/F_min at assembly [-]."""
+        """alpha_A of the method, or as stated: F_max/F_min at assembly [-]."""
         return SCATTER[self.method] if self.scatter is None else self.scatter
+
+    def alpha_of(self, bolt: BoltData | None) -> float:
+        """alpha_A of a bolt [-] (R1), more where `friction_highest` asks for it; None: a screw."""
+        if self.friction_highest is None or bolt is None:
+            return self.alpha
+        high = max(self.friction_highest, self.thread_friction)
+        levers = [
+            float(_lever(bolt, high, max(self.friction_highest, self.head_friction))),
+            float(_lever(bolt, self.thread_friction, self.head_friction)),
+        ]
+        return max(self.alpha, _WRENCH * levers[0] / levers[1])
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,14 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.fastening.limits import (
     PreloadLimit,
-    embedding_loss,
     fastener_count,
     preload_limits,
+    preload_loss,
+    scatter,
     workshop_torque,
 )
 from stiffopt.fastening.tightening import standard_torques
+from stiffopt.preload.flange_loads import slip_safety, verification
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.problem import Choice, FreeElement, PreloadProblem
 
@@ -32,6 +34,13 @@ SLIP, LEAST, EMBEDDING = "slip safety", "least preload", "embedding loss"
 _REMEDIES = {
     SLIP: "more friction, more or larger bolts, a larger circle, or less scatter",
     LEAST: "a smaller require.least_preload, or a smaller bolt",
+    "slip under the whole load": "more friction, more or larger bolts, or a larger circle",
+    "one-sided opening": "more or larger bolts, or a larger circle",
+    "working stress": "a larger bolt, a higher grade or less load",
+    "head pressure in service": "a harder part, a hard washer, or a larger bolt",
+    "alternating stress": "a larger bolt, more bolts, or threads rolled after heat treatment",
+    "bolt shear": "more or larger bolts, or a larger circle",
+    "hole bearing": "a thicker or harder part, or more bolts",
     EMBEDDING: "a larger clamp length, a larger torque, or smoother faces",
 }
 
@@ -153,9 +162,14 @@ def _variants(stage: Stage, choose: Choice) -> Iterator[Stage]:
         return
     bolt = flange.bolt
     assert isinstance(bolt, Bolt)  # limits of the element exist, so its bolt is known
-    sizes = sorted(set(choose.sizes or (bolt.size,)), key=lambda s: catalogue.bolt(s).diameter)
+    # The holes of a purchased part are where they are; other bolts fit them, other holes do not.
+    free = choose.redrill or not flange.fixed_pattern
+    sizes = sorted(
+        set((choose.sizes if free else ()) or (bolt.size,)),
+        key=lambda size: catalogue.bolt(size).diameter,
+    )
     grades = sorted(set(choose.grades or (bolt.grade,)), key=catalogue.proof_stress)
-    counts = sorted(set(choose.counts or (flange.bolt_count,)))
+    counts = sorted(set((choose.counts if free else ()) or (flange.bolt_count,)))
     for size, grade, count in product(sizes, grades, counts):
         changed = replace(flange, bolt=replace(bolt, size=size, grade=grade), bolt_count=count)
         yield replace(stage, element=changed)
@@ -167,7 +181,15 @@ def _tightened(
     """Designs of one kind of bolts, by torque."""
     fastened, tightening = stage.element, problem.tightening
     limits = preload_limits(fastened, tightening)
-    loss, count = embedding_loss(fastened, tightening), fastener_count(fastened)
+    loss, count = preload_loss(fastened, tightening), fastener_count(fastened)
+    alpha = scatter(fastened, tightening)
+    steps = verification(
+        stage,
+        element.joint,
+        cases,
+        tightening,
+        slip_safety(problem.requirements.slip_safety, cases, element.joint),
+    )
     lever = workshop_torque(fastened, 1.0, tightening).nominal
     ends = [limit.capacity for limit in limits if limit.depends_on_preload]
     floor = problem.requirements.least_preload * min(ends)
@@ -176,14 +198,16 @@ def _tightened(
     size, grade = _screw(fastened)
     for torque in torques:
         preload = float(torque) / lever
-        least = preload / tightening.alpha - loss
+        least = preload / alpha - loss
         utilisations = {
             limit.name: float(limit.utilisation(preload)) / _allowed(problem, limit)
             for limit in limits
         }
-        utilisations[EMBEDDING] = loss * tightening.alpha / preload
+        utilisations[EMBEDDING] = loss * alpha / preload
         utilisations[SLIP] = _slip(problem, element, stage, least, cases)
         utilisations[LEAST] = floor / preload
+        checks = steps.checks(preload) if steps is not None else ()
+        utilisations |= {c.name: c.utilisation for c in checks if not c.warning}
         yield CatalogueDesign(
             key=element.key,
             joint=element.joint,
@@ -227,4 +251,4 @@ def _slip(
     if least <= 0.0:
         return math.inf
     slip = float(stage.element.slip_torque(least)) * stage.reduction
-    return problem.requirements.slip_safety * torque / slip
+    return slip_safety(problem.requirements.slip_safety, cases, element.joint) * torque / slip

@@ -153,7 +153,6 @@ def _nearest(designs: Sequence[CatalogueDesign]) -> CatalogueDesign:
 
 def element_stoppers(model: PreloadModel, designs: Designs) -> tuple[Stopper, ...]:
     """Elements for which the catalogue has nothing, with the limit of the nearest design."""
-    safety = model.problem.requirements.slip_safety
     found = []
     for own in designs:
         if any(d.feasible for d in own):
@@ -162,6 +161,7 @@ def element_stoppers(model: PreloadModel, designs: Designs) -> tuple[Stopper, ..
         name = nearest.stopper
         used = nearest.utilisations[name]
         slips = name == SLIP
+        safety = model.slip_safety(nearest.joint)
         found.append(
             Stopper(
                 limit=f"{name}, {nearest.key}",

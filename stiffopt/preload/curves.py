@@ -104,11 +104,10 @@ def _curve(
     model: PreloadModel, preloads: np.ndarray, index: int, case: LoadCase, points: int
 ) -> PreloadCurve:
     element = model.elements[index]
-    alpha = model.problem.tightening.alpha
     torque = float(case.torque[element.joint - 1])
     first, last = (share * element.capacity for share in _SHOWN)
     # Below the embedding loss nothing is left after tightening.
-    first = max(first, 1.02 * element.largest(0.0, alpha))
+    first = max(first, 1.02 * element.largest(0.0))
     force = np.linspace(first, last, points)
     own = float(np.mean(preloads[model.slices[index]]))
     slip = np.array([model.slip_torque(_with(model, preloads, index, f), index) for f in force])
@@ -122,7 +121,7 @@ def _curve(
         design=own,
         preload=force,
         stiffness=_stiffness(model, preloads, index, torque, force),
-        stiffness_high=_stiffness(model, preloads, index, torque, element.largest(force, alpha)),
+        stiffness_high=_stiffness(model, preloads, index, torque, element.largest(force)),
         slip_safety=safety,
         utilisation={
             limit.name: np.asarray(limit.utilisation(force))
@@ -149,13 +148,12 @@ def binding_preloads(model: PreloadModel, index: int, torque: float) -> dict[str
     dict of name to preload [N]
     """
     element, needs = model.elements[index], model.problem.requirements
-    alpha = model.problem.tightening.alpha
     # The slip torque is proportional to the least preload.
-    at_one = _with(model, model.design, index, float(element.largest(1.0, alpha)))
+    at_one = _with(model, model.design, index, float(element.largest(1.0)))
     unit = float(model.slip_torque(at_one, index))
     return {
-        "slip": float(element.largest(torque / unit, alpha)),
-        "slip safety": float(element.largest(needs.slip_safety * torque / unit, alpha)),
+        "slip": float(element.largest(torque / unit)),
+        "slip safety": float(element.largest(model.slip_safety(element.joint) * torque / unit)),
         "least preload": needs.least_preload * element.capacity,
         **element.ends(needs.bolt_utilisation),
     }

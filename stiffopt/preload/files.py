@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from stiffopt.connection import BoltedFlange
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.fastening.limits import check_preload
@@ -97,7 +98,7 @@ def _build(document: PreloadFile, robot: Robot, path: Path) -> PreloadProblem:
     objective, needs = document.minimise[0], document.require
     stiffness = _by_joint(needs.joint_stiffness, lists, "require.joint_stiffness")
     wanted = objective.objective == "tool_deflection" or needs.tool_deflection is not None
-    builder = _LoadCases(document, lists, wanted)
+    builder = _LoadCases(document, lists, wanted, _takes_all(document, robot, joints))
     loads = [builder(case, k) for k, case in enumerate(document.load_case, start=1)]
     if wanted:
         builder.check_deflection(loads)
@@ -117,10 +118,24 @@ def _build(document: PreloadFile, robot: Robot, path: Path) -> PreloadProblem:
     )
 
 
+def _takes_all(document: PreloadFile, robot: Robot, joints: Sequence[int]) -> bool:
+    """Whether a flange of the study carries more than torque."""
+    return any(
+        isinstance(stage.element, BoltedFlange)
+        and stage.element.bearing == "none"
+        and stage.ratio == 1.0
+        and (not document.free or stage.element.name in document.free)
+        for joint in joints
+        if (chain := robot.chains[joint - 1]) is not None
+        for stage in chain.stages
+    )
+
+
 class _LoadCases:
     """Turns the load case sections of a file into load cases."""
 
-    def __init__(self, document: PreloadFile, lists: JointLists, wanted: bool) -> None:
+    def __init__(self, document: PreloadFile, lists: JointLists, wanted: bool, whole: bool) -> None:
+        self.whole = whole
         self.lists, self.robot, self.path = lists, lists.robot, lists.path
         self.deflection, self.wanted = document.deflection, wanted
         self.force = document.tool.process_force
@@ -138,6 +153,7 @@ class _LoadCases:
                     self.path.parent / section.trajectory,
                     force,
                     self.deflection if self.wanted else None,
+                    self.whole,
                 )
             angles = self._pose(section, where)
             return pose_case(self.robot, section.name, angles, force, self.deflection)

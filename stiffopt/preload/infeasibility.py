@@ -10,7 +10,7 @@ from stiffopt.connection import BoltedFlange
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import PreloadNlp
 from stiffopt.preload.problem import FreeElement
-from stiffopt.preload.utilisation import UtilisationRow, utilisation_rows
+from stiffopt.preload.utilisation import UtilisationRow, utilisation_rows, vdi_rows
 
 
 @dataclass(frozen=True)
@@ -90,6 +90,8 @@ def find_stoppers(nlp: PreloadNlp) -> tuple[Stopper, ...]:
         stop = _slip(model, upper, index, element)
         if stop is not None:
             found.append(stop)
+        else:
+            found += _in_service(model, upper, index)
     found += [_floor(model, row) for row in _worst_by_owner(model, upper, ("least preload",))]
     if not found:
         found = [
@@ -146,16 +148,16 @@ def limiting(element: FreeElement, bolt_utilisation: float) -> str:
 def _slip(
     model: PreloadModel, upper: np.ndarray, index: int, element: FreeElement
 ) -> Stopper | None:
-    needs = model.problem.requirements
+    needs, safety = model.problem.requirements, model.slip_safety(element.joint)
     slip = float(model.slip_torque(upper, index))
     case = max(model.cases, key=lambda c: abs(float(c.torque[element.joint - 1])))
     torque = abs(float(case.torque[element.joint - 1]))
-    if slip >= needs.slip_safety * torque:
+    if slip >= safety * torque * (1.0 - 1e-12):
         return None
     return Stopper(
         limit=f"slip safety, {element.key}, {case.name}",
         best=slip / torque,
-        required=needs.slip_safety,
+        required=safety,
         unit="",
         against=limiting(element, needs.bolt_utilisation),
         remedy=(
@@ -164,6 +166,24 @@ def _slip(
             else "a larger set screw, more pins, a thicker shaft, more friction, or less scatter"
         ),
     )
+
+
+def _in_service(model: PreloadModel, upper: np.ndarray, index: int) -> list[Stopper]:
+    """Steps of VDI 2230 that the largest preload does not keep."""
+    element = model.elements[index]
+    bound = model.problem.requirements.bolt_utilisation
+    return [
+        Stopper(
+            limit=", ".join(p for p in (row.kind, element.key, row.case) if p),
+            best=row.value,
+            required=row.limit,
+            unit=row.unit,
+            against=limiting(element, bound),
+            remedy=row.remedy,
+        )
+        for row in vdi_rows(model, upper, index)
+        if row.binding and not row.kept
+    ]
 
 
 def _reach(model: PreloadModel, row: UtilisationRow, upper: np.ndarray) -> Stopper:

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from stiffopt.errors import ProblemError
+
+# Share of the largest torque of a joint below which one is zero but for rounding, and no reversal.
+_NO_TORQUE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,6 +28,11 @@ class LoadCase:
         is calibrated away.
     jacobian : array (3, n), optional
         Of the tool point, base axes; without it the case has no tool deflection.
+    wrench : array (n, 6), optional
+        Force and moment in every joint, about its origin, the third axis along the joint's [N],
+        [N m]; see `stiffopt.robot.joint_load`. Without it the torque is all that is known.
+    reversing : array (n,) of bool, optional
+        Joints whose torque changes its sign in the motion that the case is of.
     time : float, optional
         Along the motion that the case is taken from [s].
     source : str
@@ -34,6 +43,8 @@ class LoadCase:
     torque: np.ndarray
     reference_torque: np.ndarray | None = None
     jacobian: np.ndarray | None = None
+    wrench: np.ndarray | None = None
+    reversing: np.ndarray | None = None
     time: float | None = None
     source: str = "given"
 
@@ -52,6 +63,8 @@ class LoadHistory:
     torque : array (K, n) [N m]
     reference_torque : array (K, n), optional [N m]
     jacobian : array (K, 3, n), optional
+    wrench : array (K, n, 6), optional
+        As of a `LoadCase`.
     source : str
     """
 
@@ -60,6 +73,7 @@ class LoadHistory:
     torque: np.ndarray
     reference_torque: np.ndarray | None = None
     jacobian: np.ndarray | None = None
+    wrench: np.ndarray | None = None
     source: str = "given"
 
     def __post_init__(self) -> None:
@@ -70,6 +84,12 @@ class LoadHistory:
                 f"{self.time.shape} and {self.torque.shape}."
             )
 
+    @cached_property
+    def reversing(self) -> np.ndarray:
+        """Joints whose torque changes its sign (n,) of bool; rounding about zero is no change."""
+        noise = _NO_TORQUE * np.abs(self.torque).max(axis=0)
+        return np.asarray((self.torque.min(axis=0) < -noise) & (self.torque.max(axis=0) > noise))
+
     def at(self, index: int) -> LoadCase:
         """Load case at an instant, named after the motion and the time."""
         reference, jacobian = self.reference_torque, self.jacobian
@@ -78,6 +98,8 @@ class LoadHistory:
             torque=self.torque[index],
             reference_torque=None if reference is None else reference[index],
             jacobian=None if jacobian is None else jacobian[index],
+            wrench=None if self.wrench is None else self.wrench[index],
+            reversing=self.reversing,
             time=float(self.time[index]),
             source=self.source,
         )
@@ -87,6 +109,7 @@ class LoadHistory:
         joints: tuple[int, ...],
         compliance: Callable[[int, np.ndarray], np.ndarray],
         windup: Callable[[int, np.ndarray], np.ndarray],
+        critical: Callable[[LoadHistory], set[int]] | None = None,
     ) -> tuple[LoadCase, ...]:
         """Instants that matter: the worst for slip, for stiffness and for the tool.
 
@@ -96,13 +119,15 @@ class LoadHistory:
             1-based; each contributes its largest torque and its lowest stiffness.
         compliance, windup : callable
             (joint, torques (K,)) -> (K,) with the preloads in question [rad/(N m)], [rad].
+        critical : callable, optional
+            Further instants, by index: the worst for each check of the bolts.
 
         Returns
         -------
         tuple of LoadCase
             In order of time, each instant once.
         """
-        found = set()
+        found = critical(self) if critical else set()
         for joint in joints:
             torque = self.torque[:, joint - 1]
             found.add(int(np.argmax(np.abs(torque))))
@@ -129,7 +154,7 @@ class LoadHistory:
 
 def _require_finite(loads: LoadCase | LoadHistory, owner: str) -> None:
     """Turn the array fields into arrays and refuse what is not a finite number."""
-    for key in ("time", "torque", "reference_torque", "jacobian"):
+    for key in ("time", "torque", "reference_torque", "jacobian", "wrench"):
         value = getattr(loads, key)
         if value is None or isinstance(value, float):
             continue

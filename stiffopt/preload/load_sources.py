@@ -16,6 +16,7 @@ from stiffopt.certificate.rigid_body import RigidBodyHistory, rigid_body_history
 from stiffopt.errors import InputFileError, ProblemError
 from stiffopt.files import read_table
 from stiffopt.preload.load_case import LoadCase, LoadHistory
+from stiffopt.robot.joint_load import joint_wrenches
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -51,13 +52,15 @@ def pose_case(
     LoadCase
     """
     rest = np.zeros_like(angles)[None]
-    body = rigid_body_history(robot, np.asarray(angles, dtype=float)[None], rest, rest)
+    pose = np.asarray(angles, dtype=float)[None]
+    body = rigid_body_history(robot, pose, rest, rest)
     gravity, jacobian = body.gravity_torque[0], body.jacobian[0]
     return LoadCase(
         name=name,
         torque=gravity - jacobian.T @ force,
         reference_torque=gravity if deflection == "process" else None,
         jacobian=None if deflection == "dynamic" else jacobian,
+        wrench=joint_wrenches(robot, pose, rest, rest, np.asarray(force, dtype=float))[0],
         source="pose",
     )
 
@@ -68,6 +71,7 @@ def trajectory_history(
     path: str | os.PathLike[str],
     force: np.ndarray,
     deflection: str | None = None,
+    whole: bool = False,
 ) -> LoadHistory:
     """Spring torques along a solved trajectory.
 
@@ -82,6 +86,9 @@ def trajectory_history(
     deflection : {"total", "dynamic", "process"} or None
         None: the motion gives torques only. Otherwise tool, payload and force must be those of
         the motion, which is checked where the file has tool_x.., qd1.. and qdd1...
+    whole : bool
+        Whether all six components of the joints' loads are wanted. They need payload and force of
+        the motion and the columns qd1.. and qdd1..., which is checked.
 
     Returns
     -------
@@ -95,9 +102,26 @@ def trajectory_history(
     path = Path(path)
     table = _Table(path, robot.n)
     source = f"trajectory {path.name}"
-    if deflection is None:
-        return LoadHistory(name=name, time=table.time, torque=table.spring, source=source)
     velocity, acceleration = table.get("qd"), table.get("qdd")
+    wrench = None
+    if whole:
+        if velocity is None or acceleration is None:
+            raise InputFileError(
+                path,
+                "qd1, qdd1",
+                "the flanges of the study carry forces and tilting moments besides torque, which "
+                "need velocity and acceleration. Give the trajectory.csv of a solve, or say "
+                '`bearing = "beside"` of the flanges in the robot file.',
+            )
+        wrench = joint_wrenches(
+            robot, table.position, velocity, acceleration, np.asarray(force, dtype=float)
+        )
+        revolute = ~robot.prismatic
+        _check_torque(path, robot, table.spring[:, revolute], wrench[:, revolute, 5])
+    if deflection is None:
+        return LoadHistory(
+            name=name, time=table.time, torque=table.spring, wrench=wrench, source=source
+        )
     rest = np.zeros_like(table.position)
     known = velocity is not None and acceleration is not None
     body = rigid_body_history(
@@ -119,6 +143,7 @@ def trajectory_history(
         torque=table.spring,
         reference_torque=reference,
         jacobian=body.jacobian,
+        wrench=wrench,
         source=source,
     )
 
@@ -156,6 +181,7 @@ def motion_histories(
             torque=torque,
             reference_torque=reference,
             jacobian=body.jacobian,
+            wrench=_wrench(problem, motion, torque is motion.spring_torque),
             source="motion of this study",
         )
     ]
@@ -165,10 +191,22 @@ def motion_histories(
                 name="motion under the process force",
                 time=motion.time,
                 torque=motion.spring_torque,
+                wrench=_wrench(problem, motion, True),
                 source="motion of this study",
             )
         )
     return tuple(found)
+
+
+def _wrench(problem: TrajectoryProblem, motion: Assessment, pushed: bool) -> np.ndarray:
+    """Loads of the joints along a motion (K, n, 6), with the process force or without."""
+    return joint_wrenches(
+        problem.robot,
+        motion.position,
+        motion.velocity,
+        motion.acceleration,
+        np.asarray(problem.process_force, dtype=float) * pushed,
+    )
 
 
 def _reference(

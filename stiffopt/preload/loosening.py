@@ -115,16 +115,15 @@ def first_slip_torque(model: PreloadModel, preloads: np.ndarray, index: int) -> 
     if not isinstance(connection, BoltedFlange):
         return float(model.slip_torque(preloads, index))
     own = preloads[model.slices[index]]
-    least = float(np.mean(element.least(own, model.problem.tightening.alpha)))
+    least = float(np.mean(element.least(own)))
     return float(connection.first_slip_torque(least)) * element.stage.reduction
 
 
 def loosened(model: PreloadModel, preloads: np.ndarray, index: int, fraction: float) -> np.ndarray:
     """Design vector whose least preloads are a fraction of the tight ones in one element [N]."""
     element, part = model.elements[index], model.slices[index]
-    alpha = model.problem.tightening.alpha
     changed = preloads.copy()
-    changed[part] = element.largest(fraction * element.least(preloads[part], alpha), alpha)
+    changed[part] = element.largest(fraction * element.least(preloads[part]))
     return changed
 
 

@@ -6,6 +6,7 @@ their exact law at the torque of the load case, since neither changes during a s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,7 +18,9 @@ from stiffopt.connection import BoltedFlange, ClampingPins, Connection
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import ProblemError
-from stiffopt.exact.chain import exact_compliance, exact_windup
+from stiffopt.exact.chain import exact_compliance, exact_windup, stage_windup
+from stiffopt.fastening.verification import VdiCheck, Verification
+from stiffopt.preload.flange_loads import slip_safety, verification
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.problem import FreeElement, PreloadProblem
 from stiffopt.symbolic import Quantity
@@ -39,6 +42,8 @@ class PreloadModel:
     problem : PreloadProblem
     cases : sequence of LoadCase, optional
         Default: those of the problem.
+    elements : sequence of FreeElement, optional
+        With other scatter and losses than those of the study; default: as the study tightens.
 
     Attributes
     ----------
@@ -51,10 +56,15 @@ class PreloadModel:
     taken at the least, F/alpha_A minus the embedding loss.
     """
 
-    def __init__(self, problem: PreloadProblem, cases: Sequence[LoadCase] | None = None) -> None:
+    def __init__(
+        self,
+        problem: PreloadProblem,
+        cases: Sequence[LoadCase] | None = None,
+        elements: Sequence[FreeElement] | None = None,
+    ) -> None:
         self.problem = problem
         self.cases = tuple(problem.load_cases if cases is None else cases)
-        self.elements = problem.elements
+        self.elements = tuple(problem.elements if elements is None else elements)
         widths = [e.count if problem.individual else 1 for e in self.elements]
         edges = np.concatenate([[0], np.cumsum(widths)])
         self.slices = tuple(slice(int(a), int(b)) for a, b in pairwise(edges))
@@ -79,6 +89,52 @@ class PreloadModel:
         """Preloads of an element's bolts or pins; one entry where they are equal."""
         part = self.slices[index]
         return [preloads[i] for i in range(part.start, part.stop)]
+
+    @cached_property
+    def present(self) -> PreloadModel:
+        """The joints as they are in the robot: `design` there is what the robot file means."""
+        tightening = self.problem.tightening
+        elements = [element.as_present(tightening) for element in self.elements]
+        if all(a is b for a, b in zip(elements, self.elements, strict=True)):
+            return self
+        return PreloadModel(self.problem, self.cases, elements)
+
+    # ---- bolts
+
+    def slip_safety(self, joint: int) -> float:
+        """Safety against slip that the study asks for in a joint [-] (R12)."""
+        return slip_safety(self.problem.requirements.slip_safety, self.cases, joint)
+
+    @cached_property
+    def verifications(self) -> tuple[Verification | None, ...]:
+        """VDI 2230 of every element under all load cases; None for pins."""
+        return tuple(
+            verification(
+                element.stage,
+                element.joint,
+                self.cases,
+                self.problem.tightening,
+                self.slip_safety(element.joint),
+            )
+            for element in self.elements
+        )
+
+    def checks(self, preloads: np.ndarray, index: int) -> tuple[VdiCheck, ...]:
+        """Steps of VDI 2230 of an element at a design; none for pins."""
+        steps, element = self.verifications[index], self.elements[index]
+        if steps is None:
+            return ()
+        flange = element.stage.element
+        assert isinstance(flange, BoltedFlange)
+        own = np.asarray(self.of_element(preloads, index))
+        largest, least = float(own.max()), float(element.least(float(own.min())))
+        shift = math.inf
+        if least > 0.0:
+            stage = element.stage
+            torque = np.array([float(steps.loads.torque.max()) * stage.reduction])
+            windup = float(stage_windup(stage, torque, {element.name: least})[0]) / stage.counts
+            shift = windup * flange.circle_diameter / 2
+        return steps.checks(largest, shift, least)
 
     # ---- smooth law: arrays, SX, MX
 
@@ -106,7 +162,7 @@ class PreloadModel:
         element = self.elements[index]
         own = self.of_element(preloads, index)
         mean = sum(own[1:], own[0]) / len(own)
-        least = element.least(mean, self.problem.tightening.alpha)
+        least = element.least(mean)
         return element.stage.element.slip_torque(least) * element.stage.reduction
 
     # ---- exact law
@@ -240,13 +296,12 @@ class PreloadModel:
     def _least(self, preloads: Quantity, joint: int) -> dict[str, Quantity]:
         """Least preloads of a joint's elements, by the names in its varying chain."""
         least: dict[str, Quantity] = {}
-        alpha = self.problem.tightening.alpha
         for index in self.indices[joint]:
             element = self.elements[index]
             for name, own in zip(
                 self._names(element), self.of_element(preloads, index), strict=True
             ):
-                least[name] = element.least(own, alpha)
+                least[name] = element.least(own)
         return least
 
     def _names(self, element: FreeElement) -> Iterator[str]:
@@ -256,10 +311,14 @@ class PreloadModel:
 
 
 def preload_of(element: FreeElement) -> float:
-    """Preload that the robot has now in one bolt or pin [N]."""
-    preload = element.stage.element.preload
-    assert preload is not None
-    return float(preload)
+    """Preload that the robot has now in one bolt or pin [N], as the largest that assembly leaves.
+
+    Of a net one, so much that the net one remains of it.
+    """
+    fastened = element.stage.element
+    assert fastened.preload is not None
+    net = isinstance(fastened, BoltedFlange) and fastened.preload_is == "net"
+    return float(element.largest(fastened.preload) if net else fastened.preload)
 
 
 def _one_fastener(element: Connection) -> Connection:

@@ -245,11 +245,10 @@ class _Study:
 
     def _by_joint(self, vector: np.ndarray, least: bool) -> dict[int, dict[str, float]]:
         """Largest or least preloads by joint and element [N]."""
-        alpha = self.problem.tightening.alpha
         found: dict[int, dict[str, float]] = {}
         for index, element in enumerate(self.model.elements):
             own = float(self.model.of_element(vector, index)[0])
-            own = float(element.least(own, alpha)) if least else own
+            own = float(element.least(own)) if least else own
             found.setdefault(element.joint, {})[element.name] = own
         return found
 

@@ -24,6 +24,8 @@ _CASE = "{}, {}"
 # with multipliers of order one, nothing is lost; where the level is flat, 1 / (4 _PRICE^2) = 2.8e-8
 # of it. A dearer one costs accuracy: the KKT residual is 2e-7 with 1e4, 1e-8 with 1e3.
 _PRICE = 3e3
+# A slip row that the bounds meet but for rounding adds nothing.
+_MET = 1e-12
 
 
 @dataclass(frozen=True)
@@ -139,27 +141,33 @@ class PreloadNlp:
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest preload of every bolt or pin (size,) [N].
 
-        The least keeps the tightened minimum, and the connection from slipping altogether, where
-        the laws end; the largest is where the first limit ends it.
+        The least keeps the tightened minimum, the clamp load that VDI 2230 asks for (R2, R5), and
+        the connection from slipping altogether, where the laws end; the largest is where the
+        first limit of fastener, head or thread ends it, at rest or in service.
         """
-        problem, alpha = self.model.problem, self.model.problem.tightening.alpha
+        problem = self.model.problem
         needs = problem.requirements
         lower, upper = [], []
         for index, element in enumerate(self.model.elements):
             torque = max(abs(float(c.torque[element.joint - 1])) for c in self.model.cases)
             unit = float(self.model.slip_torque(self._at_least(index, 1.0), index))
-            carried = element.largest(torque / unit, alpha)
+            carried = element.largest(torque / unit)
             tightened = needs.least_preload * element.capacity
-            lower.append(max(tightened, carried if not problem.individual else 0.0))
-            upper.append(min(element.ends(needs.bolt_utilisation).values()))
+            least = [tightened, carried if not problem.individual else 0.0]
+            most = [*element.ends(needs.bolt_utilisation).values()]
+            steps = self.model.verifications[index]
+            if steps is not None:
+                least.append(element.largest(float(steps.clamp_needed.max())))
+                most.append(steps.largest_preload)
+            lower.append(max(least))
+            upper.append(min(most))
         return self.model.spread(lower), self.model.spread(upper)
 
     def _at_least(self, index: int, least: float) -> np.ndarray:
         """Design vector in which an element has this least preload [N]."""
         preloads = self.model.design.copy()
         element = self.model.elements[index]
-        alpha = self.model.problem.tightening.alpha
-        preloads[self.model.slices[index]] = element.largest(least, alpha)
+        preloads[self.model.slices[index]] = element.largest(least)
         return preloads
 
     def _labels(self) -> list[str]:
@@ -173,13 +181,13 @@ class PreloadNlp:
 
     def _slip_rows(self) -> tuple[str, list[str], list[Quantity]]:
         """Of what could slip at the least preloads; others cannot bind and only spoil the scale."""
-        safety = self.model.problem.requirements.slip_safety
         lower, _ = self.bounds()
         labels, rows = [], []
         for index, element in enumerate(self.model.elements):
+            safety = self.model.slip_safety(element.joint)
             case = max(self.model.cases, key=lambda c: abs(c.torque[element.joint - 1]))
             torque = abs(float(case.torque[element.joint - 1]))
-            if float(self.model.slip_torque(lower, index)) < safety * torque:
+            if float(self.model.slip_torque(lower, index)) < (1.0 - _MET) * safety * torque:
                 labels.append(_CASE.format(element.key, case.name))
                 rows.append(2.0 - self.model.slip_torque(self._preloads, index) / (safety * torque))
         return "slip safety", labels, rows

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.errors import NoSolutionFound
+from stiffopt.preload.flange_loads import critical_instants
 from stiffopt.preload.infeasibility import Stopper, find_stoppers
-from stiffopt.preload.load_case import LoadCase
+from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import Levels, PreloadNlp
 from stiffopt.preload.problem import PreloadProblem
@@ -118,10 +119,19 @@ def with_worst_instants(
             problem.joints,
             lambda joint, torques: model.exact_compliance(preloads, joint, torques),
             lambda joint, torques: model.exact_windup(preloads, joint, torques),
+            lambda motion: _critical(model, motion),
         )
         for case in worst:
             found.setdefault(case.name, case)
     return tuple(found.values())
+
+
+def _critical(model: PreloadModel, motion: LoadHistory) -> set[int]:
+    """Instants that are worst for some check of some flange."""
+    tightening = model.problem.tightening
+    return set().union(
+        *(critical_instants(e.stage, e.joint, motion, tightening) for e in model.elements)
+    )
 
 
 def levels_of(model: PreloadModel) -> Levels:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
+from stiffopt.connection import BoltedFlange
 from stiffopt.declaration import (
     FRACTION,
     POSITIVE,
@@ -23,7 +24,14 @@ from stiffopt.declaration import (
 )
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import ProblemError, nearest
-from stiffopt.fastening.limits import PreloadLimit, embedding_loss, fastener_count, preload_limits
+from stiffopt.fastening.limits import (
+    PreloadLimit,
+    fastener_count,
+    preload_limits,
+    preload_loss,
+    scatter,
+    workshop_torque,
+)
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.symbolic import Quantity
@@ -54,13 +62,14 @@ class Requirements:
         Doc("Largest deflection of the tool over the load cases that have a pose."),
     ] = None
     slip_safety: Annotated[
-        Ratio,
+        Ratio | None,
         Bounds(least=1.0),
         Doc(
             "Slip torque over torque, for every friction connection and load case, with the least "
-            "preload that tightening leaves."
+            "preload that tightening leaves; default 1.2, and 1.8 where the torque changes its "
+            "sign in a motion of the study (VDI 2230 R12)."
         ),
-    ] = 1.2
+    ] = None
     bolt_utilisation: Annotated[
         Ratio,
         FRACTION,
@@ -96,6 +105,10 @@ class Choice:
         tuple[Annotated[str, Named("bolt grade")], ...], Doc("Strength classes, such as 12.9.")
     ] = ()
     counts: Annotated[tuple[int, ...], Bounds(least=1), Doc("Numbers of bolts in the ring.")] = ()
+    redrill: Annotated[
+        bool,
+        Doc("Whether sizes and counts are also for purchased parts, whose pattern is fixed."),
+    ] = False
     torques: Annotated[
         tuple[Torque, ...],
         POSITIVE,
@@ -120,8 +133,10 @@ class FreeElement:
         At the largest preload that tightening leaves.
     count : int
         Bolts or pins.
-    embedding_loss : float
-        Of one bolt or pin [N].
+    loss : float
+        Of one bolt or pin after assembly: faces settle, parts warm [N].
+    scatter : float
+        alpha_A, largest over least preload at assembly.
     key : str
         Name in results.
     """
@@ -130,7 +145,8 @@ class FreeElement:
     stage: Stage
     limits: tuple[PreloadLimit, ...]
     count: int
-    embedding_loss: float
+    loss: float
+    scatter: float
     key: str
 
     @property
@@ -155,13 +171,32 @@ class FreeElement:
             if np.isfinite(limit.capacity)
         }
 
-    def least(self, preload: Quantity, scatter: float) -> Quantity:
-        """Preload after unlucky tightening and embedding [N]; `preload` is the largest."""
-        return preload / scatter - self.embedding_loss
+    def least(self, preload: Quantity) -> Quantity:
+        """Preload after unlucky tightening and losses [N]; `preload` is the largest."""
+        return preload / self.scatter - self.loss
 
-    def largest(self, least: Quantity, scatter: float) -> Quantity:
+    def largest(self, least: Quantity) -> Quantity:
         """Inverse of `least` [N]."""
-        return scatter * (least + self.embedding_loss)
+        return self.scatter * (least + self.loss)
+
+    def as_present(self, tightening: Tightening) -> FreeElement:
+        """The element as it is in the robot, its preload taken for what the robot file means.
+
+        A net preload is what remains: neither scatter nor losses are taken off once more. Its
+        largest is what the maker's wrench setting leaves at the study's friction, where that is
+        known.
+        """
+        flange = self.stage.element
+        if not isinstance(flange, BoltedFlange) or flange.preload_is == "assembly":
+            return self
+        assert flange.preload is not None
+        largest = flange.preload
+        if flange.tightening_torque is not None:
+            lever = workshop_torque(flange, 1.0, tightening).nominal
+            largest = max(largest, flange.tightening_torque / lever)
+        present = replace(flange, preload=largest, preload_is="assembly")
+        stage = replace(self.stage, element=present)
+        return replace(self, stage=stage, scatter=largest / flange.preload, loss=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -295,6 +330,7 @@ class PreloadProblem:
             stage=stage,
             limits=preload_limits(stage.element, self.tightening),
             count=fastener_count(stage.element),
-            embedding_loss=embedding_loss(stage.element, self.tightening),
+            loss=preload_loss(stage.element, self.tightening),
+            scatter=scatter(stage.element, self.tightening),
             key=name if len(self.joints) == 1 else f"joint_{joint}.{name}",
         )

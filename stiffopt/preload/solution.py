@@ -132,7 +132,7 @@ def evaluate_design(
         vector=preloads,
         cases=model.cases,
         rows=rows,
-        rows_before=utilisation_rows(model, model.design),
+        rows_before=utilisation_rows(model.present, model.present.design),
         stiffness=stiffness,
         stiffness_before=model.exact_stiffness(model.design),
         deflection=deflection,

@@ -54,10 +54,7 @@ def study_document(study: PreloadStudy) -> dict[str, Any]:
         },
         "preloads": solution.preloads,
         "individual": solution.individual,
-        "least_preloads": {
-            e.key: e.least(solution.preloads[e.key], problem.tightening.alpha)
-            for e in problem.elements
-        },
+        "least_preloads": {e.key: e.least(solution.preloads[e.key]) for e in problem.elements},
         "tightening_torques": {
             key: None if each is None else _fields(each)
             for key, each in solution.tightening.items()

@@ -245,7 +245,7 @@ def _of_element(study: PreloadStudy, element: FreeElement) -> dict[str, float]:
     solution, key, name = study.solution, element.key, _name(element)
     torque = solution.tightening[key]
     own = [r.value for r in solution.rows if r.kind == "slip safety" and r.element == key]
-    least = element.least(solution.preloads[key], study.problem.tightening.alpha)
+    least = element.least(solution.preloads[key])
     values = {
         f"preload_{name}": solution.preloads[key],
         f"least_preload_{name}": float(least),

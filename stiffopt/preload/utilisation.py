@@ -40,6 +40,10 @@ class UtilisationRow:
         Of the limit.
     remedy : str
         What to change where this row stops a study.
+    equation : str
+        Step of VDI 2230, where it is one.
+    binding : bool
+        False: tells, but stops no design.
     """
 
     kind: str
@@ -53,6 +57,8 @@ class UtilisationRow:
     provenance: str = "given"
     source: str = ""
     remedy: str = ""
+    equation: str = ""
+    binding: bool = True
 
     @property
     def name(self) -> str:
@@ -63,12 +69,12 @@ class UtilisationRow:
     @property
     def active(self) -> bool:
         """Whether the design lies at this limit."""
-        return self.utilisation >= 1.0 - ACTIVE
+        return self.binding and self.utilisation >= 1.0 - ACTIVE
 
     @property
     def kept(self) -> bool:
-        """Whether the limit holds, but for rounding."""
-        return self.utilisation <= 1.0 + 1e-6
+        """Whether the limit holds, but for rounding; a warning is always kept."""
+        return not self.binding or self.utilisation <= 1.0 + 1e-6
 
 
 def utilisation_rows(model: PreloadModel, preloads: np.ndarray) -> tuple[UtilisationRow, ...]:
@@ -83,6 +89,7 @@ def utilisation_rows(model: PreloadModel, preloads: np.ndarray) -> tuple[Utilisa
     return (
         *_slip(model, preloads),
         *_fasteners(model, preloads),
+        *(row for index in range(len(model.elements)) for row in vdi_rows(model, preloads, index)),
         *_keys(model),
         *_stiffness(model, preloads),
         *_deflection(model, preloads),
@@ -90,8 +97,8 @@ def utilisation_rows(model: PreloadModel, preloads: np.ndarray) -> tuple[Utilisa
 
 
 def _slip(model: PreloadModel, preloads: np.ndarray) -> Iterator[UtilisationRow]:
-    needed = model.problem.requirements.slip_safety
     for index, element in enumerate(model.elements):
+        needed = model.slip_safety(element.joint)
         slip = float(model.slip_torque(preloads, index))
         for case in model.cases:
             torque = abs(float(case.torque[element.joint - 1]))
@@ -104,8 +111,39 @@ def _slip(model: PreloadModel, preloads: np.ndarray) -> Iterator[UtilisationRow]
                 limit=needed,
                 unit="",
                 utilisation=needed * torque / slip if slip > 0.0 else np.inf,
+                equation="R12/4",
                 remedy="more friction, more or larger bolts, a larger circle, or less scatter",
             )
+
+
+def vdi_rows(model: PreloadModel, preloads: np.ndarray, index: int) -> Iterator[UtilisationRow]:
+    """Steps of VDI 2230 of one element under all load cases."""
+    element = model.elements[index]
+    for check in model.checks(preloads, index):
+        yield UtilisationRow(
+            kind=check.name,
+            joint=element.joint,
+            element=element.key,
+            case=check.case,
+            value=check.value,
+            limit=check.limit,
+            unit=check.unit,
+            utilisation=check.utilisation,
+            provenance=check.provenance,
+            source=check.source,
+            remedy=check.remedy,
+            equation=check.equation,
+            binding=not check.warning,
+        )
+
+
+# Steps of VDI 2230 that bound the preload at assembly.
+_STEPS = {
+    "bolt utilisation": "R7/2",
+    "head pressure": "R10/1",
+    "thread engagement": "R11",
+    "bolt spacing": "",
+}
 
 
 def _fasteners(model: PreloadModel, preloads: np.ndarray) -> Iterator[UtilisationRow]:
@@ -128,6 +166,7 @@ def _fasteners(model: PreloadModel, preloads: np.ndarray) -> Iterator[Utilisatio
                 provenance=limit.provenance,
                 source=limit.source,
                 remedy=limit.remedy,
+                equation=_STEPS.get(limit.name, ""),
             )
         floor = needs.least_preload * element.capacity
         yield UtilisationRow(

@@ -106,6 +106,15 @@ class FlangeLookUp(ElementSection):
     ] = None
     bolt: Annotated[BoltsSection | None, Doc("The bolts; default those of the pattern.")] = None
 
+    def connection_fields(self) -> dict[str, Any]:
+        """Besides: a pattern that is bought is not to be drilled anew, and its preload is net."""
+        values = super().connection_fields()
+        if self.pattern is not None:
+            values["fixed_pattern"] = True
+            if values["preload"] == catalogue.flange(self.pattern).preload:
+                values["preload_is"] = "net"
+        return values
+
     def look_up(self) -> dict[str, Any]:
         """Ring, preload and bolts of the pattern, then the bolts of the file."""
         values: dict[str, Any] = {}

@@ -14,6 +14,7 @@ inner_radius = "12 mm"
 outer_radius = "18 mm"
 bolt = {{ size = "M5", grade = "12.9", count = 9, circle_diameter = "30 mm" }}
 preload = "7.5 kN"
+bearing = "beside"
 surface = "fine_steel"
 friction = 0.15
 """

@@ -41,7 +41,7 @@ def everything(problem, choose):
             robot = with_elements(joint, robot, **changes)
         model = PreloadModel(replace(problem, robot=robot))
         preloads = np.array(preloads)
-        least = [f / 1.6 - e.embedding_loss for f, e in zip(preloads, model.elements, strict=True)]
+        least = [f / 1.6 - e.loss for f, e in zip(preloads, model.elements, strict=True)]
         if min(least) <= 0 or not all(row.kept for row in utilisation_rows(model, preloads)):
             continue
         feasible += 1

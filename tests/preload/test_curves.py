@@ -41,10 +41,10 @@ def test_stiffness_and_band_are_the_exact_law_at_both_ends_of_the_scatter():
         other = model.elements[1 - index]
         others = 1.0 / model.exact_stiffness(preloads)[0, 0 if curve.case == "lift" else 1]
         others -= Ring(element.stage.element).compliance(
-            curve.torque, element.least(preloads[index], 1.6)
+            curve.torque, element.least(preloads[index])
         )
         for forces, found in (
-            (curve.preload / 1.6 - element.embedding_loss, curve.stiffness_low),
+            (curve.preload / 1.6 - element.loss, curve.stiffness_low),
             (curve.preload, curve.stiffness_high),
         ):
             held = np.abs(curve.torque) < ring.slip(forces)
@@ -59,7 +59,7 @@ def test_slip_safety_and_utilisation():
     model, _, curves = drawn(joints=(2,))
     for curve in curves:
         element = next(e for e in model.elements if e.key == curve.key)
-        least = curve.preload / 1.6 - element.embedding_loss
+        least = curve.preload / 1.6 - element.loss
         slip = Ring(element.stage.element).slip(least)
         if curve.case == "rest":
             assert np.isinf(curve.slip_safety).all()

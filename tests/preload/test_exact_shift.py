@@ -27,8 +27,7 @@ def test_each_newton_of_clamping_force_is_worth_the_same_at_the_optimum():
             vector = solution.vector.copy()
             vector[index] *= factor
             least = {
-                e.name: f / alpha - e.embedding_loss
-                for e, f in zip(problem.elements, vector, strict=True)
+                e.name: f / alpha - e.loss for e, f in zip(problem.elements, vector, strict=True)
             }
             soft.append(float(exact_compliance(chain, torque, preloads=least)[0]))
         slope = (soft[1] - soft[0]) / (0.002 * solution.vector[index])

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import small_arms
+from preload_studies import TESTED
 from small_arms import joint, problem_text, write_robot
 
 from stiffopt.certificate.assess import assess
@@ -17,7 +18,7 @@ from stiffopt.preload.load_sources import motion_histories
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.motion_result import meaning
 from stiffopt.preload.motion_study import deflection_objective, motion_study
-from stiffopt.preload.problem import PreloadProblem
+from stiffopt.preload.problem import PreloadProblem, Requirements
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.objective import Objective
 from stiffopt.result.status import SolveStatus
@@ -53,6 +54,8 @@ def arm(folder, preload="4.0 kN", surface="rough_steel", minimise=PEAK):
 
 
 def study_of(motion, joints=(1, 2), **fields):
+    # The arm turns back: 1.8 would be asked of what is to slip first here.
+    fields = {"requirements": Requirements(slip_safety=1.2), "tightening": TESTED} | fields
     return PreloadProblem(robot=motion.robot, joints=joints, load_cases=(STANDING,), **fields)
 
 
@@ -60,7 +63,7 @@ def certified(motion, problem, preloads, trajectory):
     """Peak of the dynamic deflection by the certificate, with what tightening leaves."""
     least = {}
     for element in problem.elements:
-        force = preloads[element.key] / problem.tightening.alpha - element.embedding_loss
+        force = preloads[element.key] / problem.tightening.alpha - element.loss
         least.setdefault(element.joint, {})[element.name] = force
     robot = motion.robot.with_preloads(least)
     assessment = assess(replace(motion, robot=robot), trajectory)

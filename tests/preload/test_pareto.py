@@ -27,7 +27,7 @@ def rings(problem):
     rest = float(model.rest_compliance(2, np.array([torque]))[0])
 
     def least(element, preloads):
-        return preloads / 1.6 - element.embedding_loss
+        return preloads / 1.6 - element.loss
 
     def stiffness(*preloads):
         total = rest
@@ -36,8 +36,7 @@ def rings(problem):
         return 1.0 / total
 
     lower = [
-        max(1.6 * (1.2 * torque / ring.slip(1.0) + e.embedding_loss), 0.3 * e.capacity)
-        for ring, e in own
+        max(1.6 * (1.2 * torque / ring.slip(1.0) + e.loss), 0.3 * e.capacity) for ring, e in own
     ]
     return stiffness, lower, [e.capacity for e in model.elements], [e.count for e in model.elements]
 

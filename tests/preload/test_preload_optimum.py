@@ -40,7 +40,7 @@ class Grid:
         ends = [self.ends(e) for e in problem.elements]
         self.forces = [np.linspace(lower, upper, points) for lower, upper in ends]
         self.least = [
-            f / alpha - e.embedding_loss for f, e in zip(self.forces, problem.elements, strict=True)
+            f / alpha - e.loss for f, e in zip(self.forces, problem.elements, strict=True)
         ]
 
     def ends(self, element):
@@ -255,7 +255,7 @@ def test_stiffness_out_of_reach_names_the_most_that_the_limits_allow():
     (stop,) = failure(problem).stoppers
     chain = problem.robot.chains[1].with_preloads(
         {
-            e.name: end / 1.6 - e.embedding_loss
+            e.name: end / 1.6 - e.loss
             for e, end in zip(problem.elements, upper_ends(problem), strict=True)
         }
     )
@@ -276,7 +276,7 @@ def test_slip_at_every_admissible_preload_names_the_limit_and_the_best_safety():
     ]
     for stop, element, end in zip(stops, problem.elements, upper_ends(problem), strict=True):
         ring = Ring(element.stage.element)
-        least = 0.8 * end / 1.6 - element.embedding_loss
+        least = 0.8 * end / 1.6 - element.loss
         assert stop.best == pytest.approx(ring.slip(least) / 58.0, rel=1e-9)
         assert f"bolt utilisation of {element.key} (at most {0.8 * end:.0f} N)" == stop.against
         assert "more friction" in stop.remedy

@@ -45,7 +45,7 @@ def test_gain_is_share_of_the_compliance_times_the_exponent_of_the_contact():
     shares = {s.element: s.compliance_share for s in result.shares if s.case == "rest"}
     for index, element in enumerate(model.elements):
         worth = next(w for w in result.worth if w.key == element.key and w.case == "rest")
-        least = element.least(preloads[index], 1.6)
+        least = element.least(preloads[index])
         leverage = preloads[index] / 1.6 / least
         exponent = worth.elasticity / (shares[element.name] * leverage)
         assert 0.8 < exponent < 0.95
@@ -70,7 +70,7 @@ def test_shares_are_those_of_the_chain_as_tightened():
             .chains[joint - 1]
             .with_preloads(
                 {
-                    e.name: float(e.least(preloads[i], 1.6))
+                    e.name: float(e.least(preloads[i]))
                     for i, e in enumerate(model.elements)
                     if e.joint == joint
                 }

@@ -11,7 +11,7 @@ from small_arms import ROOT
 
 from stiffopt.exact.chain import exact_compliance
 from stiffopt.exact.connection import tangent_compliance
-from stiffopt.fastening.limits import embedding_loss
+from stiffopt.fastening.limits import preload_loss
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.files import load_study
 from stiffopt.preload.study import named_values, preload_study
@@ -38,11 +38,11 @@ def assert_expected(loaded, found):
 
 def assembled(least, element):
     """Largest preload that leaves `least` after scatter and settling [N]."""
-    return ALPHA * (least + embedding_loss(element, Tightening()))
+    return ALPHA * (least + preload_loss(element, Tightening(embedding=3e-6)))
 
 
 def least_of(force, element):
-    return force / ALPHA - embedding_loss(element, Tightening())
+    return force / ALPHA - preload_loss(element, Tightening(embedding=3e-6))
 
 
 def ring_slip(flange, torque):

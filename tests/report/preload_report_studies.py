@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.motion_result import MotionRound, MotionStudy, meaning
 from stiffopt.preload.problem import Choice, PreloadProblem, Requirements
@@ -22,6 +23,7 @@ def case(name, *shares):
 
 
 def run(front_points=4, **fields):
+    fields = {"tightening": Tightening(scatter=1.6, embedding=3e-6)} | fields
     return preload_study(PreloadProblem(robot=ROBOT, **fields), front_points=front_points)
 
 
@@ -32,7 +34,7 @@ def flange(**fields):
         joints=(2,),
         free=("flexspline_flange",),
         load_cases=(case("peak torque", 0, 1, 0, 0, 0, 0), case("hold", 0, 0.5, 0, 0, 0, 0)),
-        choose=Choice(sizes=("M4", "M5"), grades=("12.9",), counts=(8, 9)),
+        choose=Choice(sizes=("M4", "M5"), grades=("12.9",), counts=(8, 9), redrill=True),
         **{"title": "Flange of J2", **fields},
     )
 

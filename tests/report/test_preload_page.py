@@ -186,7 +186,7 @@ def test_workshop_table_holds_least_and_largest_preload(flange_page):
     element = study.problem.elements[0]
     largest = study.solution.preloads[element.key]
     (row,) = flange_page.table("connection", "fasteners", "tighten to", "not below")
-    least = largest / study.problem.tightening.alpha - element.embedding_loss
+    least = largest / study.problem.tightening.alpha - element.loss
     assert float(row[5].split()[0]) == pytest.approx(largest / 1e3, rel=5e-3)
     assert float(row[6].split()[0]) == pytest.approx(least / 1e3, rel=5e-3)
 

@@ -95,7 +95,7 @@ def test_given(load):
     ("where", "changes", "text"),
     [
         ("flange", {"more": ', grade = "12.8"'}, "no bolt grade '12.8'.*Did you mean '12.9'"),
-        ("flange", {"more": ', head_material = "alu"'}, "no material 'alu'.*aluminium"),
+        ("flange", {"more": ', head_material = "alu"'}, "no clamped material 'alu'.*aluminium"),
         ("flange", {"more": ', thread_material = "stel"'}, "Did you mean 'steel'"),
         ("flange", {"more": ', clamp_length = "-8 mm"'}, "clamp_length = -0.008 cannot be used"),
         ("flange", {"more": ', clamp_lenght = "8 mm"'}, "clamp_length"),

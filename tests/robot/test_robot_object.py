@@ -88,4 +88,10 @@ def test_estimates_are_named():
     assert ("joint_1", "motor_key") in elements
     assert ("joint_2", "reducer") in elements
     flange = [r for r in rows if r.element == "flexspline_flange" and r.joint == "joint_1"]
-    assert {r.key for r in flange} == {"inner_radius", "outer_radius", "preload", "surface"}
+    assert {r.key for r in flange} == {
+        "inner_radius",
+        "outer_radius",
+        "preload",
+        "surface",
+        "roughness",
+    }

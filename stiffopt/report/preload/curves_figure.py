@@ -69,13 +69,12 @@ def preload_view(
     problem: PreloadProblem, solution: PreloadSolution, element: FreeElement, curve: PreloadCurve
 ) -> PreloadView:
     """View of an element, limits from below as they act on the least preload."""
-    alpha = problem.tightening.alpha
 
     def least(largest: float) -> float:
-        return max(float(element.least(largest, alpha)), 0.0)
+        return max(float(element.least(largest)), 0.0)
 
     # Both ends of the scatter are points of one law.
-    preload = np.concatenate([element.least(curve.preload, alpha), curve.preload])
+    preload = np.concatenate([element.least(curve.preload), curve.preload])
     stiffness = np.concatenate([curve.stiffness, curve.stiffness_high])
     order = np.argsort(preload)
     present = present_preload(element)

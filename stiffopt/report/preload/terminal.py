@@ -59,7 +59,7 @@ def _row(study: PreloadStudy, element: FreeElement) -> tuple[str, ...]:
         readable(key),
         fasteners(element),
         si(preload, "kN"),
-        si(float(element.least(preload, study.problem.tightening.alpha)), "kN"),
+        si(float(element.least(preload)), "kN"),
         DASH
         if torque is None
         else f"{si(torque.nominal, 'N m', 3)} ({significant(torque.lower, 3)} at least)",

@@ -1,0 +1,87 @@
+"""All six components of what each joint carries, not its torque alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from stiffopt.robot.robot import Robot
+
+
+def joint_wrenches(
+    robot: Robot,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    acceleration: np.ndarray,
+    force: np.ndarray,
+) -> np.ndarray:
+    """Force and moment from each joint on the links behind it.
+
+    Parameters
+    ----------
+    robot : Robot
+        Payload and tool attached.
+    position, velocity, acceleration : array (K, n)
+    force : array (3,)
+        Acts ON the tool, base axes [N].
+
+    Returns
+    -------
+    array (K, n, 6)
+        [F, M] in N and N m about the joint's origin; axes turn with the link, the third is the
+        joint's. The sixth (of a sliding joint: the third) is the torque in the joint's spring.
+    """
+    # As for torques: the rotor turns with its motor, in front of the spring.
+    model = robot.model.copy()
+    model.armature = np.zeros(model.nv)
+    data = model.createData()
+    frames = [_axes(body.axis) for body in robot.tree.bodies]
+    loaded = _supports(model, robot.tool.joint)
+    found = np.empty((*position.shape, 6))
+    for k in range(len(position)):
+        pin.rnea(model, data, position[k], velocity[k], acceleration[k])
+        pin.forwardKinematics(model, data, position[k])
+        place = data.oMi[robot.tool.joint]
+        tool = place.translation + place.rotation @ robot.tool.offset
+        for i in range(model.nv):
+            own = data.f[i + 1]
+            linear, angular = np.array(own.linear), np.array(own.angular)
+            if i + 1 in loaded:
+                at = data.oMi[i + 1]
+                linear = linear - at.rotation.T @ force
+                angular = angular - at.rotation.T @ np.cross(tool - at.translation, force)
+            found[k, i, :3], found[k, i, 3:] = frames[i].T @ linear, frames[i].T @ angular
+    return found
+
+
+def at_face(wrench: np.ndarray, position: float) -> np.ndarray:
+    """The same load about a point on the joint's axis.
+
+    Parameters
+    ----------
+    wrench : array (..., 6)
+    position : float
+        Of the point along the axis, from the joint's origin [m].
+    """
+    moved = np.array(wrench, dtype=float)
+    # M - h e_z x F
+    moved[..., 3] += position * wrench[..., 1]
+    moved[..., 4] -= position * wrench[..., 0]
+    return moved
+
+
+def _axes(axis: np.ndarray) -> np.ndarray:
+    """Right-handed axes as columns, the third along `axis`."""
+    other = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    first = np.cross(other, axis)
+    first /= np.linalg.norm(first)
+    return np.column_stack([first, np.cross(axis, first), axis])
+
+
+def _supports(model: pin.Model, joint: int) -> set[int]:
+    """Joints between the base and a link, that link's own among them."""
+    found = set()
+    while joint > 0:
+        found.add(joint)
+        joint = int(model.parents[joint])
+    return found
