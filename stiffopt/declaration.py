@@ -50,6 +50,7 @@ DIMENSIONS = {
         Dimension("force", "N", "12 kN"),
         Dimension("torque", "N*m", "45 N*m"),
         Dimension("time", "s", "1.6 s"),
+        Dimension("frequency", "Hz", "20 Hz"),
         Dimension("pressure", "Pa", "0.1 MPa"),
         Dimension("area", "m^2", "1 cm^2"),
         Dimension("speed", "m/s", "1.5 m/s"),
@@ -257,6 +258,7 @@ Inertia = Annotated[float, Unit("inertia")]
 Force = Annotated[float, Unit("force")]
 Torque = Annotated[float, Unit("torque")]
 Time = Annotated[float, Unit("time")]
+Frequency = Annotated[float, Unit("frequency")]
 Pressure = Annotated[float, Unit("pressure")]
 Area = Annotated[float, Unit("area")]
 Speed = Annotated[float, Unit("speed")]

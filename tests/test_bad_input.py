@@ -45,6 +45,26 @@ def solve(capsys, tmp_path, path, *parts):
 
 # Pieces of a planar problem, and what the message must say: place, cause, what is allowed.
 PROBLEMS = {
+    "an uncertainty that takes all stiffness": (
+        {"extra": "[uncertainty]\nstiffness = 1.2"},
+        ["uncertainty", "stiffness = 1.2", "zero or negative", "below 1"],
+    ),
+    "an uncertainty that makes damping negative": (
+        {"extra": "[uncertainty]\ndamping = 1.5"},
+        ["uncertainty", "damping = 1.5", "negative", "from 0 to 1"],
+    ),
+    "stiffness uncertain for more joints than there are": (
+        {"extra": "[uncertainty]\nstiffness = [0.1, 0.2, 0.1]"},
+        ["uncertainty.stiffness has 3 numbers", "2 joints"],
+    ),
+    "a servo that is not stable": (
+        {"extra": "[uncertainty]\nservo_delay = '20 ms'"},
+        ["uncertainty", "the servo is unstable", "12.5 ms"],
+    ),
+    "a frequency in another unit": (
+        {"extra": "[uncertainty]\nservo_bandwidth = '20 mm'"},
+        ["uncertainty.servo_bandwidth", "20 mm", "frequency"],
+    ),
     "unknown key": (
         {"motion": "boundary_velocty = 'zero'"},
         ["motion.boundary_velocty", "Did you mean 'boundary_velocity'?"],

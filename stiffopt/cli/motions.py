@@ -29,7 +29,8 @@ def solve(
 ) -> int:
     """Optimise a trajectory and certify it.
 
-    Writes result.json, trajectory.csv and report.html. Ctrl-C ends the solve and keeps the best
+    Writes result.json, trajectory.csv, report.html and, of an elastic arm, command.csv: what the
+    motors must do so that the links move as planned. Ctrl-C ends the solve and keeps the best
     motion so far.
 
     Parameters
@@ -50,6 +51,7 @@ def solve(
     from stiffopt.problem.files import load_problem
     from stiffopt.report.solve.page import write_solve_report
     from stiffopt.report.solve.terminal import print_solution
+    from stiffopt.result.compensation_store import write_command
     from stiffopt.result.store import export_times, write_result, write_trajectory
     from stiffopt.solver.simulation import with_simulation
     from stiffopt.solver.solve import solve as optimise
@@ -69,11 +71,12 @@ def solve(
             else:
                 loop = solve_extended(stated, found, progress=progress)
                 stated = loop.problem
-                solution = with_simulation(stated, loop.solution)
+                solution = with_simulation(stated, loop.solution, progress)
         if solution.trajectory is not None:
             times = export_times(solution.trajectory.duration)
             exported = assess(stated, solution.trajectory, times=times)
             write_trajectory(exported, stage)
+        write_command(solution.compensation, stage)
         write_solve_report(stated, solution, stage)
         write_result(solution, stage, problem, home=folder, stated=stated)
     print_solution(stated, solution, folder)

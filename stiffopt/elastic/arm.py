@@ -5,6 +5,7 @@ The springs' far ends follow the motors; rotors are not part of what swings. Rig
 
 from __future__ import annotations
 
+import copy
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,7 @@ from stiffopt.elastic.springs import joint_springs
 from stiffopt.errors import NotSimulatedError, RobotError
 
 if TYPE_CHECKING:
+    from stiffopt.elastic.uncertainty import Departure
     from stiffopt.robot.robot import Robot
 
 # Share of the critical damping where the robot file gives none.
@@ -73,10 +75,35 @@ class ElasticArm:
         critical = self._critical_damping(np.asarray(at, dtype=float))
         self.damping = np.where(unknown, ASSUMED_DAMPING * critical, np.nan_to_num(stated))
         self.damping = np.where(self.elastic, self.damping, 0.0)
-        for j in np.flatnonzero(self.elastic & ~(self.damping <= critical) | (self.damping < 0.0)):
+        self._critical = critical
+        self._check_damping()
+
+    def departed(self, departure: Departure) -> ElasticArm:
+        """The arm as it may be, off from this one.
+
+        Raises
+        ------
+        RobotError
+            A joint's damping is then above critical.
+        """
+        other = copy.copy(self)
+        other.robot = self.robot.with_payload_times(departure.payload)
+        other.bodies = other.robot.rigid_bodies()
+        other.springs = tuple(
+            None if spring is None else spring.times(float(factor))
+            for spring, factor in zip(self.springs, departure.stiffness, strict=True)
+        )
+        other.damping = departure.damping * self.damping
+        other._check_damping()
+        return other
+
+    def _check_damping(self) -> None:
+        for j in np.flatnonzero(
+            self.elastic & ~(self.damping <= self._critical) | (self.damping < 0.0)
+        ):
             raise RobotError(
-                f"the damping of {robot.joint_names[j]} must lie between 0 and the critical "
-                f"{critical[j]:.4g} N m s/rad of the joint swinging alone; got "
+                f"the damping of {self.robot.joint_names[j]} must lie between 0 and the critical "
+                f"{self._critical[j]:.4g} N m s/rad of the joint swinging alone; got "
                 f"{self.damping[j]:.4g}."
             )
 

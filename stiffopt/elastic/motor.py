@@ -60,6 +60,14 @@ class MotorMotion:
         time = time[np.concatenate([[True], np.diff(time) > 1e-9 * motion.duration])]
         return cls(time, motion(time, 0), motion(time, 1))
 
+    def __call__(self, t: object, order: int = 0) -> np.ndarray:
+        """Positions (order 0) or their derivatives (K, n) at the times (K,)."""
+        times = np.asarray(t, dtype=float)
+        value = self._spline(np.clip(times, 0.0, self._end), order)
+        if order == 0:
+            return np.asarray(value)
+        return np.where((times > self._end)[..., None], 0.0, value)
+
     def at(self, t: float) -> tuple[np.ndarray, np.ndarray]:
         """Position and velocity (n,) at one instant."""
         if t > self._end:
@@ -116,6 +124,11 @@ class Servo:
                 f"below {1e3 * largest:.4g} ms, and has {1e3 * self.delay:.4g} ms. Lower the "
                 "bandwidth or the delay."
             )
+
+    @property
+    def follows_exactly(self) -> bool:
+        """Whether it does: with all of the command's velocity, without delay."""
+        return self.feed_forward == 1.0 and self.delay == 0.0
 
     def follow(self, command: MotorMotion, until: float) -> MotorMotion:
         """Motor motion from rest under this command, to the time `until` [s]."""

@@ -1,7 +1,8 @@
 """Forward simulation of an elastic arm whose motors follow a motion.
 
-What the tool does is measured against where it would hang at rest at the commanded motor position,
-so that the change of the sag with the pose is not counted; a servo's lag is.
+What the tool does is measured against where it would hang at rest at the commanded motor position
+(of a compensated command at the planned one), so that the change of the sag with the pose is not
+counted; a servo's lag is.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ def simulate(
     servo: Servo | None = None,
     band: float = SETTLING_BAND,
     method: str = "DOP853",
+    reference: MotorMotion | None = None,
 ) -> SimulatedMotion:
     """Let the motors follow a motion, then stand still for a second.
 
@@ -48,6 +50,9 @@ def simulate(
         Within which the tool counts as settled [m].
     method : str
         Of `scipy.integrate.solve_ivp`.
+    reference : MotorMotion, optional
+        From whose hanging at rest the deviation is measured: the plan that the command is to
+        fulfil; the command itself where left out.
 
     Returns
     -------
@@ -93,11 +98,12 @@ def simulate(
         state = solved.y[:, -1]
         parts.append(solved.y.T)
     states = np.concatenate(parts)
-    command, followed = motion.position(times), motor.position(times)
+    wanted = (motion if reference is None else reference).position(times)
+    followed = motor.position(times)
     q = np.where(arm.elastic, states[:, :n], followed)
     windup = followed - q
     torque = equations.spring_torque(windup, states[:, 2 * n :])
-    deviation = arm.tool(q) - arm.tool(arm.hanging(command))
+    deviation = arm.tool(q) - arm.tool(arm.hanging(wanted))
     return SimulatedMotion(
         time=times,
         duration=motion.duration,

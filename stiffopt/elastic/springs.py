@@ -8,6 +8,7 @@ whoever passes it is told (`Springs.torque_reach`).
 
 from __future__ import annotations
 
+import copy
 import functools
 from bisect import bisect_right
 from typing import TYPE_CHECKING
@@ -50,11 +51,23 @@ class JointSpring:
             )
         self.torque_reach = float(torque[-1])
         """Torque [N m] up to which the law is followed."""
+        self.windup_reach = float(windup[-1])
+        """Wind-up [rad] there."""
         self._torques, self._windups = torque.tolist(), windup.tolist()
         self._by_windup = _cubics(windup, torque, 1.0 / compliance)
         self._by_torque = _cubics(torque, windup, compliance)
         # Reading a list of tuples is what makes one instant cheap.
         self._pieces = [tuple(piece) for piece in self._by_windup.tolist()]
+
+    def times(self, factor: float) -> JointSpring:
+        """Spring of `factor` times the stiffness: as many times the torque at every wind-up."""
+        other = copy.copy(self)
+        other.torque_reach = factor * self.torque_reach
+        other._torques = [factor * torque for torque in self._torques]
+        other._by_windup = factor * self._by_windup
+        other._by_torque = self._by_torque / factor ** np.arange(4)
+        other._pieces = [tuple(piece) for piece in other._by_windup.tolist()]
+        return other
 
     def torque_at(self, windup: float) -> tuple[float, float]:
         """Torque [N m] and tangent stiffness [N m/rad] at one wind-up [rad]."""

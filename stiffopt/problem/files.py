@@ -116,6 +116,7 @@ def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
         boundary_acceleration=motion.boundary_acceleration,
         process_force=np.array(document.tool.process_force),
         method=document.method,
+        uncertainty=document.uncertainty,
         title=document.title or path.stem,
         remarks=_remarks(document.payload),
     )

@@ -49,6 +49,8 @@ class MotorModel(StageModel):
         Factor on every smoothing width of the stiffness model.
     sides : array (n,)
         As for `StageModel`.
+    process_force : array_like (3,)
+        Acts on the tool all the time, base axes [N].
     """
 
     def __init__(
@@ -57,9 +59,10 @@ class MotorModel(StageModel):
         derivatives: list[Quantity],
         smoothing: Quantity,
         sides: np.ndarray,
+        process_force: object = (0.0, 0.0, 0.0),
     ) -> None:
         self.robot, self.smoothing, self.sides = robot, smoothing, sides
-        self.process_force = np.zeros(3)
+        self.process_force = np.asarray(process_force, dtype=float)
         self._derivatives = derivatives
 
     @property
@@ -71,8 +74,11 @@ class MotorModel(StageModel):
     @cached_property
     def position(self) -> Quantity:
         """Of the motors (n,) [rad]."""
-        sag = self.windup(self.torques.gravity)
-        return self.link[0] + self.windup(self.torques.motion) - sag
+        torques = self.torques
+        if not self.process_force.any():
+            return self.link[0] + self.windup(torques.motion) - self.windup(torques.gravity)
+        held = torques.gravity + torques.spring - torques.motion
+        return self.link[0] + self.windup(torques.spring) - self.windup(held)
 
     @cached_property
     def velocity(self) -> Quantity:
@@ -111,7 +117,9 @@ class MotorModel(StageModel):
         return found
 
 
-def motor_motion(robot: Robot, link: Trajectory, smoothing: float) -> Trajectory:
+def motor_motion(
+    robot: Robot, link: Trajectory, smoothing: float, process_force: object = (0.0, 0.0, 0.0)
+) -> Trajectory:
     """Motion of the motors that makes the links move as given.
 
     Parameters
@@ -121,9 +129,11 @@ def motor_motion(robot: Robot, link: Trajectory, smoothing: float) -> Trajectory
         At rest at both ends, with five derivatives.
     smoothing : float
         Factor on the smoothing widths: a law with corners would ask for jumps of the speed.
+    process_force : array_like (3,)
+        Acts on the tool all the time, base axes [N].
     """
     derivatives = [ca.SX.sym(f"d{k}", robot.n) for k in range(6)]
-    model = MotorModel(robot, derivatives, smoothing, np.zeros(robot.n))
+    model = MotorModel(robot, derivatives, smoothing, np.zeros(robot.n), process_force)
     outputs = [ca.densify(each) for each in model.exact_derivatives()]
     law = ca.Function("motors", derivatives, outputs)
     begins, ends = link.times[:-1], link.times[1:]

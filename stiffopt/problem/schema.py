@@ -24,6 +24,7 @@ from stiffopt.declaration import (
     Time,
     declared,
 )
+from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.files import Section
 from stiffopt.problem.limit import LIMITS, LimitKey
 from stiffopt.problem.objective import OBJECTIVES, Objective
@@ -173,6 +174,7 @@ class ProblemFile(Section):
     ]
     limits: LimitsSection = LimitsSection()
     method: Method = Method()
+    uncertainty: Uncertainty = Uncertainty()
     expected: ExpectedSection | None = None
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 
 from stiffopt.declaration import POSITIVE, Bounds, Doc, Ratio, Time, check_fields
+from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.objective import Objective
@@ -144,6 +145,8 @@ class TrajectoryProblem:
         Acts on the tool, base frame.
     remarks : tuple of str
         What was left open and a result has to say.
+    uncertainty : Uncertainty
+        How far the arm may be from its model; judges the command, not the planned motion.
     """
 
     robot: Robot
@@ -160,6 +163,7 @@ class TrajectoryProblem:
     method: Method = field(default_factory=Method)
     title: str = ""
     remarks: tuple[str, ...] = ()
+    uncertainty: Uncertainty = field(default_factory=Uncertainty)
 
     def __post_init__(self) -> None:
         if not self.objectives:
@@ -174,6 +178,7 @@ class TrajectoryProblem:
                 f"boundary_acceleration = {self.boundary_acceleration!r} is unknown; allowed: "
                 "'zero' or 'free'."
             )
+        self.uncertainty.shares(self.joints)
         for number, objective in enumerate(self.objectives, start=1):
             self._check_objective(objective, f"minimise[{number}]")
 

@@ -9,6 +9,7 @@ from stiffopt.result.assessment import Assessment
 from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
+    from stiffopt.result.compensation import Compensation
     from stiffopt.result.simulation import Simulation
     from stiffopt.result.trajectory import Trajectory
 
@@ -82,6 +83,8 @@ class Solution:
         As the other ratio, to that one.
     simulation : Simulation or None
         What the elastic arm does with this motion and the baselines; None where not simulated.
+    compensation : Compensation or None
+        The command that makes the links do this motion, and what it gives on uncertain arms.
     """
 
     status: SolveStatus
@@ -98,6 +101,7 @@ class Solution:
     strict_baseline: Baseline | None = None
     ratio_to_strict_baseline: float | None = None
     simulation: Simulation | None = None
+    compensation: Compensation | None = None
 
     @property
     def duration(self) -> float | None:

@@ -18,6 +18,7 @@ from stiffopt.errors import InputFileError
 from stiffopt.files import atomic_write, load_json, plain, write_csv
 from stiffopt.folders import check_result
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
+from stiffopt.result.compensation_store import compensation_document
 from stiffopt.result.simulation import ElasticMotion, Simulation
 from stiffopt.result.solution import Baseline, ObjectiveValue, Solution
 
@@ -57,6 +58,7 @@ def result_document(solution: Solution) -> dict[str, Any]:
         "solver": vars(solution.solver),
         "notes": solution.notes,
         "simulation": simulation_document(solution.simulation),
+        "compensation": compensation_document(solution.compensation),
         "inputs_hash": solution.inputs_hash,
         "versions": solution.versions,
     }

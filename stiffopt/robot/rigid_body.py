@@ -51,6 +51,20 @@ class RigidBodies:
         """Inertia of the joints (n, n) [kg m^2]."""
         return np.array(pin.crba(self._model, self._data, q))
 
+    def torque_slopes(
+        self, q: np.ndarray, v: np.ndarray, a: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Derivatives (n, n) of `torque` by position, velocity and acceleration."""
+        model, data = self._model, self._data
+        pin.computeRNEADerivatives(model, data, q, v, a)
+        upper = np.triu(data.M)
+        inertia = upper + np.triu(upper, 1).T
+        return np.array(data.dtau_dq), np.array(data.dtau_dv), inertia
+
+    def weight_slope(self, q: np.ndarray) -> np.ndarray:
+        """Derivative (n, n) of `gravity_torque` by position."""
+        return np.array(pin.computeGeneralizedGravityDerivatives(self._model, self._data, q))
+
     def torque_regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Torques for a unit of every inertial parameter (n, 10 n).
 

@@ -75,6 +75,9 @@ class Robot:
         Half width of the loop that wind-up describes over torque [rad]; default none.
     shapes : tuple of LinkShape
         What the links look like and collide with, as far as the URDF says it.
+    payload : array (10,), optional
+        Inertial parameters (mass, first moments, inertia) in the axes of the flange of what
+        `with_payload` has put there; the model holds it.
 
     Notes
     -----
@@ -100,6 +103,7 @@ class Robot:
     damping: np.ndarray | None = None
     hysteresis: np.ndarray | None = None
     shapes: tuple[LinkShape, ...] = ()
+    payload: np.ndarray | None = None
 
     @property
     def n(self) -> int:
@@ -166,7 +170,23 @@ class Robot:
         at = pin.SE3(self.flange.rotation, self.flange.offset)
         body = pin.Inertia(float(mass), centre, tensor)
         model.appendBodyToJoint(self.flange.joint, body, at)
-        return replace(self, model=model)
+        carried = body.toDynamicParameters()
+        held = carried if self.payload is None else self.payload + carried
+        return replace(self, model=model, payload=held)
+
+    def with_payload_times(self, factor: float) -> Robot:
+        """Copy whose payload has `factor` times its mass and inertia, 0 or above."""
+        if self.payload is None or factor == 1.0:
+            return self
+        if not (np.isfinite(factor) and factor >= 0.0):
+            raise RobotError(f"a payload can be 0 or more times what it is, not {factor:g} times.")
+        at = pin.SE3(self.flange.rotation, self.flange.offset)
+        carried = at.act(pin.Inertia.FromDynamicParameters(self.payload)).toDynamicParameters()
+        joint = self.flange.joint
+        own = self.model.inertias[joint].toDynamicParameters() + (factor - 1.0) * carried
+        model = self.model.copy()
+        model.inertias[joint] = pin.Inertia.FromDynamicParameters(own)
+        return replace(self, model=model, payload=factor * self.payload)
 
     def with_gravity(self, gravity: Sequence[float]) -> Robot:
         """Copy under another gravity (3,) [m/s^2], base axes."""

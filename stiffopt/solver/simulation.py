@@ -6,7 +6,9 @@ is counted where the problem allows that duration.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+import time
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -22,12 +24,15 @@ from stiffopt.errors import NotSimulatedError
 from stiffopt.problem.resolve import ResolvedMotion, resolve
 from stiffopt.result.simulation import SETTLING_BAND, ElasticMotion, Simulation
 from stiffopt.result.status import SolveStatus
+from stiffopt.solver.compensation import compensate
+from stiffopt.solver.stages import ProgressCallback, SolveProgress
 
 if TYPE_CHECKING:
     from stiffopt.elastic.motor import Servo
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Assessment, PeakRms
     from stiffopt.result.solution import Baseline, Solution
+    from stiffopt.result.trajectory import Trajectory
 
 
 def is_elastic(problem: TrajectoryProblem) -> bool:
@@ -65,6 +70,8 @@ class PlannedMotion:
         Its quasi-static dynamic deflection [m].
     counted : bool
         Whether it keeps all limits and the problem's duration.
+    link : Trajectory or None
+        What the links are planned to do, where that is planned apart from the motors' motion.
     """
 
     name: str
@@ -73,6 +80,7 @@ class PlannedMotion:
     velocity: np.ndarray
     planned: PeakRms
     counted: bool
+    link: Trajectory | None = None
 
     @classmethod
     def of(cls, name: str, assessment: Assessment, counted: bool) -> PlannedMotion:
@@ -166,8 +174,10 @@ def check_simulation(problem: TrajectoryProblem, motion: ResolvedMotion) -> None
             elastic_arm(problem, motion.start)
 
 
-def with_simulation(problem: TrajectoryProblem, solution: Solution) -> Solution:
-    """The solution with its simulation; a note instead where the arm cannot be simulated."""
+def with_simulation(
+    problem: TrajectoryProblem, solution: Solution, progress: ProgressCallback | None = None
+) -> Solution:
+    """The solution with its simulation and its command; a note instead where there are none."""
     stopped = solution.status is SolveStatus.INTERRUPTED
     if solution.assessment is None or stopped or not is_elastic(problem):
         return solution
@@ -177,13 +187,45 @@ def with_simulation(problem: TrajectoryProblem, solution: Solution) -> Solution:
         counted = solution.assessment.feasible(CERTIFIED)
         own = PlannedMotion.of("optimised", solution.assessment, counted)
         others = rivals(problem, motion, solution.baselines, solution.strict_baseline)
+        if solution.trajectory is not None:
+            own = replace(own, link=solution.trajectory.link)
         simulation = simulate_motions(problem, arm, [own, *others])
-    except KeyboardInterrupt:
-        note = (
-            "The simulation on the elastic arm was interrupted; `stiffopt simulate` does it anew."
+        solution = replace(solution, simulation=simulation)
+        if problem.boundary_velocity is not None and np.any(problem.boundary_velocity):
+            return _noted(solution, "No command.csv: the motion does not start and end at rest.")
+        compensation = compensate(
+            problem, arm, [own, *others], progress=_events(progress, solution)
         )
-        return replace(solution, notes=(*solution.notes, note))
+    except KeyboardInterrupt:
+        return _noted(
+            solution,
+            "The simulation on the elastic arm was interrupted; `stiffopt simulate` does it anew.",
+        )
     except NotSimulatedError as error:
-        note = f"Not simulated on the elastic arm: {error}"
-        return replace(solution, notes=(*solution.notes, note))
-    return replace(solution, simulation=simulation)
+        return _noted(solution, f"Not simulated on the elastic arm: {error}")
+    return replace(solution, compensation=compensation)
+
+
+def _noted(solution: Solution, note: str) -> Solution:
+    return replace(solution, notes=(*solution.notes, note))
+
+
+def _events(progress: ProgressCallback | None, solution: Solution) -> Callable[[str], object]:
+    """Tells a solve's display which motion is being compensated."""
+    begun, value = time.perf_counter(), getattr(solution.objective, "value", np.nan)
+    numbers = itertools.count(1)
+
+    def tell(name: str) -> None:
+        if progress is not None:
+            progress(
+                SolveProgress(
+                    stage=f"{name} motion on uncertain arms",
+                    iteration=next(numbers),
+                    objective=value,
+                    violation=0.0,
+                    row="",
+                    elapsed=time.perf_counter() - begun,
+                )
+            )
+
+    return tell

@@ -56,6 +56,18 @@ def test_report_of_the_solve_shows_the_swing_beside_the_certificate(solved):
     assert "after arrival" in page
 
 
+def test_a_jerky_plan_has_no_command_that_the_motors_can_do_and_says_why(solved, capsys):
+    out = solved / "out"
+    assert not (out / "command.csv").exists()
+    document = json.loads((out / "result.json").read_text())["compensation"]
+    assert document["command"] is None
+    assert "the motors would exceed" in document["refusal"]
+    assert set(document["motions"]) >= {"optimised", "toppra", "quintic"}
+    page = (out / "report.html").read_text()
+    assert "With the motors leading the links" in page
+    assert "the motors would exceed" in page
+
+
 def test_a_servo_that_lags_shows_in_the_deviation(solved, capsys):
     out = solved / "lagging"
     options = ["--bandwidth", "20", "--feed-forward", "0.5", "--delay", "1 ms", "--band", "1 mm"]

@@ -8,12 +8,18 @@ from typing import TYPE_CHECKING
 
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import si
+from stiffopt.report.solve.compensation import (
+    compensation_notes,
+    compensation_table,
+    compensation_text,
+)
 from stiffopt.report.solve.swing import simulation_notes, simulation_table
 from stiffopt.report.solve.wording import comparison, difference_text, headline_text
 from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.compensation import Compensation
     from stiffopt.result.simulation import Simulation
     from stiffopt.result.solution import Solution
     from stiffopt.verify import Check
@@ -29,6 +35,8 @@ def print_solution(problem: TrajectoryProblem, solution: Solution, folder: Path)
     print_lines(lines)
     if solution.simulation is not None:
         print_simulation(solution.simulation)
+    if solution.compensation is not None:
+        print_compensation(solution.compensation)
     print_lines([f"Report: {folder / 'report.html'}"])
 
 
@@ -37,6 +45,16 @@ def print_simulation(simulation: Simulation) -> None:
     head, rows = simulation_table(simulation)
     print_table(head, rows, title="on the elastic arm", numbers=head[2:-1])
     print_lines(simulation_notes(simulation))
+
+
+def print_compensation(compensation: Compensation) -> None:
+    """A table of the motions as planned and compensated, and what it rests on."""
+    head, rows = compensation_table(compensation)
+    short = [*head[:-2], head[-1]]
+    cells = [[*row[:-2], row[-1]] for row in rows]
+    title = "on uncertain arms, motors that follow the plan and that lead the links"
+    print_table(short, cells, title=title, numbers=short[2:-1])
+    print_lines([compensation_text(compensation), *compensation_notes(compensation)])
 
 
 def print_checks(checks: Sequence[Check]) -> None:

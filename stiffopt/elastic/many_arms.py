@@ -1,0 +1,257 @@
+"""Many arms on one planned motion at once, linearised about the plan.
+
+Bodies are linearised about the planned motion, payloads in proportion; springs keep their law.
+Links leave the plan by a thousandth of a radian, so that what is neglected is as small. Integrated
+by the trapezoidal rule, the springs at their tangent from step to step: stable however stiff a
+joint is. Hysteresis is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from stiffopt.elastic.along_plan import BodiesAlong, EvenSprings, WeightAlong
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.modes import modes
+from stiffopt.elastic.motor import MotorMotion, Servo
+from stiffopt.elastic.uncertainty import Departure
+from stiffopt.result.trajectory import JointMotion
+
+# Of the integration [s], and its steps in a swing of the lowest mode: with a hundred of them it
+# falls behind by a thirtieth of a radian in fifteen swings.
+_STEP = 1e-3
+_STEPS = 100
+# Swings of the lowest mode that are followed after arrival: the first is the largest.
+_SWINGS = 1.5
+_LONGEST_REST = 1.0
+# Where the tool would hang changes slowly: found at every so many steps.
+_SAG_EVERY = 5
+_SAG_ITERATIONS = 4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Member:
+    """One arm with one command.
+
+    Parameters
+    ----------
+    command : MotorMotion
+        Of the motors.
+    departure : Departure
+        What the arm is.
+    reference : MotorMotion
+        The motion from whose hanging at rest the deviation is measured: the command itself, or the
+        plan that it is to fulfil.
+    """
+
+    command: MotorMotion
+    departure: Departure
+    reference: MotorMotion
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Swings:
+    """Deviations of several arms.
+
+    Parameters
+    ----------
+    time : array (K,) [s]
+    duration : float
+        When the commands arrive [s].
+    deviation : array (B, K, 3)
+        Of each arm's tool from where it would hang at rest, base axes [m].
+    """
+
+    time: np.ndarray
+    duration: float
+    deviation: np.ndarray
+
+    @cached_property
+    def distance(self) -> np.ndarray:
+        """Sizes of the deviations (B, K) [m]."""
+        return np.asarray(np.linalg.norm(self.deviation, axis=2))
+
+    @property
+    def flight(self) -> np.ndarray:
+        """Which instants are in flight (K,)."""
+        return np.asarray(self.time <= self.duration)
+
+    @property
+    def peak(self) -> np.ndarray:
+        """Largest deviations in flight (B,) [m]."""
+        return np.asarray(self.distance[:, self.flight].max(axis=1))
+
+    @property
+    def peak_after(self) -> np.ndarray:
+        """Largest deviations after arrival (B,) [m]."""
+        return np.asarray(self.distance[:, self.time >= self.duration].max(axis=1))
+
+
+class ManyArms:
+    """The arms of a robot along one planned motion.
+
+    Parameters
+    ----------
+    arm : ElasticArm
+        The nominal one.
+    plan : JointMotion
+        At rest at both ends; its second derivative is used.
+    servo : Servo, optional
+        The worst one; members have a share of its lag.
+    """
+
+    def __init__(self, arm: ElasticArm, plan: JointMotion, servo: Servo | None = None) -> None:
+        self._servo = servo
+        self.duration = plan.duration
+        start = plan(np.zeros(1))[0]
+        slowest = min((mode.frequency for mode in modes(arm, start)), default=1.0)
+        count = int(np.ceil(self.duration / min(_STEP, 1.0 / (_STEPS * slowest))))
+        self._step = self.duration / count
+        flight = np.minimum(self._step * np.arange(count + 1), self.duration)
+        rest = int(np.ceil(min(_SWINGS / slowest, _LONGEST_REST) / self._step)) + 1
+        self.time = np.concatenate([flight, self.duration + self._step * np.arange(1, rest + 1)])
+        self._flight = count + 1
+        self._q, self._v = self._rested(plan(flight)), self._rested(plan(flight, 1), 0.0)
+        # Bodies in the middle of every step of the flight, then at rest.
+        middle = 0.5 * (flight[:-1] + flight[1:])
+        ends = [self._q[-1:], np.zeros_like(self._q[:1]), np.zeros_like(self._q[:1])]
+        moving = [np.concatenate([plan(middle, k), end]) for k, end in enumerate(ends)]
+        self._bodies = BodiesAlong(arm, *moving)
+        self._springs, self._damping = EvenSprings(arm), arm.damping
+        self._rigid = np.flatnonzero(~arm.elastic)
+        self._start = WeightAlong(arm, self._q[:1])
+        steps = np.arange(0, len(self.time), _SAG_EVERY)
+        self._seldom = np.unique(np.append(steps, len(self.time) - 1))
+        self._weight = WeightAlong(arm, self._q[self._seldom])
+        self._jacobian = self._rested(
+            np.array([arm.bodies.jacobian(arm.robot.tool, q)[:3] for q in self._q[: count + 1]])
+        )
+
+    def swings(
+        self, members: Sequence[Member], progress: Callable[[float], object] | None = None
+    ) -> Swings:
+        """Simulate the members, all at once.
+
+        Parameters
+        ----------
+        members : sequence of Member
+        progress : callable, optional
+            Called with the share that is done.
+        """
+        arms = _Arms([member.departure for member in members])
+        links = self._integrated(arms, [member.command for member in members], progress)
+        hanging = self._hanging(arms, [member.reference for member in members])
+        deviation = np.einsum("kij,bkj->bki", self._jacobian, links - hanging)
+        return Swings(time=self.time, duration=self.duration, deviation=deviation)
+
+    def _rested(self, values: np.ndarray, at_rest: float | None = None) -> np.ndarray:
+        """Values of the flight and their last one, or another, until the end."""
+        last = values[-1:] if at_rest is None else np.full_like(values[-1:], at_rest)
+        return np.concatenate([values, np.repeat(last, len(self.time) - len(values), axis=0)])
+
+    def _integrated(
+        self,
+        arms: _Arms,
+        commands: Sequence[MotorMotion],
+        progress: Callable[[float], object] | None,
+    ) -> np.ndarray:
+        """Positions of the links less those of the plan (B, K, n)."""
+        bodies, springs, step = self._bodies, self._springs, self._step
+        motors, own = self._motors(commands)
+        joints, rigid = np.arange(self._q.shape[1]), self._rigid
+        damping = arms.damping * self._damping
+        turn = motors[own, 0, :1] - self._q[:1]
+        e = _hung(springs, self._start, arms, turn)[:, 0]
+        rate = np.zeros_like(e)
+        found = np.empty((len(own), len(self.time), len(joints)))
+        found[:, 0] = e
+        turn, drive = turn[:, 0], np.zeros_like(e)
+        for k in range(1, len(self.time)):
+            middle = min(k - 1, self._flight - 1)
+            by_q, by_v = arms.of(bodies.by_q, middle), arms.of(bodies.by_v, middle)
+            inertia, needed = arms.of(bodies.inertia, middle), arms.of(bodies.torque, middle)
+            before = arms.stiffness * springs.at(turn - e)[0] + damping * (drive - rate)
+            before -= _times(by_q, e) + _times(by_v, rate)
+            turn = motors[own, 0, k] + arms.servo * motors[own, 2, k] - self._q[k]
+            drive = motors[own, 1, k] + arms.servo * motors[own, 3, k] - self._v[k]
+            # Springs at the predicted place, straight from there to the end of the step.
+            predicted, fixed = e + step * rate, e + 0.5 * step * rate
+            torque, stiffness = springs.at(turn - predicted)
+            torque, stiffness = arms.stiffness * torque, arms.stiffness * stiffness
+            ahead = torque + stiffness * (predicted - fixed) + damping * drive
+            ahead -= _times(by_q, fixed)
+            left = inertia / step + 0.5 * by_v + 0.25 * step * by_q
+            left[:, joints, joints] += 0.5 * damping + 0.25 * step * stiffness
+            right = _times(inertia, rate) / step + 0.5 * (before + ahead) - needed
+            # Rigid joints do as their motors.
+            left[:, rigid] = 0.0
+            left[:, rigid, rigid], right[:, rigid] = 1.0, drive[:, rigid]
+            new = np.linalg.solve(left, right[..., None])[..., 0]
+            e, rate = e + 0.5 * step * (rate + new), new
+            e[:, rigid] = turn[:, rigid]
+            found[:, k] = e
+            if progress is not None and k % 100 == 0:
+                progress(k / len(self.time))
+        return found
+
+    def _motors(self, commands: Sequence[MotorMotion]) -> tuple[np.ndarray, np.ndarray]:
+        """Motions (C, 4, K, n) of the different commands, and which each member has (B,).
+
+        Position and velocity as commanded, and what the worst servo adds to either.
+        """
+        different = list({id(command): command for command in commands}.values())
+        places = {id(command): c for c, command in enumerate(different)}
+        found = np.zeros((len(different), 4, len(self.time), self._q.shape[1]))
+        for own, command in zip(found, different, strict=True):
+            own[0], own[1] = command(self.time), command(self.time, 1)
+            own[1, self.time > self.duration] = 0.0
+            if self._servo is not None:
+                late = self._servo.follow(command, self.time[-1])
+                own[2], own[3] = late(self.time) - own[0], late(self.time, 1) - own[1]
+        return found, np.array([places[id(command)] for command in commands])
+
+    def _hanging(self, arms: _Arms, references: Sequence[MotorMotion]) -> np.ndarray:
+        """Links at rest at the positions of the references, less those of the plan (B, K, n)."""
+        chosen, count = self._seldom, len(self.time)
+        different = {id(each): each(self.time[chosen]) for each in references}
+        turn = np.stack([different[id(each)] for each in references]) - self._q[chosen]
+        coarse = _hung(self._springs, self._weight, arms, turn)
+        right = np.clip(np.searchsorted(chosen, np.arange(count)), 1, len(chosen) - 1)
+        left = right - 1
+        share = ((np.arange(count) - chosen[left]) / (chosen[right] - chosen[left]))[:, None]
+        return np.asarray((1.0 - share) * coarse[:, left] + share * coarse[:, right])
+
+
+class _Arms:
+    """Departures as arrays: stiffness (B, n), the others (B, 1)."""
+
+    def __init__(self, departures: Sequence[Departure]) -> None:
+        self.stiffness = np.array([each.stiffness for each in departures])
+        self.damping = np.array([[each.damping] for each in departures])
+        self.payload = np.array([[each.payload - 1.0] for each in departures])
+        self.servo = np.array([[each.servo] for each in departures])
+
+    def of(self, parts: np.ndarray, place: int) -> np.ndarray:
+        """Quantities (B, ...) of each arm from (2, K, ...) of all bodies and of the payload."""
+        factor = self.payload.reshape(-1, *([1] * (parts.ndim - 2)))
+        return np.asarray(parts[0, place] + factor * parts[1, place])
+
+
+def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    return np.asarray(np.matmul(matrices, vectors[..., None])[..., 0])
+
+
+def _hung(springs: EvenSprings, weight: WeightAlong, arms: _Arms, turn: np.ndarray) -> np.ndarray:
+    """Links at rest (B, K, n) with the motors `turn` ahead of the poses of the weight."""
+    held = weight.held[0] + arms.payload[..., None] * weight.held[1]
+    slope = weight.by_q[0] + arms.payload[..., None, None] * weight.by_q[1]
+    stiffness = arms.stiffness[:, None]
+    e = turn - springs.windup(held / stiffness)
+    for _ in range(_SAG_ITERATIONS - 1):
+        more = np.einsum("bkij,bkj->bki", slope, e)
+        e = turn - springs.windup((held + more) / stiffness)
+    return np.asarray(e)

@@ -1,0 +1,123 @@
+"""Motions whose motors lead the links, on arms as they may be: table, figure, words."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from stiffopt.report.common.svg import BLUE, GREY, VERMILLION, WIDTH, house_style
+from stiffopt.report.common.text import listed, scale, si, significant
+from stiffopt.result.compensation import CompensatedMotion, Compensation, Spread, Spreads
+from stiffopt.result.compensation_store import COMMAND_FILE
+
+_FOLLOW, _LEAD = "as planned", "compensated"
+# Dots of draws are spread over this height of a row.
+_SPREAD = 0.25
+
+
+def compensation_table(compensation: Compensation) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of text, two rows a motion."""
+    head = ["motion", "motors"]
+    for phase in ("in flight", "after"):
+        head += [f"{phase}, nominal", "90 % of draws", "worst"]
+    head += ["worst arm in flight", "motor limits"]
+    rows = []
+    for motion in compensation.motions:
+        for how, spreads in ((_FOLLOW, motion.planned), (_LEAD, motion.compensated)):
+            cells = [motion.name, how, *_cells(spreads.flight), *_cells(spreads.after)]
+            rows.append([*cells, spreads.flight.worst_case, _limits(motion, how)])
+    return head, rows
+
+
+def _cells(spread: Spread) -> list[str]:
+    return [si(value, "m", 3) for value in (spread.nominal, spread.quantile(0.9), spread.worst)]
+
+
+def _limits(motion: CompensatedMotion, how: str) -> str:
+    if how == _FOLLOW:
+        return "–"
+    return f"exceeds {motion.excess[0].describe()}" if motion.excess else "kept"
+
+
+def compensation_text(compensation: Compensation) -> str:
+    """What the command gives, nominally and at worst, against toppra's motion."""
+    if compensation.refusal:
+        return compensation.refusal
+    own = compensation.optimised
+    text = (
+        f"Commanded as {COMMAND_FILE}, the elastic arm's tool is within {_pair(own.compensated)} "
+        f"of the plan in flight and after arrival, at worst within {_pair(own.compensated, True)}"
+    )
+    other = next((each for each in compensation.motions if each.name == "toppra"), None)
+    if other is None:
+        return f"{text}."
+    plain, led = other.planned, other.compensated
+    return (
+        f"{text}; toppra's motion as planned {_pair(plain)}, at worst {_pair(plain, True)}, with "
+        f"the same compensation {_pair(led)} and {_pair(led, True)}. That is "
+        f"{_times(plain, own.compensated)} below toppra as planned, at worst "
+        f"{_times(plain, own.compensated, True)}, and {_times(led, own.compensated, True)} below "
+        "it compensated, at worst."
+    )
+
+
+def _pair(spreads: Spreads, worst: bool = False) -> str:
+    values = [s.worst if worst else s.nominal for s in (spreads.flight, spreads.after)]
+    return " / ".join(si(value, "m", 2) for value in values)
+
+
+def _times(other: Spreads, own: Spreads, worst: bool = False) -> str:
+    ratios = []
+    for theirs, ours in ((other.flight, own.flight), (other.after, own.after)):
+        above, below = (s.worst if worst else s.nominal for s in (theirs, ours))
+        ratios.append(significant(above / below, 2) if below > 0.0 else "–")
+    return " / ".join(ratios) + " times"
+
+
+def compensation_notes(compensation: Compensation) -> list[str]:
+    """What was taken as uncertain, and how the command was made."""
+    own = compensation.optimised
+    made = (
+        "The plan is smooth enough as it is"
+        if own.spacing is None
+        else f"Splines with knots every {si(own.spacing, 's', 2)} smooth the plan"
+    )
+    return [
+        f"Uncertain: {listed(compensation.uncertainty)}. The worst arm has each at a bound, or the "
+        f"joints' stiffness such that their errors add up; {compensation.draws} arms are drawn "
+        "evenly between the bounds.",
+        f"{made}; the motors lead by {100 * own.share:.0f} % of the nominal wind-up, which is best "
+        "for the worst arm.",
+    ]
+
+
+def compensation_figure(compensation: Compensation) -> Figure:
+    """Peaks on all drawn arms, nominal and worst, in flight and after arrival."""
+    rows = [
+        (f"{motion.name}, {how}", color, spreads)
+        for motion in compensation.motions
+        for how, color, spreads in (
+            (_FOLLOW, VERMILLION, motion.planned),
+            (_LEAD, BLUE, motion.compensated),
+        )
+    ]
+    sizes = [s.worst for _, _, each in rows for s in (each.flight, each.after)]
+    factor, unit = scale(max(sizes), "m")
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 0.9 + 0.42 * len(rows)))
+        panels = figure.subplots(1, 2, sharey=True)
+        for axes, phase in zip(panels, ("flight", "after"), strict=True):
+            for place, (_, color, spreads) in enumerate(rows):
+                spread: Spread = getattr(spreads, phase)
+                height = place + _SPREAD * np.linspace(-1.0, 1.0, len(spread.draws))
+                axes.plot(factor * spread.draws, height, ".", color=color, alpha=0.4, markersize=4)
+                axes.plot(factor * spread.nominal, place, "D", color=color, markersize=6)
+                axes.plot(factor * spread.worst, place, "|", color=color, markersize=16)
+            axes.set_xscale("log")
+            axes.grid(axis="x", color=GREY, linewidth=0.4)
+            where = "in flight" if phase == "flight" else "after arrival"
+            axes.set_xlabel(f"peak deviation {where} [{unit}]")
+        panels[0].set_yticks(range(len(rows)), [name for name, _, _ in rows])
+        panels[0].invert_yaxis()
+        figure.subplots_adjust(left=0.19, right=0.99, wspace=0.06)
+        return figure

@@ -1,0 +1,252 @@
+"""The command that makes the links of an elastic arm do what was planned, judged by the worst case.
+
+The links are to do the plan; the motors lead them by the wind-up of the torque that this needs
+(decision 0028). A plan that is not smooth enough is replaced by the nearest spline that is. How
+fine the spline is, and how much of the nominal wind-up the motors lead by, is chosen so that the
+tool deviates least on the worst arm that the problem's uncertainties allow: wind-up goes with one
+over the stiffness, so that its middle lies above the nominal one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.certificate.assess import assess
+from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.elastic.many_arms import ManyArms, Member, Swings
+from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.simulate import simulate
+from stiffopt.elastic.smooth_motion import smooth_motion
+from stiffopt.elastic.uncertainty import Departure, bounded, corners, draws, one_at_a_time
+from stiffopt.problem.motor_model import motor_motion
+from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
+from stiffopt.result.compensation import CompensatedMotion, Compensation, Spread, Spreads
+from stiffopt.result.store import export_times
+from stiffopt.result.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from stiffopt.elastic.arm import ElasticArm
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.assessment import Violation
+    from stiffopt.result.simulation import SimulatedMotion
+    from stiffopt.solver.simulation import PlannedMotion
+
+# Of the knots of the splines that are tried [s], and shares of the nominal wind-up.
+_SPACINGS = (0.005, 0.01, 0.02)
+_SHARES = (1.0, 1.03, 1.06, 1.09)
+# Of the grid on which the splines are tried; the chosen one is judged on the certificate's.
+_COARSE = 1001
+# Limits of the motors; the others are of the plan, which the links keep.
+_OF_MOTORS = ("position", "velocity", "velocity_by_position", "acceleration", "jerk", "torque")
+
+Progress = Callable[[str], object]
+
+
+def compensate(
+    problem: TrajectoryProblem,
+    arm: ElasticArm,
+    motions: Sequence[PlannedMotion],
+    *,
+    progress: Progress | None = None,
+) -> Compensation:
+    """Command of the first motion, and what compensation gives of all of them.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+        At rest at both ends.
+    arm : ElasticArm
+    motions : sequence of PlannedMotion
+        The optimised one first.
+    progress : callable, optional
+        Called with the name of each motion before it is compensated.
+
+    Raises
+    ------
+    NotSimulatedError
+        The arm cannot be simulated.
+    RobotError
+        An uncertainty takes a joint's damping above critical.
+    """
+    found = []
+    for motion in motions:
+        if progress is not None:
+            progress(motion.name)
+        found.append(_Compensator(problem, arm, motion).compensated())
+    own, trajectory = found[0]
+    refusal, command = _refusal(own.excess), None
+    if not refusal:
+        command = assess(problem, trajectory, times=export_times(trajectory.duration))
+    return Compensation(
+        motions=tuple(motion for motion, _ in found),
+        command=command,
+        refusal=refusal,
+        uncertainty=problem.uncertainty.statements(arm.robot.payload is not None),
+        draws=problem.uncertainty.draws,
+    )
+
+
+def _refusal(excess: tuple[Violation, ...]) -> str:
+    if not excess:
+        return ""
+    limits = " and ".join(dict.fromkeys(f"limits.scale.{each.limit}" for each in excess))
+    named = "; ".join(each.describe() for each in excess)
+    return (
+        f"No command.csv: to make the links do this motion, the motors would exceed {named}. "
+        "Minimise tool_deviation, which plans the links within the motors' limits, give a longer "
+        f"duration, or plan with lower {limits}."
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Lead:
+    """Motors that lead a smooth motion of the links.
+
+    Parameters
+    ----------
+    link : Trajectory
+    motors : Trajectory
+        With all of the nominal wind-up.
+    spacing : float or None
+    """
+
+    link: Trajectory
+    motors: Trajectory
+    spacing: float | None
+
+    def command(self, share: float) -> Trajectory:
+        """Motion of the motors with a share of the wind-up."""
+        if share == 1.0:
+            return self.motors
+        times = self.motors.times
+        derivatives = [
+            (1.0 - share) * self.link(times, k) + share * self.motors(times, k) for k in range(4)
+        ]
+        return Trajectory.through(times, np.stack(derivatives), self.link)
+
+
+class _Compensator:
+    """One planned motion on the many arms."""
+
+    def __init__(self, problem: TrajectoryProblem, arm: ElasticArm, motion: PlannedMotion) -> None:
+        self._problem, self._arm, self._motion = problem, arm, motion
+        self._follows = MotorMotion(motion.time, motion.position, motion.velocity)
+        self._plan = self._follows if motion.link is None else MotorMotion.of(motion.link)
+        self._many = ManyArms(arm, self._plan, problem.uncertainty.servo)
+        self._nominal = Departure.none(arm.robot.n)
+        self._carries = arm.robot.payload is not None
+        self._corners = corners(problem.uncertainty, arm.robot.n, self._carries)
+
+    def compensated(self) -> tuple[CompensatedMotion, Trajectory]:
+        """What compensation gives, and the command."""
+        lead, share, signs = self._chosen()
+        trajectory = lead.command(share)
+        command = MotorMotion.of(trajectory)
+        unsure, follows, plan = self._problem.uncertainty, self._follows, self._plan
+        drawn = draws(unsure, self._arm.robot.n, self._carries)
+        arms = [self._nominal, *self._corners, *signs, *drawn]
+        members = [Member(command=follows, departure=each, reference=follows) for each in arms]
+        members += [Member(command=command, departure=each, reference=plan) for each in arms]
+        swings = self._many.swings(members)
+        count = len(arms)
+        planned = _spreads(swings.peak[:count], swings.peak_after[:count], arms, len(drawn))
+        own = _spreads(swings.peak[count:], swings.peak_after[count:], arms, len(drawn))
+        worst = None
+        if self._motion.name == "optimised":
+            worst = self._simulated(command, arms[int(np.argmax(swings.peak[count:]))])
+        motion = CompensatedMotion(
+            name=self._motion.name,
+            planned=planned,
+            compensated=own,
+            simulated=self._simulated(command, self._nominal),
+            worst=worst,
+            spacing=lead.spacing,
+            share=share,
+            excess=self._excess(trajectory),
+        )
+        return motion, trajectory
+
+    def _chosen(self) -> tuple[_Lead, float, list[Departure]]:
+        """Spline and share of the least worst case; the worst signs of the joints' stiffness."""
+        leads = self._leads()
+        within = [lead for lead in leads if not self._excess(lead.motors, _COARSE)] or leads
+        tried = [(lead, share) for lead in within for share in _SHARES]
+        commands = [MotorMotion.of(lead.command(share)) for lead, share in tried]
+        single = one_at_a_time(self._problem.uncertainty, self._arm.robot.n)
+        first = [self._nominal, *single]
+        runs = [(commands[0], each) for each in first]
+        runs += [(command, each) for command in commands for each in self._corners]
+        swings = self._many.swings(
+            [Member(command=own, departure=arm, reference=self._plan) for own, arm in runs]
+        )
+        shape = (len(commands), len(self._corners))
+        flight = swings.peak[len(first) :].reshape(shape).max(axis=1)
+        after = swings.peak_after[len(first) :].reshape(shape).max(axis=1)
+        lead, share = tried[int(np.argmin(flight + after))]
+        return lead, share, self._worst_signs(swings, len(first))
+
+    def _leads(self) -> list[_Lead]:
+        robot, force = self._problem.robot, self._problem.process_force
+        smoothing = WINDUP_SMOOTHING[-1]
+        if self._motion.link is not None:
+            link = self._motion.link
+            return [_Lead(link, motor_motion(robot, link, smoothing, force), None)]
+        links = [(smooth_motion(self._plan, spacing), spacing) for spacing in _SPACINGS]
+        return [
+            _Lead(link, motor_motion(robot, link, smoothing, force), spacing)
+            for link, spacing in links
+        ]
+
+    def _worst_signs(self, swings: Swings, count: int) -> list[Departure]:
+        """Arms whose joints are softer and stiffer such that their errors add up, to first order.
+
+        The first member is the nominal arm, those up to `count` have one softer joint each.
+        """
+        unsure, found = self._problem.uncertainty, []
+        share = swings.deviation[1:count] - swings.deviation[0]
+        joints = np.flatnonzero(unsure.shares(self._arm.robot.n))
+        for chosen in (swings.flight, ~swings.flight):
+            own = share[:, chosen]
+            # Along each joint's own error, all that point to the same side are added.
+            along = np.sign(np.einsum("jkx,ikx->ijk", own, own))
+            sums = np.linalg.norm(np.einsum("ijk,jkx->ikx", along, own), axis=2)
+            if not sums.size:
+                continue
+            i, k = np.unravel_index(int(np.argmax(sums)), sums.shape)
+            signs = np.zeros(self._arm.robot.n)
+            signs[joints] = -along[i, :, k]
+            payload = float(self._carries)
+            found += [
+                bounded(unsure, side * signs, -1.0, payload, float(unsure.servo is not None))
+                for side in (-1.0, 1.0)
+            ]
+        return found
+
+    def _excess(self, motors: Trajectory, points: int | None = None) -> tuple[Violation, ...]:
+        """Limits of the motors that a motion of theirs exceeds, worst first."""
+        times = None if points is None else np.linspace(0.0, motors.duration, points)
+        found = assess(self._problem, motors, times=times).violations
+        return tuple(v for v in found if v.limit in _OF_MOTORS and v.value > CERTIFIED)
+
+    def _simulated(self, command: MotorMotion, departure: Departure) -> SimulatedMotion:
+        return simulate(self._arm.departed(departure), command, reference=self._plan)
+
+
+def _spreads(
+    flight: np.ndarray, after: np.ndarray, arms: Sequence[Departure], drawn: int
+) -> Spreads:
+    """Of peaks (B,) on the arms: the nominal one first, those drawn last."""
+    spreads = [
+        Spread(
+            nominal=float(peak[0]),
+            worst=float(peak.max()),
+            worst_case=arms[int(np.argmax(peak))].label,
+            draws=peak[len(arms) - drawn :],
+        )
+        for peak in (flight, after)
+    ]
+    return Spreads(flight=spreads[0], after=spreads[1])

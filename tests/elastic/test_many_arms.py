@@ -1,0 +1,142 @@
+"""Many arms at once against the full simulation, one by one; arms drawn from uncertainties."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from swinging_arms import arm, bang, there_and_stop
+
+from stiffopt.elastic.many_arms import ManyArms, Member
+from stiffopt.elastic.motor import Servo
+from stiffopt.elastic.simulate import simulate
+from stiffopt.elastic.uncertainty import (
+    Departure,
+    Uncertainty,
+    bounded,
+    corners,
+    draws,
+    of_deviations,
+    one_at_a_time,
+)
+from stiffopt.errors import InputError, ProblemError, RobotError
+
+
+def planar(folder, payload=1.0):
+    elastic = arm(folder, "planar", at=(0.3, 0.4))
+    loaded = elastic.robot.with_payload(payload, (0.0, 0.0, 0.0), (1e-3, 1e-3, 1e-3))
+    return type(elastic)(loaded, np.array([0.3, 0.4]))
+
+
+def test_departed_arms_swing_as_the_full_simulation_says(tmp_path):
+    elastic = planar(tmp_path)
+    command = bang((3.0, -4.0), 0.2, (0.3, 0.4))
+    plan = there_and_stop((3.0, -4.0), 0.2, (0.3, 0.4))
+    unsure = Uncertainty(servo_feed_forward=0.98)
+    arms = [
+        Departure.none(2),
+        bounded(unsure, np.array([-1.0, -1.0]), -1.0, 1.0, 0.0),
+        bounded(unsure, np.array([1.0, -1.0]), 1.0, -1.0, 0.0),
+        bounded(unsure, np.array([0.0, 0.0]), 0.0, 0.0, 1.0),
+    ]
+    members = [Member(command=command, departure=each, reference=command) for each in arms]
+    swings = ManyArms(elastic, plan, unsure.servo).swings(members)
+    for k, each in enumerate(arms):
+        servo = unsure.servo if each.servo else None
+        full = simulate(elastic.departed(each), command, servo=servo)
+        assert swings.peak[k] == pytest.approx(full.peak, rel=0.02)
+        assert swings.peak_after[k] == pytest.approx(full.peak_after, rel=0.02)
+
+
+def test_a_spring_of_twice_the_stiffness_winds_up_half_as_far(tmp_path):
+    elastic = arm(tmp_path, "planar")
+    torque = np.linspace(-20.0, 20.0, 41)
+    for spring in elastic.springs:
+        stiff = spring.times(2.0)
+        assert stiff.windup(2.0 * torque) == pytest.approx(spring.windup(torque), abs=1e-15)
+        assert stiff.torque(spring.windup(torque)) == pytest.approx(2.0 * torque, abs=1e-9)
+        angle = float(spring.windup(np.array([5.0]))[0])
+        assert stiff.torque_at(angle)[1] == pytest.approx(2.0 * spring.torque_at(angle)[1])
+
+
+def test_rigid_joints_move_with_their_motors(tmp_path):
+    from swinging_arms import one_soft_joint
+
+    elastic = one_soft_joint(tmp_path)
+    command = bang((3.0, -4.0), 0.2, (0.3, 0.4))
+    plan = there_and_stop((3.0, -4.0), 0.2, (0.3, 0.4))
+    one = [Member(command=command, departure=Departure.none(2), reference=command)]
+    found, full = ManyArms(elastic, plan).swings(one), simulate(elastic, command)
+    assert found.peak[0] == pytest.approx(full.peak, rel=0.02)
+    assert found.peak_after[0] == pytest.approx(full.peak_after, rel=0.02)
+
+
+def test_a_heavier_payload_winds_up_more(tmp_path):
+    elastic = planar(tmp_path, payload=2.0)
+    heavier = elastic.departed(Departure(stiffness=np.ones(2), payload=1.5))
+    q = np.array([0.3, 0.4])
+    more = heavier.held_torque(q) - elastic.held_torque(q)
+    empty = elastic.departed(Departure(stiffness=np.ones(2), payload=0.0)).held_torque(q)
+    assert more == pytest.approx(0.5 * (elastic.held_torque(q) - empty), rel=1e-9)
+    with pytest.raises(RobotError, match="0 or more times"):
+        elastic.robot.with_payload_times(-0.1)
+
+
+def test_corners_and_draws_stay_within_the_bounds():
+    unsure = Uncertainty(stiffness=(0.1, 0.3), seed=3)
+    found = corners(unsure, 2, True)
+    assert len(found) == 8
+    assert {tuple(each.stiffness) for each in found} == {(0.9, 0.7), (1.1, 1.3)}
+    assert {each.payload for each in found} == {0.9, 1.1}
+    assert len(corners(unsure, 2, False)) == 4
+    assert [list(each.stiffness) for each in one_at_a_time(unsure, 2)] == [[0.9, 1.0], [1.0, 0.7]]
+    arms = draws(unsure, 2, True)
+    stiffness = np.array([each.stiffness for each in arms])
+    assert len(arms) == 60
+    assert np.all(np.abs(stiffness - 1.0) <= [0.1, 0.3])
+    assert np.all(np.std(stiffness, axis=0) > [0.04, 0.12])
+    again = np.array([each.stiffness for each in draws(unsure, 2, True)])
+    assert np.array_equal(stiffness, again)
+    assert "stiffness -10 % of J1, -30 % of J2" in found[0].label
+
+
+def test_standard_deviations_become_bounds_of_the_joints():
+    unsure = of_deviations(Uncertainty(), np.array([np.nan, 0.03, 0.8]))
+    assert unsure.stiffness == pytest.approx((0.2, 0.06, 0.99))
+
+
+@pytest.mark.parametrize(
+    ("given", "what"),
+    [
+        ({"stiffness": 1.0}, "lets the stiffness of a joint be zero or negative"),
+        ({"stiffness": (0.1, 1.4)}, "stiffness = 1.4"),
+        ({"stiffness": -0.1}, "stiffness"),
+        ({"damping": 1.2}, "lets the damping of a joint be negative"),
+        ({"payload": 1.5}, "payload"),
+        ({"servo_bandwidth": 20.0, "servo_delay": 0.02}, "the servo is unstable"),
+        ({"servo_bandwidth": 0.0}, "servo_bandwidth"),
+        ({"draws": 10}, "draws"),
+    ],
+)
+def test_uncertainties_that_cannot_be_are_refused(given, what):
+    with pytest.raises(InputError, match=what):
+        Uncertainty(**given)
+
+
+def test_stiffness_is_of_every_joint():
+    with pytest.raises(ProblemError, match="has 3 numbers"):
+        Uncertainty(stiffness=(0.1, 0.1, 0.1)).shares(2)
+
+
+def test_a_damping_that_may_be_above_critical_is_named(tmp_path):
+    elastic = arm(tmp_path, "planar")
+    damped = type(elastic)(
+        elastic.robot.__class__(**{**vars(elastic.robot), "damping": 40.0 * elastic.damping}),
+        np.zeros(2),
+    )
+    with pytest.raises(RobotError, match=r"the damping of .* must lie between 0 and the critical"):
+        damped.departed(Departure(stiffness=np.ones(2), damping=1.5))
+
+
+def test_only_a_servo_that_lags_counts():
+    assert Uncertainty().servo is None
+    assert Uncertainty(servo_feed_forward=0.9).servo == Servo(20.0, 0.9, 0.0)

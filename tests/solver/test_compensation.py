@@ -1,0 +1,140 @@
+"""Commands that make the links do the plan: what they give, what they exceed, what is said."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_arms import load
+
+from stiffopt.baseline.baselines import baselines, quintic_law
+from stiffopt.certificate.assess import assess
+from stiffopt.elastic.uncertainty import Uncertainty
+from stiffopt.errors import RobotError
+from stiffopt.problem.resolve import resolve
+from stiffopt.report.solve.compensation import (
+    compensation_notes,
+    compensation_table,
+    compensation_text,
+)
+from stiffopt.result.compensation_store import compensation_document, write_command
+from stiffopt.result.joint_path import JointPath
+from stiffopt.solver.compensation import compensate
+from stiffopt.solver.simulation import PlannedMotion, elastic_arm
+
+
+def planned(problem, duration, name="optimised"):
+    """The quintic motion of a problem in some time."""
+    path = JointPath.through(resolve(problem).points)
+    return PlannedMotion.of(name, assess(problem, path.follow(quintic_law(duration))), True)
+
+
+@pytest.fixture(scope="module")
+def smooth(tmp_path_factory):
+    problem = load(tmp_path_factory.mktemp("arm"), extra="[payload]\nmass = 1.0")
+    problem = replace(problem, uncertainty=Uncertainty(servo_feed_forward=0.999, draws=50))
+    motion = planned(problem, 0.5)
+    arm = elastic_arm(problem, motion.position[0])
+    toppra = PlannedMotion.of(
+        "toppra", baselines(problem, resolve(problem))["toppra"].assessment, True
+    )
+    return problem, motion, compensate(problem, arm, [motion, toppra])
+
+
+def test_the_tool_does_what_was_planned(smooth):
+    _, _, found = smooth
+    own = found.optimised
+    assert own.excess == ()
+    assert found.refusal == ""
+    assert own.simulated.peak < 0.1 * own.planned.flight.nominal
+    assert own.simulated.peak_after < 0.2 * own.planned.after.nominal
+    # Linearised and in full, nominal and worst.
+    assert own.compensated.flight.nominal == pytest.approx(own.simulated.peak, rel=0.02)
+    assert own.worst.peak <= own.compensated.flight.worst * 1.02
+
+
+def test_the_worst_arm_is_worse_than_all_that_are_drawn(smooth):
+    _, _, found = smooth
+    for motion in found.motions:
+        for spreads in (motion.planned, motion.compensated):
+            for spread in (spreads.flight, spreads.after):
+                assert len(spread.draws) == 50
+                assert spread.worst >= max(spread.nominal, spread.draws.max())
+    own = found.optimised
+    assert own.compensated.flight.worst < 0.6 * own.planned.flight.worst
+    assert "stiffness" in own.compensated.flight.worst_case
+
+
+def test_the_command_is_written_and_an_old_one_of_another_motion_removed(smooth, tmp_path):
+    problem, motion, found = smooth
+    path = write_command(found, tmp_path)
+    with path.open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0]) == ["t", *(f"{q}{j}" for q in ("q", "qd", "qdd", "tau") for j in (1, 2))]
+    assert float(rows[-1]["t"]) == pytest.approx(0.5)
+    for j in (1, 2):
+        q = np.array([float(row[f"q{j}"]) for row in rows])
+        assert q[[0, -1]] == pytest.approx(motion.position[[0, -1], j - 1], abs=1e-9)
+        v = np.array([float(row[f"qd{j}"]) for row in rows])
+        assert v[[0, -1]] == pytest.approx([0.0, 0.0], abs=1e-9)
+        assert np.diff(q) / 2e-3 == pytest.approx(0.5 * (v[1:] + v[:-1]), abs=1e-2)
+    limits = problem.active_limits
+    assert np.all(np.abs(found.command.torque) <= limits.torque)
+    assert write_command(replace(found, command=None), tmp_path) is None
+    assert not path.exists()
+    assert write_command(None, tmp_path) is None
+
+
+def test_table_text_and_document_have_every_motion(smooth):
+    _, _, found = smooth
+    head, rows = compensation_table(found)
+    assert [row[:2] for row in rows] == [
+        [name, how] for name in ("optimised", "toppra") for how in ("as planned", "compensated")
+    ]
+    assert all(len(row) == len(head) for row in rows)
+    text = compensation_text(found)
+    assert "at worst" in text
+    assert "toppra's motion" in text
+    assert "50 arms" in compensation_notes(found)[0]
+    document = compensation_document(found)
+    assert document["command"] == "command.csv"
+    own = document["motions"]["optimised"]
+    assert own["within_motor_limits"]
+    assert len(own["compensated"]["in_flight"]["draws"]) == 50
+    assert own["simulated_worst"]["in_flight"]["peak"] > 0.0
+
+
+def test_a_command_beyond_the_motors_is_refused_with_joint_time_and_remedy(smooth, tmp_path):
+    problem, _, _ = smooth
+    fast = planned(problem, 0.5)
+    peak = np.max(np.abs(fast.velocity), axis=0)
+    tight = replace(
+        problem, limits=replace(problem.active_limits, velocity=np.array([0.95, 2.0]) * peak)
+    )
+    found = compensate(tight, elastic_arm(tight, fast.position[0]), [fast])
+    assert found.command is None
+    excess = found.optimised.excess[0]
+    assert (excess.limit, excess.joint) == ("velocity", 1)
+    assert excess.value == pytest.approx(1 / 0.95 - 1, abs=0.05)
+    for part in ("velocity of joint 1 at 0.", "s by", "limits.scale.velocity", "longer duration"):
+        assert part in found.refusal
+    assert "exceeds velocity of joint 1" in compensation_table(found)[1][1][-1]
+    assert write_command(found, tmp_path) is None
+
+
+def test_a_damping_that_may_be_above_critical_is_refused(smooth):
+    problem, motion, _ = smooth
+    arm = elastic_arm(problem, motion.position[0])
+    critical = arm.damping / 0.02
+    damped = replace(problem, robot=replace(problem.robot, damping=0.8 * critical))
+    with pytest.raises(RobotError, match="the damping of shoulder must lie between"):
+        compensate(damped, elastic_arm(damped, motion.position[0]), [motion])
+
+
+def test_a_constant_force_on_the_tool_is_compensated_too(smooth):
+    problem, motion, _ = smooth
+    pushed = replace(problem, process_force=np.array([3.0, -5.0, 0.0]))
+    found = compensate(pushed, elastic_arm(pushed, motion.position[0]), [motion]).optimised
+    assert found.simulated.peak < 0.1 * found.planned.flight.nominal
