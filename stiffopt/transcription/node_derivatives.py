@@ -88,8 +88,8 @@ def with_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function, c
     w = inputs[0]
     n = w.numel()
     y = ca.SX.sym("y", function.numel_out(0))
-    inner, outer = _replayed(function, inputs, intermediate=y)
-    _, values = function.call(inputs)
+    _, outer = _replayed(function, inputs, intermediate=y)
+    inner, values = function.call(inputs)
     weights, pull = ca.SX.sym("weights", values.numel()), ca.SX.sym("pull", y.numel())
 
     both = ca.vertcat(w, y)

@@ -68,6 +68,23 @@ def test_derivatives_are_those_of_casadi() -> None:
             np.testing.assert_allclose(ours.full(), theirs.full(), rtol=1e-12, atol=1e-12)
 
 
+def test_an_intermediate_may_be_computed_from_another() -> None:
+    x, u, z, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("z"), ca.SX.sym("p")
+    gravity = ca.sin(x[0]) * x[1]
+    through = ca.vertcat(gravity, gravity + u * ca.cos(x[1]))
+    rows = ca.vertcat(through[1] ** 2 * through[0], z)
+    taken = numbered(
+        ca.Function("stage", [x, u, z, p], [ca.sumsqr(through), rows]),
+        ca.Function("through", [x, u, z, p], [through]),
+    )
+    w, weights = ca.vertcat(x, u, z), ca.SX.sym("weights", 3)
+    values = ca.vertcat(ca.sumsqr(through), rows)
+    truth = ca.Function("h", [w, weights], [ca.hessian(ca.dot(weights, values), w)[0]])
+    point, factors = np.array([0.3, -0.7, 1.1, 0.2]), np.array([0.5, -1.0, 2.0])
+    ours = with_derivatives(taken.function)[2](point, 0.5, taken.numbers, factors)
+    np.testing.assert_allclose(ours.full(), truth(point, factors).full(), rtol=1e-12)
+
+
 def test_two_payloads_are_one_library(cache: Path) -> None:
     light, heavy = (numbered(*stage(payload)) for payload in (3.7, 5.1))
     path = made(light.function)
