@@ -6,6 +6,7 @@ import numpy as np
 
 from stiffopt.baseline.toppra_motion import BaselineMotion, toppra_baseline
 from stiffopt.certificate.assess import assess
+from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.problem.resolve import ResolvedMotion
@@ -127,7 +128,7 @@ def _assessed(
             feasible=False,
             reason=baseline.reason,
         )
-    assessment = assess(problem, baseline.motion)
+    assessment = with_collisions(problem, assess(problem, baseline.motion))
     exceeded = [v for v in assessment.violations if v.value > CERTIFIED]
     counted = [v for v in exceeded if v.limit not in ignored]
     reason = f"Exceeds {counted[0].describe()}." if counted else ""

@@ -119,6 +119,7 @@ def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
         uncertainty=document.uncertainty,
         title=document.title or path.stem,
         remarks=_remarks(document.payload),
+        cell=None if document.cell is None else document.cell.found_in(path.parent),
     )
 
 

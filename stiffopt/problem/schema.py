@@ -29,6 +29,7 @@ from stiffopt.files import Section
 from stiffopt.problem.limit import LIMITS, LimitKey
 from stiffopt.problem.objective import OBJECTIVES, Objective
 from stiffopt.problem.trajectory import Method
+from stiffopt.robot.cell import Cell
 
 Vector3 = tuple[Length, Length, Length]
 
@@ -173,6 +174,7 @@ class ProblemFile(Section):
         list[MinimiseSection], Field(min_length=1), Doc("Terms of the objective, one or more.")
     ]
     limits: LimitsSection = LimitsSection()
+    cell: Annotated[Cell | None, Doc("What the arm must not touch.")] = None
     method: Method = Method()
     uncertainty: Uncertainty = Uncertainty()
     expected: ExpectedSection | None = None

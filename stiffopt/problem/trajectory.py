@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -12,8 +13,10 @@ from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.objective import Objective
+from stiffopt.robot.cell import Cell
 
 if TYPE_CHECKING:
+    from stiffopt.robot.clearance import ClearanceModel
     from stiffopt.robot.robot import Robot
 
 # Outside these a number is a slip, and it would overflow on the way.
@@ -147,6 +150,8 @@ class TrajectoryProblem:
         What was left open and a result has to say.
     uncertainty : Uncertainty
         How far the arm may be from its model; judges the command, not the planned motion.
+    cell : Cell or None
+        What the arm must not touch; None: itself alone, as far as its URDF shows it.
     """
 
     robot: Robot
@@ -164,6 +169,7 @@ class TrajectoryProblem:
     title: str = ""
     remarks: tuple[str, ...] = ()
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
+    cell: Cell | None = None
 
     def __post_init__(self) -> None:
         if not self.objectives:
@@ -200,6 +206,18 @@ class TrajectoryProblem:
     def active_limits(self) -> Limits:
         """The limits in force."""
         return Limits.of(self.robot) if self.limits is None else self.limits
+
+    @property
+    def stated_cell(self) -> Cell:
+        """The cell, an empty one where none is stated."""
+        return Cell() if self.cell is None else self.cell
+
+    @cached_property
+    def clearance_model(self) -> ClearanceModel:
+        """Distances between links and to the cell; made once, as hulls of meshes take time."""
+        from stiffopt.robot.clearance import ClearanceModel
+
+        return ClearanceModel(self.robot, self.stated_cell)
 
     @property
     def joints(self) -> int:

@@ -23,18 +23,29 @@ class PeakRms:
 class Violation:
     """How far a limit is exceeded, relative to the limit; negative means margin left.
 
-    `joint` is 1-based, None where the limit is not of one joint.
+    `joint` is 1-based, None where the limit is not of one joint. Of a collision: the two things
+    that come near, and the distance between them [m], negative where they overlap.
     """
 
     value: float
     limit: str
     joint: int | None
     time: float
+    pair: tuple[str, str] | None = None
+    distance: float | None = None
 
     def describe(self) -> str:
         """Text for messages: "torque of joint 2 at 0.210 s by 1.2 %"."""
+        if self.pair is not None and self.distance is not None:
+            names = " and ".join(self.pair)
+            return f"the clearance of {names} at {self.time:.3f} s: {self.apart()}"
         owner = f" of joint {self.joint}" if self.joint else ""
         return f"{self.limit.replace('_', ' ')}{owner} at {self.time:.3f} s by {self.value:.2%}"
+
+    def apart(self) -> str:
+        """How far the two of a collision are apart: "12.3 mm deep", "35.0 mm apart"."""
+        assert self.distance is not None
+        return f"{1e3 * abs(self.distance):.1f} mm {'deep' if self.distance < 0 else 'apart'}"
 
 
 @dataclass(frozen=True)

@@ -34,16 +34,16 @@ class SolveStatus(StrEnum):
         return _SENTENCES[self]
 
 
+# What was checked for collisions stands behind them: `stiffopt.certificate.collisions.scope`.
 _SENTENCES = {
     SolveStatus.OPTIMAL: (
         "Solved and certified: every limit holds on the fine grid, so the motion may be run as far "
-        "as position, velocity, acceleration, jerk, torque and the stated requirements go. "
-        "Collisions with itself, the floor and the cell were not checked. Check the estimated "
-        "inputs in the report before you rely on its numbers."
+        "as position, velocity, acceleration, jerk, torque and the stated requirements go. Check "
+        "the estimated inputs in the report before you rely on its numbers."
     ),
     SolveStatus.ACCEPTABLE: (
-        "Solved to the looser tolerance and certified; the motion may be used, but collisions were "
-        "not checked. Raise method.intervals or method.time_limit for the full tolerance."
+        "Solved to the looser tolerance and certified; the motion may be used. Raise "
+        "method.intervals or method.time_limit for the full tolerance."
     ),
     SolveStatus.INFEASIBLE: (
         "No motion near the initial guess meets all limits; relax the rows named here, or give a "

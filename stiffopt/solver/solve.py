@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from stiffopt.baseline.baselines import baselines, better_baseline, strict_baseline
+from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import (
     improvement,
     is_maximised,
@@ -39,7 +40,7 @@ from stiffopt.solver.stages import (
     run_stages,
     stages,
 )
-from stiffopt.solver.verdict import TRUE_OBJECTIVE, verdict
+from stiffopt.solver.verdict import TRUE_OBJECTIVE, beyond_limits, verdict
 from stiffopt.transcription.ocp import Guess
 from stiffopt.transcription.refine import refine_mesh
 
@@ -93,6 +94,8 @@ def solve(
     if isinstance(problem, LoadedProblem):
         problem = problem.problem
     motion = resolve(problem)
+    # Meshes of the cell that cannot be read are told before the solve.
+    _ = problem.clearance_model
     if simulate:
         check_simulation(problem, motion)
     notes = (*problem.remarks, *check_bounds(problem, motion))
@@ -237,8 +240,8 @@ def _perturbed(guess: Guess, problem: TrajectoryProblem, random: np.random.Gener
 def _solution(
     run: SolveRun, outcome: Outcome, beside: dict[str, Baseline], notes: tuple[str, ...]
 ) -> Solution:
-    problem, assessment = run.problem, outcome.assessment
-    end = verdict(problem, outcome, beside)
+    problem, assessment = run.problem, with_collisions(run.problem, outcome.assessment)
+    end = beyond_limits(problem, assessment, verdict(problem, outcome, beside))
     value = objective_value(problem, assessment)
     rival = better_baseline(problem, beside)
     ratio = None
@@ -258,7 +261,7 @@ def _solution(
         baselines=beside,
         ratio_to_better_baseline=ratio,
         solver=_record(run, len(outcome.transcription.intervals)),
-        notes=(*notes, *run.notes, *_below_the_base(assessment)),
+        notes=(*notes, *run.notes, *_below_the_base(problem, assessment)),
         inputs_hash=inputs_hash(problem),
         versions=versions(),
         strict_baseline=strict,
@@ -270,14 +273,14 @@ def _solution(
     )
 
 
-def _below_the_base(assessment: Assessment) -> tuple[str, ...]:
+def _below_the_base(problem: TrajectoryProblem, assessment: Assessment) -> tuple[str, ...]:
     """A warning where the tool goes lower than the base stands, along the base's z."""
     lowest = float(assessment.tool[:, 2].min())
-    if lowest > -_BELOW:
+    if lowest > -_BELOW or problem.stated_cell.floor is not None:
         return ()
     return (
         f"The tool goes to {-1e3 * lowest:.0f} mm below the origin of the base (along its z axis)."
-        " Whether there is a floor or a table is not known, and was not checked.",
+        " Whether there is a floor or a table is not known: state cell.floor to have it checked.",
     )
 
 

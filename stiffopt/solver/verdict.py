@@ -10,11 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from stiffopt.certificate.agreement import Disagreement, differences
+from stiffopt.certificate.collisions import LIMIT as COLLISION
+from stiffopt.certificate.collisions import scope
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.problem.belief import believed_of
 from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Baseline
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
@@ -50,6 +53,29 @@ def verdict(problem: TrajectoryProblem, outcome: Outcome, beside: dict[str, Base
         f"{found.message} But the {better.name} motion beside it is better and keeps all limits as "
         "well: run that one, or raise method.intervals or method.starts.",
     )
+
+
+def beyond_limits(problem: TrajectoryProblem, motion: Assessment, found: Verdict) -> Verdict:
+    """The verdict of a motion that may collide; a usable one says what that was checked for.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+    motion : Assessment
+        With the rows of its collisions.
+    found : Verdict
+    """
+    hits = [v for v in motion.violations if v.limit == COLLISION and v.value > CERTIFIED]
+    if hits and found.status.usable:
+        listed = "; ".join(hit.describe() for hit in hits[:3])
+        return Verdict(
+            SolveStatus.CERTIFICATE_FAILED,
+            "Every other limit holds on the fine grid, but the motion does not keep "
+            f"{listed}. Do not run it; lead it around by motion.via, or change its start or end.",
+        )
+    if not found.status.usable:
+        return found
+    return Verdict(found.status, f"{found.message} {scope(problem)}".strip())
 
 
 def _by_belief(problem: TrajectoryProblem, outcome: Outcome, found: Verdict) -> Verdict:

@@ -205,13 +205,17 @@ def amount(ratio: float, name: str = "", maximised: bool = False) -> str:
 
 
 def limit_text(violation: Violation) -> str:
-    """Name of a limit with its joint: "velocity, joint 1"."""
+    """Name of a limit with its joint: "velocity, joint 1", "collision, fore and table"."""
+    if violation.pair is not None:
+        return f"{words(violation.limit)}, {' and '.join(violation.pair)}"
     name = words(violation.limit)
     return f"{name}, joint {violation.joint}" if violation.joint else name
 
 
 def violation_text(violation: Violation) -> str:
-    """Excess or margin of a limit in words: "exceeded by 0.12 %", "margin 8.5 %"."""
+    """Excess or margin of a limit in words: "exceeded by 0.12 %", "margin 8.5 %", "2 mm deep"."""
+    if violation.distance is not None:
+        return violation.apart()
     if abs(violation.value) < _AT_LIMIT:
         return "at the limit"
     size = percent(abs(violation.value))

@@ -1,0 +1,135 @@
+"""Collisions of a motion with the arm itself and with what stands around it: pair, time, depth.
+
+Distances are taken at instants of the certificate's grid that lie so near to each other that
+nothing can be touched between them: no distance changes faster than the joints can move the
+farthest point of the arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.result.assessment import Assessment, Violation
+
+if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.robot.clearance import ClearanceModel
+
+LIMIT = "collision"
+# An excess of a clearance counts against it, of none against this [m].
+_SCALE = 1e-3
+# Instants to begin with.
+_COARSE = 128
+
+
+def with_collisions(problem: TrajectoryProblem, motion: Assessment) -> Assessment:
+    """The assessment with a row for every pair that comes too near, else for the nearest pair.
+
+    The row of a pair has its distance at the worst instant; what the cell states as clearance is
+    its limit.
+    """
+    model = problem.clearance_model
+    if not model.pairs:
+        return motion
+    clearance = problem.stated_cell.clearance
+    at, distance = _nearest(model, motion, clearance)
+    rows: list[Violation] = []
+    for k in np.argsort(distance):
+        # Overlaps all, and of the others the nearest.
+        if distance[k] >= clearance and rows:
+            break
+        excess = (clearance - distance[k]) / max(clearance, _SCALE)
+        rows.append(
+            Violation(
+                float(excess),
+                LIMIT,
+                None,
+                float(motion.time[at[k]]),
+                pair=model.pairs[k],
+                distance=float(distance[k]),
+            )
+        )
+    found = sorted((*motion.violations, *rows), key=lambda each: -each.value)
+    return replace(motion, violations=tuple(found))
+
+
+def _nearest(
+    model: ClearanceModel, motion: Assessment, clearance: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Instant and distance at which each pair is nearest; instants of the motion's grid."""
+    last = len(motion.time) - 1
+    speed = model.fastest(motion.velocity, motion.position)
+    known: dict[int, np.ndarray] = {}
+
+    def at(k: int) -> np.ndarray:
+        if k not in known:
+            known[k] = model.distances(motion.position[k])
+        return known[k]
+
+    open_ = np.unique(np.linspace(0, last, min(_COARSE, last) + 1).astype(int))
+    stack = list(zip(open_[:-1].tolist(), open_[1:].tolist(), strict=True))
+    while stack:
+        first, second = stack.pop()
+        begin, end = at(first), at(second)
+        # Between two instants no distance falls below what the top speed leaves of both.
+        fall = float(speed[first : second + 1].max()) * (motion.time[second] - motion.time[first])
+        least = 0.5 * (begin + end - fall)
+        both = np.minimum(begin, end)
+        if second - first > 1 and np.any((least < clearance) & (both > clearance)):
+            middle = (first + second) // 2
+            stack += [(first, middle), (middle, second)]
+    for pair in range(len(model.pairs)):
+        if min(each[pair] for each in known.values()) < clearance:
+            _deepest(pair, at, known)
+    instants = np.array(sorted(known))
+    every = np.stack([known[k] for k in instants])
+    where = np.argmin(every, axis=0)
+    return instants[where], every[where, np.arange(every.shape[1])]
+
+
+def _deepest(pair: int, at: Callable[[int], np.ndarray], known: Mapping[int, np.ndarray]) -> None:
+    """Halve the steps beside the deepest instant of a pair until they are the grid's own."""
+    while True:
+        instants = sorted(known)
+        k = min(range(len(instants)), key=lambda i: known[instants[i]][pair])
+        beside = instants[max(k - 1, 0) : k + 2]
+        wide = [(a + b) // 2 for a, b in pairwise(beside) if b - a > 1]
+        if not wide:
+            return
+        for middle in wide:
+            at(middle)
+
+
+def scope(problem: TrajectoryProblem) -> str:
+    """What was checked for collisions, and what was not, in a sentence or two."""
+    model, cell = problem.clearance_model, problem.stated_cell
+    around = [name for name in cell.names if any(name in pair for pair in model.pairs)]
+    links = sum(not any(name in cell.names for name in pair) for pair in model.pairs)
+    checked = list(around)
+    if links:
+        checked.insert(0, f"the arm with itself ({links} pairs of links)")
+    left = [] if links else ["the arm with itself"]
+    if cell.floor is None:
+        left.append("the floor")
+    if not set(cell.names) - {"floor"}:
+        left.append("the cell")
+    text = ""
+    if checked:
+        text = f"Collisions were checked: {', '.join(checked)}. "
+        if model.guessed and around:
+            rods = ", ".join(model.guessed)
+            text += f"Links without a shape in the URDF are rods of a guessed radius: {rods}. "
+    if left:
+        what = " and ".join([", ".join(left[:-1]), left[-1]] if len(left) > 1 else left)
+        advice = "state what there is in [cell]"
+        if left == ["the arm with itself"]:
+            advice = "give the URDF collision shapes"
+        text += f"Collisions were not checked: {what}; {advice}."
+    if model.missing:
+        text += f" Not found or no mesh: {', '.join(model.missing)}."
+    return text.strip()

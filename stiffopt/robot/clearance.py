@@ -1,0 +1,230 @@
+"""Distances between an arm's links, and between links and what stands around them, by coal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from stiffopt.errors import InputFileError, shortened
+from stiffopt.files import check_file
+from stiffopt.robot.cell import Cell
+from stiffopt.robot.frames import first_link_of
+from stiffopt.robot.link_shapes import LinkShape, Purpose, load_mesh
+from stiffopt.robot.rotations import rotation_from_rpy
+from stiffopt.robot.skeleton import capsules, reach
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+# Links that overlap in all of so many poses touch by design: a wrist's housings, say.
+_POSES = 60
+
+
+@dataclass(frozen=True)
+class _Solid:
+    """Something with a form, fixed to a joint's frame; joint 0 is the base with the cell."""
+
+    name: str
+    joint: int
+    placement: Any
+    geometry: Any
+    of_cell: bool = False
+    guessed: bool = False
+
+
+class ClearanceModel:
+    """Distances of all pairs that can collide.
+
+    Parameters
+    ----------
+    robot : Robot
+        Its URDF's collision shapes, else its visual ones, else rods from joint to joint. Meshes
+        of links are taken as their convex hulls.
+    cell : Cell
+        Its meshes are taken as they are.
+
+    Attributes
+    ----------
+    pairs : list of (name, name)
+        Links and things of the cell.
+    guessed : tuple of str
+        Links that are rods of a guessed radius.
+    missing : tuple of str
+        Meshes of the URDF that were not found or are none.
+    """
+
+    def __init__(self, robot: Robot, cell: Cell) -> None:
+        self._model = robot.model.copy()
+        missing: list[str] = []
+        links = list(_links(robot, cell, missing))
+        solids = [*links, *_obstacles(cell)]
+        self.missing = tuple(dict.fromkeys(missing))
+        self.guessed = tuple(dict.fromkeys(each.name for each in links if each.guessed))
+        self._geometry = pin.GeometryModel()
+        for number, solid in enumerate(solids):
+            self._geometry.addGeometryObject(
+                pin.GeometryObject(
+                    f"{number} {solid.name}", solid.joint, solid.placement, solid.geometry
+                )
+            )
+        chosen = list(_pairs(robot, cell, solids))
+        for a, b in chosen:
+            self._geometry.addCollisionPair(pin.CollisionPair(a, b))
+        self._make_data()
+        named = [(solids[a].name, solids[b].name) for a, b in chosen]
+        own = [not solids[b].of_cell for _, b in chosen]
+        designed = self._touching_by_design(robot, np.array(own, dtype=bool), named)
+        for a, b in [pair for pair, name in zip(chosen, named, strict=True) if name in designed]:
+            self._geometry.removeCollisionPair(pin.CollisionPair(a, b))
+        named = [name for name in named if name not in designed]
+        self._make_data()
+        self.pairs = list(dict.fromkeys(named))
+        index = {pair: k for k, pair in enumerate(self.pairs)}
+        self._pair = np.array([index[name] for name in named], dtype=int)
+        self._arm = reach(robot.tree, robot.tool) + max(map(_extent, links), default=0.0)
+        self._prismatic = robot.prismatic
+
+    def _make_data(self) -> None:
+        self._data = self._model.createData()
+        self._geometry_data = pin.GeometryData(self._geometry)
+
+    def _touching_by_design(
+        self, robot: Robot, own: np.ndarray, named: list[tuple[str, str]]
+    ) -> set[tuple[str, str]]:
+        """Pairs of links that overlap in every pose that was tried."""
+        if not own.any():
+            return set()
+        low, high = robot.position_lower, robot.position_upper
+        low = np.where(np.isfinite(low), low, -np.pi)
+        high = np.where(np.isfinite(high), high, np.pi)
+        poses = np.random.default_rng(1).uniform(low, high, (_POSES, robot.n))
+        nearest: dict[tuple[str, str], np.ndarray] = {}
+        every = np.array([self._all(q) for q in poses])
+        for k in np.flatnonzero(own):
+            nearest[named[k]] = np.minimum(nearest.get(named[k], np.inf), every[:, k])
+        return {pair for pair, each in nearest.items() if np.all(each < 0.0)}
+
+    def _all(self, q: np.ndarray) -> np.ndarray:
+        pin.computeDistances(self._model, self._data, self._geometry, self._geometry_data, q)
+        return np.array([each.min_distance for each in self._geometry_data.distanceResults])
+
+    def distances(self, q: np.ndarray) -> np.ndarray:
+        """Distance of every pair (len(pairs),) at joint positions (n,); overlap is negative [m]."""
+        nearest = np.full(len(self.pairs), np.inf)
+        np.minimum.at(nearest, self._pair, self._all(q))
+        return nearest
+
+    def fastest(self, speed: np.ndarray, position: np.ndarray) -> np.ndarray:
+        """Bound (K,) on how fast any distance changes [m/s], of joint speeds and positions (K, n).
+
+        No point of the arm is farther from an axis than the arm is long, slides included.
+        """
+        slides = np.abs(position[:, self._prismatic]).sum(axis=1)
+        arms = np.where(self._prismatic, 1.0, (self._arm + slides)[:, None])
+        return np.asarray(np.sum(np.abs(speed) * arms, axis=1))
+
+
+def _links(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[_Solid]:
+    """Shapes of links: collision, else visual, else rods; adds to `missing` what has no form."""
+    shown: set[int] = set()
+    purposes: tuple[Purpose, ...] = ("collision", "visual")
+    for purpose in purposes:
+        placed = [each for each in robot.placed_shapes(purpose) if each.joint not in shown]
+        for each in placed:
+            form = _form(each.shape)
+            if form is None:
+                missing.append(each.shape.name)
+                continue
+            shown.add(each.joint)
+            at = pin.SE3(each.rotation, each.offset)
+            yield _Solid(each.shape.link, each.joint, at, form)
+    for rod in capsules(robot.tree, robot.tool):
+        if rod.joint in shown or rod.joint == 0:
+            continue
+        radius = rod.radius if cell.link_radius is None else cell.link_radius
+        along = rod.end - rod.begin
+        length = float(np.linalg.norm(along))
+        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along / length)
+        yield _Solid(
+            first_link_of(robot.model, rod.joint),
+            rod.joint,
+            pin.SE3(turn.matrix(), 0.5 * (rod.begin + rod.end)),
+            coal.Capsule(radius, length),
+            guessed=cell.link_radius is None,
+        )
+
+
+def _extent(solid: _Solid) -> float:
+    """How far a link goes beyond the origin of its joint [m]."""
+    form = solid.geometry
+    form.computeLocalAABB()
+    return float(
+        np.linalg.norm(solid.placement.translation)
+        + np.linalg.norm(form.aabb_center)
+        + form.aabb_radius
+    )
+
+
+def _form(shape: LinkShape) -> Any:
+    """Shape of a link as coal has it; None for a mesh that is not there or cannot be read."""
+    if shape.kind == "box":
+        return coal.Box(*shape.size)
+    if shape.kind == "sphere":
+        return coal.Sphere(*shape.size)
+    if shape.kind == "cylinder":
+        return coal.Cylinder(*shape.size)
+    if not shape.known:
+        return None
+    try:
+        mesh = load_mesh(shape)
+    except InputFileError:
+        return None
+    # Qhull's default options, and vertices are kept.
+    mesh.buildConvexHull(True, "Qt")
+    return mesh.convex
+
+
+def _obstacles(cell: Cell) -> Iterator[_Solid]:
+    """What stands around the arm, all fixed to the base."""
+    up = np.array([0.0, 0.0, 1.0])
+    if cell.floor is not None:
+        yield _Solid("floor", 0, pin.SE3.Identity(), coal.Halfspace(up, cell.floor), of_cell=True)
+    for plane in cell.plane:
+        normal = np.array(plane.normal) / np.linalg.norm(plane.normal)
+        solid = coal.Halfspace(normal, float(normal @ plane.point))
+        yield _Solid(plane.name, 0, pin.SE3.Identity(), solid, of_cell=True)
+    for box in cell.box:
+        at = pin.SE3(rotation_from_rpy(box.rpy), np.array(box.position))
+        yield _Solid(box.name, 0, at, coal.Box(*box.size), of_cell=True)
+    for mesh in cell.mesh:
+        check_file(mesh.file)
+        try:
+            solid = coal.MeshLoader().load(mesh.file, np.full(3, mesh.scale))
+        except (ValueError, RuntimeError) as error:
+            reason = f"cannot be read as a mesh: {shortened(error)}."
+            raise InputFileError(Path(mesh.file), "", reason) from error
+        at = pin.SE3(rotation_from_rpy(mesh.rpy), np.array(mesh.position))
+        yield _Solid(mesh.name, 0, at, solid, of_cell=True)
+
+
+def _pairs(robot: Robot, cell: Cell, solids: list[_Solid]) -> Iterator[tuple[int, int]]:
+    """Numbers of solids that can collide: links with the cell, links that are no neighbours."""
+    parents = {j + 1: body.parent for j, body in enumerate(robot.tree.bodies)}
+    for a, one in enumerate(solids):
+        for b, other in enumerate(solids):
+            if one.of_cell or (not other.of_cell and b <= a):
+                continue
+            if other.of_cell:
+                if one.joint > 0:
+                    yield a, b
+                continue
+            near = one.joint == other.joint or one.joint == parents.get(other.joint)
+            near = near or other.joint == parents.get(one.joint)
+            if cell.self_collision and not near and not (one.guessed or other.guessed):
+                yield a, b
