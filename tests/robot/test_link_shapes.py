@@ -53,13 +53,11 @@ def test_meshes_of_ros_packages(tmp_path, monkeypatch):
     assert arm.shapes[0].known
 
 
-def test_a_mesh_that_is_not_there_is_told_apart(tmp_path):
-    arm = load(
-        tmp_path,
-        with_shapes("upper", MESH.format(purpose="visual", name="package://other/link.stl")),
-    )
+@pytest.mark.parametrize("name", ["package://other/link.stl", "package://[", "x" * 5000, "", "."])
+def test_a_mesh_that_is_not_there_is_told_apart(tmp_path, name):
+    arm = load(tmp_path, with_shapes("upper", MESH.format(purpose="visual", name=name)))
     assert not arm.shapes[0].known
-    assert arm.shapes[0].name == "package://other/link.stl"
+    assert arm.shapes[0].name == name
 
 
 def test_what_is_no_mesh_is_named(tmp_path):
