@@ -230,7 +230,12 @@ def _objective(objective: ObjectiveValue | None) -> dict[str, Any] | None:
 
 
 def _violation(violation: Violation) -> dict[str, Any]:
-    return dict(vars(violation))
+    # Limits that are no collision have neither pair nor distance.
+    return {
+        key: value
+        for key, value in vars(violation).items()
+        if value is not None or key not in ("pair", "distance")
+    }
 
 
 def _lowest(lowest: LowestStiffness) -> dict[str, Any]:
