@@ -134,16 +134,25 @@ def verify(problems: Path, *, quiet: bool = False) -> int:
         No progress display.
     """
     from stiffopt import verify as verification
-    from stiffopt.report.solve.terminal import print_checks
+    from stiffopt.report.solve.terminal import (
+        print_check_begins,
+        print_check_ends,
+        print_checks,
+    )
 
     checks: list[verification.Check] = []
     paths = verification.problem_files(problems)
     # A fault in the last file must not cost the time of the others.
     for path in paths:
         verification.check_problem(path)
-    for path in paths:
+    for number, path in enumerate(paths, start=1):
+        if not quiet:
+            print_check_begins(path, number, len(paths))
         with _named_progress(path.stem, quiet) as display, _about(path):
-            checks += verification.verify(path, _study_progress(display))
+            found = verification.verify(path, _study_progress(display))
+        checks += found
+        if not quiet:
+            print_check_ends(found)
         if checks[-1].interrupted:
             break
     print_checks(checks)

@@ -264,7 +264,7 @@ def load_arm(
     friction that a bare URDF may name is left out: `<dynamics>` is a setting of simulators.
     """
     shipped = source in shipped_robots()
-    robot = load_robot(source if shipped else inside(path, "robot", source))
+    robot = load_robot(source if shipped else inside(path, "robot", source), keep=joints)
     if not (shipped or source.lower().endswith(".toml")):
         robot = replace(robot, coulomb=np.zeros(robot.n), viscous=np.zeros(robot.n))
     names = robot.joint_names

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -38,7 +38,10 @@ def shipped_robots() -> list[str]:
 
 
 def load_robot(
-    source: str | os.PathLike[str], drivetrain: str | os.PathLike[str] | None = None
+    source: str | os.PathLike[str],
+    drivetrain: str | os.PathLike[str] | None = None,
+    *,
+    keep: Collection[str] = (),
 ) -> Robot:
     """Robot by name or from files.
 
@@ -49,6 +52,8 @@ def load_robot(
     drivetrain : path, optional
         Robot TOML for a URDF given as `source`; its own `urdf` key is then not needed. Without
         it, the joints of a URDF are rigid and its limits are the only ones.
+    keep : collection of str
+        Joints that move also where they do not lead to the tool.
 
     Returns
     -------
@@ -72,12 +77,12 @@ def load_robot(
     if path.suffix.lower() in (".urdf", ".xml"):
         if drivetrain is None:
             document = RobotFile(schema=1, kind="robot", name=path.stem)
-            return _assemble(document, path, path)
-        return _assemble(_document(Path(drivetrain)), Path(drivetrain), path)
+            return _assemble(document, path, path, keep)
+        return _assemble(_document(Path(drivetrain)), Path(drivetrain), path, keep)
     document = _document(path)
     if document.urdf is None:
         raise InputFileError(path, "urdf", "this key is required and missing: path of the URDF.")
-    return _assemble(document, path, path.parent / document.urdf)
+    return _assemble(document, path, path.parent / document.urdf, keep)
 
 
 def _document(path: Path) -> RobotFile:
@@ -86,8 +91,14 @@ def _document(path: Path) -> RobotFile:
     return validate(robot_file(), data, path)
 
 
-def _assemble(document: RobotFile, path: Path, urdf: Path) -> Robot:
-    model, moving = load_urdf(urdf)
+def _assemble(document: RobotFile, path: Path, urdf: Path, keep: Collection[str]) -> Robot:
+    loaded = load_urdf(
+        urdf,
+        lock=document.lock,
+        tip=None if document.tool is None else document.tool.link,
+        keep={*keep, *(section.name for section in document.joint)},
+    )
+    model, moving = loaded.model, loaded.joints
     names = tuple(model.names)[1:]
     prismatic = body_tree(model).prismatic
     sections = _sections(document, names, path)
@@ -119,6 +130,7 @@ def _assemble(document: RobotFile, path: Path, urdf: Path) -> Robot:
         flange=flange,
         sources=tuple(_sources(document)),
         shapes=read_link_shapes(urdf),
+        held=loaded.held,
         **columns,
     )
 

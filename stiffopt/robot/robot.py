@@ -14,6 +14,7 @@ from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import RobotError
 from stiffopt.robot.body_tree import BodyTree, body_tree
 from stiffopt.robot.frames import LinkFrame, link_frame, named_frame
+from stiffopt.robot.held_joints import HeldJoint
 from stiffopt.robot.link_shapes import LinkShape, PlacedShape, Purpose, placed_shapes
 from stiffopt.robot.rigid_body import RigidBodies
 
@@ -73,6 +74,8 @@ class Robot:
         Of the joint's spring [N m s/rad]; NaN where it is not known.
     hysteresis : array (n,), optional
         Half width of the loop that wind-up describes over torque [rad]; default none.
+    held : tuple of HeldJoint
+        Joints of the URDF that the arm does not move.
     shapes : tuple of LinkShape
         What the links look like and collide with, as far as the URDF says it.
     payload : array (10,), optional
@@ -104,6 +107,7 @@ class Robot:
     hysteresis: np.ndarray | None = None
     shapes: tuple[LinkShape, ...] = ()
     payload: np.ndarray | None = None
+    held: tuple[HeldJoint, ...] = ()
 
     @property
     def n(self) -> int:

@@ -17,6 +17,11 @@ def rpy_from_rotation(rotation: np.ndarray) -> np.ndarray:
     return np.array(pin.rpy.matrixToRpy(rotation))
 
 
+def about_axis(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Rotation (3, 3) about an axis of unit length (3,) by an angle [rad]."""
+    return np.array(pin.exp3(angle * np.asarray(axis, dtype=float)))
+
+
 def rotation_vector(rotation: np.ndarray) -> np.ndarray:
     """Axis times angle (3,) [rad] of a rotation (3, 3); the angle is at most pi."""
     return np.array(pin.log3(rotation))

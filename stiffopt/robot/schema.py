@@ -117,6 +117,13 @@ class RobotFile(Section):
     urdf: Annotated[
         str | None, Doc("Path of the URDF, relative to this file; needed unless it is given.")
     ] = None
+    lock: Annotated[
+        dict[str, JointPosition],
+        Doc(
+            "Joints that are held, and where. Those that do not lead to the tool are held at zero, "
+            "and those that follow a held joint with it, unless a [[joint]] names them."
+        ),
+    ] = Field(default_factory=dict)
     tool: Annotated[PlaceSection | None, Doc("Tool point; default the frame of the last link.")] = (
         None
     )

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 import os
 import xml.etree.ElementTree as ET
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import pinocchio as pin
 
 from stiffopt.errors import InputFileError, RobotError, shortened
+from stiffopt.robot.held_joints import HeldJoint, hold_joints
 from stiffopt.robot.urdf_tree import read_tree
 
 _KINDS = ("revolute", "continuous", "prismatic", "fixed")
@@ -21,25 +24,49 @@ _LARGEST = 1e9
 _NO_LIMIT = 1e30
 
 
-def load_urdf(path: str | os.PathLike[str]) -> tuple[pin.Model, dict[str, dict[str, float]]]:
+@dataclass(frozen=True, eq=False)
+class LoadedUrdf:
+    """A URDF as a model.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Fixed and held joints merged; a continuous joint is a revolute one without position limits.
+    joints : mapping of joint name to its `effort`, `velocity`, `damping`, `friction`
+        0 where the URDF is silent. [N m], [rad/s], [N m s/rad], [N m]
+    held : tuple of HeldJoint
+        Moving joints that the arm does not move.
+    """
+
+    model: pin.Model
+    joints: dict[str, dict[str, float]]
+    held: tuple[HeldJoint, ...] = ()
+
+
+def load_urdf(
+    path: str | os.PathLike[str],
+    *,
+    lock: Mapping[str, float] | None = None,
+    tip: str | None = None,
+    keep: Collection[str] = (),
+) -> LoadedUrdf:
     """Model of a URDF and what it says about each joint.
 
     Parameters
     ----------
     path : path of a URDF file
-
-    Returns
-    -------
-    model : pinocchio.Model
-        Fixed joints merged; a continuous joint is a revolute one without position limits.
-    joints : mapping of joint name to its `effort`, `velocity`, `damping`, `friction`
-        0 where the URDF is silent. [N m], [rad/s], [N m s/rad], [N m]
+    lock : mapping of joint name to float, optional
+        Joints that are held, and where [rad] or [m].
+    tip : str, optional
+        Link at the end of the arm; joints that do not lead to it are held.
+    keep : collection of str
+        Joints that move all the same.
 
     Raises
     ------
     RobotError
-        A joint that is neither revolute, prismatic nor fixed, or mimics another; a number that is
-        missing or cannot be.
+        A joint that is neither revolute, prismatic nor fixed, or follows another of the arm; a
+        number that is missing or cannot be.
     """
     path = Path(path)
     tree = read_tree(path)
@@ -49,13 +76,16 @@ def load_urdf(path: str | os.PathLike[str]) -> tuple[pin.Model, dict[str, dict[s
         found = _joint(joint, path)
         if found is not None:
             moving[joint.get("name", "")] = found
+    held = hold_joints(tree, path, lock=lock or {}, tip=tip, keep=keep)
+    for each in held:
+        del moving[each.name]
     if not moving:
         raise RobotError(f"{path}: no joint moves. Give an arm with revolute or prismatic joints.")
     try:
         model = pin.buildModelFromXML(ET.tostring(tree, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
         raise InputFileError(path, "", f"cannot be read as a URDF: {shortened(error)}.") from error
-    return model, moving
+    return LoadedUrdf(model, moving, held)
 
 
 def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
@@ -65,11 +95,6 @@ def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
         raise RobotError(
             f"{path}: joint {name!r} is of the kind {kind!r}; allowed are "
             f"{', '.join(_KINDS)}. Fix it, or replace it by several of these."
-        )
-    if joint.find("mimic") is not None:
-        raise RobotError(
-            f"{path}: joint {name!r} is of the kind 'mimic' (it follows another joint); allowed "
-            "are joints that move on their own. Make it fixed."
         )
     origin = joint.find("origin")
     if origin is not None:

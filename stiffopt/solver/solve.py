@@ -98,7 +98,7 @@ def solve(
     _ = problem.clearance_model
     if simulate:
         check_simulation(problem, motion)
-    notes = (*problem.remarks, *check_bounds(problem, motion))
+    notes = (*problem.remarks, *_held(problem), *check_bounds(problem, motion))
     beside = baselines(problem, motion)
     run = SolveRun(problem, motion, _scales(problem, beside), progress)
     needed, why = shortest_duration(problem, motion)
@@ -116,6 +116,12 @@ def solve(
     if throw and not (solution.status.usable or solution.status is SolveStatus.INTERRUPTED):
         raise NoSolutionFound(solution.message, solution)
     return solution
+
+
+def _held(problem: TrajectoryProblem) -> tuple[str, ...]:
+    """Which joints of the URDF the arm does not move, where the file did not ask for it."""
+    held = [str(each) for each in problem.robot.held if each.why != "locked"]
+    return (f"Held, not planned: {'; '.join(held)}.",) if held else ()
 
 
 def _scales(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> Scales:

@@ -248,7 +248,7 @@ def test_progress_waits_and_counts_the_time_of_all_solves():
     assert not seen
     now[0] = 5.0
     progress(event)
-    assert (seen[0].stage, seen[0].iteration, seen[0].elapsed) == ("preloads", 3, 5.0)
+    assert (seen[0].stage, seen[0].iteration, seen[0].elapsed) == ("preloads", 2, 5.0)
     staged = SolveProgress(**vars(event), stage="motion")
     now[0] = 0.0
     progress(staged)

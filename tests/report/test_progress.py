@@ -1,11 +1,14 @@
 import io
+import itertools
 from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
 
-from stiffopt.report.common.progress import ProgressDisplay
+from stiffopt.discovery.search.search import paced
+from stiffopt.report.common.progress import ProgressDisplay, StudyProgress
 from stiffopt.report.common.text import percent, si, significant
+from stiffopt.solver.monitor import Progress
 
 
 def event(**changes):
@@ -98,3 +101,27 @@ def test_significant_digits():
     assert significant(-1234.5678) == "-1235"
     assert significant(1e-9) == "1.000e-09"
     assert percent(0.0251) == "2.5 %"
+
+
+def test_many_short_solves_are_counted_and_no_line_is_repeated():
+    ticks = itertools.count(0.0, 0.7)
+    progress, stream = display(False, lambda: next(ticks))
+    with progress:
+        study = StudyProgress(progress, after=0.0, clock=lambda: next(ticks))
+        for _ in range(4):
+            for number, objective in ((0, 0.79), (1, 0.6), (2, 0.45)):
+                study(Progress(number, objective, 0.0, "", 0.0))
+    lines = [line.split("  ", 1)[1] for line in stream.getvalue().splitlines()]
+    assert len(lines) > 3
+    assert len(set(lines)) == len(lines)
+    assert not any("0.79" in line for line in lines)
+    assert lines[-1].startswith("preloads  iteration 8")
+
+
+def test_many_small_steps_make_few_lines(monkeypatch):
+    said, now = [], itertools.count(0.0, 1.0)
+    monkeypatch.setattr("stiffopt.discovery.search.search.time.monotonic", lambda: next(now))
+    tell = paced(said.append, seconds=5.0)
+    for number in range(20):
+        tell(str(number))
+    assert 2 <= len(said) <= 4

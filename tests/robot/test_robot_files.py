@@ -297,7 +297,11 @@ def test_unsupported_kinds_of_joint(folder, kind):
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
-        ("<dynamics", '<mimic joint="push"/><dynamics', "joint 'turn' is of the kind 'mimic'"),
+        (
+            "<dynamics",
+            '<mimic joint="push"/><dynamics',
+            "joint 'turn' follows 'push' (mimic), which moves",
+        ),
         ('mass value="2"', 'mass value="nan"', "link 'upper', mass: got 'nan'"),
         ('mass value="2"', 'mass value="-2"', "the mass -2 is below 0"),
         ('izz="0.01"', 'izz="-0.01"', "izz = -0.01 is below 0"),

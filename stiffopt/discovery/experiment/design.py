@@ -34,6 +34,8 @@ _RATE = 100.0  # [Hz], of the exported motion
 _MOTIONS = 24
 # Of separation, below which collocation is not repeated.
 _GAIN = 0.02
+# Least separation that is worth a recording [sigma].
+_TELLING = 1.0
 _SEED = 1
 
 
@@ -125,7 +127,7 @@ def plan_experiment(
     Returns
     -------
     ExperimentPlan or None
-        None where no motion beats the training runs.
+        None where no motion beats the training runs, or none tells the two apart.
 
     Notes
     -----
@@ -184,7 +186,8 @@ def plan_experiment(
             motion, worth = better, reached
     if best is None:
         return None
-    if value <= reference:
+    # Less than one standard deviation tells nothing apart, however little other runs tell.
+    if value <= reference or value < _TELLING:
         return None
     return ExperimentPlan(
         joints=training.robot.recordings.joints,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -205,6 +205,7 @@ def scan(
     *,
     refined: int = 6,
     about: LocatedEffect | None = None,
+    tell: Callable[[str], object] = lambda _: None,
 ) -> list[Candidate]:
     """Judge the whole catalogue; the best first, each place once.
 
@@ -216,11 +217,14 @@ def scan(
         How many of the best have their shapes fitted.
     about : LocatedEffect, optional
         Only what could stand in its place is tried.
+    tell : callable
+        Called with a sentence before every effect.
     """
     constants = scorer.comparison.constants
     runs = [run.name for run in scorer.comparison.runs]
     best: list[tuple[Candidate, float]] = []
-    for effect in catalogue:
+    for number, effect in enumerate(catalogue, start=1):
+        tell(f"try {effect.name} ({number} of {len(catalogue)} effects)")
         by_place: dict[tuple[int | None, int | None, str | None], list[LocatedEffect]] = {}
         for located in places(effect, constants, runs):
             if about is not None and not located.near(about):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -77,6 +78,7 @@ def search(
         Called with a sentence at every step.
     """
     say = report or (lambda _: None)
+    tell = paced(say)
     before = comparison.channel_ratio(comparison.target)
     calibrated = comparison.channel_ratio(comparison.fit().residual)
     current = _about(comparison, comparison.fit(boxed=False))
@@ -89,7 +91,7 @@ def search(
     most += len(effects)
     while len(effects) < most:
         scorer = Scorer(current, effects)
-        found = scan(scorer, catalogue)
+        found = scan(scorer, catalogue, tell=tell)
         best = next((c for c in found if _passes(c, scorer)), None)
         if best is None:
             break
@@ -102,9 +104,13 @@ def search(
             break
         effects = kept
     current, effects = _fitted_jointly(comparison, effects)
+    if effects:
+        say(f"confirm what was found ({len(effects)}) on stretches left out")
     confirmed = _confirmed(current, effects)
     if len(confirmed) < len(effects):
         current, effects = _fitted_jointly(comparison, confirmed)
+    if effects:
+        say("weigh what was found against what else it could be")
     ranked = _ranked(current, effects, catalogue)
     for _ in range(EXCHANGES):
         likelier = _distinct([r.likeliest for r in ranked])
@@ -126,6 +132,19 @@ def search(
     return SearchResult(
         tuple(selected), current, fit, before, calibrated, current.channel_ratio(fit.residual)
     )
+
+
+def paced(say: Callable[[str], object], seconds: float = 5.0) -> Callable[[str], object]:
+    """Pass on a sentence when the last one is some seconds old: many small steps, few lines."""
+    last = time.monotonic()
+
+    def tell(sentence: str) -> None:
+        nonlocal last
+        if time.monotonic() - last >= seconds:
+            last = time.monotonic()
+            say(sentence)
+
+    return tell
 
 
 def _ranked(

@@ -113,8 +113,8 @@ class ProgressDisplay(ExitStack):
 class StudyProgress:
     """Events of a preload study for a display: quiet while it is quick, with the time of it all.
 
-    Events of the many short solves have no stage and begin at zero seconds each; those of motions
-    have both and go through as they are.
+    Events of the many short solves have no stage and begin at zero seconds and iterations each, so
+    that those of all are counted; those of motions have both and go through as they are.
 
     Parameters
     ----------
@@ -137,6 +137,7 @@ class StudyProgress:
     ) -> None:
         self._display, self._stage, self._after, self._clock = display, stage, after, clock
         self._begin = clock()
+        self._iterations = 0
 
     def __call__(self, event: Progress | SolveProgress) -> None:
         """Pass an event on."""
@@ -144,8 +145,10 @@ class StudyProgress:
             self._display(event)
             return
         elapsed = self._clock() - self._begin
-        if elapsed >= self._after:
-            values = {**vars(event), "elapsed": elapsed}
+        self._iterations += event.iteration > 0
+        # What a solve begins with is that of every other: only where it gets to tells anything.
+        if elapsed >= self._after and event.iteration > 0:
+            values = {**vars(event), "elapsed": elapsed, "iteration": self._iterations}
             self._display(SolveProgress(stage=self._stage, **values))
 
 

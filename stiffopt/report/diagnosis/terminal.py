@@ -48,7 +48,9 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
             f"Faults of the recordings: {len(diagnosis.faults)} ({broken} channels left out), in "
             "diagnosis.json."
         )
-    print_lines([*lines, f"Answer: {folder / 'diagnosis.json'}"])
+    page = folder / "report.html"
+    lines.append(f"Answer: {folder / 'diagnosis.json'}")
+    print_lines([*lines, *([f"Report: {page}"] if page.is_file() else [])])
 
 
 def _verdict(diagnosis: Diagnosis) -> str:

@@ -9,7 +9,8 @@ from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, decades
 from stiffopt.report.identification.page import error_sentence, headline, interval, status_words
 
-_NUMBERS = ("stiffness", "standard deviation", "95 % interval", "nominal", "softer by")
+_NUMBERS = ("stiffness", "standard deviation", "95 % interval", "nominal")
+_SOFTER = "softer than nominal by (standard deviations)"
 
 
 def print_static(result: StaticStiffness, folder: Path) -> None:
@@ -23,12 +24,12 @@ def print_static(result: StaticStiffness, folder: Path) -> None:
             decades(joint.sd, 2),
             interval(joint.lower, joint.upper),
             decades(joint.nominal),
-            DASH if joint.z_nominal is None else f"{joint.z_nominal:+.1f}",
             joint.unit,
+            DASH if joint.z_nominal is None else f"{joint.z_nominal:+.1f}",
         )
         for joint in result.joints
     ]
-    print_table(("", "", *_NUMBERS, "unit"), rows, numbers=_NUMBERS)
+    print_table(("", "", *_NUMBERS, "unit", _SOFTER), rows, numbers=(*_NUMBERS, _SOFTER))
     outliers = ", ".join(map(str, result.outliers))
     print_lines(
         (

@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rich.console import Console
+from rich.text import Text
+
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import si
 from stiffopt.report.solve.compensation import (
@@ -57,6 +60,28 @@ def print_compensation(compensation: Compensation) -> None:
     print_lines([compensation_text(compensation), *compensation_notes(compensation)])
 
 
+def print_check_begins(path: Path, number: int, count: int) -> None:
+    """Which file is solved now, on standard error: the table of all comes last."""
+    _console().print(Text(f"{path} ({number} of {count}) ..."), soft_wrap=True)
+
+
+def print_check_ends(checks: Sequence[Check]) -> None:
+    """What became of a file."""
+    for check in checks:
+        found, name = _verdict(check), check.name or "objective"
+        took = si(check.seconds, "s", 3)
+        value = f"{_value(check.value, check.unit)}, expected {_value(check.expected, check.unit)}"
+        _console().print(Text(f"  {found}: {name} {value} ({took})"), soft_wrap=True)
+
+
+def _console() -> Console:
+    return Console(stderr=True)
+
+
+def _verdict(check: Check) -> str:
+    return "ok" if check.passed else f"OFF ({check.status})"
+
+
 def print_checks(checks: Sequence[Check]) -> None:
     """A table of expected and found values."""
     head = (
@@ -78,7 +103,7 @@ def print_checks(checks: Sequence[Check]) -> None:
             "–" if check.deviation is None else f"{check.deviation:.1e}",
             f"{check.rtol:.0e}",
             si(check.seconds, "s", 3),
-            "ok" if check.passed else f"OFF ({check.status})",
+            _verdict(check),
         )
         for check in checks
     ]
