@@ -31,7 +31,7 @@ def export(
     rate
         Samples a second [Hz]; default 500, for krl-rsi 250.
     of
-        What the motors are commanded, or what the links do where the two are planned apart.
+        What the motors are commanded (command.csv where there is one), or what the links shall do.
     out
         Default: the folder of the solve.
     """

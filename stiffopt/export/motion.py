@@ -14,6 +14,7 @@ from scipy.interpolate import BPoly, CubicSpline
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import read_table
+from stiffopt.result.compensation_store import COMMAND_FILE
 from stiffopt.result.store import (
     RESULT_FILE,
     TRAJECTORY_FILE,
@@ -112,7 +113,7 @@ def read_motion(folder: Path, which: Which = "motor") -> StoredMotion:
     folder : Path
         Of `stiffopt solve`.
     which : "motor" or "link"
-        What the drives are commanded, or what the links do, where the two are planned apart.
+        What the drives are commanded (command.csv where there is one), or what the links shall do.
 
     Raises
     ------
@@ -148,34 +149,40 @@ def read_motion(folder: Path, which: Which = "motor") -> StoredMotion:
 
 
 def _motor_curve(folder: Path, joints: int) -> BPoly:
-    """Quintic between the rows: position, velocity and acceleration are those of the file."""
-    names = [[f"{quantity}{j}" for j in range(1, joints + 1)] for quantity in ("q", "qd", "qdd")]
-    table = read_table(folder / TRAJECTORY_FILE, ["t", *chain(*names)])
-    derivatives = np.array([[table[name] for name in own] for own in names])
-    return BPoly.from_derivatives(_time(folder, table), derivatives.transpose(2, 0, 1))
+    """Of command.csv where there is one, else of trajectory.csv."""
+    command = folder / COMMAND_FILE
+    return _curve(command if command.is_file() else folder / TRAJECTORY_FILE, joints)
 
 
-def _link_curve(folder: Path, joints: int) -> CubicSpline:
-    """Spline through the rows of the links' columns, at rest at both ends."""
+def _link_curve(folder: Path, joints: int) -> BPoly | CubicSpline:
+    """The links' columns; without them the plan, where a command of the motors stands beside it."""
     path, names = folder / TRAJECTORY_FILE, [f"link{j}" for j in range(1, joints + 1)]
     table = read_table(path, ["t"], names)
-    if any(name not in table for name in names):
-        raise InputFileError(
-            path,
-            names[0],
-            "one motion is planned for motors and links, so there is none of the links alone. "
-            "Export the motors', or solve for objective tool_deviation.",
-        )
-    positions = np.array([table[name] for name in names]).T
-    return CubicSpline(_time(folder, table), positions, bc_type="clamped")
+    if all(name in table for name in names):
+        positions = np.array([table[name] for name in names]).T
+        return CubicSpline(_time(path, table), positions, bc_type="clamped")
+    if (folder / COMMAND_FILE).is_file():
+        return _curve(path, joints)
+    raise InputFileError(
+        path,
+        names[0],
+        "one motion is planned for motors and links, so there is none of the links alone. "
+        "Export the motors'.",
+    )
 
 
-def _time(folder: Path, table: dict[str, list[float]]) -> np.ndarray:
+def _curve(path: Path, joints: int) -> BPoly:
+    """Quintic between the rows: position, velocity and acceleration are those of the file."""
+    names = [[f"{quantity}{j}" for j in range(1, joints + 1)] for quantity in ("q", "qd", "qdd")]
+    table = read_table(path, ["t", *chain(*names)])
+    derivatives = np.array([[table[name] for name in own] for own in names])
+    return BPoly.from_derivatives(_time(path, table), derivatives.transpose(2, 0, 1))
+
+
+def _time(path: Path, table: dict[str, list[float]]) -> np.ndarray:
     time = np.array(table["t"])
     if time[0] != 0.0 or not np.all(np.diff(time) > 0.0):
-        raise InputFileError(
-            folder / TRAJECTORY_FILE, "t", "the times must begin at 0 and increase."
-        )
+        raise InputFileError(path, "t", "the times must begin at 0 and increase.")
     return time
 
 

@@ -65,6 +65,18 @@ def test_sampled_between_rows_the_motion_is_the_same(folder):
     np.testing.assert_allclose(links.position, 0.99 * position, atol=1e-6)
 
 
+def test_motors_follow_the_command_where_there_is_one(folder):
+    names = [f"{quantity}{j}" for quantity in ("q", "qd", "qdd") for j in range(1, 7)]
+    time = export_times(DURATION + 0.02)
+    moved = swing(np.minimum(time, DURATION))
+    columns = np.hstack([time[:, None], *(1.01 * each for each in moved)])
+    write_csv(folder / "command.csv", ["t", *names], columns.tolist())
+    motor, link = (read_motion(folder, of).sampled(500.0) for of in ("motor", "link"))
+    assert motor.time[-1] == pytest.approx(DURATION + 0.02)
+    np.testing.assert_allclose(motor.position[100], 1.01 * swing(motor.time)[0][100], atol=1e-9)
+    np.testing.assert_allclose(link.position[100], 0.99 * swing(link.time)[0][100], atol=1e-6)
+
+
 def test_whole_steps_hold_the_end(folder):
     motion = read_motion(folder).sampled(250.0, whole_steps=True)
     np.testing.assert_allclose(np.diff(motion.time), 4e-3, rtol=1e-9)
