@@ -192,7 +192,13 @@ class NoiseSection(Section):
 class RunSection(Section):
     """One run file."""
 
-    file: Annotated[Text, Doc("CSV, NPZ, Parquet, MCAP or rosbag2, relative to this file.")]
+    file: Annotated[
+        Text,
+        Doc(
+            "CSV, NPZ, Parquet, MCAP, rosbag2, .dat of a KUKA trace, or an episode of a LeRobot "
+            "dataset (FILE.parquet#3), relative to this file."
+        ),
+    ]
     role: Annotated[
         Literal["train", "test", "extrapolate"],
         Doc("Test runs are never used to fit; extrapolate: test outside the training range."),

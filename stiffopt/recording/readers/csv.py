@@ -13,13 +13,14 @@ from stiffopt.recording.readers.columns import missing, require_time
 from stiffopt.recording.readers.limits import check_bytes, check_numbers
 from stiffopt.recording.signals import Signals
 
-_DELIMITERS = (",", ";", "\t")
+# The blank is what the RTDE recorder of Universal Robots writes.
+_DELIMITERS = (",", ";", "\t", " ")
 # What loggers write for a sample that is not there.
 _EMPTY = ("", "nan", "na", "n/a", "null", "none", "-")
 
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
-    """Columns of a CSV file, separated by comma, semicolon or tab; "#" may begin the header."""
+    """Columns of a CSV file, separated by one of `_DELIMITERS`; "#" may begin the header."""
     require_time(signals, path)
     check_bytes(path, path.stat().st_size)
     try:

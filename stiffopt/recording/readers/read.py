@@ -11,6 +11,7 @@ import numpy as np
 
 from stiffopt.errors import InputError, InputFileError, shortened
 from stiffopt.files import check_file
+from stiffopt.recording.readers.episodes import information, split_episode
 from stiffopt.recording.readers.limits import MOST_MEMORY, bounded_memory
 from stiffopt.recording.signals import Signals
 
@@ -25,6 +26,7 @@ _READERS = {
     ".parquet": "parquet",
     ".mcap": "mcap",
     ".db3": "rosbag2",
+    ".dat": "kuka_trace",
 }
 _BAG = "rosbag2"
 _NAMES = {
@@ -33,6 +35,8 @@ _NAMES = {
     "parquet": "Parquet",
     "mcap": "MCAP",
     "rosbag2": "a rosbag2",
+    "kuka_trace": "a KUKA trace",
+    "lerobot": "an episode of a LeRobot dataset",
 }
 
 
@@ -42,7 +46,8 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
     Parameters
     ----------
     path : path
-        CSV, NPZ, Parquet, MCAP, or a rosbag2 (its folder or the .db3 inside).
+        CSV, NPZ, Parquet, MCAP, a rosbag2 (its folder or the .db3 inside), the .dat of a KUKA
+        trace, or an episode of a LeRobot dataset ("data/chunk-000/file-000.parquet#3").
     signals : Signals
 
     Returns
@@ -63,8 +68,11 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
     if path.is_dir() and (path / "metadata.yaml").is_file():
         module = _BAG
     else:
-        check_file(path)
-        module = _READERS.get(path.suffix.lower(), "")
+        file, episode = split_episode(path)
+        check_file(file)
+        module = _READERS.get(file.suffix.lower(), "")
+        if module == "parquet" and (episode is not None or information(file)):
+            module = "lerobot"
     if not module:
         raise InputFileError(
             path, "", f"cannot be read: the ending {path.suffix!r} is none of "

@@ -1,0 +1,125 @@
+"""Traces of KUKA controllers: a .dat header of channels, and the .r64 of their values beside it.
+
+A trace is several such pairs: NAME_KRCIpo for the axes, NAME_NextGenDrive#1 and so on for the
+drives. A channel of another pair of the same trace is named with it: "NextGenDrive#1.Istmoment".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stiffopt.errors import InputFileError
+from stiffopt.recording.readers.columns import missing
+from stiffopt.recording.readers.limits import check_bytes, check_numbers
+from stiffopt.recording.signals import Signals
+
+# Keys of a channel's header: name, kind, type of its values, their number, column, offset, step.
+_NAME, _KIND, _TYPE, _COUNT, _COLUMN, _OFFSET, _STEP = (
+    "200", "210", "214", "220", "221", "240", "241",
+)  # fmt: skip
+_TIME = ("Zeit", "Time", "t")
+
+
+@dataclass
+class _Trace:
+    """One pair of files: values (R, channels) by name, and their step of time [s]."""
+
+    step: float
+    names: list[str]
+    values: np.ndarray
+
+    @property
+    def time(self) -> np.ndarray:
+        return np.arange(len(self.values)) * self.step
+
+
+def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
+    """Columns of a trace, given by the .dat of one of its pairs, on the clock of that pair.
+
+    The time is the pair's own, whatever `signals.time` calls it. Channels of other pairs are
+    interpolated linearly, nan outside of their time.
+    """
+    traces = {"": _trace(path)}
+    own = traces[""]
+    columns: dict[str, np.ndarray] = {signals.time: own.time}
+    for name in signals.wanted:
+        if name in own.names:
+            columns[name] = own.values[:, own.names.index(name)]
+            continue
+        other, _, channel = name.partition(".")
+        beside = path.with_name(f"{path.stem.rpartition('_')[0]}_{other}{path.suffix}")
+        if not channel or not beside.is_file():
+            missing(path, [name], own.names)
+        if other not in traces:
+            traces[other] = _trace(beside)
+        found = traces[other]
+        missing(beside, [channel], found.names)
+        values = found.values[:, found.names.index(channel)]
+        columns[name] = np.interp(own.time, found.time, values, left=np.nan, right=np.nan)
+    return columns
+
+
+def _trace(path: Path) -> _Trace:
+    """Header and values of one pair."""
+    channels = _channels(path)
+    stored = [each for each in channels if each.get(_KIND, "").upper().startswith("EXPLI")]
+    clock = next((each for each in channels if each.get(_NAME, "") in _TIME), None)
+    step = 0.0 if clock is None else _number(path, clock, _STEP, 0.0)
+    if not stored or not step > 0.0:
+        raise InputFileError(path, "", "is no KUKA trace: it declares no channels over time.")
+    for each in stored:
+        if each.get(_TYPE, "REAL64").upper() != "REAL64":
+            raise InputFileError(
+                path, each.get(_NAME, ""), f"holds {each[_TYPE]} values; REAL64 is read."
+            )
+    data = path.with_suffix(".r64")
+    if not data.is_file():
+        raise InputFileError(
+            data, "", f"the values of {path.name} are not beside it. Copy the whole trace folder."
+        )
+    check_bytes(data, data.stat().st_size)
+    numbers = np.fromfile(data, dtype="<f8")
+    rows = len(numbers) // len(stored)
+    check_numbers(data, rows, len(stored))
+    if rows == 0 or rows * len(stored) != len(numbers):
+        raise InputFileError(
+            data, "", f"holds {len(numbers)} numbers, no whole rows of the {len(stored)} channels "
+            f"that {path.name} declares. Copy it anew."
+        )  # fmt: skip
+    table = numbers.reshape(rows, len(stored))
+    names, columns = [], []
+    for k, each in enumerate(stored, start=1):
+        column = int(_number(path, each, _COLUMN, k))
+        if not 1 <= column <= len(stored):
+            raise InputFileError(path, each.get(_NAME, ""), f"has no column {column} in the data.")
+        names.append(each.get(_NAME, ""))
+        offset, scale = _number(path, each, _OFFSET, 0.0), _number(path, each, _STEP, 1.0)
+        columns.append(offset + scale * table[:, column - 1])
+    return _Trace(step, names, np.stack(columns, axis=1))
+
+
+def _channels(path: Path) -> list[dict[str, str]]:
+    """Headers of all channels, by the numbers of their keys."""
+    channels: list[dict[str, str]] = []
+    inside = False
+    for line in path.read_text(encoding="latin-1").splitlines():
+        text = line.strip()
+        if text == "#BEGINCHANNELHEADER":
+            channels.append({})
+        inside = text == "#BEGINCHANNELHEADER" or (inside and text != "#ENDCHANNELHEADER")
+        key, comma, value = text.partition(",")
+        if inside and comma:
+            channels[-1][key] = value.strip()
+    return channels
+
+
+def _number(path: Path, channel: dict[str, str], key: str, default: float) -> float:
+    try:
+        return float(channel.get(key) or default)
+    except ValueError:
+        raise InputFileError(
+            path, channel.get(_NAME, ""), f"{channel[key]!r} is no number (key {key})."
+        ) from None

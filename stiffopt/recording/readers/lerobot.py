@@ -1,0 +1,111 @@
+"""Episodes of LeRobot datasets: Parquet files of vectors whose entries meta/info.json names."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as arrow
+import pyarrow.compute as compute
+import pyarrow.parquet as parquet
+
+from stiffopt.errors import InputFileError, nearest
+from stiffopt.recording.readers.columns import missing, require_time
+from stiffopt.recording.readers.episodes import information, split_episode
+from stiffopt.recording.readers.limits import check_numbers
+from stiffopt.recording.signals import Signals
+
+_ENTRY = re.compile(r"(.+)\[([^\]]+)\]")
+_EPISODE = "episode_index"
+
+
+def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
+    """Columns of one episode: "FILE.parquet#3" where the file holds more than one.
+
+    A channel is a column, or an entry of a vector by number or by name:
+    "observation.state[0]", "observation.state[shoulder_pan.pos]".
+    """
+    require_time(signals, path)
+    file, episode = split_episode(path)
+    wanted = (signals.time, *signals.wanted)
+    entries = {name: _ENTRY.fullmatch(name) for name in wanted}
+    needed = [name if match is None else match[1] for name, match in entries.items()]
+    with parquet.ParquetFile(file) as source:
+        there = source.schema_arrow.names
+        missing(path, needed, there)
+        check_numbers(path, source.metadata.num_rows, len(wanted))
+        index = [_EPISODE] if _EPISODE in there else []
+        table = source.read(columns=list(dict.fromkeys([*needed, *index])), use_threads=False)
+    if index:
+        table = _episode(path, table, episode)
+    features = _features(file)
+    columns = {}
+    for name, match in entries.items():
+        if match is None:
+            columns[name] = _numbers(path, name, table.column(name))
+        else:
+            columns[name] = _entry(path, table.column(match[1]), match[1], match[2], features)
+    return columns
+
+
+def _episode(path: Path, table: arrow.Table, episode: int | None) -> arrow.Table:
+    """Rows of the episode."""
+    known = sorted(set(table.column(_EPISODE).to_pylist()))
+    if episode is None and len(known) > 1:
+        raise InputFileError(
+            path, "", f"holds the episodes {known[0]} to {known[-1]}. Name one as a run: "
+            f"{path.name}#{known[0]}"
+        )  # fmt: skip
+    if episode is None:
+        return table
+    if episode not in known:
+        raise InputFileError(path, "", f"there is no episode {episode}; it holds {known}.")
+    return table.filter(compute.equal(table.column(_EPISODE), episode))
+
+
+def _entry(
+    path: Path, column: arrow.ChunkedArray, feature: str, entry: str, features: dict[str, Any]
+) -> np.ndarray:
+    """One entry of a column of vectors."""
+    kind = column.type
+    lists = arrow.types.is_list(kind) or arrow.types.is_fixed_size_list(kind)
+    if not lists:
+        raise InputFileError(path, feature, f"needs a column of vectors, got {kind}.")
+    rows = np.array(column.to_pylist(), dtype=float)
+    names = _names(features.get(feature))
+    if entry.isdecimal():
+        number = int(entry)
+    elif entry in names:
+        number = names.index(entry)
+    else:
+        raise InputFileError(path, feature, f"has no entry {entry!r}. {nearest(entry, names)}")
+    if rows.ndim != 2 or number >= rows.shape[1]:
+        raise InputFileError(path, feature, f"has no entry {number}: it is of shape {rows.shape}.")
+    return rows[:, number]
+
+
+def _names(feature: Any) -> list[str]:
+    """Names of a feature's entries; some datasets keep them one level deeper."""
+    names = feature.get("names") if isinstance(feature, dict) else None
+    if isinstance(names, dict):
+        names = next(iter(names.values()), None)
+    return [str(name) for name in names] if isinstance(names, list) else []
+
+
+def _features(path: Path) -> dict[str, Any]:
+    found = information(path)
+    document = {} if found is None else json.loads(found.read_text(encoding="utf-8"))
+    features = document.get("features") if isinstance(document, dict) else None
+    return features if isinstance(features, dict) else {}
+
+
+def _numbers(path: Path, name: str, column: arrow.ChunkedArray) -> np.ndarray:
+    kind = column.type
+    if not (arrow.types.is_integer(kind) or arrow.types.is_floating(kind)):
+        raise InputFileError(
+            path, name, f"needs a column of numbers, got {kind}. Name an entry: {name}[0]"
+        )
+    return np.asarray(column.to_numpy(), dtype=float)
