@@ -24,6 +24,9 @@ import casadi as ca
 from stiffopt.transcription import node_derivatives
 
 _FLAGS = ("-O1", "-fPIC", "-shared")
+# Lines of a generated function that are compiled as one.
+_LONGEST = 1000
+_ARGUMENTS = "const casadi_real** arg, casadi_real** res, casadi_real* w"
 _PACKAGES = Path(__file__).parents[2]
 
 # Compilers at work for this process, by library; kept, or Python would complain of them.
@@ -120,11 +123,39 @@ def make(path: Path, program: str) -> None:
             for each in node_derivatives.with_derivatives(function):
                 generator.add(each)
             generator.generate(f"{parts}/")
-            made = Path(parts) / "stage.so"
-            command = [program, *_FLAGS, f"{parts}/stage.c", "-o", str(made), "-lm"]
+            source, made = Path(parts) / "stage.c", Path(parts) / "stage.so"
+            source.write_text(_in_parts(source.read_text(encoding="utf-8")), encoding="utf-8")
+            command = [program, *_FLAGS, str(source), "-o", str(made), "-lm"]
             subprocess.run(command, check=True, stdin=subprocess.DEVNULL)
             made.replace(path)
         formula.unlink(missing_ok=True)
+
+
+def _in_parts(code: str) -> str:
+    """The same C code in functions of bounded length, for which a compiler needs less memory.
+
+    All that a generated function knows stands in its arguments, so it may be cut at any line.
+    """
+    lines: list[str] = []
+    body: list[str] = []
+    head = ""
+    for line in code.splitlines():
+        if line.startswith("static int casadi_f") and line.endswith("{"):
+            head, body = line, []
+        elif not head:
+            lines.append(line)
+        elif line == "  return 0;":
+            calls = []
+            for k in range(0, len(body), _LONGEST):
+                part = f"{head.split()[2].split('(')[0]}_{k}"
+                lines.append(f"static __attribute__((noinline)) void {part}({_ARGUMENTS}) {{")
+                lines += [*body[k : k + _LONGEST], "}"]
+                calls.append(f"  {part}(arg, res, w);")
+            lines += [head, *calls, line]
+            head = ""
+        else:
+            body.append(line)
+    return "\n".join(lines)
 
 
 def _start(path: Path, formula: str, program: str) -> None:

@@ -97,6 +97,24 @@ def test_two_payloads_are_one_library(cache: Path) -> None:
     assert not np.allclose(light.numbers, heavy.numbers)
 
 
+def test_long_functions_are_compiled_in_parts(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "_LONGEST", 7)
+    taken = numbered(*stage(2.3))
+    generator = ca.CodeGenerator("stage.c", {"avoid_stack": True})
+    for each in with_derivatives(taken.function):
+        generator.add(each)
+    cache.mkdir()
+    source = cache / "stage.c"
+    source.write_text(compiled._in_parts(generator.dump()))
+    assert source.read_text().count("noinline") > 10
+    subprocess.run(["cc", "-shared", "-fPIC", source, "-o", cache / "stage.so", "-lm"], check=True)
+    point, factors = np.array([0.3, -0.7, 1.1, 0.2]), np.array([0.5, -1.0, 2.0, 0.1])
+    fast = ca.external(NAMES[2], str(cache / "stage.so"))
+    slow = with_derivatives(taken.function)[2]
+    inputs = (point, 0.5, taken.numbers, factors)
+    np.testing.assert_allclose(fast(*inputs).full(), slow(*inputs).full(), rtol=1e-13)
+
+
 def test_compiled_derivatives_are_the_interpreted_ones(cache: Path) -> None:
     taken = numbered(*stage(2.3))
     path = made(taken.function)
