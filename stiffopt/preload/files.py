@@ -188,7 +188,41 @@ class _LoadCases:
                 f"got {torque[j]:g}, allowed is 0 or above. Slip and stiffness do not depend on "
                 "the direction: give the magnitude.",
             )
-        return LoadCase(name=section.name, torque=torque)
+        beside = {
+            "axial_force": section.axial_force,
+            "shear_force": section.shear_force,
+            "tilting_moment": section.tilting_moment,
+        }
+        return LoadCase(
+            name=section.name,
+            torque=torque,
+            wrench=self._wrench(torque, beside, where) if any(beside.values()) else None,
+            reversing=np.full(len(torque), section.reversing),
+        )
+
+    def _wrench(
+        self, torque: np.ndarray, beside: Mapping[str, Sequence[float] | None], where: str
+    ) -> np.ndarray:
+        """Loads of the joints (n, 6) from magnitudes, all at their worst at one bolt."""
+        wrench = np.zeros((len(torque), 6))
+        wrench[:, 5] = torque
+        # A moment about x loads the bolt on the y axis most, where the torque acts along -x.
+        for column, sign, key in (
+            (2, 1, "axial_force"),
+            (0, -1, "shear_force"),
+            (3, 1, "tilting_moment"),
+        ):
+            given = beside[key]
+            if given is None:
+                continue
+            if len(given) != len(torque) or min(given) < 0:
+                raise InputFileError(
+                    self.path,
+                    f"{where}.{key}",
+                    f"needs one number of 0 or above a joint, {len(torque)}. Give the magnitudes.",
+                )
+            wrench[:, column] = sign * np.asarray(given, dtype=float)
+        return wrench
 
     def _pose(self, section: LoadCaseSection, where: str) -> np.ndarray:
         if section.joints is not None:

@@ -16,6 +16,7 @@ from stiffopt.declaration import (
     JointStiffness,
     JointTorque,
     Ratio,
+    Torque,
 )
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.files import Section
@@ -24,6 +25,8 @@ from stiffopt.problem.schema import PayloadSection, ToolSection, Vector3
 
 # Keys of a load case of which exactly one says where its torques come from.
 _KINDS = ("torque", "trajectory", "joints", "position")
+# What a load case given by hand may say of a joint's load beside its torque.
+_BESIDE = ("axial_force", "shear_force", "tilting_moment")
 
 
 class LoadCaseSection(Section):
@@ -31,6 +34,19 @@ class LoadCaseSection(Section):
 
     name: Annotated[str, Field(min_length=1), Doc("Name in results.")]
     torque: Annotated[list[JointTorque] | None, Doc("Magnitudes, one a joint.")] = None
+    axial_force: Annotated[
+        list[Force] | None, Doc("Beside `torque`: along each joint's axis, magnitudes.")
+    ] = None
+    shear_force: Annotated[
+        list[Force] | None, Doc("Beside `torque`: across each joint's axis, magnitudes.")
+    ] = None
+    tilting_moment: Annotated[
+        list[Torque] | None,
+        Doc("Beside `torque`: about axes across each joint's, at its origin, magnitudes."),
+    ] = None
+    reversing: Annotated[
+        bool, Doc("Beside `torque`: whether it acts in both directions in turn.")
+    ] = False
     trajectory: Annotated[
         str | None, Doc("trajectory.csv of a solve, relative to the study file.")
     ] = None
@@ -56,6 +72,11 @@ class LoadCaseSection(Section):
                 "give one of `torque`, `trajectory`, `joints` or `position`, not "
                 + (" and ".join(f"`{key}`" for key in given) or "none")
             )
+        for key in (*_BESIDE, "reversing"):
+            if getattr(self, key) and self.torque is None:
+                raise ValueError(
+                    f"`{key}` needs a `torque` beside it: a pose or a trajectory tells it itself"
+                )
         for key in ("rpy", "near"):
             if getattr(self, key) is not None and self.position is None:
                 raise ValueError(f"`{key}` needs a `position` beside it")
