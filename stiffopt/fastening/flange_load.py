@@ -50,6 +50,11 @@ class FlangeLoads:
         """|T| (K,) [N m]."""
         return np.asarray(np.abs(self.values[:, 5]))
 
+    @property
+    def more_than_torque(self) -> bool:
+        """Whether any force or tilting moment comes with the torque."""
+        return bool(self.values[:, :5].any())
+
     def torque_alone(self) -> FlangeLoads:
         """What a bearing beside the flange leaves to it."""
         values = np.zeros_like(self.values)

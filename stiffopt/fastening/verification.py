@@ -254,7 +254,7 @@ class Verification:
         friction = float(self.clamp_against_slip[index, place])
         most = float(needed[index, place])
         kind = "alternating" if self.slip_safety == SLIP_ALTERNATING else "static"
-        if not self.loads.values[:, :5].any():
+        if not self.loads.more_than_torque:
             # The torque alone: the slip safety of the connection says the same.
             return
         extra = 100 * (self.friction_radius / (self.flange.circle_diameter / 2) - 1)

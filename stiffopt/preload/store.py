@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 
 from stiffopt.files import atomic_write, plain, write_csv
+from stiffopt.preload.bolt_sheet import BoltSheet, bolt_sheets
 from stiffopt.preload.catalogue_choice import CatalogueChoice
 from stiffopt.preload.catalogue_designs import CatalogueDesign
 from stiffopt.preload.curves import curve_rows
+from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.motion_result import MotionStudy
 from stiffopt.preload.pareto import ParetoFront
 from stiffopt.preload.problem import OBJECTIVES
@@ -68,9 +70,16 @@ def study_document(study: PreloadStudy) -> dict[str, Any]:
         "iterations": solution.iterations,
         "values": {name: value for name, (value, _) in named_values(study).items()},
         "rows": [{"name": row.name, **_fields(row), "active": row.active} for row in solution.rows],
+        "bolts": {sheet.key: _sheet(sheet) for sheet in _sheets(study)},
         "stoppers": [_fields(stop) for stop in solution.stoppers],
         "load_cases": [
-            {"name": c.name, "torque": c.torque, "time": c.time, "source": c.source}
+            {
+                "name": c.name,
+                "torque": c.torque,
+                "wrench": c.wrench,
+                "time": c.time,
+                "source": c.source,
+            }
             for c in solution.cases
         ],
         "tightening": {**_fields(problem.tightening), "scatter": problem.tightening.alpha},
@@ -132,6 +141,19 @@ def _stiffness(study: PreloadStudy) -> dict[str, Any]:
             j: _by_case(study.solution, row) for j, row in of_joint.items()
         }
     return document
+
+
+def _sheets(study: PreloadStudy) -> tuple[BoltSheet, ...]:
+    model = PreloadModel(study.problem, study.solution.cases)
+    return bolt_sheets(model, study.solution.vector)
+
+
+def _sheet(sheet: BoltSheet) -> dict[str, Any]:
+    """Forces of one bolt step by step, and the load of each."""
+    left_out = ("key", "flange", "loads")
+    own = {key: value for key, value in vars(sheet).items() if key not in left_out}
+    loads = dict(zip(sheet.loads.names, sheet.loads.values, strict=True))
+    return {**own, "loads": loads, "alternating": sheet.loads.alternating}
 
 
 def _front(front: ParetoFront) -> dict[str, Any]:

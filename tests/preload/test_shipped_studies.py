@@ -109,6 +109,22 @@ def least_pair(flanges, rest, torque, needed, low, high):
     return forces, float(total[best])
 
 
+def test_bolts_under_a_wrench():
+    """Twelve M5 on 84 mm: the worst place of the circle, each with its own tension and shear."""
+    loaded = study("wrench")
+    place = np.linspace(0, 2 * np.pi, 100_001)
+    radius, shear, tilting, torque, face = 42e-3, 200.0, 40.0, 110.0, 25e-3
+    inner, outer = 36e-3, 48e-3
+    lever = 2 / 3 * (outer**3 - inner**3) / (outer**2 - inner**2)
+    # Shear along -x at the joint's origin tilts the face, which lies 25 mm out, about y as well.
+    tension = (tilting * np.sin(place) - face * shear * np.cos(place)) * 2 / (12 * radius)
+    across = np.hypot(
+        -shear / 12 - torque / (12 * lever) * np.sin(place), torque / (12 * lever) * np.cos(place)
+    )
+    needed = (1.8 * across / 0.15 + np.maximum(tension, 0.0)).max()
+    assert_expected(loaded, {"least_preload_joint_2_link_flange": (float(needed), "N")})
+
+
 @pytest.mark.slow
 def test_all_bolts():
     loaded = study("all_bolts")

@@ -27,6 +27,19 @@ def run(front_points=4, **fields):
     return preload_study(PreloadProblem(robot=ROBOT, **fields), front_points=front_points)
 
 
+def open_flange():
+    """The arm with a flexspline flange at joint 2 that has no bearing beside it."""
+    chain = ROBOT.chains[1]
+    stages = tuple(
+        replace(s, element=replace(s.element, bearing="none"))
+        if s.element.name == "flexspline_flange"
+        else s
+        for s in chain.stages
+    )
+    chains = (ROBOT.chains[0], replace(chain, stages=stages), *ROBOT.chains[2:])
+    return replace(ROBOT, chains=chains)
+
+
 @functools.cache
 def flange(**fields):
     """One flange, set by slip, chosen from a catalogue."""

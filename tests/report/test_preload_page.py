@@ -4,9 +4,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from page_reader import Page
-from preload_report_studies import cannot, flange, several, stiff, with_motion
+from preload_report_studies import cannot, flange, open_flange, several, stiff, with_motion
 
+from stiffopt.preload.bolt_sheet import bolt_sheets
+from stiffopt.preload.load_case import LoadCase
+from stiffopt.preload.model import PreloadModel
+from stiffopt.preload.problem import PreloadProblem
 from stiffopt.report.common.text import change, listed
+from stiffopt.report.preload.flange_drawing import flange_drawings
+from stiffopt.report.preload.joint_diagram import joint_diagrams
 from stiffopt.report.preload.overview import most_used, utilisation_matrix
 from stiffopt.report.preload.page import write_preload_report
 from stiffopt.report.preload.words import (
@@ -18,7 +24,10 @@ from stiffopt.report.preload.words import (
     what_binds,
 )
 
-FIGURES = ("preload_curves", "preload_front", "preload_loosening", "preload_shares")
+FIGURES = (
+    *("preload_curves", "preload_diagram", "preload_flanges"),
+    *("preload_front", "preload_loosening", "preload_shares"),
+)
 
 
 def page_of(study, folder):
@@ -69,6 +78,51 @@ def test_page_of_one_flange_tells_torque_limit_sources_and_estimates(flange_page
         assert (folder / f"{name}.svg").read_text(encoding="utf-8").startswith("<svg")
         assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
     assert page.tags.count("svg") == len(FIGURES)
+
+
+def test_sheet_has_every_step_with_its_number(flange_page):
+    study = flange()
+    cells = flange_page.table("step", "check")
+    rows = {r.kind: r for r in study.solution.rows if r.equation and r.element}
+    assert {row[1].removesuffix(" (warning)") for row in cells} == set(rows)
+    assert [row[0] for row in cells if row[1] == "working stress"] == ["R8/5"]
+    order = [int(row[0][1:].split("/")[0].split(",")[0]) for row in cells if row[0][0] == "R"]
+    assert order == sorted(order)
+    (facts,) = flange_page.table("R1 α_A", "R3 δ_S")
+    assert facts[0] == "1.6"
+    assert facts[-1] == f"{study.solution.tightening['flexspline_flange'].nominal:.3g} N m"
+    for text in ("Sheet for signature", "worked out by", "break-before: page", "Load of each bolt"):
+        assert text in flange_page.text
+
+
+def test_joint_diagram_meets_where_bolt_and_plates_are_in_balance():
+    study = flange()
+    model = PreloadModel(study.problem, study.solution.cases)
+    (sheet,) = bolt_sheets(model, study.solution.vector)
+    (axes,) = (a for a in joint_diagrams([sheet]).axes if a.get_visible())
+    bolt, clamped, service, *_ = axes.get_lines()
+    assert bolt.get_ydata()[-1] == clamped.get_ydata()[0] == pytest.approx(sheet.largest / 1e3)
+    assert bolt.get_xdata()[-1] == clamped.get_xdata()[0]
+    slope = np.diff(clamped.get_xdata())[0] / -np.diff(clamped.get_ydata())[0]
+    assert slope == pytest.approx(1e9 * sheet.plate_compliance)
+    assert service.get_ydata()[0] == pytest.approx(sheet.in_service / 1e3)
+    assert sheet.in_service == pytest.approx(sheet.least - sheet.loss)
+
+
+def test_flange_drawing_has_the_load_of_every_bolt():
+    wrench = np.zeros((6, 6))
+    wrench[1] = [0, 0, 0, 30.0, 0, 20.0]
+    load = LoadCase(name="tilt", torque=wrench[:, 5], wrench=wrench)
+    robot = open_flange()
+    model = PreloadModel(
+        PreloadProblem(robot=robot, joints=(2,), load_cases=(load,), free=("flexspline_flange",))
+    )
+    (sheet,) = bolt_sheets(model, np.array([9e3]))
+    assert sheet.axial.sum() == pytest.approx(0.0, abs=1e-9)
+    (axes,) = flange_drawings([sheet]).axes
+    texts = [text.get_text() for text in axes.texts]
+    for force in sheet.axial:
+        assert f"{force:.3g}" in [t.replace("−", "-") for t in texts]
 
 
 def test_page_accounts_for_the_catalogue_search(flange_page):
@@ -141,7 +195,7 @@ def test_page_without_front_and_choice(tmp_path):
     page = page_of(replace(flange(), front=None, choice=None), tmp_path)
     assert "Preload against stiffness" not in page.text
     assert "From the catalogue" not in page.text
-    assert page.tags.count("svg") == 3
+    assert page.tags.count("svg") == 5
 
 
 def test_page_of_a_joint_study_escapes_titles_and_notes(tmp_path):

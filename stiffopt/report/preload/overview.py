@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
@@ -12,6 +13,7 @@ from stiffopt.report.common.robot import EstimatedInputs, estimated_inputs
 from stiffopt.report.preload.words import MARK, owner_name, readable
 
 if TYPE_CHECKING:
+    from stiffopt.preload.bolt_sheet import BoltSheet
     from stiffopt.preload.loosening import Loosened, Loosening
     from stiffopt.preload.problem import FreeElement, PreloadProblem
     from stiffopt.preload.sensitivity import PreloadWorth, Sensitivity, WindupShare
@@ -22,6 +24,8 @@ Item = TypeVar("Item")
 _KEY = "key pressure"
 # With more rows than this a matrix gives the overview.
 _SHOWN_ROWS = 14
+# A kind of requirement that no connection uses more than this has no column there.
+_SHOWN_USE = 0.2
 
 
 @dataclass(frozen=True)
@@ -110,6 +114,13 @@ def utilisation_matrix(rows: Sequence[UtilisationRow]) -> UtilisationMatrix | No
     worst = _by_owner(rows)
     if len(worst) <= _SHOWN_ROWS:
         return None
+    # Steps of VDI 2230 that are hardly used anywhere, and warnings, are in the full list.
+    largest = {k: max(r.utilisation for r in worst if r.kind == k) for k in {r.kind for r in worst}}
+    worst = [
+        row
+        for row in worst
+        if row.binding and (not row.equation or largest[row.kind] >= _SHOWN_USE)
+    ]
     kinds = tuple(dict.fromkeys(row.kind for row in worst))
     keys = [row for row in worst if row.kind == _KEY]
     if keys:
@@ -123,6 +134,35 @@ def utilisation_matrix(rows: Sequence[UtilisationRow]) -> UtilisationMatrix | No
         cells.setdefault(name, {})[row.kind] = row
     rows_of = {name: tuple(own.get(kind) for kind in kinds) for name, own in cells.items()}
     return UtilisationMatrix(kinds, rows_of)
+
+
+def shown_sheets(
+    sheets: Sequence[BoltSheet], solution: PreloadSolution, most: int = 6
+) -> list[BoltSheet]:
+    """Flanges to draw, in their order: all, or where there are many those whose bolts bear most."""
+    if len(sheets) <= most:
+        return list(sheets)
+    steps = [row for row in solution.rows if row.equation and row.binding]
+    used = {s.key: max(r.utilisation for r in steps if r.element == s.key) for s in sheets}
+    kept = sorted(used, key=lambda key: -used[key])[:most]
+    return [sheet for sheet in sheets if sheet.key in kept]
+
+
+def vdi_steps(rows: Sequence[UtilisationRow]) -> dict[str, list[UtilisationRow]]:
+    """Steps of VDI 2230 by connection, each in its worst load case, in the order of the steps."""
+    steps = _worst(
+        [row for row in rows if row.equation], lambda row: (row.element, row.kind), _used
+    ).values()
+    found: dict[str, list[UtilisationRow]] = {}
+    for row in sorted(steps, key=lambda row: _step(row.equation)):
+        found.setdefault(row.element, []).append(row)
+    return found
+
+
+def _step(equation: str) -> tuple[int, str]:
+    """Place of a step: R2/3 before R10/1, what has no number last."""
+    number = re.match(r"R(\d+)", equation)
+    return (int(number[1]) if number else 99, equation)
 
 
 def limit_sources(rows: Sequence[UtilisationRow]) -> list[LimitSource]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from stiffopt.preload.bolt_sheet import bolt_sheets
+from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.problem import OBJECTIVES
 from stiffopt.report.common.citations import preload_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
@@ -15,6 +17,8 @@ from stiffopt.report.preload.figures import (
     loosening_figure,
     shares_figure,
 )
+from stiffopt.report.preload.flange_drawing import flange_drawings
+from stiffopt.report.preload.joint_diagram import joint_diagrams
 from stiffopt.report.preload.overview import (
     EstimateMarks,
     limit_sources,
@@ -22,9 +26,11 @@ from stiffopt.report.preload.overview import (
     most_used,
     preload_worth,
     shares_by_joint,
+    shown_sheets,
     stiffness_changes,
     study_estimates,
     utilisation_matrix,
+    vdi_steps,
 )
 from stiffopt.report.preload.words import (
     METHOD_WORDS,
@@ -72,6 +78,11 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
     if study.front is not None and len(study.front.points) > 1:
         front = front_figure(study.front, units, problem.joints)
         figures.draw("front", front, "Total preload against stiffness")
+    sheets = bolt_sheets(PreloadModel(problem, solution.cases), solution.vector)
+    drawn = shown_sheets(sheets, solution)
+    if drawn:
+        figures.draw("diagram", joint_diagrams(drawn), "Joint diagram")
+        figures.draw("flanges", flange_drawings(drawn), "Load of each bolt")
     figures.draw("shares", shares_figure(shares, free), "Share of the wind-up")
     loosening = study.loosening
     figures.draw(
@@ -97,6 +108,9 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
         "matrix": utilisation_matrix(solution.rows),
         "loosened": loosened_connections(study.loosening),
         "worth": preload_worth(study.sensitivity),
+        "sheets": sheets,
+        "drawn": [sheet.key for sheet in drawn],
+        "steps": vdi_steps(solution.rows),
         "limit_sources": limit_sources(solution.rows),
         "estimated": study_estimates(problem),
         "references": preload_references(study),

@@ -31,6 +31,10 @@ OBJECTIVE_WORDS = {
 }
 METHOD_WORDS = {
     "torque_wrench": "torque wrench",
+    "torque_wrench_tested": "torque wrench, tested",
+    "hydraulic": "hydraulic",
+    "elongation": "measured elongation",
+    "impact": "impact wrench",
     "angle": "angle of rotation",
     "yield": "yield-controlled",
 }

@@ -1,0 +1,112 @@
+"""What a bolt engineer signs of one flange: forces of one bolt, step by step, and load by bolt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.connection import BoltedFlange
+from stiffopt.fastening.flange_load import (
+    FlangeLoads,
+    axial_forces,
+    bolt_angles,
+    transverse_forces,
+)
+from stiffopt.preload.model import PreloadModel
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BoltSheet:
+    """VDI 2230 of one flange at a design; forces of one bolt [N].
+
+    Parameters
+    ----------
+    key : str
+        Of the element.
+    flange : BoltedFlange
+    scatter : float
+        alpha_A (R1).
+    bolt_compliance, plate_compliance : float
+        delta_S, delta_P (R3) [m/N].
+    factor_most, factor_least : float
+        Phi at both ends of what the load introduction may be (R3).
+    loss : float
+        F_Z and Delta F_Vth (R4).
+    clamp_needed : float
+        F_Kerf with (1 - Phi) F_A, slip with its safety (R2, R5).
+    largest, least : float
+        F_Mmax and F_Mmin at assembly (R6).
+    in_service : float
+        F_Vmin, after all losses.
+    working_load, additional : float
+        Largest F_A and what the bolt takes of it, with warmth (R8).
+    case : str
+        Load case that asks for the most clamp load.
+    angles : array (n,)
+        Places of the bolts, the first on the x axis [rad].
+    axial : array (n,)
+        F_A of each bolt in that case.
+    transverse : array (n, 2)
+        F_Q of each bolt in that case.
+    loads : FlangeLoads
+        What all load cases bring to the face.
+    """
+
+    key: str
+    flange: BoltedFlange
+    scatter: float
+    bolt_compliance: float
+    plate_compliance: float
+    factor_most: float
+    factor_least: float
+    loss: float
+    clamp_needed: float
+    largest: float
+    least: float
+    in_service: float
+    working_load: float
+    additional: float
+    case: str
+    angles: np.ndarray
+    axial: np.ndarray
+    transverse: np.ndarray
+    loads: FlangeLoads
+
+
+def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, ...]:
+    """Sheets of all bolted flanges of a study at a design."""
+    found = []
+    for index, (element, steps) in enumerate(zip(model.elements, model.verifications, strict=True)):
+        if steps is None:
+            continue
+        own = np.asarray(model.of_element(preloads, index))
+        largest, smallest = float(own.max()), float(own.min())
+        worst = int(np.argmax(steps.clamp_needed))
+        load, angles = steps.loads.values[worst], bolt_angles(steps.count)
+        found.append(
+            BoltSheet(
+                key=element.key,
+                flange=steps.flange,
+                scatter=element.scatter,
+                bolt_compliance=steps.compliances[0],
+                plate_compliance=steps.compliances[1],
+                factor_most=steps.factor.most,
+                factor_least=steps.factor.least,
+                loss=element.loss,
+                clamp_needed=float(steps.clamp_needed[worst]),
+                largest=largest,
+                least=smallest / element.scatter,
+                in_service=float(element.least(smallest)),
+                working_load=max(float(steps.opening.max()), 0.0),
+                additional=steps.additional,
+                case=steps.loads.names[worst],
+                angles=angles,
+                axial=axial_forces(load, steps.count, steps.flange.circle_diameter, angles),
+                transverse=transverse_forces(
+                    load, steps.count, steps.flange.circle_diameter / 2, angles
+                ),
+                loads=steps.loads,
+            )
+        )
+    return tuple(found)
