@@ -75,6 +75,8 @@ class ObjectiveKind(ABC):
         Part of the tool's deflection that it is about; "" for none.
     plans_links : bool
         Whether the links' motion is planned, with the motors ahead of it by the wind-up.
+    shaped : bool
+        Whether the motion is averaged over a swing of the arm's lowest mode.
     comparatives : (str, str)
         Of a smaller and of a larger value.
     compared_as_ratio : bool
@@ -91,6 +93,7 @@ class ObjectiveKind(ABC):
     smoothing: tuple[float, ...] = UNSMOOTHED
     deflection_part = ""
     plans_links = False
+    shaped = False
     comparatives = ("less", "more")
     compared_as_ratio = True
 

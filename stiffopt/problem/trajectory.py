@@ -203,6 +203,11 @@ class TrajectoryProblem:
         return any(objective.kind.plans_links for objective in self.objectives)
 
     @property
+    def is_shaped(self) -> bool:
+        """Whether the motion is averaged over a swing of the arm's lowest mode."""
+        return any(objective.kind.shaped for objective in self.objectives)
+
+    @property
     def active_limits(self) -> Limits:
         """The limits in force."""
         return Limits.of(self.robot) if self.limits is None else self.limits

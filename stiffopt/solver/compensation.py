@@ -194,10 +194,16 @@ class _Compensator:
         smoothing = WINDUP_SMOOTHING[-1]
         if self._motion.link is not None:
             link = self._motion.link
-            return [_Lead(link, motor_motion(robot, link, smoothing, force), None)]
+            return [
+                _Lead(
+                    link, motor_motion(robot, link, smoothing=smoothing, process_force=force), None
+                )
+            ]
         links = [(smooth_motion(self._plan, spacing), spacing) for spacing in _SPACINGS]
         return [
-            _Lead(link, motor_motion(robot, link, smoothing, force), spacing)
+            _Lead(
+                link, motor_motion(robot, link, smoothing=smoothing, process_force=force), spacing
+            )
             for link, spacing in links
         ]
 

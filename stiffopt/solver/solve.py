@@ -8,6 +8,7 @@ the optimiser believed of its motion is compared with the exact model before it 
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -31,6 +32,7 @@ from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.guess import initial_guess
+from stiffopt.solver.shaping import solve_shaped
 from stiffopt.solver.simulation import check_simulation, with_simulation
 from stiffopt.solver.stages import (
     Outcome,
@@ -104,6 +106,9 @@ def solve(
     needed, why = shortest_duration(problem, motion)
     if problem.duration[1] < needed:
         solution = _hopeless(run, beside, notes, why)
+    elif problem.is_shaped:
+        inner = functools.partial(solve, progress=progress, throw=False)
+        solution = solve_shaped(problem, motion, beside, notes, inner)
     else:
         rival = better_baseline(problem, beside)
         try:

@@ -1,0 +1,228 @@
+"""Motions shaped to the arm's lowest mode: they ring little also where the arm is not as modelled.
+
+The quasi-static optimum is found for a duration that is shorter by a swing of the lowest mode, and
+averaged over such a swing (a box filter, whose spectrum is zero at that frequency). An average
+keeps every bound on position and its derivatives; it cuts vias, which are drawn tighter by as much,
+and so are limits that the motors exceed in leading the links. That lead by the wind-up lets nothing
+ring on the arm as modelled; what an error of the model leaves is the wind-up's share in it, which
+the filter has made slow.
+
+Source: Singer, Seering (1990), "Preshaping command inputs to reduce system vibration".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from stiffopt.baseline.baselines import better_baseline, strict_baseline
+from stiffopt.certificate.assess import assess
+from stiffopt.certificate.objective_value import improvement, objective_value
+from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.modes import modes
+from stiffopt.elastic.smooth_motion import smooth_motion
+from stiffopt.errors import ProblemError
+from stiffopt.problem.bounds import shortest_duration
+from stiffopt.problem.limit import Limits
+from stiffopt.problem.motor_model import motor_motion
+from stiffopt.problem.objective import Objective
+from stiffopt.problem.resolve import ResolvedMotion
+from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import Assessment
+from stiffopt.result.provenance import inputs_hash
+from stiffopt.result.solution import Baseline, Solution
+from stiffopt.result.status import SolveStatus
+from stiffopt.result.trajectory import JointMotion, Trajectory
+
+# Of the knots of the splines that round off the averaged motion [s]; the first that holds is taken.
+_SPACINGS = (0.005, 0.01, 0.02)
+# Of the table that is averaged; how often vias and limits are drawn tighter, and how far at most.
+_SAMPLES = 8001
+_ROUNDS = 2
+_TIGHTEST = 0.1
+_DRAWN = ("velocity", "acceleration", "jerk", "torque")
+_MORE = 1.1
+
+Solve = Callable[[TrajectoryProblem], Solution]
+
+
+def solve_shaped(
+    problem: TrajectoryProblem,
+    motion: ResolvedMotion,
+    beside: dict[str, Baseline],
+    notes: tuple[str, ...],
+    solve: Solve,
+) -> Solution:
+    """Solve a problem whose objective is `shaped_deviation`.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+        Of fixed duration.
+    motion : ResolvedMotion
+    beside : dict
+        Its baselines.
+    notes : tuple of str
+    solve : callable
+        Solves a problem without raising where no motion is found.
+
+    Raises
+    ------
+    ProblemError
+        No time is left beside a swing of the lowest mode.
+    """
+    swing = _swing(problem, motion)
+    inner = _shorter(problem, motion, swing)
+    found = solve(inner)
+    shaped = _shaped(problem, found, swing)
+    for _ in range(_ROUNDS):
+        tightened = None if shaped is None else _tightened(problem, inner, shaped[1])
+        if tightened is None or found.status is SolveStatus.INTERRUPTED:
+            break
+        inner = tightened
+        found = solve(inner)
+        shaped = _shaped(problem, found, swing)
+    told = f"Averaged over {1e3 * swing:.0f} ms, a swing of the arm's lowest mode."
+    solution = replace(
+        found, baselines=beside, notes=(*notes, told), inputs_hash=inputs_hash(problem)
+    )
+    if shaped is None:
+        return replace(solution, strict_baseline=None, ratio_to_strict_baseline=None)
+    trajectory, assessment = shaped
+    status, message = found.status, found.message
+    if status.usable and not assessment.feasible(CERTIFIED):
+        status = SolveStatus.CERTIFICATE_FAILED
+        message = (
+            f"The shaped motion exceeds {assessment.worst_violation.describe()}. Give a longer "
+            "duration, or minimise tool_deviation."
+        )
+    value = objective_value(problem, assessment)
+    better, strict = better_baseline(problem, beside), strict_baseline(problem, motion, beside)
+    return replace(
+        solution,
+        status=status,
+        message=message,
+        trajectory=trajectory,
+        assessment=assessment,
+        objective=value,
+        ratio_to_better_baseline=_ratio(problem, value.value, better),
+        strict_baseline=strict,
+        ratio_to_strict_baseline=_ratio(problem, value.value, strict),
+    )
+
+
+def _ratio(problem: TrajectoryProblem, value: float, other: Baseline | None) -> float | None:
+    if other is None or other.objective is None:
+        return None
+    return improvement(problem, value, other.objective)
+
+
+def _swing(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
+    """Period of the lowest mode in the poses of a motion [s]."""
+    arm = ElasticArm(problem.robot, motion.start, problem.process_force)
+    lowest = [mode.frequency for pose in motion.points for mode in modes(arm, pose)[:1]]
+    if not lowest:
+        raise ProblemError("shaped_deviation needs a joint that yields: describe a drivetrain.")
+    return 1.0 / min(lowest)
+
+
+def _shorter(problem: TrajectoryProblem, motion: ResolvedMotion, swing: float) -> TrajectoryProblem:
+    """The quasi-static problem whose motion is averaged."""
+    duration = problem.duration[0] - swing
+    needed, why = shortest_duration(problem, motion)
+    if duration <= needed:
+        raise ProblemError(
+            f"shaped_deviation takes a swing of the arm's lowest mode, {1e3 * swing:.0f} ms, from "
+            f"the duration of {problem.duration[0]:g} s, which leaves too little. {why} Give a "
+            "longer duration, or minimise tool_deviation."
+        )
+    [term] = problem.objectives
+    quasi_static = Objective(
+        name="dynamic_deflection", measure=term.measure, accept_bound=term.accept_bound
+    )
+    return replace(problem, duration=(duration, duration), objectives=(quasi_static,))
+
+
+def _shaped(
+    problem: TrajectoryProblem, found: Solution, swing: float
+) -> tuple[Trajectory, Assessment] | None:
+    """Motion of the motors that lead the averaged links, and its certificate."""
+    if found.trajectory is None:
+        return None
+    averaged, tried = Averaged(found.trajectory, swing), []
+    for spacing in _SPACINGS:
+        motors = motor_motion(
+            problem.robot,
+            smooth_motion(averaged, spacing),
+            smoothing=WINDUP_SMOOTHING[-1],
+            process_force=problem.process_force,
+        )
+        tried.append((motors, assess(problem, motors)))
+        if tried[-1][1].feasible(CERTIFIED):
+            break
+    return min(tried, key=lambda pair: max(pair[1].worst_violation.value, CERTIFIED))
+
+
+def _tightened(
+    problem: TrajectoryProblem, inner: TrajectoryProblem, assessment: Assessment
+) -> TrajectoryProblem | None:
+    """The inner problem drawn tighter by what vias are missed and limits exceeded by, if any are.
+
+    Motors that lead the links have a little more acceleration than these.
+    """
+    excess = {each.limit: each.value for each in assessment.violations if each.value > CERTIFIED}
+    limits, vias = inner.active_limits, []
+    drawn = {
+        name: getattr(limits, name) * max(1.0 - _MORE * excess[name], _TIGHTEST)
+        for name in _DRAWN
+        if name in excess
+    }
+    missed = any(name.startswith("via_") for name in excess)
+    if not drawn and not missed:
+        return None
+    for number, (given, own) in enumerate(zip(problem.vias, inner.vias, strict=True), start=1):
+        less = own.tolerance - _MORE * excess.get(f"via_{number}", 0.0) * given.tolerance
+        vias.append(replace(own, tolerance=max(less, _TIGHTEST * given.tolerance)))
+    return replace(inner, vias=tuple(vias), limits=Limits(limits.values, **drawn))
+
+
+@dataclass(frozen=True, eq=False)
+class Averaged:
+    """A motion averaged over the time before each instant; it lasts so much longer.
+
+    Parameters
+    ----------
+    motion : JointMotion
+    swing : float
+        Over which is averaged [s].
+    """
+
+    motion: JointMotion
+    swing: float
+
+    @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return self.motion.duration + self.swing
+
+    def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
+        """Positions (K, n) at the times (K,); derivatives are not needed of it."""
+        if order:
+            raise ValueError("only the position of an averaged motion is known")
+        travelled = self._travel(t) - self._travel(np.asarray(t) - self.swing)
+        return np.asarray(travelled / self.swing)
+
+    def _travel(self, t: np.ndarray) -> np.ndarray:
+        """Integral of the position from the start (K, n), at rest outside the motion."""
+        end = self.motion.duration
+        times = np.linspace(0.0, end, _SAMPLES)
+        position = self.motion(times)
+        whole = CubicHermiteSpline(times, position, self.motion(times, 1)).antiderivative()
+        outside = np.minimum(t, 0.0)[:, None] * position[0]
+        outside += np.maximum(np.asarray(t) - end, 0.0)[:, None] * position[-1]
+        return np.asarray(whole(np.clip(t, 0.0, end)) + outside)

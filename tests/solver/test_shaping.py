@@ -1,0 +1,92 @@
+"""Motions averaged over a swing of the lowest mode."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_arms import load
+
+from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.modes import modes
+from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.simulate import simulate
+from stiffopt.elastic.uncertainty import Departure
+from stiffopt.errors import InputError, ProblemError
+from stiffopt.problem.bounds import shortest_duration
+from stiffopt.problem.resolve import resolve
+from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.shaping import Averaged
+from stiffopt.solver.solve import solve
+
+GOAL = 'objective = "shaped_deviation"'
+
+
+def test_an_average_lasts_longer_and_is_that_of_the_time_before():
+    motion = Trajectory.from_acceleration(
+        [0.0, 0.1, 0.2], [[[5.0]], [[-5.0]]], np.array([0.3]), np.array([0.0])
+    )
+    averaged = Averaged(motion, 0.05)
+    assert averaged.duration == pytest.approx(0.25)
+    for t in (0.02, 0.13, 0.22):
+        before = np.linspace(t - 0.05, t, 20001)
+        position = motion(np.clip(before, 0.0, 0.2))[:, 0]
+        expected = np.trapezoid(position, before) / 0.05
+        assert averaged(np.array([t]))[0, 0] == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory):
+    via = 'via = [{ joints = [-0.3, 0.9], tolerance = "0.5 deg" }]'
+    problem = load(
+        tmp_path_factory.mktemp("arm"),
+        minimise=GOAL,
+        duration="1.2",
+        motion=via,
+        method="intervals = 24",
+    )
+    return problem, solve(problem, throw=False)
+
+
+def test_it_keeps_limits_vias_and_the_duration(solved):
+    problem, solution = solved
+    assert solution.status.usable
+    assert solution.duration == pytest.approx(1.2)
+    assert solution.objective.name == "shaped_deviation"
+    assert solution.assessment.feasible(CERTIFIED)
+    miss = np.max(np.abs(solution.assessment.position - [-0.3, 0.9]), axis=1)
+    assert np.min(miss) <= np.radians(0.5) * (1 + CERTIFIED)
+    assert solution.ratio_to_better_baseline < 1.0
+    lowest = min(
+        modes(ElasticArm(problem.robot, pose), pose)[0].frequency
+        for pose in resolve(problem).points
+    )
+    assert f"{1e3 / lowest:.0f} ms" in solution.notes[-1]
+
+
+def test_nothing_rings_on_the_arm_as_modelled_and_little_on_a_softer_one(solved):
+    problem, solution = solved
+    motion = MotorMotion.of(solution.trajectory)
+    arm = ElasticArm(problem.robot, motion.at(0.0)[0])
+    own = simulate(arm, motion)
+    assert own.peak == pytest.approx(solution.objective.value, rel=0.1)
+    assert own.peak_after < 0.02 * own.peak
+    softer = simulate(arm.departed(Departure(stiffness=np.full(2, 0.8))), motion)
+    assert softer.peak_after < 0.15 * own.peak
+
+
+def test_a_free_duration_cannot_be_shaped(tmp_path):
+    with pytest.raises(InputError, match="needs a fixed duration"):
+        load(tmp_path, minimise=GOAL, duration="{ lower = 0.5, upper = 2.0 }")
+
+
+def test_too_short_a_duration_is_refused_before_solving(tmp_path):
+    problem = load(tmp_path, minimise=GOAL)
+    needed, _ = shortest_duration(problem, resolve(problem))
+    hasty = replace(problem, duration=(1.01 * needed, 1.01 * needed))
+    with pytest.raises(
+        ProblemError, match=r"a swing of the arm's lowest mode, .* leaves too little"
+    ):
+        solve(hasty)
