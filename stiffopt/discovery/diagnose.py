@@ -6,6 +6,8 @@ import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.extension import Extension
@@ -22,6 +24,7 @@ from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.judging.detection import detection_limits
+from stiffopt.discovery.judging.shares import Shares, parts_of
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, channel_name
 from stiffopt.discovery.judging.variance_explained import variance_explained
 from stiffopt.discovery.proof.predict import Predictor
@@ -34,7 +37,7 @@ from stiffopt.discovery.search.search import search
 from stiffopt.discovery.search.told import told_effects, unstated_effects, without_bounds
 from stiffopt.discovery.search.uncertainty import Estimate, estimate
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.thresholds import OPEN_RATIO
+from stiffopt.discovery.thresholds import MISFIT_ODDS, MISFIT_RATIO, OPEN_RATIO, OPEN_SHARE
 from stiffopt.discovery.training import Training, train, training_runs
 from stiffopt.discovery.user_effects import load_effects
 from stiffopt.recording.facts import joint_facts
@@ -111,16 +114,21 @@ def diagnose(
         training.comparison(),
         without_bounds(asked, recordings),
         start=(
-            unstated_effects(asked, recordings, training.constants.joints) if base is None else ()
+            unstated_effects(
+                asked, recordings, training.constants.joints, usual=training.free_bodies
+            )
+            if base is None
+            else ()
         ),
-        most=settings.effects,
+        most=training.most,
+        free_bodies=training.free_bodies,
         report=say,
     )
     selected, unexplained = assess_findings(result)
     say("estimate parameters")
     located = tuple(s.located for s in selected)
     parameters = estimate(result.comparison, located)
-    findings = _findings(result.comparison, selected, parameters, training)
+    findings = _findings(result.comparison, selected, parameters, training, result.after)
     limits = detection_limits(Scorer(result.comparison, located), asked, result.effects)
     found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
     start = () if base is None else (base.extension,)
@@ -130,7 +138,8 @@ def diagnose(
     pair = leading_pair(selected) if experiment else None
     plan = None if pair is None else plan_experiment(training, result, settings, pair, say=say)
     # The findings are fixed: from here on other runs may be opened, and change nothing above.
-    proofs = _proofs(recordings, training, settings, start, found, say)
+    shares = Shares(parts_of(found, recordings.unstated), 2 * training.robot.n)
+    proofs = _proofs(recordings, training, settings, start, found, shares, say)
     every = (*training.recorded, *(proof.run for proof in proofs))
     return Diagnosis(
         recordings=recordings,
@@ -142,6 +151,7 @@ def diagnose(
         training=training,
         search=result,
         held_out=proofs,
+        shares=shares.found(),
         catalogue=catalogue,
         detection_limits=limits,
         unexplained=unexplained,
@@ -164,7 +174,9 @@ def _given(effects: Sequence[Effect] | str | os.PathLike[str]) -> tuple[Effect, 
 
 
 def _verdict(findings: tuple[Finding, ...], unexplained: Unexplained | None) -> Verdict:
-    if findings and (unexplained is None or unexplained.ratio < OPEN_RATIO):
+    if findings and (
+        unexplained is None or unexplained.ratio < OPEN_RATIO or unexplained.left < OPEN_SHARE
+    ):
         return "named"
     return "nothing_missing" if unexplained is None else "outside_catalogue"
 
@@ -174,6 +186,7 @@ def _findings(
     kept: Sequence[Selected],
     parameters: Estimate,
     training: Training,
+    after: np.ndarray,
 ) -> tuple[Finding, ...]:
     constants, n = training.constants, training.robot.n
     shares = variance_explained(
@@ -182,13 +195,15 @@ def _findings(
     findings = []
     for index, (selected, share) in enumerate(zip(kept, shares, strict=True)):
         located, effect = selected.located, selected.located.effect
+        misfit = MISFIT_ODDS * (1.0 - share) if after[selected.channel] > MISFIT_RATIO else 0.0
         values = parameters.parameters(index, located.constants(constants))
         findings.append(
             Finding(
                 estimated=parameters.effects[index],
                 link=None if located.link is None else constants.links[located.link],
-                probability=selected.probability,
-                rivals=rivals_of(selected),
+                probability=(1.0 - misfit) * selected.probability,
+                misfit=misfit,
+                rivals=rivals_of(selected, 1.0 - misfit),
                 parameters=tuple(
                     Parameter(name=name, value=value, sd=sd, unit=located.unit_of(name, constants))
                     for name, (value, sd) in values.items()
@@ -209,6 +224,7 @@ def _proofs(
     settings: Settings,
     start: tuple[Extension, ...],
     found: Extension,
+    shares: Shares,
     say: Say,
 ) -> tuple[RunProof, ...]:
     proofs = []
@@ -219,6 +235,8 @@ def _proofs(
             continue
         predictor = Predictor(training.robot, run, training.constants, settings)
         before, after = predictor.predict(*start), predictor.predict(*start, found)
+        say(f"share out what changes in {entry.file}")
+        shares.add(predictor, start, found, after)
         proofs.append(prove(run, predictor.velocity, before, after, training.noise))
     return tuple(proofs)
 

@@ -12,6 +12,7 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.detection import DetectionLimit
+from stiffopt.discovery.judging.shares import Share
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.proof.proof import RunProof, nrmse
 from stiffopt.discovery.sanity.doubt import Doubt
@@ -68,7 +69,9 @@ class Finding:
     link : str or None
         Name of the link, of effects of a link.
     probability : float
-        Against its rivals.
+        Against its rivals, and against what the misfit stands for.
+    misfit : float
+        Probability that goes to an unknown cause, where its channel is left above twice the noise.
     rivals : tuple of Rival
     parameters : tuple of Parameter
     where : str
@@ -87,6 +90,7 @@ class Finding:
     estimated: EstimatedEffect
     link: str | None
     probability: float
+    misfit: float
     rivals: tuple[Rival, ...]
     parameters: tuple[Parameter, ...]
     where: str
@@ -160,6 +164,8 @@ class Diagnosis:
         noise by channel, rows in `search.comparison.rows` and `search.fit.residual`.
     held_out : tuple of RunProof
         Test and extrapolation runs with their predictions before and after.
+    shares : tuple of Share
+        What the mismatch is made of on held-out runs, the largest first, what is open last.
     catalogue : tuple of Effect
         What was tried: the catalogue, and effects of the user's.
     detection_limits : tuple of DetectionLimit
@@ -187,6 +193,7 @@ class Diagnosis:
     training: Training
     search: SearchResult
     held_out: tuple[RunProof, ...]
+    shares: tuple[Share, ...]
     catalogue: tuple[Effect, ...]
     detection_limits: tuple[DetectionLimit, ...]
     unexplained: Unexplained | None
@@ -232,6 +239,8 @@ def channel_fits(proofs: tuple[RunProof, ...], prismatic: list[bool]) -> tuple[C
     return tuple(found)
 
 
-def rivals_of(selected: Selected) -> tuple[Rival, ...]:
-    """Rivals of a selected effect."""
-    return tuple(Rival(located=located, probability=share) for located, share in selected.rivals)
+def rivals_of(selected: Selected, known: float = 1.0) -> tuple[Rival, ...]:
+    """Rivals of a selected effect, where known causes have this probability together."""
+    return tuple(
+        Rival(located=located, probability=known * share) for located, share in selected.rivals
+    )

@@ -174,6 +174,9 @@ class Effect:
         (constants) -> bool; False where the joint cannot have it (no pole pairs known).
     possible : callable, optional
         (shapes, constants) -> bool; False for shapes that the recordings themselves rule out.
+    usual : bool
+        Whether every real robot has a little of it, so that it is fitted from the start where
+        nobody vouches for the nominal model.
     separate : str
         The motion that separates it from what looks alike.
     log_prior : callable, optional
@@ -211,6 +214,7 @@ class Effect:
     units: Mapping[str, str] = field(default_factory=dict)
     applies: Callable[[Any], bool] | None = None
     possible: Callable[[Sequence[float], Any], bool] | None = None
+    usual: bool = False
     separate: str = ""
     log_prior: Callable[[Any], float] | None = None
     title: str = ""

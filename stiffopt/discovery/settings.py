@@ -48,8 +48,9 @@ class Settings:
         Stands in where the set states none: wide, since unknown.
     box : float
         Nominal values stay within so many standard deviations.
-    effects : int
-        Most effects that are named.
+    effects : int, optional
+        Most effects that are named beside values that the nominal model does not give. Default: 3,
+        12 where nobody vouches for its masses.
     """
 
     cutoff: float | None = None
@@ -57,7 +58,7 @@ class Settings:
     slow: float = MOVING
     tolerance: Tolerance = field(default_factory=lambda: WIDE)
     box: float = 4.0
-    effects: int = 3
+    effects: int | None = None
 
     @property
     def fit_band(self) -> float:

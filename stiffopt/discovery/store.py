@@ -14,6 +14,7 @@ from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.diagnosis import Diagnosis, Finding, Rival
 from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
 from stiffopt.discovery.extended.store import extended_text
+from stiffopt.discovery.judging.shares import Share
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.proof.predict import Prediction
 from stiffopt.files import atomic_write, plain
@@ -59,6 +60,8 @@ def answer(diagnosis: Diagnosis) -> dict[str, Any]:
             "channels": [vars(channel) for channel in diagnosis.channels],
             **{role: _fit(diagnosis, role) for role in ("test", "extrapolate")},
         },
+        "mismatch": [_share(each) for each in diagnosis.shares],
+        "rigid_model": _rigid(diagnosis),
         "detection_limits": [
             {
                 "effect": limit.effect.name,
@@ -103,6 +106,7 @@ def _finding(finding: Finding, constants: RobotConstants) -> dict[str, Any]:
         "effect": finding.effect.name,
         "joint": finding.joint,
         "probability": finding.probability,
+        "misfit": finding.misfit,
         "equation": finding.effect.equation,
         "parameters": {
             p.name: {"value": p.value, "sd": p.sd, "unit": p.unit} for p in finding.parameters
@@ -136,6 +140,32 @@ def _fit(diagnosis: Diagnosis, role: str) -> dict[str, float] | None:
     return {"nrmse_before": before, "nrmse_after": after}
 
 
+def _share(share: Share) -> dict[str, Any]:
+    """What a part of the answer takes away on runs left out; "open" is what none does."""
+    part = share.part
+    return {
+        "part": "open" if part is None else part.kind,
+        "effects": [] if part is None else sorted({e.effect.name for e in part.effects}),
+        "joints": []
+        if part is None
+        else sorted({e.joint + 1 for e in part.effects if e.joint is not None}),
+        "share": share.share,
+    }
+
+
+def _rigid(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    """What the re-identified rigid model needed; None where tolerances of masses are stated."""
+    rigid = diagnosis.search.rigid
+    if rigid is None:
+        return None
+    return {
+        "reidentified": bool(rigid.width),
+        "width": rigid.width,
+        "gain": rigid.gain,
+        "single": None if rigid.single is None else rigid.single.located.label,
+    }
+
+
 def _unexplained(unexplained: Unexplained) -> dict[str, Any]:
     return {
         "channels": list(unexplained.channels),
@@ -143,6 +173,7 @@ def _unexplained(unexplained: Unexplained) -> dict[str, Any]:
         "gain_heldout": unexplained.gain,
         "period": unexplained.period,
         "ratio": unexplained.ratio,
+        "left": unexplained.left,
         "brief": unexplained.brief,
     }
 

@@ -18,6 +18,19 @@ NAMED_SHARE = 0.02
 # the log prior that they regain is this share of the evidence.
 RELIEF_SHARE = 0.5
 
+# ---- When the rigid model is re-identified [0036]
+
+# One change of masses stands for all where it gains this share of what all free parameters gain
+# in recordings left out.
+SPARSE_SHARE = 0.9
+
+# ---- How many effects [0036]
+
+# Named at most beside what the set does not give; and where nobody vouches for the nominal masses,
+# so that anything may be missing, at most and tried together before all is weighed again.
+MOST_EFFECTS = 3
+MOST_EFFECTS_FREE, AT_ONCE = 12, 3
+
 # ---- When it is confirmed [0019]
 
 # Jackknife deviations of its amplitudes from nothing, over stretches of the recordings.
@@ -25,6 +38,12 @@ CONFIRMED_DEVIATIONS = 3.5
 # Or, where a few seconds hold all there is: most of a channel's residual taken away, and most of
 # the evidence kept in runs left out.
 BORNE_OUT_SHARE = 0.5
+
+# ---- When recordings left out bear it out [0036]
+
+# Share of its channel's squares that a finding takes away in recordings left out, and share of them
+# in which it helps.
+LEFT_OUT_SHARE, LEFT_OUT_FOLDS = 0.01, 0.6
 
 # ---- What is a rival [0020]
 
@@ -38,6 +57,12 @@ PARAMETER_LOG_PRICE = 1.0
 # How often a likelier explanation takes the place of what was found before both are dropped.
 EXCHANGES = 3
 
+# ---- What a misfit takes from the odds [0036]
+
+# Residual over noise from which likelihood alone makes nothing certain, and the odds that what is
+# open in a channel gives to an unknown cause of both.
+MISFIT_RATIO, MISFIT_ODDS = 2.0, 0.5
+
 # ---- When something is outside the catalogue [0023]
 
 # Residual over noise from which a channel counts as not explained, beyond what formulas that differ
@@ -47,8 +72,9 @@ UNEXPLAINED_RATIO = 1.3
 EXPLAINED_SHARE = 0.6
 # Beside findings that explain the most of it, what is left below this ratio is passed over.
 PASSED_OVER_RATIO = 5.0
-# From this ratio on nothing counts as named, whatever was found: the most is open.
-OPEN_RATIO = 10.0
+# From this ratio on nothing counts as named, whatever was found, if as much is left of what the
+# nominal model leaves: the most is open.
+OPEN_RATIO, OPEN_SHARE = 10.0, 0.5
 # Without findings, a remainder is something from this ratio on, or if flexible functions of the
 # signals predict this share of it in runs left out; else the noise is larger than stated.
 REMAINDER_RATIO, REMAINDER_SHARE = 1.8, 0.25

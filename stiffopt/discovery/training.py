@@ -17,6 +17,7 @@ from stiffopt.discovery.comparison.prepare import PreparedRun, prepare
 from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.extended.model import ExtendedModel, check_extended
 from stiffopt.discovery.settings import PREDICTED_CUTOFF, Settings
+from stiffopt.discovery.thresholds import MOST_EFFECTS, MOST_EFFECTS_FREE
 from stiffopt.errors import InputFileError
 from stiffopt.recording.nominal import Tolerance
 from stiffopt.recording.recording_set import RecordingSet
@@ -45,6 +46,10 @@ class Training:
     tolerance : Tolerance
     box : float
         Standard deviations that nominal values stay within.
+    free_bodies : bool
+        Whether nobody vouches for the nominal masses.
+    most : int
+        Effects that are named at most beside what the set does not give.
     settings : Settings
         With the bands that were chosen.
     assumptions : tuple of str
@@ -57,6 +62,8 @@ class Training:
     noise: KnownNoise
     tolerance: Tolerance
     box: float
+    free_bodies: bool
+    most: int
     settings: Settings
     assumptions: tuple[str, ...]
 
@@ -120,7 +127,11 @@ def train(
         settings, note = _with_bands(robot, opened, settings)
         notes.append(note)
         prepared = [prepare(robot, run, k, None, settings) for k, run in enumerate(opened)]
-    ranged = robot.ranged([run.signals for run in prepared], _largest_torques(prepared))
+    stated = recordings.tolerance
+    free = stated.mass is None and stated.com is None
+    # Where the model is vouched for, the torque may be what a drive was asked for in vain.
+    measured = _largest_torques(prepared) if free else None
+    ranged = robot.ranged([run.signals for run in prepared], measured)
     if model is not None:
         ranged = model.scaled(ranged)
         check_extended(model, ranged)
@@ -133,17 +144,29 @@ def train(
             f"With {len(ready)} training run{'s' * (len(ready) > 1)}, candidates are"
             " cross-validated over stretches of runs instead of whole runs."
         )
+    tolerance = merged(stated, settings.tolerance)
+    if free and stated.encoder_zero is None:
+        # Encoders' offsets are fitted and said, not hidden by a tolerance.
+        tolerance = replace(tolerance, encoder_zero=0.0)
     return Training(
         robot=robot,
         runs=tuple(ready),
         recorded=tuple(opened),
         constants=ranged,
         noise=noise,
-        tolerance=merged(recordings.tolerance, settings.tolerance),
+        tolerance=tolerance,
+        free_bodies=free,
         box=settings.box,
+        most=_most(settings.effects, free),
         settings=settings,
         assumptions=(*recordings.assumptions, *noise.assumptions(), *notes),
     )
+
+
+def _most(stated: int | None, free: bool) -> int:
+    if stated is not None:
+        return stated
+    return MOST_EFFECTS_FREE if free else MOST_EFFECTS
 
 
 def _with_bands(

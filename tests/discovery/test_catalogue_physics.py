@@ -135,6 +135,19 @@ def test_wrist_coupling_does_no_work():
     np.testing.assert_allclose(given, taken, rtol=1e-12)
 
 
+def test_a_coupled_drive_takes_what_its_motor_turns_against():
+    signals = ROBOT.of_joint(4)
+    dry, viscous, inertia, share = 2.0, 3.0, 0.1, -1.0
+    term = effect("coupled_drive").term(signals, [dry, viscous, inertia], [share])
+    before, own = ROBOT.motor_velocity[:, 3], signals.motor_velocity
+    speed = own + share * before
+    rate = signals.motor_acceleration + share * ROBOT.motor_acceleration[:, 3]
+    power = term.drive_torque * own + term.previous_torque * before
+    wanted = dry * np.abs(speed) + viscous * speed**2 + inertia * rate * speed
+    fast = np.abs(speed) > 0.05
+    np.testing.assert_allclose(power[fast], wanted[fast], rtol=1e-3, atol=1e-9)
+
+
 def test_saturation_holds_a_reading_at_its_limit_and_asks_for_more_in_vain():
     asked = np.linspace(-120.0, 120.0, 60)
     signals = replace(ROBOT.of_joint(4), drive_torque=asked)

@@ -66,7 +66,7 @@ def found() -> Found:
         training = train(recordings, SETTINGS)
     comparison = training.comparison()
     ratio = comparison.channel_ratio(comparison.target)
-    result = SearchResult((), comparison, comparison.fit((COULOMB,)), ratio, ratio, ratio)
+    result = SearchResult((), comparison, comparison.fit((COULOMB,)), None, ratio, ratio, ratio)
     return Found(training, comparison, result)
 
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from stiffopt.discovery.catalogue.belt_creep import BELT_CREEP
 from stiffopt.discovery.catalogue.contacts import CONTACTS
+from stiffopt.discovery.catalogue.coupled_drive import COUPLED_DRIVE
 from stiffopt.discovery.catalogue.elastic import BACKLASH, HYSTERESIS
 from stiffopt.discovery.catalogue.friction import FRICTION
 from stiffopt.discovery.catalogue.inertial import INERTIAL
@@ -23,6 +24,7 @@ from stiffopt.errors import InputError, nearest
 
 CATALOGUE: tuple[Effect, ...] = (
     *FRICTION,
+    COUPLED_DRIVE,
     BACKLASH,
     HYSTERESIS,
     STIFFNESS_LINEAR,

@@ -119,6 +119,8 @@ def _found_windup(found: EstimatedEffect, constants: JointConstants, torques: np
         dt=1.0,
         session_time=still["windup"],
         previous_position=still["windup"],
+        previous_velocity=still["windup"],
+        previous_acceleration=still["windup"],
         constants=constants,
         **(still | loaded),
     )

@@ -31,8 +31,11 @@ _SAMPLES, _STRETCHES, _FOLDS = 2000, 40, 5
 _SHORTEST, _LONGEST = 0.2, 2.0
 # Of columns scaled to one, a share of the samples.
 _RIDGE = 1e-3
-# Less is no reason to leave the usual band, of a joint's mean square.
+# Less is no reason to leave the usual band, of the mean square.
 _BETTER = 0.02
+# Share of the least mean square that a wider band may cost: what encoders' noise does is seen in
+# the training runs, what a faster motion needs is not.
+_WIDER = 0.1
 # Rows of a fit at most: wider bands have more.
 _ROWS = 60_000
 # A joint with fewer moving samples chooses nothing.
@@ -76,24 +79,35 @@ def choose_bands(
         Where too little moves to choose [Hz].
     """
     rate = 1.0 / max(run.step for run in runs)
-    tried = sorted({*(b for b in BANDS if b <= _OF_RATE * rate), min(predict, _OF_RATE * rate)})
+    # Link motion by a nominal wind-up can be had below the joints' resonances alone.
+    highest = min(_OF_RATE * rate, predict if robot.elastic else np.inf)
+    tried = sorted({*(b for b in BANDS if b <= highest), min(predict, highest)})
     errors = np.array([_errors(robot, runs, band, slow) for band in tried])
-    usual = errors[tried.index(min(predict, _OF_RATE * rate))]
     usable = np.isfinite(errors).all(axis=0)
     bands = [
-        tried[int(np.argmin(column))] if own and column.min() < (1.0 - _BETTER) * now else predict
-        for own, column, now in zip(usable, errors.T, usual, strict=True)
+        _widest(tried, column) if own else predict
+        for own, column in zip(usable, errors.T, strict=True)
     ]
     if not usable.any():
         return Bands(fit=fit, predict=tuple(bands))
     most = _ROWS / (sum(run.duration for run in runs) * robot.n * ROWS_A_BAND)
     fits = [k for k, b in enumerate(tried) if _FIT_LEAST <= b <= max(min(_FIT_MOST, most), fit)]
+    if robot.elastic:
+        fits = [k for k in fits if tried[k] <= fit]
     together = np.log(errors[:, usable]).mean(axis=1)
     best = min(fits, key=lambda k: float(together[k]), default=0)
     near = [k for k in fits if together[k] < together[best] + _BETTER]
     return Bands(
         fit=min((tried[k] for k in near), key=lambda band: abs(band - fit), default=fit),
         predict=tuple(bands),
+    )
+
+
+def _widest(tried: Sequence[float], errors: np.ndarray) -> float:
+    return max(
+        band
+        for band, error in zip(tried, errors, strict=True)
+        if error <= (1.0 + _WIDER) * errors.min()
     )
 
 

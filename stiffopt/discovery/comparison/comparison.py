@@ -10,6 +10,12 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
+from stiffopt.discovery.comparison.bodies import (
+    body_units,
+    exist,
+    nearest_bodies,
+    nominal_bodies,
+)
 from stiffopt.discovery.comparison.evidence import BlockSums, Posterior, Sums, posterior
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
@@ -78,6 +84,9 @@ class Comparison:
         Factor on the noise of every channel, for what the model leaves unexplained there.
     box : float
         Nominal values stay within so many standard deviations.
+    bodies : array (n, 10), optional
+        Standard deviations of all inertial parameters, where they are free: in place of the
+        tolerances of masses and centres.
     """
 
     def __init__(
@@ -90,8 +99,10 @@ class Comparison:
         link_torque: Sequence[np.ndarray] | None = None,
         inflation: np.ndarray | None = None,
         box: float = 4.0,
+        bodies: np.ndarray | None = None,
     ) -> None:
         self.robot, self.noise, self.tolerance, self.box = robot, noise, tolerance, box
+        self.bodies = bodies
         self.nominal_runs = tuple(runs)
         self.link_torque = link_torque
         if link_torque is not None:
@@ -124,7 +135,8 @@ class Comparison:
     def nuisance(self) -> tuple[list[str], np.ndarray, np.ndarray]:
         """Names, priors and columns (m, p) of the nominal values."""
         per_run: list[list[NuisanceColumn]] = [
-            list(nuisance_columns(run, self.robot, self.tolerance)) for run in self.runs
+            list(nuisance_columns(run, self.robot, self.tolerance, self.bodies))
+            for run in self.runs
         ]
         columns = []
         for each in zip(*per_run, strict=True):
@@ -184,10 +196,26 @@ class Comparison:
         found = posterior(sums, prior, cross_validate=False)
         limits = np.full(len(prior), np.inf)
         limits[: len(sd)] = self.box
+        free = 0 if self.bodies is None else self.bodies.size
+        limits[:free] = np.inf
         if boxed and np.any(np.abs(found.mean / prior) > limits):
             found = replace(found, mean=_within(sums, prior, limits))
+        if boxed and free:
+            found = replace(found, mean=self._of_matter(found.mean, sums, prior, limits))
         residual = (self.target - columns @ found.mean) / self._weight
         return Fit(tuple(effects), found, residual, len(sd))
+
+    def _of_matter(
+        self, mean: np.ndarray, sums: Sums, prior: np.ndarray, limits: np.ndarray
+    ) -> np.ndarray:
+        """Likeliest values (p,) whose bodies can exist; as they are where they can."""
+        nominal, units = nominal_bodies(self.robot), body_units(self.robot)
+        place = slice(0, nominal.size)
+        if exist(nominal + mean[place].reshape(nominal.shape), units):
+            return mean
+        gram = sums.gram.sum(axis=0) + np.diag(prior**-2.0)
+        moment = sums.moment.sum(axis=0)
+        return nearest_bodies(gram, moment, place, nominal, units, limits * prior)
 
     def channel_ratio(self, residual: np.ndarray) -> np.ndarray:
         """Root mean square of whitened residuals in every channel (2 n,); nan without rows."""

@@ -21,14 +21,19 @@ class Posterior:
     covariance : array (p, p)
     log_evidence : float
         Of all rows, up to a constant of the data.
-    log_predictive : float
-        Sum over blocks of the log density given the other blocks, same constant.
+    by_block : array (b,)
+        Log density of every block given the other blocks, same constant; empty if not asked for.
     """
 
     mean: np.ndarray
     covariance: np.ndarray
     log_evidence: float
-    log_predictive: float
+    by_block: np.ndarray
+
+    @property
+    def log_predictive(self) -> float:
+        """Log density of all blocks, each given the others."""
+        return float(np.sum(self.by_block))
 
 
 class BlockSums:
@@ -83,9 +88,78 @@ class Sums:
     moment: np.ndarray
     square: np.ndarray
 
-    def part(self, kept: np.ndarray) -> Sums:
-        """Sums with some of the columns only."""
-        return Sums(self.gram[:, kept][:, :, kept], self.moment[:, kept], self.square)
+
+@dataclass(frozen=True, eq=False)
+class Added:
+    """Posterior of parameters added to others.
+
+    Parameters
+    ----------
+    mean : array (k,)
+    covariance : array (k, k)
+    base_mean : array (p,)
+        Of the parameters that they were added to.
+    log_evidence, log_predictive : float
+        As of a `Posterior` of all of them.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    base_mean: np.ndarray
+    log_evidence: float
+    log_predictive: float
+
+
+class Beside:
+    """Posteriors with a few more parameters of unit prior, at the cost of those alone.
+
+    Parameters
+    ----------
+    sums : Sums
+        Without them.
+    prior_sd : array (p,)
+    """
+
+    def __init__(self, sums: Sums, prior_sd: np.ndarray) -> None:
+        self._prior = prior_sd
+        # The whole first, then the whole without each block.
+        gram, moment = _left_out(sums.gram), _left_out(sums.moment)
+        scaled = gram * np.outer(prior_sd, prior_sd) + np.eye(len(prior_sd))
+        factor = np.linalg.cholesky(scaled)
+        self._inverse = np.linalg.inv(factor)
+        self._half = np.einsum("bij,bj->bi", self._inverse, prior_sd * moment)
+        log_size = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+        square = np.sum(self._half**2, axis=1) - _left_out(sums.square)
+        self._evidence = 0.5 * square - log_size
+
+    def added(self, whole: Sums, kept: np.ndarray) -> Added:
+        """Posterior with some of the columns that `whole` holds after the base's own."""
+        p = len(self._prior)
+        own = p + kept
+        cross = _left_out(whole.gram[:, :p][:, :, own]) * self._prior[:, None]
+        inner = _left_out(whole.gram[:, own][:, :, own])
+        moment = _left_out(whole.moment[:, own])
+        half = self._inverse @ cross
+        left = inner + np.eye(len(kept)) - half.swapaxes(1, 2) @ half
+        goal = moment - np.einsum("bpk,bp->bk", half, self._half)
+        mean = np.linalg.solve(left, goal[..., None])[..., 0]
+        evidence = (
+            self._evidence + 0.5 * np.sum(goal * mean, axis=1) - 0.5 * np.linalg.slogdet(left)[1]
+        )
+        base = self._prior * (self._inverse[0].T @ (self._half[0] - half[0] @ mean[0]))
+        return Added(
+            mean=mean[0],
+            covariance=np.linalg.inv(left[0]),
+            base_mean=base,
+            log_evidence=float(evidence[0]),
+            log_predictive=float(np.sum(evidence[0] - evidence[1:])),
+        )
+
+
+def _left_out(parts: np.ndarray) -> np.ndarray:
+    """Sum of all blocks, then the sums without each block."""
+    total = parts.sum(axis=0)
+    return np.concatenate([total[None], total - parts])
 
 
 def posterior(sums: Sums, prior_sd: np.ndarray, *, cross_validate: bool = True) -> Posterior:
@@ -100,12 +174,12 @@ def posterior(sums: Sums, prior_sd: np.ndarray, *, cross_validate: bool = True) 
     gram, moment = sums.gram.sum(axis=0), sums.moment.sum(axis=0)
     square = float(sums.square.sum())
     evidence, mean, covariance = _evidence(gram, moment, square, prior_sd)
-    predictive = 0.0
+    predictive = []
     if cross_validate:
         for g, m, s in zip(sums.gram, sums.moment, sums.square, strict=True):
             without, _, _ = _evidence(gram - g, moment - m, square - s, prior_sd)
-            predictive += evidence - without
-    return Posterior(mean, covariance, evidence, predictive)
+            predictive.append(evidence - without)
+    return Posterior(mean, covariance, evidence, np.array(predictive))
 
 
 def _evidence(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from stiffopt.discovery.comparison.bodies import body_torque
 from stiffopt.discovery.comparison.filtering import derivative
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
@@ -49,7 +50,8 @@ class Extension:
     Parameters
     ----------
     calibration : mapping of str to float
-        Change of nominal values by their names ("coulomb 3", "com 2 x"): relative, [m] or [rad].
+        Change of nominal values by their names ("coulomb 3", "com 2 x", "body 2 mx"): relative,
+        [m], [rad], or of the inertial parameters of a body.
     effects : tuple of EstimatedEffect
     """
 
@@ -162,6 +164,10 @@ def _change(run: PreparedRun, robot: RobotModel, extension: Extension) -> _Chang
                 change.link_torque[:] += value * column.torque
             elif column.deflection is not None:
                 change.deflection[:] += value * column.deflection
+        bodies = body_torque(robot, run.signals.body_regressor, extension.calibration)
+        if bodies is not None:
+            change.torque[:] += bodies
+            change.link_torque[:] += bodies
     for each in extension.effects:
         _add(change, run, each)
     return change

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stiffopt.discovery.comparison.bodies import body_columns
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.signals import smooth_sign
@@ -38,11 +39,29 @@ class NuisanceColumn:
 
 
 def nuisance_columns(
-    run: PreparedRun, robot: RobotModel, tolerance: Tolerance
+    run: PreparedRun,
+    robot: RobotModel,
+    tolerance: Tolerance,
+    bodies: np.ndarray | None = None,
 ) -> Iterator[NuisanceColumn]:
-    """Columns of all nominal values along a run; the same order for every run."""
-    yield from _bodies(run, robot, tolerance)
+    """Columns of all nominal values along a run; the same order for every run.
+
+    Parameters
+    ----------
+    run : PreparedRun
+    robot : RobotModel
+    tolerance : Tolerance
+    bodies : array (n, 10), optional
+        Standard deviations of every inertial parameter, in place of those of mass and centre.
+    """
     signals = run.signals
+    if bodies is None:
+        yield from _bodies(run, robot, tolerance)
+    else:
+        compliance = robot.compliance(signals.spring_torque)
+        named = body_columns(robot, signals.body_regressor)
+        for (name, torque), sd in zip(named, bodies.ravel(), strict=True):
+            yield NuisanceColumn(name, float(sd), torque, compliance * torque)
     compliance_free = np.zeros_like(signals.spring_torque)
 
     def single(j: int, values: np.ndarray) -> np.ndarray:

@@ -176,12 +176,14 @@ class JointSignals(MotionSignals):
 
     Parameters
     ----------
-    previous_position
-        Motor angle of the joint before; 0 for the first [rad].
+    previous_position, previous_velocity, previous_acceleration
+        Motor of the joint before; 0 for the first [rad], [rad/s], [rad/s^2].
     constants : JointConstants
     """
 
     previous_position: Quantity
+    previous_velocity: Quantity
+    previous_acceleration: Quantity
     constants: JointConstants
 
 
@@ -245,7 +247,9 @@ class RobotSignals(MotionSignals):
 
     def of_joint(self, index: int) -> JointSignals:
         """Signals of one joint (0-based)."""
-        before = self.motor_position[:, index - 1] if index else 0.0 * self.time
+
+        def before(name: str) -> Quantity:
+            return getattr(self, name)[:, index - 1] if index else 0.0 * self.time
 
         def own(name: str) -> Quantity:
             return getattr(self, name)[:, index]
@@ -254,7 +258,9 @@ class RobotSignals(MotionSignals):
             time=self.time,
             dt=self.dt,
             session_time=self.session_time,
-            previous_position=before,
+            previous_position=before("motor_position"),
+            previous_velocity=before("motor_velocity"),
+            previous_acceleration=before("motor_acceleration"),
             constants=self.constants.joints[index],
             **{name: own(name) for name in OF_EACH_JOINT},
         )

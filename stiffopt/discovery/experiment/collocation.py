@@ -198,6 +198,8 @@ class _Instant:
             # Of the third order in time: terms that need it are noticed by `holds`.
             drive_torque_rate=0.0 * self.q[j],
             previous_position=self.q[j - 1] if j else 0.0 * self.q[j],
+            previous_velocity=self.v[j - 1] if j else 0.0 * self.q[j],
+            previous_acceleration=self.a[j - 1] if j else 0.0 * self.q[j],
             constants=constants,
         )
         term = located.effect.term(signals, [float(x) for x in amplitudes], located.shapes)

@@ -47,6 +47,8 @@ class Unexplained:
         was not fitted to.
     ratio : float
         Residual over noise in the worst channel.
+    left : float
+        Root mean square in that channel over what the nominal model leaves.
     brief : bool
         In bursts, faster than a fit's filter: `ratio` is that where they lie, `gain` their share.
     """
@@ -56,6 +58,7 @@ class Unexplained:
     period: float | None
     gain: float
     ratio: float
+    left: float = 1.0
     brief: bool = False
 
 
@@ -142,6 +145,7 @@ def _describe(result: SearchResult, channels: Sequence[int]) -> Unexplained:
         period=None if period is None or chosen != ("time",) else period[0],
         gain=float(np.clip(gain, 0.0, 1.0)),
         ratio=float(result.after[worst]),
+        left=float(result.after[worst] / result.before[worst]),
     )
 
 

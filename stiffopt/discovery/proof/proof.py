@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,34 +104,47 @@ def prove(
     Samples count as they were measured: torque where the joint is faster than 0.03 rad/s, the
     link position everywhere. Channels that the run lacks are left out.
     """
-    moving = np.abs(velocity) >= MOVING
     # Stamps that were kept, among all.
     places = np.searchsorted(run.stamps, run.time)
+    scales = {"torque": noise.channels.torque, "link_position": noise.channels.deflection}
     channels = []
-    for kind, measured, scale, chosen in (
-        ("torque", run.torque, noise.channels.torque, moving),
-        ("link_position", run.link_position, noise.channels.deflection, None),
-    ):
-        if measured is None:
+    for kind, joint, used in used_samples(run, velocity):
+        if used is None or not np.isfinite(scales[kind][joint]):
             continue
-        for j in range(run.n):
-            used = np.isfinite(measured[:, j])
-            if chosen is not None:
-                used &= chosen[:, j]
-            if not used.any() or not np.isfinite(scale[j]):
-                continue
-            left = [
-                float(np.sum((measured[:, j] - getattr(p, kind)[places, j])[used] ** 2))
-                for p in (before, after)
-            ]
-            channels.append(
-                ChannelError(
-                    kind=kind,
-                    joint=j,
-                    samples=int(used.sum()),
-                    before=left[0],
-                    after=left[1],
-                    noise=float(scale[j]),
-                )
+        measured = getattr(run, kind)[used, joint]
+        left = [measured - getattr(p, kind)[places[used], joint] for p in (before, after)]
+        channels.append(
+            ChannelError(
+                kind=kind,
+                joint=joint,
+                samples=int(used.sum()),
+                before=float(left[0] @ left[0]),
+                after=float(left[1] @ left[1]),
+                noise=float(scales[kind][joint]),
             )
+        )
     return RunProof(run=run, before=before, after=after, channels=tuple(channels))
+
+
+def used_samples(
+    run: RecordedRun, velocity: np.ndarray
+) -> Iterator[tuple[str, int, np.ndarray | None]]:
+    """Samples (K,) of bool that count of every channel: torques, then link positions.
+
+    Parameters
+    ----------
+    run : RecordedRun
+    velocity : array (K, n)
+        Of the joints [rad/s].
+    """
+    moving = np.abs(velocity) >= MOVING
+    for kind in ("torque", "link_position"):
+        measured = getattr(run, kind)
+        for joint in range(run.n):
+            if measured is None:
+                yield kind, joint, None
+                continue
+            used = np.isfinite(measured[:, joint])
+            if kind == "torque":
+                used &= moving[:, joint]
+            yield kind, joint, used if used.any() else None

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.evidence import BlockSums, Posterior, posterior
+from stiffopt.discovery.comparison.evidence import Added, Beside, BlockSums, posterior
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
 from stiffopt.discovery.effect import Effect
 
@@ -69,6 +69,7 @@ class Scorer:
             self._columns, comparison.target, comparison.rows.block, comparison.blocks
         )
         self.start = posterior(self._sums.own, self._prior)
+        self._beside = Beside(self._sums.own, self._prior)
         self._residual = comparison.target - self._columns @ self.start.mean
 
     def score(self, located: LocatedEffect, price: float = 0.0) -> Candidate | None:
@@ -89,11 +90,10 @@ class Scorer:
         found, kept = self._bounded(located, added)
         if found is None:
             return None
-        p = self._columns.shape[1]
         mean = np.zeros(added.shape[1])
         covariance = np.zeros((added.shape[1],) * 2)
-        mean[kept], covariance[np.ix_(kept, kept)] = found.mean[p:], found.covariance[p:, p:]
-        residual = self.comparison.target - self._columns @ found.mean[:p] - added @ mean
+        mean[kept], covariance[np.ix_(kept, kept)] = found.mean, found.covariance
+        residual = self.comparison.target - self._columns @ found.base_mean - added @ mean
         channel, explained = self._explained(residual, np.sum(added**2, axis=1))
         inner = covariance[np.ix_(kept, kept)]
         return Candidate(
@@ -121,22 +121,19 @@ class Scorer:
         """Nominal values as they are fitted beside an effect."""
         _, sd, _ = self.comparison.nuisance
         found, _ = self._bounded(located, self.comparison.effect_columns(located))
-        return self.start.mean[: len(sd)] if found is None else found.mean[: len(sd)]
+        return (self.start.mean if found is None else found.base_mean)[: len(sd)]
 
     def _bounded(
         self, located: LocatedEffect, added: np.ndarray
-    ) -> tuple[Posterior | None, np.ndarray]:
+    ) -> tuple[Added | None, np.ndarray]:
         """Posterior with amplitudes outside their bounds left out one after another."""
         kept = np.arange(added.shape[1])
         bounds = located.bounds(self.comparison.constants)
-        p = self._columns.shape[1]
         whole = self._sums.extended(added)
         while kept.size:
-            sums = whole.part(np.concatenate([np.arange(p), p + kept]))
-            prior = np.concatenate([self._prior, np.ones(kept.size)])
-            found = posterior(sums, prior)
-            mean = found.mean[p:]
-            spread = np.sqrt(np.diag(found.covariance)[p:])
+            found = self._beside.added(whole, kept)
+            mean = found.mean
+            spread = np.sqrt(np.diag(found.covariance))
             lower, upper = bounds[kept].T
             beyond = np.maximum(lower - mean, mean - upper) / spread
             worst = int(np.argmax(beyond))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,9 +13,12 @@ from stiffopt.discovery.comparison.extension import with_amplitudes
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
+from stiffopt.discovery.search.left_out import borne_out
+from stiffopt.discovery.search.rigid import RigidStage, rigid_stage, with_bodies
 from stiffopt.discovery.search.rivals import Ranked, Selected, ranked_among_rivals
 from stiffopt.discovery.search.uncertainty import significance
 from stiffopt.discovery.thresholds import (
+    AT_ONCE,
     BORNE_OUT_SHARE,
     CONFIRMED_DEVIATIONS,
     EXCHANGES,
@@ -37,6 +40,8 @@ class SearchResult:
     comparison : Comparison
         About the effects found, with the noise that they leave.
     fit : Fit
+    rigid : RigidStage or None
+        What the rigid model needed; None where its tolerances are stated.
     before, calibrated, after : array (2 n,)
         Residual over noise in every channel: of the nominal model, with nominal values moved
         within tolerance, and with the effects.
@@ -45,6 +50,7 @@ class SearchResult:
     selected: tuple[Selected, ...]
     comparison: Comparison
     fit: Fit
+    rigid: RigidStage | None
     before: np.ndarray
     calibrated: np.ndarray
     after: np.ndarray
@@ -61,6 +67,7 @@ def search(
     *,
     start: Sequence[LocatedEffect] = (),
     most: int = 3,
+    free_bodies: bool = False,
     report: Callable[[str], object] | None = None,
 ) -> SearchResult:
     """Name what is missing.
@@ -74,6 +81,8 @@ def search(
         Tried together before anything else: what the nominal model does not state.
     most : int
         Effects at most beside those.
+    free_bodies : bool
+        Whether nobody vouches for the nominal masses: the rigid model is re-identified then.
     report : callable, optional
         Called with a sentence at every step.
     """
@@ -81,56 +90,53 @@ def search(
     tell = paced(say)
     before = comparison.channel_ratio(comparison.target)
     calibrated = comparison.channel_ratio(comparison.fit().residual)
-    current = _about(comparison, comparison.fit(boxed=False))
-    effects: list[LocatedEffect] = []
-    if start:
-        say(f"fit what the nominal model does not state ({len(start)} values)")
-        current, effects = _fitted_jointly(comparison, list(start))
-        effects = _pruned(current, effects)
-        current, effects = _fitted_jointly(comparison, effects)
-    most += len(effects)
-    while len(effects) < most:
-        scorer = Scorer(current, effects)
-        found = scan(scorer, catalogue, tell=tell)
-        best = next((c for c in found if _passes(c, scorer)), None)
-        if best is None:
-            break
-        say(f"found {best.located.label} (log evidence {best.evidence:.0f})")
-        effects.append(best.located)
-        current, effects = _fitted_jointly(comparison, effects)
-        kept = _pruned(current, effects)
-        if best.located.label not in [e.label for e in kept]:
-            effects = kept
-            break
-        effects = kept
-    current, effects = _fitted_jointly(comparison, effects)
+    current, effects = _not_stated(comparison, list(start), say)
+    rigid = None
+    if free_bodies:
+        say("re-identify the rigid model")
+        rigid = rigid_stage(current, effects, catalogue)
+        comparison = with_bodies(comparison, rigid.bodies(comparison))
+        # All of it again: what a wrong mass had hidden is seen now.
+        single = () if rigid.single is None else (rigid.single.located,)
+        current, effects = _not_stated(comparison, [*start, *single], say)
+    together = AT_ONCE if free_bodies else 1
+    current, effects = _forward(comparison, current, effects, catalogue, most, together, say, tell)
     if effects:
         say(f"confirm what was found ({len(effects)}) on stretches left out")
-    confirmed = _confirmed(current, effects)
+    confirmed = _confirmed(current, effects, strict=free_bodies)
+    if free_bodies:
+        confirmed = borne_out(current, confirmed)
     if len(confirmed) < len(effects):
         current, effects = _fitted_jointly(comparison, confirmed)
-    if effects:
-        say("weigh what was found against what else it could be")
-    ranked = _ranked(current, effects, catalogue)
+    ranked = _ranked(current, effects, catalogue, tell)
     for _ in range(EXCHANGES):
         likelier = _distinct([r.likeliest for r in ranked])
         if likelier == effects:
             break
         current, effects = _fitted_jointly(comparison, likelier)
-        ranked = _ranked(current, effects, catalogue)
+        ranked = _ranked(current, effects, catalogue, tell, ranked)
     else:
         # Explanations that go on taking each other's place explain nothing.
         kept = [r.selected.located for r in ranked if r.likeliest is r.selected.located]
         if len(kept) < len(effects):
             current, effects = _fitted_jointly(comparison, kept)
-            ranked = _ranked(current, effects, catalogue)
+            ranked = _ranked(current, effects, catalogue, tell)
     kept = [r.selected.located for r in ranked]
+    if free_bodies:
+        kept = borne_out(current, _confirmed(current, kept, strict=True))
     if len(kept) < len(effects):
         current, effects = _fitted_jointly(comparison, kept)
+        ranked = _ranked(current, effects, catalogue, tell, ranked)
     selected = sorted((r.selected for r in ranked), key=lambda s: -s.loss)
     fit = current.fit(tuple(s.located for s in selected))
     return SearchResult(
-        tuple(selected), current, fit, before, calibrated, current.channel_ratio(fit.residual)
+        tuple(selected),
+        current,
+        fit,
+        rigid,
+        before,
+        calibrated,
+        current.channel_ratio(fit.residual),
     )
 
 
@@ -147,12 +153,85 @@ def paced(say: Callable[[str], object], seconds: float = 5.0) -> Callable[[str],
     return tell
 
 
+def _not_stated(
+    comparison: Comparison, start: list[LocatedEffect], say: Callable[[str], object]
+) -> tuple[Comparison, list[LocatedEffect]]:
+    """Fit what the nominal model does not state, without what the recordings do not bear out."""
+    if not start:
+        return _about(comparison, comparison.fit(boxed=False)), []
+    say(f"fit what the nominal model does not state ({len(start)} values)")
+    current, effects = _fitted_jointly(comparison, start)
+    return _fitted_jointly(comparison, _pruned(current, effects))
+
+
+def _forward(
+    comparison: Comparison,
+    current: Comparison,
+    effects: list[LocatedEffect],
+    catalogue: Sequence[Effect],
+    most: int,
+    together: int,
+    say: Callable[[str], object],
+    tell: Callable[[str], object],
+) -> tuple[Comparison, list[LocatedEffect]]:
+    """Add the best of the catalogue, some at once, until nothing more passes."""
+    most += len(effects)
+    while len(effects) < most:
+        scorer = Scorer(current, effects)
+        room = min(together, most - len(effects))
+        best = _best(scan(scorer, catalogue, tell=tell), scorer, room)
+        if not best:
+            break
+        for each in best:
+            say(f"found {each.located.label} (log evidence {each.evidence:.0f})")
+        effects = [*effects, *(each.located for each in best)]
+        current, effects = _fitted_jointly(comparison, effects)
+        effects = _pruned(current, effects)
+        if best[0].located.label not in [e.label for e in effects]:
+            break
+    return _fitted_jointly(comparison, effects)
+
+
 def _ranked(
-    comparison: Comparison, effects: list[LocatedEffect], catalogue: Sequence[Effect]
+    comparison: Comparison,
+    effects: list[LocatedEffect],
+    catalogue: Sequence[Effect],
+    say: Callable[[str], object],
+    before: Sequence[Ranked] = (),
 ) -> list[Ranked]:
-    """Effects among their rivals, without those that have come to nothing beside the others."""
-    found = (ranked_among_rivals(comparison, effects, e, catalogue) for e in effects)
-    return [each for each in found if each is not None]
+    """Effects among their rivals, without those that have come to nothing beside the others.
+
+    What was weighed before stays where nothing near it has changed.
+    """
+    known = {r.selected.located.key[:-1]: r for r in before}
+    places = {e.key[:-1] for e in effects}
+    changed = [e for e in effects if e.key[:-1] not in known]
+    changed += [r.selected.located for key, r in known.items() if key not in places]
+    found = []
+    for located in effects:
+        old = known.get(located.key[:-1])
+        if old is not None and not any(located.near(other) for other in changed):
+            stays = old.likeliest.same_place(located)
+            found.append(
+                Ranked(replace(old.selected, located=located), located if stays else old.likeliest)
+            )
+            continue
+        say(f"weigh {located.label} against what could stand in its place")
+        new = ranked_among_rivals(comparison, effects, located, catalogue)
+        if new is not None:
+            found.append(new)
+    return found
+
+
+def _best(candidates: Sequence[Candidate], scorer: Scorer, most: int) -> list[Candidate]:
+    """The best that pass, at most one for every channel: others may have the same cause."""
+    found: list[Candidate] = []
+    for candidate in candidates:
+        if len(found) == most or candidate.evidence < NAMED_EVIDENCE:
+            break
+        if candidate.channel not in [c.channel for c in found] and _passes(candidate, scorer):
+            found.append(candidate)
+    return found
 
 
 def _passes(candidate: Candidate, scorer: Scorer) -> bool:
@@ -183,6 +262,7 @@ def _about(comparison: Comparison, fit: Fit) -> Comparison:
         link_torque=_link_torque(comparison, fit),
         inflation=np.maximum(1.0, left),
         box=comparison.box,
+        bodies=comparison.bodies,
     )
 
 
@@ -234,17 +314,20 @@ def _pruned(comparison: Comparison, effects: list[LocatedEffect]) -> list[Locate
     return kept
 
 
-def _confirmed(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
+def _confirmed(
+    comparison: Comparison, effects: list[LocatedEffect], *, strict: bool
+) -> list[LocatedEffect]:
     """Effects that no few seconds of the recordings are alone responsible for.
 
     Where a few seconds hold all there is, as of a drive at its limit, those count that take away
-    most of a channel's residual, in recordings left out of the fit too.
+    most of a channel's residual, in recordings left out of the fit too; not so where the model is
+    wrong in many ways (`strict`), each of which does that somewhere.
     """
     kept = list(effects)
     while kept:
         sure = significance(comparison, kept)
         weak = [int(i) for i in np.argsort(sure) if sure[i] < CONFIRMED_DEVIATIONS]
-        lost = next((i for i in weak if not _borne_out(comparison, kept, i)), None)
+        lost = next((i for i in weak if strict or not _borne_out(comparison, kept, i)), None)
         if lost is None:
             break
         kept.pop(lost)

@@ -46,7 +46,10 @@ def _only(entry: Effect, joints: set[int | None]) -> Effect:
 
 
 def unstated_effects(
-    catalogue: Sequence[Effect], recordings: RecordingSet, joints: Sequence[JointConstants]
+    catalogue: Sequence[Effect],
+    recordings: RecordingSet,
+    joints: Sequence[JointConstants],
+    usual: bool,
 ) -> tuple[LocatedEffect, ...]:
     """Effects that stand for values the set does not give.
 
@@ -55,7 +58,7 @@ def unstated_effects(
     return tuple(
         LocatedEffect(effect=_unbounded(effect), joint=j)
         for effect in catalogue
-        if _stands_for_unstated(effect, recordings)
+        if _stands_for_unstated(effect, recordings) or (usual and effect.usual)
         for j, constants in enumerate(joints)
         if effect.applies is None or effect.applies(constants)
     )

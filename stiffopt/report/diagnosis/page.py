@@ -16,6 +16,7 @@ from stiffopt.report.common.citations import diagnosis_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.diagnosis.figures import balances_figure, channel_ratio, held_out_figure
 from stiffopt.report.diagnosis.held_out import Trace, overlay_figure, trace, worst_windows
+from stiffopt.report.diagnosis.mismatch import mismatch_sentence, named_shares, unstated_rows
 from stiffopt.report.diagnosis.overview import (
     candidates,
     limits_by_effect,
@@ -95,6 +96,10 @@ def write_diagnosis_report(
         "verdict": verdict_words(diagnosis),
         "proof": proof_sentence(diagnosis),
         "unexplained": unexplained_sentence(diagnosis),
+        "mismatch": mismatch_sentence(diagnosis),
+        "shares": named_shares(diagnosis),
+        "new": new,
+        "not_given": unstated_rows(diagnosis, unstated),
         "shown": shown,
         "leading": (new or unstated)[:2],
         "overlays": overlays,
@@ -120,7 +125,6 @@ def write_diagnosis_report(
         "place": partial(place, diagnosis),
         "fall": partial(fall, diagnosis),
         "prismatic": partial(prismatic, diagnosis),
-        "unstated": partial(is_unstated, diagnosis),
         "phrase": lambda finding: phrase(finding, is_unstated(diagnosis, finding)),
         "candidates": candidates,
         "channel": channel_words,

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, pm, significant
+from stiffopt.report.diagnosis.mismatch import mismatch_sentence, unstated_rows
 from stiffopt.report.diagnosis.words import (
     channels_in_words,
+    new_and_unstated,
     place,
     prismatic,
     unexplained_sentence,
@@ -24,14 +26,24 @@ _VERDICTS = {
     " recordings.",
     "outside_catalogue": "Something is missing that no entry of the catalogue explains.",
 }
+NOT_GIVEN = "no nominal value"
 _HEAD = ("effect", "where", "parameters", "explains", "probability", "confused with")
 
 
 def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     """Verdict, findings with deviations and rivals, fit on held-out runs, where the files are."""
     print_lines([f"{diagnosis.verdict}: {_verdict(diagnosis)}"])
+    sentence = mismatch_sentence(diagnosis)
+    if sentence:
+        print_lines([sentence])
+    new, unstated = new_and_unstated(diagnosis)
     if diagnosis.findings:
-        print_table(_HEAD, [_row(diagnosis, finding) for finding in diagnosis.findings])
+        rows = [_row(diagnosis, finding) for finding in new]
+        rows += [
+            (each.effect, each.where, each.values.replace(", ", "\n"), each.explains, "", NOT_GIVEN)
+            for each in unstated_rows(diagnosis, unstated)
+        ]
+        print_table(_HEAD, rows)
     lines = []
     if diagnosis.unexplained is not None:
         lines.append(f"Outside the catalogue. {unexplained_sentence(diagnosis)}")

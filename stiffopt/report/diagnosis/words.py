@@ -128,8 +128,12 @@ def how_sure(finding: Finding) -> str:
         sure = f"{percent_sure(finding.probability)} sure; the nearest rival is {other}"
         if rival.located.joint not in (None, finding.located.joint):
             sure += f" of joint {rival.located.joint + 1}"
+    elif finding.misfit:
+        sure = f"{percent_sure(finding.probability)} sure; no rival comes near"
     else:
         sure = "no rival comes near"
+    if finding.misfit:
+        sure += f" (what is left open takes {100 * finding.misfit:.0f} % of the odds)"
     name = capital(finding.effect.title)
     return f"{name}: {sure}; {finding.significance:.0f} standard deviations from nothing."
 
@@ -253,15 +257,27 @@ def regressor_words(name: str) -> str:
     return f"{text} and the direction of motion" if by else text
 
 
-def _unstated_words(unstated: Sequence[Finding]) -> str:
-    joints: dict[str, list[int]] = {}
+def unstated_groups(unstated: Sequence[Finding]) -> list[list[Finding]]:
+    """Values that the nominal model does not give, of one kind together by joint."""
+    groups: dict[str, list[Finding]] = {}
     for finding in unstated:
-        if finding.joint is not None:
-            joints.setdefault(finding.effect.nominal_words, []).append(finding.joint)
-    return listed(f"{name} of {_joints(sorted(own))}" for name, own in joints.items())
+        groups.setdefault(finding.effect.nominal, []).append(finding)
+    return [sorted(own, key=lambda f: f.joint or 0) for own in groups.values()]
 
 
-def _joints(numbers: list[int]) -> str:
+def _unstated_words(unstated: Sequence[Finding]) -> str:
+    return listed(
+        f"{own[0].effect.nominal_words} of {joints_in_words([f.joint for f in own if f.joint])}"
+        for own in unstated_groups(unstated)
+    )
+
+
+def joints_in_words(numbers: list[int]) -> str:
+    """Joints in a sentence.
+
+    >>> joints_in_words([2]), joints_in_words([1, 2, 3]), joints_in_words([1, 3])
+    ('joint 2', 'joints 1 to 3', 'joints 1 and 3')
+    """
     if len(numbers) == 1:
         return f"joint {numbers[0]}"
     if len(numbers) > 2 and numbers == list(range(numbers[0], numbers[-1] + 1)):

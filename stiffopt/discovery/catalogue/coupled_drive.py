@@ -1,0 +1,66 @@
+"""A wrist drive that turns with two joints: its friction and rotor load both of them.
+
+In many wrists the motor of one joint sits behind the joint before it, so that it turns by the sum
+of both angles. A model that gives each joint its own rotor and friction has neither.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from stiffopt.discovery.catalogue.common import (
+    Constants,
+    dry_friction,
+    motor_inertia,
+    viscous_friction,
+)
+from stiffopt.discovery.comparison.signals import JointConstants, JointSignals, smooth_sign
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.symbolic import Quantity
+
+
+def coupled_drive_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Torque Fc sg(w) + Fv w + J dw/dt of a motor with w = v_j + c v_before, on both joints."""
+    share = shapes[0]
+    speed = signals.motor_velocity + share * signals.previous_velocity
+    rate = signals.motor_acceleration + share * signals.previous_acceleration
+    dry, viscous, inertia = amplitudes
+    torque = dry * smooth_sign(speed) + viscous * speed + inertia * rate
+    return Term(drive_torque=torque, previous_torque=share * torque)
+
+
+def _after_another_wrist_joint(constants: JointConstants) -> bool:
+    return constants.joint > 4
+
+
+def _reported(
+    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
+) -> Mapping[str, float]:
+    return {**dict(zip(("Fc", "Fv", "J"), amplitudes, strict=True)), "c": shapes[0]}
+
+
+COUPLED_DRIVE = Effect(
+    name="coupled_drive",
+    family="friction",
+    scope="joint",
+    equation="tau_j += f, tau_before += c*f, f = Fc*sg(w) + Fv*w + J*dw/dt, w = v_j + c*v_before",
+    signature="motor torques of a wrist joint and the one before off together, with the speed of"
+    " their sum or difference",
+    phrase="a drive that turns with two joints",
+    needs=("torque", "moves", "reverses", "before"),
+    confused_with=("coulomb", "viscous", "rotor_inertia"),
+    term=coupled_drive_term,
+    amplitudes=(
+        Amplitude(name="Fc", unit="N m", scale=dry_friction, lower=0.0, upper=10.0),
+        Amplitude(name="Fv", unit="N m s/rad", scale=viscous_friction, lower=0.0, upper=10.0),
+        Amplitude(name="J", unit="kg m^2", scale=motor_inertia, lower=0.0, upper=10.0),
+    ),
+    shapes=(Shape(name="c", unit="", starts=(1.0, -1.0), lower=-1.5, upper=1.5),),
+    report=_reported,
+    applies=_after_another_wrist_joint,
+    log_prior=lambda constants: -1.0,
+    separate="Move both wrist joints together and against each other at one speed: the friction of"
+    " their sum vanishes in one of the two.",
+)

@@ -1,0 +1,126 @@
+"""Findings that recordings left out bear out: each refitted without, where the fit did not look.
+
+A search looks at all training runs, and where a nominal model lacks many things at once some
+formula gains a little anywhere. What is claimed of such a model must help where it was not fitted:
+in whole runs where there are several, else in stretches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.discovery.comparison.comparison import FEW_RUNS, Comparison
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.thresholds import LEFT_OUT_FOLDS, LEFT_OUT_SHARE
+
+# Parts of all runs that are left out one after another where runs are few.
+_PARTS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Sums of squares of every fold and channel: gram (f, c, p, p), moment, square."""
+
+    gram: np.ndarray
+    moment: np.ndarray
+    square: np.ndarray
+    prior: np.ndarray
+
+    def errors(self, kept: np.ndarray) -> np.ndarray:
+        """Squares left in every fold and channel (f, c) by a fit of some columns to the others."""
+        prior = self.prior[kept]
+        whole = self.gram.sum(axis=(0, 1))[np.ix_(kept, kept)] + np.diag(prior**-2.0)
+        goal = self.moment.sum(axis=(0, 1))[kept]
+        out = np.empty(self.square.shape)
+        for f in range(len(out)):
+            gram, moment = self.gram[f][:, kept][:, :, kept], self.moment[f][:, kept]
+            values = np.linalg.solve(whole - gram.sum(axis=0), goal - moment.sum(axis=0))
+            out[f] = self.square[f] - 2.0 * moment @ values
+            out[f] += np.einsum("cpq,p,q->c", gram, values, values)
+        return out
+
+
+def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[LocatedEffect]:
+    """Effects without which recordings left out are predicted worse.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        With the noise that the effects leave.
+    effects : sequence of LocatedEffect
+        Their shapes stay as found.
+
+    Notes
+    -----
+    The one that helps least is taken away first and all others are judged anew, each by a fit
+    without it. An effect of one run cannot be seen in others and stays.
+    """
+    if not effects:
+        return []
+    _, sd, nuisance = comparison.nuisance
+    parts = [comparison.effect_columns(e) for e in effects]
+    widths = [len(sd), *(part.shape[1] for part in parts)]
+    # Of every column the effect that it belongs to; -1 are nominal values.
+    owner = np.repeat(np.arange(-1, len(effects)), widths)
+    prior = np.concatenate([sd, np.ones(len(owner) - len(sd))])
+    sums = _sums(comparison, np.column_stack([nuisance, *parts]), prior)
+    judged = [k for k, e in enumerate(effects) if e.run is None]
+    kept = set(range(len(effects)))
+    while True:
+        inside = np.isin(owner, [-1, *kept])
+        errors = sums.errors(np.flatnonzero(inside))
+        excess = {
+            k: _excess(errors, sums.errors(np.flatnonzero(inside & (owner != k))))
+            for k in judged
+            if k in kept
+        }
+        poorest = min(excess, key=lambda k: excess[k], default=None)
+        if poorest is None or excess[poorest] >= 0.0:
+            return [e for k, e in enumerate(effects) if k in kept]
+        kept.remove(poorest)
+
+
+def _excess(errors: np.ndarray, without: np.ndarray) -> float:
+    """Share of the squares of its best channel that an effect takes away, over what it should.
+
+    -1 where it helps in few folds, or in one alone.
+    """
+    falls = without - errors
+    by_fold = falls.sum(axis=1)
+    total = float(by_fold.sum())
+    if np.mean(by_fold > 0.0) < LEFT_OUT_FOLDS or total <= float(by_fold.max()):
+        return -1.0
+    own = int(np.argmax(falls.sum(axis=0)))
+    return float(falls[:, own].sum() / without[:, own].sum()) - LEFT_OUT_SHARE
+
+
+def _sums(comparison: Comparison, columns: np.ndarray, prior: np.ndarray) -> _Sums:
+    fold, channel = _folds(comparison), comparison.rows.channel
+    count, p = int(fold.max()) + 1, columns.shape[1]
+    channels = comparison.rows.channels
+    gram = np.zeros((count, len(channels), p, p))
+    moment, square = np.zeros((count, len(channels), p)), np.zeros((count, len(channels)))
+    for f in range(count):
+        for c, number in enumerate(channels):
+            own = (fold == f) & (channel == number)
+            part, left = columns[own], comparison.target[own]
+            gram[f, c], moment[f, c], square[f, c] = part.T @ part, part.T @ left, left @ left
+    return _Sums(gram, moment, square, prior)
+
+
+def _folds(comparison: Comparison) -> np.ndarray:
+    """Number of the fold of every row (m,): its run, or one of a few parts of the runs in time."""
+    runs = comparison.runs
+    parts = 1 if len(runs) >= 2 * FEW_RUNS else -(-_PARTS // len(runs))
+
+    def number(run: PreparedRun) -> np.ndarray:
+        share = (run.time - run.time[0]) / float(run.time[-1] - run.time[0])
+        return np.asarray(
+            runs.index(run) * parts + np.minimum((share * parts).astype(int), parts - 1)
+        )
+
+    return np.unique(comparison.rows.sampled(number), return_inverse=True)[1]

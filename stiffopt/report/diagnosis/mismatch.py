@@ -1,0 +1,119 @@
+"""What a mismatch is made of, in words: the first thing that an answer says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from stiffopt.report.common.text import listed, pm
+from stiffopt.report.diagnosis.words import joints_in_words, place, prismatic, unstated_groups
+from stiffopt.units import joint_unit
+
+if TYPE_CHECKING:
+    from stiffopt.discovery.comparison.located_effect import LocatedEffect
+    from stiffopt.discovery.diagnosis import Diagnosis, Finding
+    from stiffopt.discovery.judging.shares import Part
+
+# Shares below are not told apart from nothing.
+_LEAST = 0.005
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedShare:
+    """A piece of the bar.
+
+    Parameters
+    ----------
+    words : str
+    share : float
+        Of the mismatch on runs left out.
+    open : bool
+        Whether nothing explains it.
+    """
+
+    words: str
+    share: float
+    open: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnstatedRow:
+    """One kind of value that the nominal model does not give, of all its joints.
+
+    Parameters
+    ----------
+    effect, where, values, explains : str
+    """
+
+    effect: str
+    where: str
+    values: str
+    explains: str
+
+
+def named_shares(diagnosis: Diagnosis) -> list[NamedShare]:
+    """Pieces of the mismatch, the largest first and what is open last."""
+    return [
+        NamedShare(
+            words="open" if each.part is None else _part_words(diagnosis, each.part),
+            share=each.share,
+            open=each.part is None,
+        )
+        for each in diagnosis.shares
+        if each.part is None or abs(each.share) >= _LEAST
+    ]
+
+
+def mismatch_sentence(diagnosis: Diagnosis) -> str:
+    """What the mismatch on runs left out is made of; "" without such runs."""
+    shares = named_shares(diagnosis)
+    if not shares or not diagnosis.findings:
+        return ""
+    parts = ", ".join(f"{100 * each.share:.0f} % {each.words}" for each in shares)
+    return f"Of the mismatch on runs left out: {parts}."
+
+
+def unstated_rows(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[UnstatedRow]:
+    """Values that the nominal model does not give, one row a kind."""
+    rows = []
+    for own in unstated_groups(findings):
+        slides = prismatic(diagnosis, own[0].located)
+        first = own[0].parameters[0]
+        unit = joint_unit(first.unit, slides)
+        values = ", ".join(
+            f"{f.joint}: {pm(f.parameters[0].value, f.parameters[0].sd, unit)}" for f in own
+        )
+        shares = [f.variance_explained for f in own]
+        rows.append(
+            UnstatedRow(
+                effect=own[0].effect.title,
+                where=joints_in_words([f.joint for f in own if f.joint is not None]),
+                values=f"{first.name} of joint {values}",
+                explains=f"{100 * min(shares):.0f} to {100 * max(shares):.0f} %",
+            )
+        )
+    return rows
+
+
+def _part_words(diagnosis: Diagnosis, part: Part) -> str:
+    joints = sorted({e.joint + 1 for e in part.effects if e.joint is not None})
+    where = f" ({joints_in_words(joints)})" if joints else ""
+    if part.kind == "unstated":
+        names = dict.fromkeys(e.effect.nominal_words for e in part.effects)
+        return f"{listed(names)} that nobody had given{where}"
+    if part.kind == "usual":
+        return f"offsets{where}"
+    if part.kind == "nominal":
+        return _masses(diagnosis, part.effects)
+    return f"{part.effects[0].effect.title}{where}"
+
+
+def _masses(diagnosis: Diagnosis, effects: Sequence[LocatedEffect]) -> str:
+    found = [f"{e.effect.title} ({place(diagnosis, e)})" for e in effects]
+    rigid = diagnosis.search.rigid
+    if rigid is not None and rigid.width:
+        found.append("rigid model re-identified")
+    elif not found:
+        return "nominal values within their tolerances"
+    return listed(found)

@@ -1,0 +1,73 @@
+"""Free inertial parameters: bodies that exist, and the same evidence by a shorter way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stiffopt.discovery.comparison.bodies import (
+    exist,
+    inertial_parameters,
+    nearest_bodies,
+    pseudo_inertia,
+)
+from stiffopt.discovery.comparison.evidence import Beside, BlockSums, posterior
+
+# A rod of 2 kg along x from its joint's origin: 0.4 m long, its inertia about the origin.
+ROD = np.array([[2.0, 0.4, 0.0, 0.0, 0.002, 0.0, 0.11, 0.0, 0.0, 0.11]])
+UNITS = np.array([[2.0, *[0.4] * 3, *[0.08] * 6]])
+
+
+def test_pseudo_inertia_holds_all_ten_parameters() -> None:
+    """There and back; the mass stands last, first moments beside it."""
+    parameters = np.random.default_rng(1).standard_normal((3, 10))
+    there = pseudo_inertia(parameters)
+    np.testing.assert_allclose(inertial_parameters(there), parameters, atol=1e-14)
+    np.testing.assert_allclose(there, there.swapaxes(1, 2))
+    np.testing.assert_allclose(there[:, 3, 3], parameters[:, 0])
+
+
+def test_what_exists_and_what_does_not() -> None:
+    """A rod exists; with less inertia than its centre of mass alone needs it does not."""
+    assert exist(ROD, UNITS)
+    light = ROD.copy()
+    light[0, 9] = 0.05
+    assert not exist(light, UNITS)
+
+
+def test_the_likeliest_bodies_exist() -> None:
+    """Data that ask for a negative moment of inertia are followed as far as matter allows."""
+    gram = np.diag([1.0, *[1e4] * 3, *[1e6] * 6, 1.0])
+    wanted = np.zeros(11)
+    wanted[9] = -0.2
+    wanted[10] = 5.0
+    found = nearest_bodies(gram, gram @ wanted, slice(0, 10), ROD, UNITS, np.full(11, 3.0))
+    bodies = ROD + found[:10]
+    assert exist(bodies, UNITS)
+
+    def cost(x: np.ndarray) -> float:
+        return float(0.5 * x @ gram @ x - x @ gram @ wanted)
+
+    least = np.zeros(11)
+    least[9] = 0.4**2 / 2.0 - ROD[0, 9] + 0.002  # nothing but the mass at its place, by hand
+    least[10] = 3.0
+    assert found[10] == pytest.approx(3.0)
+    assert cost(found) <= cost(least) + 1e-6
+
+
+def test_a_few_more_columns_cost_only_themselves() -> None:
+    """Posterior, evidence and density of blocks left out are those of a fit of all at once."""
+    rng = np.random.default_rng(2)
+    base, added = rng.standard_normal((120, 6)), rng.standard_normal((120, 3))
+    target, block = rng.standard_normal(120) + added[:, 0], np.repeat(np.arange(4), 30)
+    prior = rng.uniform(0.1, 2.0, 6)
+    sums = BlockSums(base, target, block, 4)
+    kept = np.array([0, 2])
+    short = Beside(sums.own, prior).added(sums.extended(added), kept)
+    columns = np.column_stack([base, added[:, kept]])
+    whole = posterior(BlockSums(columns, target, block, 4).own, np.concatenate([prior, np.ones(2)]))
+    np.testing.assert_allclose(short.mean, whole.mean[6:])
+    np.testing.assert_allclose(short.base_mean, whole.mean[:6])
+    np.testing.assert_allclose(short.covariance, whole.covariance[6:, 6:])
+    assert short.log_evidence == pytest.approx(whole.log_evidence)
+    assert short.log_predictive == pytest.approx(whole.log_predictive)
