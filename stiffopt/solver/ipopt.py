@@ -26,6 +26,9 @@ _STATUS = {
     "Invalid_Number_Detected": "invalid_number",
 }
 
+# Excess of a row, relative to its scale, up to which an iterate proves that the rows can hold.
+_FEASIBLE = 1e-6
+
 _OPTIONS_HINT = "Check IpoptOptions.extra and linear_solver; allowed linear solvers: mumps, spral."
 
 
@@ -195,6 +198,9 @@ class IpoptSolver:
         last = self._iterate(outputs)
         best = last if status in ("optimal", "acceptable") else (monitor.best or last)
         reason = word
+        if status == "infeasible" and best.violation <= _FEASIBLE:
+            # It has been where all rows hold: it lost its way, the problem has not none.
+            status = "stalled"
         if status == "invalid_number":
             reason = self._invalid_number([inputs["x0"], last.x], p) or word
         lam_x, lam_g = outputs["lam_x"].full().ravel(), outputs["lam_g"].full().ravel()

@@ -236,14 +236,19 @@ def _solved(
             f"stage {index + 1} of {len(plan)}, {stage.intervals} intervals, "
             f"smoothing {stage.smoothing:g}"
         )
-        raw = made.solver.solve(
-            x,
-            np.array([stage.smoothing]),
-            warm=warm,
-            report=_reporter(run, label),
-            max_seconds=run.remaining,
-        )
-        run.record(stage, raw)
+        for start in (warm, None):
+            raw = made.solver.solve(
+                x,
+                np.array([stage.smoothing]),
+                warm=start,
+                report=_reporter(run, label),
+                max_seconds=run.remaining,
+            )
+            run.record(stage, raw)
+            if raw.status != "stalled":
+                break
+            # Once more from the best point, without the multipliers that led astray.
+            x = raw.x
         yield made, raw
         if raw.status in ("interrupted", "time_limit"):
             break

@@ -164,6 +164,11 @@ def _message(outcome: Outcome) -> str:
         state = f"It exceeds {worst}."
         if assessment.feasible(CERTIFIED):
             state = "It keeps all limits."
+        if raw.status == "stalled":
+            return (
+                "The solver made no further progress before the optimum; the best motion so far is "
+                f"kept. {state} Try method.starts = 3 or another method.intervals."
+            )
         cause = f" Cause: {raw.reason}." if raw.status == "invalid_number" else ""
         return f"{status.sentence}{cause} {state}"
     if status is SolveStatus.CERTIFICATE_FAILED:

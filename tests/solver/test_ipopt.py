@@ -10,6 +10,7 @@ import pytest
 
 import stiffopt.symbolic  # noqa: F401 - CasADi conventions
 from stiffopt.errors import InputError
+from stiffopt.solver import ipopt
 from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver
 from stiffopt.transcription import Guess, OptimalControlProblem, Rows, transcribe, uniform_mesh
 
@@ -172,3 +173,15 @@ def test_a_warm_start_saves_iterations():
     assert warm.status == "optimal"
     assert warm.objective == pytest.approx(cold.objective, rel=1e-7)
     assert warm.iterations < cold.iterations
+
+
+def test_a_feasible_iterate_is_never_called_infeasible(monkeypatch):
+    monkeypatch.setitem(ipopt._STATUS, "Maximum_Iterations_Exceeded", "infeasible")
+    made, x0 = pendulum()
+    best = solver(made).solve(x0, GRAVITY)
+    near = solver(made, max_iterations=1).solve(best.x, GRAVITY)
+    assert near.violation <= 1e-6
+    assert near.status == "stalled"
+    far = solver(made, max_iterations=1).solve(x0, GRAVITY)
+    assert far.violation > 1e-6
+    assert far.status == "infeasible"

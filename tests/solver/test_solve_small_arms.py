@@ -1,11 +1,14 @@
 """From a problem file to a certified motion, on arms whose answers can be checked by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_arms import load
 
 from stiffopt import SolveStatus, solve
 from stiffopt.errors import NoSolutionFound
+from stiffopt.solver.ipopt import IpoptSolver
 
 EXCESS = 5e-3
 
@@ -311,3 +314,19 @@ def test_equal_inputs_give_equal_results(tmp_path):
     assert first.objective.value == again.objective.value
     other = solve(load(tmp_path, "swivel", duration="0.51"))
     assert other.inputs_hash != first.inputs_hash
+
+
+def test_a_stalled_stage_is_tried_once_more_from_its_best_point(monkeypatch, tmp_path):
+    starts = []
+    solve = IpoptSolver.solve
+
+    def stalls_first(self, x0, *given, **options):
+        starts.append(np.array(x0))
+        found = solve(self, x0, *given, **options)
+        return replace(found, status="stalled") if len(starts) == 1 else found
+
+    monkeypatch.setattr(IpoptSolver, "solve", stalls_first)
+    _, solution = solved(tmp_path, "swivel", duration="0.8", minimise=OBJECTIVES["torque"])
+    assert solution.status.value == "optimal"
+    assert [stage["status"] for stage in solution.solver.homotopy][:2] == ["stalled", "optimal"]
+    assert np.abs(starts[1] - starts[0]).max() > 1e-3
