@@ -236,24 +236,34 @@ def _solved(
             f"stage {index + 1} of {len(plan)}, {stage.intervals} intervals, "
             f"smoothing {stage.smoothing:g}"
         )
-        for start in (warm, None):
-            raw = made.solver.solve(
-                x,
-                np.array([stage.smoothing]),
-                warm=start,
-                report=_reporter(run, label),
-                max_seconds=run.remaining,
-            )
-            run.record(stage, raw)
-            if raw.status != "stalled":
-                break
+        raw = _solve(run, made, stage, x, warm, label)
+        if raw.status == "stalled":
             # Once more from the best point, without the multipliers that led astray.
-            x = raw.x
+            raw = _solve(run, made, stage, raw.x, None, label)
         yield made, raw
         if raw.status in ("interrupted", "time_limit"):
             break
         # A coarse mesh may be infeasible where the fine one is not: ask the last stage at once.
         index = last if raw.status == "infeasible" and index < last else index + 1
+
+
+def _solve(
+    run: SolveRun,
+    made: _Made,
+    stage: SolveStage,
+    x: np.ndarray,
+    warm: RawSolution | None,
+    label: str,
+) -> RawSolution:
+    raw = made.solver.solve(
+        x,
+        np.array([stage.smoothing]),
+        warm=warm,
+        report=_reporter(run, label),
+        max_seconds=run.remaining,
+    )
+    run.record(stage, raw)
+    return raw
 
 
 def _objective_gap(run: SolveRun, raw: RawSolution, assessment: Assessment) -> float:
