@@ -12,7 +12,7 @@ from stiffopt.connection.fastener import SetScrew
 from stiffopt.contact.shear import ShearLaw, shear_softening, shear_travel
 from stiffopt.contact.surface import SurfacePair
 from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
-from stiffopt.declaration import POSITIVE, Doc, Length, Ratio
+from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Angle, Bounds, Doc, Length, Ratio
 from stiffopt.symbolic import Quantity
 
 # Pin tips work at hundreds of MPa, up to indentation of a hardened shaft.
@@ -45,10 +45,13 @@ class ClampingPins(ContactConnection):
     both_sides: Annotated[
         bool,
         Doc(
-            "One-sided screws also press the far side of the shaft against the bore: twice as many "
-            "contacts. False for opposed pins."
+            "One-sided screws also press the shaft against the bore, with the sum of their forces "
+            "as vectors. False for opposed pins."
         ),
     ] = True
+    spacing: Annotated[
+        Angle, NOT_NEGATIVE, Doc("Angle about the shaft from one screw to the next.")
+    ] = math.pi / 2
     half_space: Annotated[bool, Doc("Count the half space under the tip.")] = True
     shear: ShearLaw = "mindlin"
     contact_law: LawName | ContactLaw = "log_cubic"
@@ -56,6 +59,9 @@ class ClampingPins(ContactConnection):
         SetScrew | None,
         Doc("What presses one tip; sets its limits and its loss of preload, not the stiffness."),
     ] = None
+
+    # How many such pins share the bore: with count 1 and as many as there are screws, one of them.
+    sharing: Annotated[int, Bounds(least=1)] = 1
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -77,9 +83,17 @@ class ClampingPins(ContactConnection):
         return self.surface.friction if self.friction is None else self.friction
 
     @property
-    def contact_count(self) -> int:
-        """Number of pressed contacts."""
-        return self.count * (2 if self.both_sides else 1)
+    def contact_count(self) -> float:
+        """Pressed contacts, that at the bore by its force: |sin(n g/2)/sin(g/2)| times one screw's.
+
+        Two screws at an angle g of 90 degrees press the bore with 1.41 times the force of one.
+        """
+        if not self.both_sides:
+            return float(self.count)
+        screws, half = self.count * self.sharing, self.spacing / 2
+        turned = math.sin(half)
+        together = abs(math.sin(screws * half) / turned) if abs(turned) > 1e-9 else float(screws)
+        return self.count + together / self.sharing
 
     @property
     def tip_area(self) -> float:

@@ -148,10 +148,13 @@ def _bolted_flange(element: Element, load: np.ndarray, force: float | None) -> n
     return _invert(_sheared(element.surface, pressure, load / slip, element.shear) * second_moment)
 
 
-def _pins(element: Element, force: float | None) -> tuple[int, float]:
-    """Number of pressed contacts, and torque at which they slip [N m]."""
+def _pins(element: Element, force: float | None) -> tuple[float, float]:
+    """Pressed contacts in units of one tip's force, and torque at which they slip [N m]."""
     assert force is not None
-    contacts = element.count * (2 if element.both_sides else 1)
+    contacts = float(element.count)
+    if element.both_sides:
+        directions = np.exp(1j * element.spacing * np.arange(element.count * element.sharing))
+        contacts += float(np.abs(directions.sum())) / element.sharing
     return contacts, _friction(element) * force * element.shaft_diameter / 2.0 * contacts
 
 

@@ -197,7 +197,7 @@ class _LoadCases:
             name=section.name,
             torque=torque,
             wrench=self._wrench(torque, beside, where) if any(beside.values()) else None,
-            reversing=np.full(len(torque), section.reversing),
+            reversing=np.full(len(torque), True) if section.reversing else None,
         )
 
     def _wrench(

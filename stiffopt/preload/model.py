@@ -326,7 +326,7 @@ def _one_fastener(element: Connection) -> Connection:
     if isinstance(element, BoltedFlange):
         return replace(element, bolt_count=1, sectors=element.bolt_count)
     assert isinstance(element, ClampingPins)
-    return replace(element, count=1)
+    return replace(element, count=1, sharing=element.count)
 
 
 def _individually(stage: Stage, own: Sequence[FreeElement]) -> list[Stage]:

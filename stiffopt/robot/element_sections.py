@@ -77,6 +77,18 @@ class KeyLookUp(ElementSection):
     width: Annotated[Length, POSITIVE, Doc("Width of the key.")]
     height: Annotated[Length, POSITIVE, Doc("Height of the key.")]
 
+    def connection_fields(self) -> dict[str, Any]:
+        """Refuse flanks that are higher together than the key."""
+        values = super().connection_fields()
+        together = values["shaft_flank_height"] + values["hub_flank_height"]
+        if together > self.height * (1 + 1e-9):
+            raise InputError(
+                f"shaft_flank_height and hub_flank_height are {1e3 * together:g} mm together, the "
+                f"key is {1e3 * self.height:g} mm high. Give the heights that bear, without "
+                "chamfers, or leave them out."
+            )
+        return values
+
     def look_up(self) -> dict[str, Any]:
         """Flank heights, of the catalogue where one is left out."""
         if all(getattr(self, name) is not None for name in self.looked_up):

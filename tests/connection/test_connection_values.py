@@ -188,12 +188,24 @@ def test_pins_by_hand() -> None:
     modulus = 1 / (2 * 1.7 / (210e9 / 2.6))
     face = 2 * 0.7 / 1.7 * float(FractalLaw(FINE).normal_stiffness_per_area(1500 / area)) * area
     one = 1 / (1 / face + 1 / (8 * modulus * 1e-3))
-    stiffness = 4 * 4e-3**2 * one
+    # Two tips and the bore, which two screws at 90 degrees press with 1.41 times the force of one.
+    contacts = 2 + math.sqrt(2)
+    stiffness = contacts * 4e-3**2 * one
     exact = float(exact_law.tangent_compliance(element, np.array(0.0)))
     assert 1 / exact == pytest.approx(stiffness, rel=1e-12)
     assert element.tangent_stiffness(0.0) == pytest.approx(stiffness, rel=0.015)
-    assert element.slip_torque() == pytest.approx(0.15 * 1500 * 4e-3 * 4, rel=1e-14)
-    assert pins(both_sides=False).slip_torque() == pytest.approx(element.slip_torque() / 2)
+    assert element.slip_torque() == pytest.approx(0.15 * 1500 * 4e-3 * contacts, rel=1e-14)
+    slips = {
+        angle: pins(spacing=math.radians(angle)).slip_torque() / (0.15 * 1500 * 4e-3)
+        for angle in (0, 60, 120, 180)
+    }
+    # By the sum of two forces; four contacts, as if the bore bore both in full, only at 0 degrees.
+    assert slips == pytest.approx({0: 4.0, 60: 2 + math.sqrt(3), 120: 3.0, 180: 2.0})
+    assert pins(count=3, spacing=2 * math.pi / 3).contact_count == pytest.approx(3.0)
+    assert pins(count=1).contact_count == 2.0
+    # One of two screws: its part of the bore.
+    assert 2 * pins(count=1, sharing=2).contact_count == pytest.approx(contacts)
+    assert pins(both_sides=False).slip_torque() == pytest.approx(0.15 * 1500 * 4e-3 * 2)
     assert pins(half_space=False).tangent_stiffness(0.0) > element.tangent_stiffness(0.0)
 
 

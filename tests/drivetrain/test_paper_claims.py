@@ -71,10 +71,34 @@ def slopes(chain, limit):
     return below, around, (whole[0] + whole[1]) / 2, (whole[2] + whole[3]) / 2
 
 
+def rise(chain, limit):
+    """Relative rise of the stiffness from 0.1 to 2 % of the largest torque."""
+    whole, _ = curves(chain, limit, [0.001, 0.02])
+    return whole[1] / whole[0] - 1
+
+
 def test_c3_steep_then_flat_with_the_papers_layout():
+    rises = []
     for chain, limit in each(load_robot("er3a_c60")):
         below, around, _, _ = slopes(chain, limit)
         assert below >= 10 * around
+        rises.append(rise(chain, limit))
+    # Steeper than later, but no dramatic increase: decision 0011.
+    assert 2e-4 < min(rises) < max(rises) < 1e-2
+
+
+def test_c3_the_stiffness_rises_with_output_side_keys():
+    for chain, limit in each(load_robot("er3a_c60_contact")):
+        assert rise(chain, limit) > 2.0
+
+
+def test_c2_as_a_ratio_holds_at_one_joint_of_the_arm_as_shipped():
+    held = []
+    for chain, limit in each(load_robot("er3a_c60")):
+        whole, alone = curves(chain, limit, [0.01, 0.05, 0.2])
+        ratio = whole / alone
+        held.append(bool(ratio[0] < ratio[1] < ratio[2]))
+    assert held == [False] * 5 + [True]
 
 
 def test_c3_steep_then_flatter_with_output_side_keys():

@@ -66,6 +66,10 @@ def test_left_out(load):
     assert elements["key"].hub_material == "steel"
     # A pattern of the catalogue has the maker's 12.9 screws.
     assert elements["flange"].bolt == Bolt(size="M5", grade="12.9")
+    # It is bought: its holes are where they are, and its preload is what remains of the maker's.
+    assert elements["flange"].fixed_pattern
+    assert elements["flange"].preload_is == "net"
+    assert elements["flange"].tightening_torque == 9.0
 
 
 def test_given(load):
@@ -108,6 +112,12 @@ def test_given(load):
         ),
         ("pins", {"screw": 'screw = { length = "6 mm" }'}, "size"),
         ("key", {"hub": 'hub_material = "aluminum"'}, "Did you mean 'aluminium'"),
+        (
+            "key",
+            {"hub": 'shaft_flank_height = "3 mm"\nhub_flank_height = "2.3 mm"'},
+            "5.3 mm together, the key is 5 mm high",
+        ),
+        ("flange", {"more": ', rolled = "never"'}, "rolled"),
     ],
 )
 def test_wrong(load, where, changes, text):
