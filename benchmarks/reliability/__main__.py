@@ -1,4 +1,8 @@
-"""Count: `python -m benchmarks.reliability faults | kills | interrupts | mutants [NUMBER]`."""
+"""Count: `python -m benchmarks.reliability WHAT [NUMBER [FIRST]]`.
+
+WHAT is faults (the folders of ../shared/faults), kills, interrupts, mutants (given to loaders) or
+commands (mutants given to whole commands).
+"""
 
 from __future__ import annotations
 
@@ -11,6 +15,7 @@ from pathlib import Path
 from benchmarks.reliability.commands import stiffopt
 from benchmarks.reliability.faults import cases
 from benchmarks.reliability.kills import ended
+from benchmarks.reliability.mutants import count
 
 
 def main() -> None:
@@ -26,6 +31,9 @@ def main() -> None:
                 print(f"{outcome.verdict:10} {outcome.seconds:5.1f} s  {case.folder.name}  {last}")
         elif what in ("kills", "interrupts"):
             found = ended(place, number, signal.SIGKILL if what == "kills" else signal.SIGINT)
+        elif what in ("mutants", "commands"):
+            first = int(sys.argv[3]) if len(sys.argv) > 3 else 0
+            found = count(place, number, commands=what == "commands", first=first)
         else:
             raise SystemExit(__doc__)
     print("\n".join(f"{count:6} {name}" for name, count in sorted(found.items())))

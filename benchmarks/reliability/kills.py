@@ -92,6 +92,7 @@ def ended(place: Path, count: int, sign: signal.Signals, seed: int = 1) -> Count
             verdict = "said nothing was written"
         found[verdict] += 1
         found[f"exit {code}"] += 1
+        print(k, verdict, code, flush=True)
     code, error = _run(problems[0], out, None, sign)
     found["left behind"] += sum(path.name.startswith(".") for path in out.rglob("*"))
     found[f"at the end {judged(out, {})}, exit {code}"] += 1
