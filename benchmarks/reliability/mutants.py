@@ -48,6 +48,9 @@ def count(place: Path, number: int, *, commands: bool, first: int = 0) -> Counte
         found[f"{subject.kind}: {verdict}"] += 1
         if verdict not in ("accepted", "told"):
             print(f"{verdict}  {subject.kind} {seed}: {what}", flush=True)
+        if (k + 1) % 200 == 0:
+            kinds = {name: n for name, n in found.items() if ":" not in name}
+            print(f"{k + 1}: {kinds}, the longest {worst:.1f} s", flush=True)
     print(f"{number} in {time.monotonic() - began:.0f} s, the longest {worst:.1f} s")
     return found
 
