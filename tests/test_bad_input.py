@@ -268,8 +268,6 @@ def test_wrong_problem_file(case, tmp_path, capsys):
 def test_no_objective(tmp_path, capsys):
     path = write_problem(tmp_path)
     whole = path.read_text()
-    path.write_text(whole.replace('[[minimise]]\nobjective = "torque_squared"', ""))
-    solve(capsys, tmp_path, path, "minimise", "required")
     path.write_text(whole.replace('objective = "torque_squared"', ""))
     solve(capsys, tmp_path, path, "minimise[1].objective", "required")
     path.write_text("minimise = []\n" + whole.replace("[[minimise]]\n", "[unused]\n"))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.certificate.rigid_body import rigid_body_history
+from stiffopt.certificate.rigid_body import rigid_body_history, tool_positions
 from stiffopt.certificate.violations import find_violations
 from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.problem.objective import OBJECTIVES
@@ -65,11 +65,14 @@ def assess(
     friction = robot.coulomb * direction + robot.viscous * velocity
     torque = spring_torque + robot.rotor_inertia * acceleration + friction
 
-    windup = joint_windup(robot, spring_torque)
-    link_windup = joint_windup(robot, body.link_torque) if np.any(process) else windup
-    deflection = _deflection(
-        body.jacobian, joint_windup(robot, body.gravity_torque), link_windup, windup
-    )
+    windup, static = joint_windup(robot, spring_torque), joint_windup(robot, body.gravity_torque)
+    # Without a process force what lies between is one of the two.
+    between = windup if link is None else static
+    if np.any(process):
+        # Links that are planned hang from weight and force; else the force comes last.
+        loads = body.link_torque if link is None else body.gravity_torque - process
+        between = joint_windup(robot, loads)
+    deflection = _deflection(body.jacobian, static, between, windup, force_first=link is not None)
     compliance = joint_compliance(robot, spring_torque)
     with np.errstate(divide="ignore"):
         stiffness = 1.0 / compliance
@@ -88,7 +91,7 @@ def assess(
         spring_torque=spring_torque,
         stiffness=stiffness,
         windup=windup,
-        tool=body.tool if link is None else rigid_body_history(robot, position, *moved[1:]).tool,
+        tool=body.tool if link is None else tool_positions(robot, position),
         tool_speed=tool_speed,
         deflection=deflection,
         violations=(),
@@ -106,19 +109,29 @@ def assess(
 
 
 def _deflection(
-    jacobian: np.ndarray, static: np.ndarray, link: np.ndarray, spring: np.ndarray
+    jacobian: np.ndarray,
+    static: np.ndarray,
+    between: np.ndarray,
+    spring: np.ndarray,
+    *,
+    force_first: bool,
 ) -> dict[str, np.ndarray]:
-    """Parts of the tool's deflection (K, 3) [m] from wind-ups (K, n) at the three torques."""
+    """Parts of the tool's deflection (K, 3) [m] from wind-ups (K, n), one load after another.
+
+    Weight, then what the motion adds and what the process force adds, or the other way round.
+    """
+    first, last = ("process", "dynamic") if force_first else ("dynamic", "process")
     # A connection that slips winds up without end: its parts are infinite, not undefined.
     with np.errstate(invalid="ignore"):
         parts = {
-            "dynamic": link - static,
             "static": static,
-            "process": spring - link,
+            first: between - static,
+            last: spring - between,
             "total": spring,
         }
-        if link is spring:
-            parts["process"] = np.zeros_like(spring)
+        for part, (one, other) in {first: (between, static), last: (spring, between)}.items():
+            if one is other:
+                parts[part] = np.zeros_like(spring)
         vectors = {k: -np.einsum("kij,kj->ki", jacobian, angle) for k, angle in parts.items()}
     return {part: np.where(np.isnan(v), np.inf, v) for part, v in vectors.items()}
 

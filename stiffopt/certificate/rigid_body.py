@@ -63,6 +63,16 @@ def rigid_body_history(
     return RigidBodyHistory(link_torque, gravity_torque, tool_position, jacobian)
 
 
+def tool_positions(robot: Robot, position: np.ndarray) -> np.ndarray:
+    """Tool positions (K, 3) [m] of joint positions (K, n)."""
+    data = robot.model.createData()
+    found, offset = np.empty((len(position), 3)), np.asarray(robot.tool.offset)
+    for k, q in enumerate(position):
+        pin.forwardKinematics(robot.model, data, q)
+        found[k] = data.oMi[robot.tool.joint].act(offset)
+    return found
+
+
 def tool_angle(robot: Robot, position: np.ndarray, rpy: np.ndarray) -> np.ndarray:
     """Angle (K,) [rad] between the tool and an orientation given as roll, pitch, yaw [rad]."""
     wanted = pin.rpy.rpyToMatrix(np.asarray(rpy, dtype=float))

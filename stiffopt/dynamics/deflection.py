@@ -35,11 +35,14 @@ class SpringTorques:
         tau_0: links and payload in motion. [N m] or [N]
     spring : (n,)
         tau_0 minus J^T F; the same as `motion` without a process force. [N m] or [N]
+    held : (n,)
+        At rest under the process force; the same as `gravity` without one. [N m] or [N]
     """
 
     gravity: Quantity
     motion: Quantity
     spring: Quantity
+    held: Quantity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,10 +84,11 @@ def spring_torques(
     gravity = newton_euler(tree, q, rest, rest)
     motion = newton_euler(tree, q, v, a)
     if process_force is None:
-        return SpringTorques(gravity=gravity, motion=motion, spring=motion)
-    jacobian = point_jacobian(tree, joint, offset, q)
-    spring = motion - ca.mtimes(jacobian.T, process_force)
-    return SpringTorques(gravity=gravity, motion=motion, spring=spring)
+        return SpringTorques(gravity=gravity, motion=motion, spring=motion, held=gravity)
+    pushed = ca.mtimes(point_jacobian(tree, joint, offset, q).T, process_force)
+    return SpringTorques(
+        gravity=gravity, motion=motion, spring=motion - pushed, held=gravity - pushed
+    )
 
 
 def tool_deflection(

@@ -109,7 +109,7 @@ def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
             Objective(
                 name=term.objective, **{key: getattr(term, key) for key in declared(Objective)}
             )
-            for term in document.minimise
+            for term in document.minimise or ()
         ),
         limits=_limits(document.limits, joints),
         boundary_velocity=velocity,

@@ -16,7 +16,7 @@ import numpy as np
 
 from stiffopt.dynamics.kinematics import tool_pose
 from stiffopt.problem.coordinates import Coordinates, coordinates_of
-from stiffopt.problem.motor_model import MotorModel
+from stiffopt.problem.motor_model import MotorModel, NearMotorModel
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.rest import torque_sides
 from stiffopt.problem.stage_model import StageModel
@@ -104,6 +104,24 @@ def formulate(
     )
 
 
+def exact_path_rows(
+    problem: TrajectoryProblem, motion: ResolvedMotion, scales: Scales
+) -> ca.Function:
+    """Path rows (x, u, z, p) -> (m,) of a motion planned for the links, without what is nearly so.
+
+    In the order of `formulate`, whose rows are those of `NearMotorModel`.
+    """
+    coordinates = coordinates_of(problem)
+    x, u = ca.SX.sym("x", coordinates.order * coordinates.size), ca.SX.sym("u", coordinates.size)
+    p, sides = ca.SX.sym("smoothing"), torque_sides(problem, motion)
+    derivatives = [*ca.vertsplit(x, coordinates.size), u]
+    model = MotorModel(problem.robot, derivatives, p, sides, problem.process_force)
+    goal = _WeightedSum(problem, model, scales)
+    blocks = [*_limit_rows(problem, model, coordinates, {}), *goal.path_rows]
+    rows = _stacked([row for block in blocks for row in block.expressions])
+    return ca.Function("exact_path_rows", [x, u, goal.statics, p], [rows])
+
+
 def stage_model(
     problem: TrajectoryProblem,
     coordinates: Coordinates,
@@ -115,7 +133,7 @@ def stage_model(
     """The stage model of a problem at a state and control of its coordinates."""
     if problem.plans_links:
         derivatives = [*ca.vertsplit(x, coordinates.size), u]
-        return MotorModel(problem.robot, derivatives, smoothing, sides)
+        return NearMotorModel(problem.robot, derivatives, smoothing, sides, problem.process_force)
     return StageModel(
         problem.robot,
         *coordinates.joint_motion(x, u),
@@ -294,7 +312,11 @@ def _tool_pose(problem: TrajectoryProblem) -> tuple[ca.SX, Quantity, Quantity, Q
     joints = x[:n]
     if problem.plans_links:
         model = MotorModel(
-            problem.robot, ca.vertsplit(x, n), smoothing_stages(problem)[-1], np.zeros(n)
+            problem.robot,
+            ca.vertsplit(x, n),
+            smoothing_stages(problem)[-1],
+            np.zeros(n),
+            problem.process_force,
         )
         joints = model.position
     tool = problem.robot.tool

@@ -1,14 +1,19 @@
 """Motion of the motors that makes the links of an elastic arm move as planned.
 
 An arm with elastic joints is flat in the motion of its links: a link motion q(t) needs the spring
-torques tau = ID(q, v, a), these the wind-ups phi(tau), and so the motors must be at q + phi(tau).
-Planned poses hold at rest, where gravity's wind-up is calibrated away: the motors' plan is
+torques tau, these the wind-ups phi(tau), and so the motors must be at q + phi(tau). Planned poses
+hold at rest, where the wind-up under weight and process force is calibrated away: the motors' plan
+is
 
     theta = q + phi(tau(q, v, a)) - phi(tau(q, 0, 0)).
 
 Its derivatives follow by the chain rule; the motors' jerk holds the fifth derivative of q. Damping
 of the joints would add 2 zeta / omega times the wind-up's rate (zeta the damping ratio, omega the
 mode's angular frequency), 1 to 2 % of the wind-up, and is left out.
+
+phi is the law of the drivetrain with its corners wider than the deflection's formula has them: a
+corner of the stiffness is a kink of the motors' speed, and a narrow one exceeds any jerk between
+two nodes.
 """
 
 from __future__ import annotations
@@ -19,13 +24,18 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
+from stiffopt.dynamics.deflection import Deflection
 from stiffopt.problem.stage_model import StageModel
+from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.symbolic import Quantity
 
 if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.robot.robot import Robot
 
+# Smoothing widths of the motors' law over those of the deflection.
+WIDER = 2.0
 # Distance of the samples of the motors' motion [s], and their least number in an interval of the
 # links': between them a polynomial of degree 7 is as good as exact.
 _STEP = 2.5e-3
@@ -35,22 +45,20 @@ _LEAST = 4
 class MotorModel(StageModel):
     """Stage model of a motion planned for the links: position to jerk are those of the motors.
 
-    For the optimiser the torques' rates are those of the links' inertia times the links' jerk,
-    snap and crackle at the present tangent compliance. What they leave out, the change of inertia,
-    compliance and velocity torques within a rise of the acceleration, the certificate sees, and
-    limits are tightened by it. Exact derivatives cost several times as much an iteration.
-
     Parameters
     ----------
     robot : Robot
     derivatives : list of SX (n,)
-        Of the links: position, velocity, and so on up to the fifth.
+        Of the links: position, velocity, and so on up to the fifth; fewer where no derivative of
+        the motors is asked.
     smoothing : SX or float
         Factor on every smoothing width of the stiffness model.
     sides : array (n,)
         As for `StageModel`.
     process_force : array_like (3,)
         Acts on the tool all the time, base axes [N].
+    wider : float
+        Smoothing widths of the motors' law over those of the deflection.
     """
 
     def __init__(
@@ -60,8 +68,9 @@ class MotorModel(StageModel):
         smoothing: Quantity,
         sides: np.ndarray,
         process_force: object = (0.0, 0.0, 0.0),
+        wider: float = WIDER,
     ) -> None:
-        self.robot, self.smoothing, self.sides = robot, smoothing, sides
+        self.robot, self.smoothing, self.sides, self.wider = robot, smoothing, sides, wider
         self.process_force = np.asarray(process_force, dtype=float)
         self._derivatives = derivatives
 
@@ -74,47 +83,113 @@ class MotorModel(StageModel):
     @cached_property
     def position(self) -> Quantity:
         """Of the motors (n,) [rad]."""
-        torques = self.torques
-        if not self.process_force.any():
-            return self.link[0] + self.windup(torques.motion) - self.windup(torques.gravity)
-        held = torques.gravity + torques.spring - torques.motion
-        return self.link[0] + self.windup(torques.spring) - self.windup(held)
+        return self.link[0] + self._law(self.torques.spring) - self._law(self.torques.held)
+
+    @cached_property
+    def velocity(self) -> Quantity:
+        """Of the motors (n,) [rad/s]."""
+        return self._rate(self.position, 3)
+
+    @cached_property
+    def acceleration(self) -> Quantity:
+        """Of the motors (n,) [rad/s^2]."""
+        return self._rate(self.velocity, 4)
+
+    @cached_property
+    def jerk(self) -> Quantity:
+        """Of the motors (n,) [rad/s^3]."""
+        return self._rate(self.acceleration, 5)
+
+    @cached_property
+    def deflection(self) -> Deflection:
+        """Deflection of the tool, the dynamic part from where it hangs under weight and force."""
+        held, spring = self.windup(self.torques.held), self.windup(self.torques.spring)
+        gravity = held
+        if self.torques.gravity is not self.torques.held:
+            gravity = self.windup(self.torques.gravity)
+
+        def at_tool(angles: Quantity) -> Quantity:
+            moved: Quantity = ca.mtimes(self.jacobian, angles)
+            return -moved
+
+        return Deflection(
+            static=at_tool(gravity), dynamic=at_tool(spring - held), process=at_tool(held - gravity)
+        )
+
+    def _law(self, torque: Quantity) -> Quantity:
+        """Wind-up (n,) [rad] by which the motors are ahead."""
+        angles = [
+            0.0 if chain is None else chain.windup(torque[j], smoothing=self.wider * self.smoothing)
+            for j, chain in enumerate(self.chains)
+        ]
+        return ca.vertcat(*angles)
+
+    def _rate(self, value: Quantity, orders: int) -> Quantity:
+        """Derivative by time of a value that depends on so many derivatives of the links."""
+        along = self._derivatives
+        return ca.jtimes(value, ca.vertcat(*along[:orders]), ca.vertcat(*along[1 : orders + 1]))
+
+
+class NearMotorModel(MotorModel):
+    """What the optimiser sees: derivatives of the motors that are nearly exact, and cheap.
+
+    The law is differentiated exactly, the spring torques' first rate too; the second and third are
+    those of the links' inertia times the links' snap and crackle, and the rate of the wind-up at
+    rest is left out. That misses a motor's jerk by 1 to 2 % of its limit; rows are tightened by it
+    (`transcription.between`). Exact derivatives cost three times as much an iteration.
+    """
 
     @cached_property
     def velocity(self) -> Quantity:
         """Of the motors, nearly (n,) [rad/s]."""
-        return self._ahead(1)
+        return self.link[1] + self._lead[0]
 
     @cached_property
     def acceleration(self) -> Quantity:
         """Of the motors, nearly (n,) [rad/s^2]."""
-        return self._ahead(2)
+        return self.link[2] + self._lead[1]
 
     @cached_property
     def jerk(self) -> Quantity:
         """Of the motors, nearly (n,) [rad/s^3]."""
-        return self._ahead(3)
+        return self._derivatives[3] + self._lead[2]
+
+    @property
+    def computed_torques(self) -> Quantity:
+        """Torques of gravity and motion and the spring torques' rates, as far as asked for."""
+        parts = [super().computed_torques]
+        if "_torque_rates" in self.__dict__:
+            parts += self._torque_rates
+        return ca.vertcat(*parts)
 
     @cached_property
-    def _softness(self) -> Quantity:
-        """Wind-up by a change of the links' acceleration (n, n) [s^2]."""
-        inertia = ca.jacobian(self.torques.motion, self.link[2])
-        compliance = [
-            0.0 if chain is None else self.compliance(j) for j, chain in enumerate(self.chains, 1)
+    def _torque_rates(self) -> list[Quantity]:
+        """First three rates of the spring torques (n,), nearly."""
+        q, v, a, *along = self._derivatives
+        torque = self.torques.spring
+        first = ca.jtimes(torque, ca.vertcat(q, v, a), ca.vertcat(v, a, along[0]))
+        inertia = ca.jacobian(self.torques.motion, a)
+        return [first, *(ca.mtimes(inertia, each) for each in along[1:])]
+
+    @cached_property
+    def _lead(self) -> list[Quantity]:
+        """First three rates of the wind-up by which the motors are ahead, (n,) each."""
+        first, second, third = self._torque_rates
+        torque = ca.SX.sym("torque", self.robot.n)
+        law, one = [self._law(torque)], np.ones(self.robot.n)
+        for _ in range(3):
+            law.append(ca.jtimes(law[-1], torque, one))
+        *_, steep, bent, twisted = ca.substitute(law, [torque], [self.torques.spring])
+        return [
+            steep * first,
+            steep * second + bent * first**2,
+            steep * third + 3.0 * bent * first * second + twisted * first**3,
         ]
-        return ca.mtimes(ca.diag(ca.vertcat(*compliance)), inertia)
 
-    def _ahead(self, order: int) -> Quantity:
-        along = self._derivatives
-        return along[order] + ca.mtimes(self._softness, along[order + 2])
 
-    def exact_derivatives(self) -> list[Quantity]:
-        """Position of the motors and its first three derivatives by time, each (n,)."""
-        found, along = [self.position], self._derivatives
-        for orders in range(3, 6):
-            inputs, rates = ca.vertcat(*along[:orders]), ca.vertcat(*along[1 : orders + 1])
-            found.append(ca.jtimes(found[-1], inputs, rates))
-        return found
+def law_smoothing(problem: TrajectoryProblem) -> float:
+    """Factor on the smoothing widths of the law by which the motors lead a problem's links."""
+    return WINDUP_SMOOTHING[-1] * (WIDER if problem.plans_links else 1.0)
 
 
 def motor_motion(
@@ -128,14 +203,14 @@ def motor_motion(
     link : Trajectory
         At rest at both ends, with five derivatives.
     smoothing : float
-        Factor on the smoothing widths: a law with corners would ask for jumps of the speed.
+        Factor on the law's smoothing widths: corners would ask for jumps of the speed.
     process_force : array_like (3,)
         Acts on the tool all the time, base axes [N].
     """
     derivatives = [ca.SX.sym(f"d{k}", robot.n) for k in range(6)]
-    model = MotorModel(robot, derivatives, smoothing, np.zeros(robot.n), process_force)
-    outputs = [ca.densify(each) for each in model.exact_derivatives()]
-    law = ca.Function("motors", derivatives, outputs)
+    model = MotorModel(robot, derivatives, smoothing, np.zeros(robot.n), process_force, 1.0)
+    outputs = [model.position, model.velocity, model.acceleration, model.jerk]
+    law = ca.Function("motors", derivatives, [ca.densify(each) for each in outputs])
     begins, ends = link.times[:-1], link.times[1:]
     counts = np.maximum(np.ceil((ends - begins) / _STEP).astype(int), _LEAST)
     parts = [np.linspace(*each, endpoint=False) for each in zip(begins, ends, counts, strict=True)]

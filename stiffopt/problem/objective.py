@@ -143,7 +143,7 @@ OBJECTIVES: Registry[ObjectiveKind] = Registry("stiffopt.problem.objectives")
 class Objective:
     """One term of the objective; `name` is that of a kind in `problem/objectives/`."""
 
-    name: str = "dynamic_deflection"
+    name: str = "tool_deviation"
     measure: Annotated[
         Literal["peak", "rms"], Doc("Largest value over time, or root mean square; of deflections.")
     ] = "peak"

@@ -171,8 +171,13 @@ class ProblemFile(Section):
     tool: ToolSection = ToolSection()
     motion: MotionSection
     minimise: Annotated[
-        list[MinimiseSection], Field(min_length=1), Doc("Terms of the objective, one or more.")
-    ]
+        list[MinimiseSection] | None,
+        Field(min_length=1),
+        Doc(
+            "Terms of the objective, one or more; default the peak of tool_deviation, or of "
+            "dynamic_deflection where links cannot be planned."
+        ),
+    ] = None
     limits: LimitsSection = LimitsSection()
     cell: Annotated[Cell | None, Doc("What the arm must not touch.")] = None
     method: Method = Method()
@@ -227,11 +232,11 @@ def _problem_file(objectives: tuple[str, ...], keys: tuple[LimitKey, ...]) -> ty
         **fields,
     )
     docs = typing.get_type_hints(ProblemFile, include_extras=True)["minimise"].__metadata__
-    terms: Any = Annotated[list[minimise], *docs]
+    terms: Any = Annotated[list[minimise] | None, *docs]
     return create_model(
         "ProblemFile",
         __base__=ProblemFile,
         __doc__=ProblemFile.__doc__,
-        minimise=(terms, ...),
+        minimise=(terms, None),
         limits=(limits, limits()),
     )

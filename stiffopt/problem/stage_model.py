@@ -74,6 +74,10 @@ class StageModel:
     @cached_property
     def torques(self) -> SpringTorques:
         """Torques in the joints' springs: gravity, motion, and with the process force."""
+        return self.spring_torques()
+
+    def spring_torques(self) -> SpringTorques:
+        """The same, written out in the model's motion."""
         tool = self.robot.tool
         force = self.process_force if np.any(self.process_force) else None
         return spring_torques(

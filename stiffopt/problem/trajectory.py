@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
@@ -140,6 +140,8 @@ class TrajectoryProblem:
     duration : (lower, upper) [s]
         Equal values fix it.
     objectives : tuple of Objective
+        Left out: the peak tool deviation, or the quasi-static dynamic deflection where the links
+        cannot be planned; `chosen` then says so.
     limits : Limits or None
         None: the robot's own.
     boundary_velocity : (start (n,), end (n,)) [rad/s]
@@ -158,7 +160,7 @@ class TrajectoryProblem:
     start: Target
     end: Target
     duration: tuple[float, float]
-    objectives: tuple[Objective, ...]
+    objectives: tuple[Objective, ...] = ()
     vias: tuple[Target, ...] = ()
     path: np.ndarray | None = None
     limits: Limits | None = None
@@ -170,10 +172,10 @@ class TrajectoryProblem:
     remarks: tuple[str, ...] = ()
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
     cell: Cell | None = None
+    # Why these objectives, where none were given; no field: the problem is the same.
+    chosen: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
-        if not self.objectives:
-            raise ProblemError("The problem has no objective; add at least one [[minimise]].")
         _check_duration(self.duration)
         if self.path is not None:
             object.__setattr__(self, "path", np.asarray(self.path, dtype=float))
@@ -185,8 +187,26 @@ class TrajectoryProblem:
                 "'zero' or 'free'."
             )
         self.uncertainty.shares(self.joints)
+        if not self.objectives:
+            self._choose_objective()
         for number, objective in enumerate(self.objectives, start=1):
             self._check_objective(objective, f"minimise[{number}]")
+
+    def _choose_objective(self) -> None:
+        """What a deflection problem minimises where nothing is said."""
+        if all(chain is None for chain in self.robot.chains):
+            raise ProblemError(
+                f"The problem has no objective, and {self.robot.name} has no drivetrain whose "
+                "deflection could be the default; add at least one [[minimise]]."
+            )
+        best, why = Objective(), "by default"
+        try:
+            best.kind.check(best, self)
+        except ProblemError as error:
+            why = f"by default: {str(error).rstrip('.')}"
+            best = Objective(name="dynamic_deflection")
+        object.__setattr__(self, "objectives", (best,))
+        object.__setattr__(self, "chosen", f"{best.name} is minimised, {why}.")
 
     def _check_objective(self, objective: Objective, where: str) -> None:
         for key in ("joints", "joint_weights"):

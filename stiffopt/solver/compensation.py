@@ -22,8 +22,7 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.elastic.uncertainty import Departure, bounded, corners, draws, one_at_a_time
-from stiffopt.problem.motor_model import motor_motion
-from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
+from stiffopt.problem.motor_model import law_smoothing, motor_motion
 from stiffopt.result.compensation import CompensatedMotion, Compensation, Spread, Spreads
 from stiffopt.result.store import export_times
 from stiffopt.result.trajectory import Trajectory
@@ -191,7 +190,7 @@ class _Compensator:
 
     def _leads(self) -> list[_Lead]:
         robot, force = self._problem.robot, self._problem.process_force
-        smoothing = WINDUP_SMOOTHING[-1]
+        smoothing = law_smoothing(self._problem)
         if self._motion.link is not None:
             link = self._motion.link
             return [

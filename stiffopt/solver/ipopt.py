@@ -222,6 +222,11 @@ class IpoptSolver:
             solve_s=solve_s,
         )
 
+    def rebound(self, nlp: Nlp) -> None:
+        """Take over the bounds of the same NLP, for the solves that follow."""
+        self.nlp = nlp
+        self._monitor.nlp = nlp
+
     def _make(self, further: dict[str, Any], **functions: ca.Function) -> ca.Function:
         options: dict[str, Any] = {
             "ipopt": {**self.options.for_ipopt(), **further},
@@ -246,6 +251,7 @@ class IpoptSolver:
         if self._warm is None:
             self._warm = self._make(
                 {
+                    "mu_strategy": "monotone",
                     "warm_start_init_point": "yes",
                     "warm_start_bound_push": 1e-8,
                     "warm_start_bound_frac": 1e-8,

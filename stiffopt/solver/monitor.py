@@ -65,7 +65,7 @@ class Monitor(ca.Callback):
 
     def __init__(self, nlp: Nlp) -> None:
         ca.Callback.__init__(self)
-        self._nlp = nlp
+        self.nlp = nlp
         self._sizes = {
             "x": nlp.variables.size,
             "lam_x": nlp.variables.size,
@@ -118,7 +118,7 @@ class Monitor(ca.Callback):
         return [float(bool(self.stopped_by))]
 
     def _take(self, arg: Sequence[ca.DM]) -> None:
-        nlp = self._nlp
+        nlp = self.nlp
         x, objective, g = arg[0].full().ravel(), float(arg[1]), arg[2].full().ravel()
         objective *= nlp.objective_scale
         excess = nlp.violations(g)

@@ -1,9 +1,9 @@
 """Solve a trajectory problem: baselines, staged collocation, certificate, refinement.
 
 The optimiser sees the smoothed model at nodes and midpoints; the certificate judges the motion with
-the exact model on a fine grid. Where it finds a limit exceeded, the mesh is refined, then the limit
-tightened by the excess, up to three times in all, or the solve ends as `certificate_failed`. What
-the optimiser believed of its motion is compared with the exact model before it is called optimal.
+the exact model on a fine grid. Where it finds a limit exceeded, the solve is refined
+(`solver.refinement`), or ends as `certificate_failed`. What the optimiser believed of its motion is
+compared with the exact model before it is called optimal.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.errors import NoSolutionFound
 from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.files import LoadedProblem
-from stiffopt.problem.formulation import Scales, smoothing_stages
+from stiffopt.problem.formulation import Scales
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
@@ -32,29 +32,19 @@ from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.guess import initial_guess
+from stiffopt.solver.refinement import refined, stopped
 from stiffopt.solver.shaping import solve_shaped
 from stiffopt.solver.simulation import check_simulation, with_simulation
 from stiffopt.solver.stages import (
     Outcome,
     ProgressCallback,
     SolveRun,
-    SolveStage,
     run_stages,
     stages,
 )
-from stiffopt.solver.verdict import TRUE_OBJECTIVE, beyond_limits, verdict
+from stiffopt.solver.verdict import beyond_limits, verdict
 from stiffopt.transcription.ocp import Guess
-from stiffopt.transcription.refine import refine_mesh
 
-# Motions are tightened until the excess is below this, so that the certificate's tolerance is never
-# only just met.
-_AIM = 0.8 * CERTIFIED
-# Gap of the objective between nodes that a finer mesh is worth, where a baseline is better.
-_CLOSE = 1e-3
-_REFINEMENTS = 3
-_GROWTH = 1.25
-# Of a motor's margin at once: a large excess is a narrow one, and goes with less.
-_LARGEST_STEP = 0.2
 # A tool this far below the base's origin is told [m].
 _BELOW = 0.01
 
@@ -100,7 +90,8 @@ def solve(
     _ = problem.clearance_model
     if simulate:
         check_simulation(problem, motion)
-    notes = (*problem.remarks, *_held(problem), *check_bounds(problem, motion))
+    chosen = (problem.chosen,) if problem.chosen else ()
+    notes = (*chosen, *problem.remarks, *_held(problem), *check_bounds(problem, motion))
     beside = baselines(problem, motion)
     run = SolveRun(problem, motion, _scales(problem, beside), progress)
     needed, why = shortest_duration(problem, motion)
@@ -152,7 +143,7 @@ def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outc
         try:
             last = _certified_solve(run, _perturbed(guess, problem, random), rival)
         except KeyboardInterrupt:
-            return _stopped(best)
+            return stopped(best)
         best = min(best, last, key=lambda outcome: _rank(problem, outcome))
     return best
 
@@ -165,71 +156,9 @@ def _rank(problem: TrajectoryProblem, outcome: Outcome) -> tuple[bool, float]:
 
 
 def _certified_solve(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outcome:
-    """Solve in stages; while the certificate finds excess, refine the mesh, then tighten limits.
-
-    The mesh is refined also where only between the nodes a feasible baseline is better.
-    """
-    margins: dict[str, float] = {}
-    method = run.problem.method
-    outcome = run_stages(run, stages(run.problem, method.intervals), guess, margins)
-    final = smoothing_stages(run.problem)[-1]
-    for attempt in range(1, _REFINEMENTS + 1):
-        excess = _excess(outcome.assessment)
-        behind = _is_behind(run.problem, outcome, rival)
-        true = _CLOSE if behind else TRUE_OBJECTIVE
-        loose = outcome.objective_gap > true and not run.problem.plans_links
-        if not outcome.raw.converged or not (excess or loose):
-            break
-        # Rows of motors are known to be approximate, so that a finer mesh would not help them.
-        if attempt > 1 or run.problem.plans_links:
-            for name, value in excess.items():
-                more = min(value, _LARGEST_STEP) if run.problem.plans_links else value
-                margins[name] = margins.get(name, 0.0) + more
-        intervals = int(np.ceil(method.intervals * _GROWTH**attempt))
-        try:
-            refined = _refined(run, outcome, SolveStage(intervals, final), margins)
-        except KeyboardInterrupt:
-            return _stopped(outcome)
-        if not refined.raw.converged and refined.raw.status not in ("interrupted", "time_limit"):
-            break
-        outcome = refined
-    return outcome
-
-
-def _is_behind(problem: TrajectoryProblem, outcome: Outcome, rival: Baseline | None) -> bool:
-    if rival is None or rival.objective is None:
-        return False
-    value = objective_value(problem, outcome.assessment).value
-    ratio = improvement(problem, value, rival.objective)
-    return ratio is not None and ratio > 1.0
-
-
-def _stopped(outcome: Outcome) -> Outcome:
-    """An outcome that Ctrl-C made the last."""
-    return replace(outcome, raw=replace(outcome.raw, status="interrupted", reason="Ctrl-C"))
-
-
-def _refined(
-    run: SolveRun, outcome: Outcome, stage: SolveStage, margins: dict[str, float]
-) -> Outcome:
-    """Solve again from an outcome: short intervals where its controls change, or its own mesh."""
-    before = outcome.transcription
-    guess = before.guess_from(outcome.raw.x)
-    if run.problem.plans_links:
-        same = SolveStage(len(before.intervals), stage.smoothing)
-        return run_stages(run, (same,), guess, margins, before.mesh, outcome.raw)
-    mesh = refine_mesh(before, outcome.raw.x, stage.intervals)
-    return run_stages(run, (stage,), guess, margins, mesh)
-
-
-def _excess(assessment: Assessment) -> dict[str, float]:
-    """Limits exceeded by more than the aim, with the excess; targets cannot be tightened."""
-    fixed = ("start", "end", "via")
-    return {
-        v.limit: v.value
-        for v in assessment.violations
-        if v.value > _AIM and not v.limit.startswith(fixed)
-    }
+    """Solve in stages, then refine while the certificate finds more than is allowed."""
+    plan = stages(run.problem, run.problem.method.intervals)
+    return refined(run, run_stages(run, plan, guess, {}), rival)
 
 
 def _perturbed(guess: Guess, problem: TrajectoryProblem, random: np.random.Generator) -> Guess:

@@ -12,7 +12,7 @@ import numpy as np
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.problem.formulation import Scales, formulate, smoothing_stages
-from stiffopt.problem.motor_model import motor_motion
+from stiffopt.problem.motor_model import WIDER, motor_motion
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
 from stiffopt.problem.trajectory import TrajectoryProblem
@@ -23,6 +23,7 @@ from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver, RawSolution
 from stiffopt.solver.monitor import Progress
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import Mesh, uniform_mesh
+from stiffopt.transcription.nlp import Nlp
 from stiffopt.transcription.ocp import Guess, OptimalControlProblem
 from stiffopt.transcription.refine import refine_mesh
 from stiffopt.transcription.transcription import Transcription
@@ -156,6 +157,9 @@ class Outcome:
     assessment : Assessment
     objective_gap : float
         How much worse the certified objective is than the one at the nodes, relative.
+    solver : IpoptSolver
+    smoothing : float
+        Of the last stage.
     """
 
     raw: RawSolution
@@ -163,6 +167,8 @@ class Outcome:
     trajectory: Trajectory
     assessment: Assessment
     objective_gap: float
+    solver: IpoptSolver
+    smoothing: float
 
 
 def run_stages(
@@ -171,7 +177,6 @@ def run_stages(
     guess: Guess,
     margins: dict[str, float],
     mesh: Mesh | None = None,
-    warm: RawSolution | None = None,
 ) -> Outcome:
     """Solve the stages one after another, each from the last.
 
@@ -184,29 +189,33 @@ def run_stages(
         Shares by which limits are tightened.
     mesh : Mesh, optional
         Of the first stage; uniform if left out.
-    warm : RawSolution, optional
-        Where the first stage starts, multipliers included: of the same mesh, other margins.
 
     Raises
     ------
     KeyboardInterrupt
         Ctrl-C before the first stage has begun; later the outcome so far is kept.
     """
-    done: tuple[_Made, RawSolution] | None = None
+    done: tuple[_Made, SolveStage, RawSolution] | None = None
     try:
-        for made, raw in _solved(run, plan, guess, margins, mesh, warm):
-            done = made, raw
+        for each in _solved(run, plan, guess, margins, mesh):
+            done = each
     except KeyboardInterrupt:
         # While the next programme was built: what the one before gave is the best so far.
         if done is None:
             raise
-        done = done[0], replace(done[1], status="interrupted", reason="Ctrl-C")
+        done = *done[:2], replace(done[2], status="interrupted", reason="Ctrl-C")
     assert done is not None
-    made, raw = done
-    trajectory = _trajectory(run.problem, made.transcription, raw.x)
-    assessment = assess(run.problem, trajectory)
-    gap = _objective_gap(run, raw, assessment)
-    return Outcome(raw, made.transcription, trajectory, assessment, gap)
+    made, stage, raw = done
+    return _outcome(run, made, raw, stage.smoothing)
+
+
+def solve_again(run: SolveRun, before: Outcome, nlp: Nlp, smoothing: float) -> Outcome:
+    """Solve the last stage again from where it ended, with other bounds or smoothing."""
+    before.solver.rebound(nlp)
+    made = _Made(before.transcription, before.solver)
+    stage = SolveStage(len(before.transcription.intervals), smoothing)
+    raw = _solved_stage(run, made, stage, before.raw.x, before.raw, "correction")
+    return _outcome(run, made, raw, smoothing)
 
 
 def _solved(
@@ -215,55 +224,68 @@ def _solved(
     guess: Guess,
     margins: dict[str, float],
     mesh: Mesh | None,
-    warm: RawSolution | None,
-) -> Iterator[tuple[_Made, RawSolution]]:
+) -> Iterator[tuple[_Made, SolveStage, RawSolution]]:
     """Every stage with its solution, each from the last."""
     ocp = formulate(run.problem, run.motion, run.scales, margins)
     last = len(plan) - 1
     index, made, raw = 0, None, None
+    warm: RawSolution | None = None
     while index <= last:
         stage = plan[index]
         if made is None or raw is None:
             made = _make(run, ocp, mesh or _uniform(ocp, stage, guess))
-            x = made.transcription.pack(guess) if warm is None else warm.x
+            x = made.transcription.pack(guess)
         elif stage.new_mesh:
             guess = made.transcription.guess_from(raw.x)
             made = _make(run, ocp, refine_mesh(made.transcription, raw.x, stage.intervals))
             x, warm = made.transcription.pack(guess), None
         else:
             x, warm = raw.x, raw if raw.converged else None
-        label = (
-            f"stage {index + 1} of {len(plan)}, {stage.intervals} intervals, "
-            f"smoothing {stage.smoothing:g}"
-        )
-        raw = _solve(run, made, stage, x, warm, label)
-        if raw.status == "stalled":
-            # Once more from the best point, without the multipliers that led astray.
-            raw = _solve(run, made, stage, raw.x, None, label)
-        yield made, raw
+        raw = _solved_stage(run, made, stage, x, warm, f"stage {index + 1} of {len(plan)}")
+        yield made, stage, raw
         if raw.status in ("interrupted", "time_limit"):
             break
         # A coarse mesh may be infeasible where the fine one is not: ask the last stage at once.
         index = last if raw.status == "infeasible" and index < last else index + 1
 
 
-def _solve(
+def _solved_stage(
     run: SolveRun,
     made: _Made,
     stage: SolveStage,
     x: np.ndarray,
     warm: RawSolution | None,
-    label: str,
+    text: str,
 ) -> RawSolution:
-    raw = made.solver.solve(
-        x,
-        np.array([stage.smoothing]),
-        warm=warm,
-        report=_reporter(run, label),
-        max_seconds=run.remaining,
-    )
-    run.record(stage, raw)
+    report = _reporter(run, f"{text}, {stage.intervals} intervals, smoothing {stage.smoothing:g}")
+    for start in (warm, None):
+        raw = made.solver.solve(
+            x,
+            np.array([stage.smoothing]),
+            warm=start,
+            report=report,
+            max_seconds=run.remaining,
+        )
+        run.record(stage, raw)
+        if raw.status != "stalled":
+            break
+        # Once more from the best point, without the multipliers that led astray.
+        x = raw.x
     return raw
+
+
+def _outcome(run: SolveRun, made: _Made, raw: RawSolution, smoothing: float) -> Outcome:
+    trajectory = _trajectory(run.problem, made.transcription, raw.x, smoothing)
+    assessment = assess(run.problem, trajectory)
+    return Outcome(
+        raw=raw,
+        transcription=made.transcription,
+        trajectory=trajectory,
+        assessment=assessment,
+        objective_gap=_objective_gap(run, raw, assessment),
+        solver=made.solver,
+        smoothing=smoothing,
+    )
 
 
 def _objective_gap(run: SolveRun, raw: RawSolution, assessment: Assessment) -> float:
@@ -286,7 +308,9 @@ def _make(run: SolveRun, ocp: OptimalControlProblem, mesh: Mesh) -> _Made:
     begin = time.perf_counter()
     method = run.problem.method
     transcription = transcribe(ocp, method.transcription, mesh)
-    options = IpoptOptions(tol=method.tolerance, max_iterations=method.max_iterations)
+    # Long chains take fewer and steadier iterations with a barrier that adapts.
+    extra = {"mu_strategy": "adaptive"} if run.problem.plans_links else {}
+    options = IpoptOptions(tol=method.tolerance, max_iterations=method.max_iterations, extra=extra)
     made = _Made(transcription, IpoptSolver(transcription.nlp, options))
     run.build_s += time.perf_counter() - begin
     return made
@@ -297,12 +321,12 @@ def _uniform(ocp: OptimalControlProblem, stage: SolveStage, guess: Guess) -> Mes
 
 
 def _trajectory(
-    problem: TrajectoryProblem, transcription: Transcription, x: np.ndarray
+    problem: TrajectoryProblem, transcription: Transcription, x: np.ndarray, smoothing: float
 ) -> Trajectory:
     """The motion of the joints, exactly as the transcription integrates it."""
     motion = Trajectory.from_acceleration(*transcription.acceleration_polynomials(x))
     if problem.plans_links:
-        return motor_motion(problem.robot, motion, smoothing_stages(problem)[-1])
+        return motor_motion(problem.robot, motion, WIDER * smoothing, problem.process_force)
     if problem.path is None:
         return motion
     return JointPath.through(problem.path).follow(motion)

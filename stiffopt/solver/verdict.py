@@ -111,7 +111,7 @@ def _disagreements(problem: TrajectoryProblem, outcome: Outcome) -> list[Disagre
     believed = believed_of(
         problem,
         Trajectory.from_acceleration(*polynomials),
-        widths[-1],
+        outcome.smoothing,
         elastic=len(widths) > 1,
     )
     return [d for d in differences(problem, outcome.trajectory, believed) if d.excess > 1.0]

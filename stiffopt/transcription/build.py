@@ -153,6 +153,7 @@ class _Builder:
             controls=self.controls,
             statics=self.statics,
             durations=self.durations,
+            path_blocks=tuple(self.path_blocks),
             outputs=self._outputs(integrals, objective),
         )
 
@@ -233,12 +234,13 @@ class _Builder:
 
     def _row(
         self, rows: Rows, expression: ca.MX, places: Places | None, structural: bool = False
-    ) -> None:
+    ) -> Block:
         block = self.rows.add(rows, places, structural=structural)
         column = ca.vec(ca.densify(expression))
         if not np.all(rows.scale == 1.0):
             column = column / ca.DM(block.scales)
         self.expressions.append(column)
+        return block
 
     def _blocks(
         self,
@@ -246,12 +248,16 @@ class _Builder:
         values: ca.MX,
         places: Places | None = None,
         main: np.ndarray | None = None,
-    ) -> None:
-        """Rows of a function's output, block by block; rows without any bound are left out."""
-        begin = 0
+    ) -> list[tuple[Block, np.ndarray]]:
+        """Rows of a function's output, block by block; rows without any bound are left out.
+
+        Returns the blocks, each with the entries of the output that it holds.
+        """
+        begin, made = 0, []
         for rows in blocks:
             kept = np.isfinite(rows.lower) | np.isfinite(rows.upper)
-            part = values[(begin + np.flatnonzero(kept)).tolist(), :]
+            entries = begin + np.flatnonzero(kept)
+            part = values[entries.tolist(), :]
             begin += len(rows)
             if not kept.any():
                 continue
@@ -259,7 +265,8 @@ class _Builder:
             if places is not None and main is not None and not rows.midpoints and not main.all():
                 part = part[:, np.flatnonzero(main).tolist()]
                 where = places[main]
-            self._row(_selected(rows, kept), part, where)
+            made.append((self._row(_selected(rows, kept), part, where), entries))
+        return made
 
     def _stage(self, s: Symbols, points: StagePoints, statics: ca.MX) -> ca.MX:
         count = len(points.places)
@@ -270,7 +277,9 @@ class _Builder:
         # Stand for the stage's values, so that derivatives can be put together from its own.
         self.values = ca.MX.sym("values", self.stage.size, count)
         first = self.ocp.stage.size1_out(0)
-        self._blocks(self.ocp.path_rows, self.values[first:, :], points.places, points.main)
+        self.path_blocks = self._blocks(
+            self.ocp.path_rows, self.values[first:, :], points.places, points.main
+        )
         return self.values[:first, :] @ (ca.DM(ca.sparsify(ca.DM(points.weights))) @ s.steps.T)
 
     def _control_rates(self, s: Symbols) -> None:

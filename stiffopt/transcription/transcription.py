@@ -66,6 +66,8 @@ class Transcription:
     nlp : Nlp
     states, controls, statics, durations : Block or None
         Where these variables stand in the NLP vector; `durations` is None when fixed.
+    path_blocks : tuple of (Block, array)
+        Where the path rows stand in the NLP's rows, and which entries of the stage's they are.
     """
 
     ocp: OptimalControlProblem
@@ -76,6 +78,7 @@ class Transcription:
     controls: Block
     statics: Block
     durations: Block | None
+    path_blocks: tuple[tuple[Block, np.ndarray], ...]
     outputs: ca.Function
 
     @property
@@ -89,6 +92,10 @@ class Transcription:
             return np.array([self.ocp.duration[0]])
         durations: np.ndarray = self.durations.take(x)[0]
         return durations
+
+    def times_of(self, places: Places, x: np.ndarray) -> np.ndarray:
+        """Times (k,) [s] of places in the motion of an NLP vector."""
+        return _times(places, self.phase_durations(x))
 
     def pack(self, guess: Guess) -> np.ndarray:
         """Return the NLP vector of a guess, moved into the bounds of the variables."""

@@ -78,7 +78,10 @@ def test_a_weight_pulls_the_tool_down() -> None:
 
 def test_numbers_serve_as_well_as_symbols() -> None:
     torques = SpringTorques(
-        gravity=np.array([1.0, 2.0]), motion=np.array([3.0, 5.0]), spring=np.array([4.0, 1.0])
+        gravity=np.array([1.0, 2.0]),
+        motion=np.array([3.0, 5.0]),
+        spring=np.array([4.0, 1.0]),
+        held=np.array([1.0, 2.0]),
     )
     jacobian = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     parts = tool_deflection(jacobian, torques, lambda tau: tau)

@@ -13,7 +13,7 @@ from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import InputError
-from stiffopt.problem.motor_model import MotorModel, motor_motion
+from stiffopt.problem.motor_model import WIDER, MotorModel, NearMotorModel, motor_motion
 from stiffopt.result.store import export_times, write_trajectory
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.solve import solve
@@ -42,12 +42,22 @@ def link():
     return smooth_link([0.2, 0.5], [1.1, -0.2], 0.7)
 
 
-def test_exact_derivatives_are_those_of_the_position(planar, link):
-    robot = planar.robot
+def rates(model):
+    return [model.position, model.velocity, model.acceleration, model.jerk]
+
+
+def models(robot, force=(0.0, 0.0, 0.0)):
+    """Functions of the motors' position to jerk: exact, and as the optimiser sees them."""
     symbols = [ca.SX.sym(f"d{k}", robot.n) for k in range(6)]
-    model = MotorModel(robot, symbols, SMOOTHING, np.zeros(robot.n))
-    law = ca.Function("law", symbols, model.exact_derivatives())
-    near = ca.Function("near", symbols, [model.velocity, model.acceleration, model.jerk])
+    given = (robot, symbols, SMOOTHING, np.zeros(robot.n), force)
+    return [
+        ca.Function("law", symbols, rates(kind(*given))) for kind in (MotorModel, NearMotorModel)
+    ]
+
+
+@pytest.mark.parametrize("force", [(0.0, 0.0, 0.0), (20.0, -10.0, -60.0)])
+def test_exact_derivatives_are_those_of_the_position(planar, link, force):
+    law, near = models(planar.robot, force)
     step = 2e-5
     for t in np.linspace(0.1, 0.6, 7):
         at = {k: law(*(link(t + k * step, order) for order in range(6))) for k in (-1, 0, 1)}
@@ -59,16 +69,26 @@ def test_exact_derivatives_are_those_of_the_position(planar, link):
     rest = [np.array([0.2, 0.5]), *(np.zeros(2) for _ in range(5))]
     for order, first in ((1, 3), (2, 4), (3, 5)):
         leaving = [*rest[:first], np.array([3.0, -7.0]), *rest[first + 1 :]]
-        assert near(*leaving)[order - 1].full() == pytest.approx(law(*leaving)[order].full())
+        assert near(*leaving)[order].full() == pytest.approx(law(*leaving)[order].full())
         assert np.all(law(*leaving)[order].full() != 0.0)
+
+
+def test_rows_of_motors_are_nearly_right_where_the_stiffness_bends(planar, link):
+    law, near = models(planar.robot)
+    times = np.linspace(0.0, 0.7, 141)
+    exact, seen = (
+        np.array([f(*(link(t, k) for k in range(6)))[3].full().ravel() for t in times])
+        for f in (law, near)
+    )
+    lead = exact - link(times, 3)
+    assert np.max(np.abs(lead)) > 0.1 * np.max(np.abs(exact))
+    assert np.max(np.abs(seen - exact)) < 0.03 * np.max(np.abs(exact))
 
 
 def test_exported_motors_follow_the_law_between_samples(planar, link):
     robot = planar.robot
-    motors = motor_motion(robot, link, SMOOTHING)
-    symbols = [ca.SX.sym(f"d{k}", robot.n) for k in range(6)]
-    exact = MotorModel(robot, symbols, SMOOTHING, np.zeros(robot.n)).exact_derivatives()
-    law = ca.Function("law", symbols, exact)
+    motors = motor_motion(robot, link, WIDER * SMOOTHING)
+    law, _ = models(robot)
     assert motors.link is link
     times = np.linspace(0.0, 0.7, 997)
     for order, limit in enumerate((1e-7, 1e-5, 2e-3)):
@@ -121,11 +141,21 @@ def test_planned_for_the_links_nothing_rings(planar):
     assert swinging.peak_after < max(0.05 * solution.objective.value, 5e-6)
 
 
+def test_a_process_force_is_hung_from_where_it_holds_the_tool(tmp_path):
+    force = "[tool]\nprocess_force = [5.0, 2.0, -20.0]"
+    problem = load(tmp_path, minimise=GOAL, extra=force)
+    solution = solve(problem, simulate=True)
+    assert solution.status.usable
+    assert solution.trajectory([0.0])[0] == pytest.approx(problem.start.joints, abs=1e-9)
+    swinging = solution.simulation.optimised.simulated
+    assert swinging.peak == pytest.approx(solution.objective.value, rel=0.1, abs=5e-6)
+    assert swinging.peak_after < max(0.05 * solution.objective.value, 5e-6)
+
+
 @pytest.mark.parametrize(
     ("pieces", "words"),
     [
         ({"motion": 'boundary_acceleration = "free"'}, "at rest at both ends"),
-        ({"extra": "[tool]\nprocess_force = [5.0, 2.0, -20.0]"}, "tool.process_force"),
         ({"method": 'transcription = "radau"'}, "piecewise_linear_acceleration"),
     ],
 )

@@ -34,17 +34,20 @@ class ToolDeviation(ToolDeflection):
         self.name = "tool_deviation"
 
     def check(self, objective: Objective, problem: TrajectoryProblem) -> None:
-        """The motion starts and ends at rest, without a process force and on a free path."""
+        """The motion is free between two poses at rest, with the one transcription it has."""
         moving = problem.boundary_velocity is not None and np.any(problem.boundary_velocity)
+        other = "minimise 'dynamic_deflection'."
         if moving or problem.boundary_acceleration != "zero":
             raise ProblemError(
                 "tool_deviation needs a motion at rest at both ends: leave boundary_velocity and "
-                "boundary_acceleration out, or minimise 'dynamic_deflection'."
+                f"boundary_acceleration out, or {other}"
             )
-        if np.any(problem.process_force) or problem.path is not None:
-            what = "motion.path" if problem.path is not None else "tool.process_force"
+        if problem.path is not None:
+            raise ProblemError(f"tool_deviation cannot be combined with motion.path; {other}")
+        if problem.method.transcription != "piecewise_linear_acceleration":
             raise ProblemError(
-                f"tool_deviation cannot be combined with {what}; minimise 'dynamic_deflection'."
+                "tool_deviation needs the transcription 'piecewise_linear_acceleration', the "
+                f"default; leave method.transcription out, or {other}"
             )
 
 

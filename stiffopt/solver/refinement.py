@@ -1,0 +1,132 @@
+"""What is done where the certificate finds more than a limit allows: refine, tighten, solve again.
+
+A motion that joints and links share is solved on a finer mesh, then with its limits tightened. A
+motion planned for the links keeps its mesh, which long chains of integrators take badly anew: each
+row is drawn in where the exact one exceeds it. Both up to a few times.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stiffopt.certificate.objective_value import improvement, objective_value
+from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.problem.formulation import exact_path_rows
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import Assessment
+from stiffopt.result.solution import Baseline
+from stiffopt.solver.stages import Outcome, SolveRun, SolveStage, run_stages, solve_again
+from stiffopt.solver.verdict import TRUE_OBJECTIVE
+from stiffopt.transcription.between import tightened
+from stiffopt.transcription.refine import refine_mesh
+
+# Motions are tightened until the excess is below this, so that the certificate's tolerance is never
+# only just met.
+_AIM = 0.8 * CERTIFIED
+# Gap of the objective between nodes that a finer mesh is worth, where a baseline is better.
+_CLOSE = 1e-3
+_REFINEMENTS = 3
+_GROWTH = 1.25
+_CORRECTIONS = 6
+# Of a row's bound at once: a larger excess is a narrow one, and goes with less.
+_LARGEST_STEP = 0.15
+# An excess that is still larger after a correction is a corner of a joint's stiffness passed too
+# fast: the motors' law gets wider corners.
+_CORNER = 0.25
+
+
+def refined(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> Outcome:
+    """The outcome refined until the certificate finds no more than it allows.
+
+    Also where only between the nodes a feasible baseline, the `rival`, is better.
+    """
+    if run.problem.plans_links:
+        return _corrected(run, outcome)
+    return _on_finer_mesh(run, outcome, rival)
+
+
+def _on_finer_mesh(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> Outcome:
+    """A finer mesh, short where the controls change; from the second time on tighter limits."""
+    margins: dict[str, float] = {}
+    for attempt in range(1, _REFINEMENTS + 1):
+        excess = _excess(outcome.assessment)
+        true = _CLOSE if _is_behind(run.problem, outcome, rival) else TRUE_OBJECTIVE
+        if not outcome.raw.converged or not (excess or outcome.objective_gap > true):
+            break
+        if attempt > 1:
+            for name, value in excess.items():
+                margins[name] = margins.get(name, 0.0) + value
+        intervals = int(np.ceil(run.problem.method.intervals * _GROWTH**attempt))
+        before = outcome.transcription
+        guess, mesh = (
+            before.guess_from(outcome.raw.x),
+            refine_mesh(before, outcome.raw.x, intervals),
+        )
+        stage = SolveStage(intervals, outcome.smoothing)
+        try:
+            finer = run_stages(run, (stage,), guess, margins, mesh)
+        except KeyboardInterrupt:
+            return stopped(outcome)
+        if _failed(finer):
+            break
+        outcome = finer
+    return outcome
+
+
+def _corrected(run: SolveRun, outcome: Outcome) -> Outcome:
+    """The same mesh, rows drawn in where the exact ones exceed them."""
+    rows = None
+    nlp, smoothing = outcome.transcription.nlp, outcome.smoothing
+    for attempt in range(1, _CORRECTIONS + 1):
+        excess = _excess(outcome.assessment)
+        if not outcome.raw.converged or not (excess or outcome.objective_gap > TRUE_OBJECTIVE):
+            break
+        if rows is None:
+            rows = exact_path_rows(run.problem, run.motion, run.scales)
+        if attempt > 1 and max(excess.values(), default=0.0) > _CORNER:
+            smoothing *= 2.0
+        try:
+            nlp, _ = tightened(
+                outcome.transcription,
+                nlp,
+                outcome.raw.x,
+                np.array([smoothing]),
+                rows,
+                most=_LARGEST_STEP,
+            )
+            again = solve_again(run, outcome, nlp, smoothing)
+        except KeyboardInterrupt:
+            return stopped(outcome)
+        if _failed(again):
+            break
+        outcome = again
+    return outcome
+
+
+def stopped(outcome: Outcome) -> Outcome:
+    """An outcome that Ctrl-C made the last."""
+    return replace(outcome, raw=replace(outcome.raw, status="interrupted", reason="Ctrl-C"))
+
+
+def _is_behind(problem: TrajectoryProblem, outcome: Outcome, rival: Baseline | None) -> bool:
+    if rival is None or rival.objective is None:
+        return False
+    value = objective_value(problem, outcome.assessment).value
+    ratio = improvement(problem, value, rival.objective)
+    return ratio is not None and ratio > 1.0
+
+
+def _failed(outcome: Outcome) -> bool:
+    return not outcome.raw.converged and outcome.raw.status not in ("interrupted", "time_limit")
+
+
+def _excess(assessment: Assessment) -> dict[str, float]:
+    """Limits exceeded by more than the aim, with the excess; targets cannot be tightened."""
+    fixed = ("start", "end", "via")
+    return {
+        v.limit: v.value
+        for v in assessment.violations
+        if v.value > _AIM and not v.limit.startswith(fixed)
+    }

@@ -1,0 +1,96 @@
+"""Path rows between the points at which they hold, and bounds tightened where they are exceeded.
+
+Rows hold at nodes and midpoints; between them a motion of high order bulges, and rows that are only
+nearly right differ from the exact ones everywhere. Both are met by sequential correction: the exact
+rows are evaluated densely on the motion that was found, and the bound of a row is drawn in by what
+they exceed it by in the neighbourhood of its point. The programme stays, only its bounds change.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.transcription.nlp import Nlp
+from stiffopt.transcription.transcription import Transcription
+
+# Points in every interval at which rows are looked at.
+_POINTS = 16
+# Bounds are drawn in by a little more than the excess: where they move, the excess moves too.
+_MORE, _LEAST = 1.25, 2e-3
+
+
+def tightened(
+    transcription: Transcription,
+    nlp: Nlp,
+    x: np.ndarray,
+    parameters: np.ndarray,
+    rows: ca.Function,
+    *,
+    most: float,
+) -> tuple[Nlp, float]:
+    """The NLP with the bounds of its path rows drawn in where a motion exceeds them.
+
+    Parameters
+    ----------
+    transcription : Transcription
+    nlp : Nlp
+        Its own, or one tightened before.
+    x : array
+        The NLP vector that was found.
+    parameters : array (np,)
+    rows : casadi.Function
+        Exact path rows (x, u, z, p) -> (m,).
+    most : float
+        Largest step by which a bound is drawn in, in units of its row.
+
+    Returns
+    -------
+    nlp : Nlp
+    excess : float
+        The largest by which a row exceeds its bound, in units of the row.
+    """
+    motion = transcription.guess_from(x)
+    steps = transcription.intervals.shares @ transcription.phase_durations(x)
+    breaks = np.concatenate([[0.0], np.cumsum(steps)])
+    inside = np.linspace(0.0, 1.0, _POINTS, endpoint=False)
+    times = np.append((breaks[:-1, None] + steps[:, None] * inside).ravel(), breaks[-1])
+    share = times / breaks[-1]
+    values = (
+        rows.map(len(times))(
+            motion.states(share).T,
+            motion.controls(share).T,
+            ca.repmat(ca.DM(motion.statics), 1, len(times)),
+            ca.repmat(ca.DM(parameters), 1, len(times)),
+        )
+        .full()
+        .T
+    )
+    lower, upper, largest = nlp.lower_g.copy(), nlp.upper_g.copy(), 0.0
+    for block, entries in transcription.path_blocks:
+        assert block.places is not None
+        places = transcription.times_of(block.places, x)
+        order = np.argsort(places)
+        own = values[:, entries] / block.rows.scale
+        index = block.offset + np.arange(block.size).reshape(len(places), -1)[order]
+        for bound, limit, sign in ((upper, block.rows.upper, 1.0), (lower, block.rows.lower, -1.0)):
+            with np.errstate(invalid="ignore"):
+                excess = np.maximum(sign * (own - limit / block.rows.scale), 0.0)
+            excess = np.nan_to_num(excess, nan=0.0, posinf=0.0)
+            largest = max(largest, float(excess.max(initial=0.0)))
+            near = _about(times, places[order], excess)
+            drawn = np.where(near > 0.0, np.minimum(_MORE * near + _LEAST, most), 0.0)
+            bound[index] -= sign * drawn
+    return replace(nlp, lower_g=lower, upper_g=upper), largest
+
+
+def _about(times: np.ndarray, places: np.ndarray, excess: np.ndarray) -> np.ndarray:
+    """Largest excess (K, m) between each place and the ones beside it (k, m)."""
+    after = np.clip(np.searchsorted(places, times - 1e-12), 0, len(places) - 1)
+    before = np.clip(np.searchsorted(places, times + 1e-12, side="right") - 1, 0, None)
+    found = np.zeros((len(places), excess.shape[1]))
+    np.maximum.at(found, before, excess)
+    np.maximum.at(found, after, excess)
+    return found
