@@ -1,1 +1,1 @@
-"""A solved motion as files that controllers and other tools read, one format a file."""
+"""Results as files that controllers, simulators and other tools read, one format a file."""

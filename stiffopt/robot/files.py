@@ -130,6 +130,7 @@ def _assemble(document: RobotFile, path: Path, urdf: Path, keep: Collection[str]
         flange=flange,
         sources=tuple(_sources(document)),
         shapes=read_link_shapes(urdf),
+        urdf=urdf,
         held=loaded.held,
         **columns,
     )

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -78,6 +79,8 @@ class Robot:
         Joints of the URDF that the arm does not move.
     shapes : tuple of LinkShape
         What the links look like and collide with, as far as the URDF says it.
+    urdf : Path or None
+        File that describes the arm.
     payload : array (10,), optional
         Inertial parameters (mass, first moments, inertia) in the axes of the flange of what
         `with_payload` has put there; the model holds it.
@@ -106,6 +109,8 @@ class Robot:
     damping: np.ndarray | None = None
     hysteresis: np.ndarray | None = None
     shapes: tuple[LinkShape, ...] = ()
+    # Where it lies is no input: what it says is.
+    urdf: Path | None = field(default=None, compare=False)
     payload: np.ndarray | None = None
     held: tuple[HeldJoint, ...] = ()
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.discovery.extended.changes import ValueChange, extended_model, value_changes
+from stiffopt.discovery.extended.planner_model import planner_model
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.recording.check import missing_signals
 from stiffopt.recording.facts import joint_facts
@@ -101,6 +103,7 @@ def write_diagnosis_report(
         "new": new,
         "not_given": unstated_rows(diagnosis, unstated),
         "shown": shown,
+        "changes": _changes(diagnosis),
         "leading": (new or unstated)[:2],
         "overlays": overlays,
         "worst": worst_channel(diagnosis, search.after) if _compared(search.after) else None,
@@ -166,6 +169,15 @@ def _draw_unexplained(figures: PageFigures, diagnosis: Diagnosis) -> None:
     if diagnosis.verdict == "nothing_missing" and _compared(after):
         rows = channel_residuals(diagnosis, worst_channel(diagnosis, after))
         figures.draw("quiet", regime_figure(diagnosis, rows, None), "The worst channel by regime")
+
+
+def _changes(diagnosis: Diagnosis) -> list[ValueChange]:
+    """Values of the nominal robot that the findings change, old and new."""
+    if not diagnosis.findings:
+        return []
+    model = extended_model(diagnosis.recordings, diagnosis.training.constants, diagnosis.extension)
+    nominal = diagnosis.recordings.robot
+    return value_changes(nominal, planner_model(nominal, model).robot)
 
 
 def _overlays(diagnosis: Diagnosis) -> dict[str, tuple[str, Trace]]:

@@ -1,0 +1,117 @@
+"""MJCF: the recorded arm for MuJoCo, with friction, rotor inertia and gains as found."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from stiffopt.errors import RobotError
+from stiffopt.export.found import FoundRobot
+from stiffopt.export.model_format import MODEL_FORMATS, ModelFormat, notes
+
+# MuJoCo's dry friction is a soft constraint: these make it nearly full at 1 mrad/s.
+_FRICTION_TIME, _FRICTION_IMPEDANCE = 0.002, "0.9999 0.9999 0.001 0.5 2"
+
+
+class Mjcf(ModelFormat):
+    """Bodies with inertias, joints with `frictionloss`, `damping` and `armature`, motors.
+
+    Notes
+    -----
+    MuJoCo, XML reference. A motor's `gear` is the torque that the joint gets for one that its drive
+    is commanded. Elastic joints are rigid here; shapes are left to the URDF.
+    """
+
+    name = "mjcf"
+    file = "found.xml"
+
+    def text(self, found: FoundRobot) -> str:
+        """Content of found.xml."""
+        robot = found.robot
+        root = ET.Element("mujoco", model=found.name)
+        for line in notes(found):
+            root.append(ET.Comment(f" {line.replace('--', '- -')} "))
+        ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false")
+        gravity = robot.tree.gravity
+        ET.SubElement(
+            root, "option", gravity=_numbers(gravity), timestep="0.0005", integrator="implicitfast"
+        )
+        places = {0: ET.SubElement(root, "worldbody")}
+        for j, body in enumerate(robot.tree.bodies):
+            places[j + 1] = self._body(places[body.parent], found, j)
+        tool = robot.tool
+        ET.SubElement(
+            places[tool.joint],
+            "site",
+            name="tool",
+            pos=_numbers(tool.offset),
+            quat=_numbers(_quaternion(tool.rotation)),
+        )
+        actuators = ET.SubElement(root, "actuator")
+        for j, name in enumerate(robot.joint_names):
+            motor = {"name": f"{name}_motor", "joint": name, "gear": repr(float(found.gain[j]))}
+            motor |= _range("ctrl", -robot.torque_max[j], robot.torque_max[j])
+            ET.SubElement(actuators, "motor", motor)
+        ET.indent(root)
+        return ET.tostring(root, encoding="unicode") + "\n"
+
+    def _body(self, parent: ET.Element, found: FoundRobot, j: int) -> ET.Element:
+        robot = found.robot
+        body, name = robot.tree.bodies[j], robot.joint_names[j]
+        if not body.mass > 0.0:
+            raise RobotError(
+                f"{found.name}: nothing behind joint {name!r} has a mass, and MuJoCo refuses a "
+                "moving body without one. Give its link an <inertial>."
+            )
+        element = ET.SubElement(
+            parent,
+            "body",
+            name=f"{name}_link",
+            pos=_numbers(body.translation),
+            quat=_numbers(_quaternion(body.rotation)),
+        )
+        # xx, yy, zz, xy, xz, yz about the centre of mass, in the body's axes.
+        rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
+        ET.SubElement(
+            element,
+            "inertial",
+            pos=_numbers(body.centre),
+            mass=repr(float(body.mass)),
+            fullinertia=_numbers(body.inertia[rows, columns]),
+        )
+        joint = {
+            "name": name,
+            "type": "slide" if body.prismatic else "hinge",
+            "axis": _numbers(body.axis),
+            "frictionloss": repr(float(robot.coulomb[j])),
+            "damping": repr(float(robot.viscous[j])),
+            "armature": repr(float(robot.rotor_inertia[j])),
+            "solreffriction": f"{_FRICTION_TIME} 1",
+            "solimpfriction": _FRICTION_IMPEDANCE,
+            **_range("", robot.position_lower[j], robot.position_upper[j]),
+        }
+        ET.SubElement(element, "joint", joint)
+        return element
+
+
+def _range(kind: str, low: float, high: float) -> dict[str, str]:
+    """Attributes of a range; none where it is infinite."""
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return {}
+    return {f"{kind}limited": "true", f"{kind}range": _numbers([low, high])}
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    """w, x, y, z."""
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    return np.array([w, x, y, z])
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+MODEL_FORMATS.add(Mjcf())

@@ -1,0 +1,90 @@
+"""URDF: the recorded arm's own file with friction and inertias as found; all else stays."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+
+from stiffopt.export.found import FoundRobot
+from stiffopt.export.model_format import MODEL_FORMATS, ModelFormat, notes
+from stiffopt.robot.body_tree import Body
+
+
+class Urdf(ModelFormat):
+    """`<dynamics>` of every joint, `<inertial>` of the bodies that were found to be others.
+
+    Notes
+    -----
+    A body that was found to be another is what its joint carries, with all that is fixed to it:
+    the first of its links gets the whole inertia, the others keep their shapes only. A URDF has no
+    place for rotor inertia; the comment at its head states it.
+    """
+
+    name = "urdf"
+    file = "found.urdf"
+
+    def text(self, found: FoundRobot) -> str:
+        """Content of found.urdf."""
+        # Comments of the file stay.
+        parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
+        assert found.nominal.urdf is not None
+        root = ET.parse(found.nominal.urdf, parser).getroot()
+        for number, line in enumerate(notes(found)):
+            root.insert(number, ET.Comment(f" {line.replace('--', '- -')} "))
+        joints = {joint.get("name"): joint for joint in root.findall("joint")}
+        links = {link.get("name"): link for link in root.findall("link")}
+        for j, name in enumerate(found.robot.joint_names):
+            joint = joints[name]
+            dynamics = joint.find("dynamics")
+            if dynamics is None:
+                dynamics = ET.SubElement(joint, "dynamics")
+            dynamics.set("damping", repr(float(found.robot.viscous[j])))
+            dynamics.set("friction", repr(float(found.robot.coulomb[j])))
+            old, new = found.nominal.tree.bodies[j], found.robot.tree.bodies[j]
+            if not np.allclose(old.inertial_parameters, new.inertial_parameters, rtol=1e-9):
+                carried = _carried(root, joint)
+                _set_inertial(links[carried[0]], new)
+                for other in carried[1:]:
+                    for inertial in links[other].findall("inertial"):
+                        links[other].remove(inertial)
+        ET.indent(root)
+        return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _carried(root: ET.Element, joint: ET.Element) -> list[str]:
+    """Links that a joint carries: its own first, then those fixed to it."""
+    found = [_end(joint, "child")]
+    for link in found:
+        found += [
+            _end(each, "child")
+            for each in root.findall("joint")
+            if each.get("type") == "fixed" and _end(each, "parent") == link
+        ]
+    return found
+
+
+def _end(joint: ET.Element, which: str) -> str:
+    end = joint.find(which)
+    return "" if end is None else end.get("link", "")
+
+
+def _set_inertial(link: ET.Element, body: Body) -> None:
+    """The whole body in the link's frame, which is that of its joint."""
+    for inertial in link.findall("inertial"):
+        link.remove(inertial)
+    inertial = ET.SubElement(link, "inertial")
+    place = " ".join(repr(float(x)) for x in body.centre)
+    ET.SubElement(inertial, "origin", xyz=place, rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=repr(float(body.mass)))
+    ET.SubElement(
+        inertial,
+        "inertia",
+        {
+            f"i{'xyz'[a]}{'xyz'[b]}": repr(float(body.inertia[a, b]))
+            for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+        },
+    )
+
+
+MODEL_FORMATS.add(Urdf())
