@@ -14,11 +14,21 @@ from cyclopts import CycloptsError
 from stiffopt import folders
 
 # In the order in which help lists them; importing registers them.
-from stiffopt.cli import cache, exports, motions, recordings, schemas, swings
+from stiffopt.cli import cache, exports, motions, recordings, schemas, starters, swings
 from stiffopt.cli.base import app
 from stiffopt.errors import InputError, NoSolutionFound
 
-__all__ = ["app", "cache", "exports", "motions", "recordings", "run", "schemas", "swings"]
+__all__ = [
+    "app",
+    "cache",
+    "exports",
+    "motions",
+    "recordings",
+    "run",
+    "schemas",
+    "starters",
+    "swings",
+]
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

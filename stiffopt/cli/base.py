@@ -23,3 +23,11 @@ def print_json(document: object) -> None:
     import json
 
     print(json.dumps(document, indent=2, ensure_ascii=False))
+
+
+def number_or_text(argument: str) -> float | str:
+    """Argument as files have it: a bare number is SI, a text carries its unit."""
+    try:
+        return float(argument)
+    except ValueError:
+        return argument.strip()

@@ -1,4 +1,4 @@
-"""`stiffopt schema`: what may stand in the files."""
+"""`stiffopt schema`, `explain` and `catalogue`: what may stand in the files, and what there is."""
 
 from __future__ import annotations
 
@@ -23,4 +23,42 @@ def schema(
     from stiffopt.report.file_reference import file_schema
 
     print_json(file_schema(kind))
+    return 0
+
+
+@app.command
+def explain(key: str) -> int:
+    """Say what a key of a file means: its sentence, what may stand there, unit and default.
+
+    Parameters
+    ----------
+    key
+        Name or place of a key: prepressure, motion.duration, limits.jerk.
+    """
+    from stiffopt.report.common.terminal import print_lines
+    from stiffopt.report.explain import explained
+
+    print_lines(explained(key))
+    return 0
+
+
+@app.command
+def catalogue(
+    kind: Literal["reducers", "bolts", "keys", "belts", "surfaces", "robots", "effects"]
+    | None = None,
+) -> int:
+    """List what the package brings along, with where each number comes from.
+
+    Parameters
+    ----------
+    kind
+        Which table; without it, the kinds there are.
+    """
+    from stiffopt.report.catalogue_tables import catalogue_table, kinds
+    from stiffopt.report.common.terminal import print_table
+
+    if kind is None:
+        print_table(("stiffopt catalogue", "entries", "named in files as"), kinds())
+    else:
+        print_table(*catalogue_table(kind))
     return 0

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from stiffopt.cli.base import Out, app
+from stiffopt.cli.base import Out, app, number_or_text
 from stiffopt.errors import InputError
 from stiffopt.folders import output_folder
 
@@ -56,8 +56,8 @@ def simulate(
     from stiffopt.solver.stored import read_result
     from stiffopt.units import to_si
 
-    settled = to_si(_number_or_text(band), "length", "--band")
-    late = to_si(_number_or_text(delay), "time", "--delay")
+    settled = to_si(number_or_text(band), "length", "--band")
+    late = to_si(number_or_text(delay), "time", "--delay")
     if settled <= 0.0:
         raise InputError(f"band must be above 0, got {band}.")
     if bandwidth is None and (late != 0.0 or feed_forward != 1.0):
@@ -155,14 +155,6 @@ def _pose(text: str, robot: Robot) -> np.ndarray:
         )
     angles = []
     for value, name, slides in zip(values, robot.joint_names, robot.prismatic, strict=True):
-        angle = joint_to_si(_number_or_text(value), "angle", f"--at, {name}")
+        angle = joint_to_si(number_or_text(value), "angle", f"--at, {name}")
         angles.append(fit_joint(angle, bool(slides), "angle", f"--at, {name}"))
     return np.array(angles)
-
-
-def _number_or_text(argument: str) -> float | str:
-    """Argument as files have it: a bare number is SI, a text carries its unit."""
-    try:
-        return float(argument)
-    except ValueError:
-        return argument.strip()

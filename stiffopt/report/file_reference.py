@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 from stiffopt.discovery.extended.schema import ExtendedFile
@@ -91,8 +92,43 @@ def forms(field: dict[str, Any]) -> Iterator[dict[str, Any]]:
             yield from forms(field[word])
 
 
+@dataclass(frozen=True)
+class FileKey:
+    """A key of a file: where it stands and what may stand there, as texts."""
+
+    place: str
+    value: str
+    unit: str
+    default: str
+    sentence: str
+
+
+def file_keys(kind: str) -> Iterator[FileKey]:
+    """Every key of a kind of file; its place such as "motion.start.rpy"."""
+    schema = file_schema(kind)
+    definitions = schema.get("$defs", {})
+    for places, section in _places(schema):
+        inside = [heading.strip("[]") for heading in places] or [""]
+        for cells in _rows(section, definitions):
+            key, *rest = cells
+            for place in inside:
+                yield FileKey(f"{place}.{key.strip('`')}".lstrip("."), *rest)
+
+
 def _sections(schema: dict[str, Any]) -> Iterator[str]:
     """Text and table of the file as a whole and of each of its sections."""
+    definitions = schema.get("$defs", {})
+    for used, section in _places(schema):
+        if used:
+            kind = section["properties"].get("type", {}).get("const")
+            tag = f', `type = "{kind}"`' if kind else ""
+            yield f"### {', '.join(f'`{place}`' for place in used)}{tag}"
+        yield _described(section)
+        yield _table(section, definitions)
+
+
+def _places(schema: dict[str, Any]) -> Iterator[tuple[list[str], dict[str, Any]]]:
+    """Sections of a file with the headings under which they stand; the file itself has none."""
     definitions = schema.get("$defs", {})
     places: dict[str, list[str]] = {}
     waiting = [(schema, "")]
@@ -105,14 +141,9 @@ def _sections(schema: dict[str, Any]) -> Iterator[str]:
                     waiting.append((definitions[name], inside))
                 if heading not in known:
                     known.append(heading)
-    yield _described(schema)
-    yield _table(schema, definitions)
+    yield [], schema
     for name, used in places.items():
-        kind = definitions[name]["properties"].get("type", {}).get("const")
-        tag = f', `type = "{kind}"`' if kind else ""
-        yield f"### {', '.join(f'`{place}`' for place in used)}{tag}"
-        yield _described(definitions[name])
-        yield _table(definitions[name], definitions)
+        yield used, definitions[name]
 
 
 def _references(field: dict[str, Any], place: str) -> Iterator[tuple[str, str, str]]:
@@ -138,16 +169,21 @@ def _described(section: dict[str, Any]) -> str:
 
 
 def _table(section: dict[str, Any], definitions: dict[str, Any]) -> str:
-    required = section.get("required", ())
     rows = ["| key | value | unit | default | |", "|---|---|---|---|---|"]
+    for cells in _rows(section, definitions):
+        rows.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |")
+    return "\n".join(rows)
+
+
+def _rows(section: dict[str, Any], definitions: dict[str, Any]) -> Iterator[tuple[str, ...]]:
+    """Key, value, unit, default and sentence of every key of a section."""
+    required = section.get("required", ())
     for key, field in section["properties"].items():
         if "const" in field and key == "type":
             continue
         default = "required" if key in required else _default(field)
         text = sentence(field, definitions) + _names(field)
-        cells = (f"`{key}`", _value(field), ", ".join(units(field)), default, text)
-        rows.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |")
-    return "\n".join(rows)
+        yield f"`{key}`", _value(field), ", ".join(units(field)), default, text
 
 
 def _value(field: dict[str, Any]) -> str:

@@ -114,7 +114,7 @@ def _assemble(document: RobotFile, path: Path, urdf: Path, keep: Collection[str]
         for j, section in enumerate(sections)
     )
     with located(path, "tool"):
-        place = document.tool or PlaceSection(link=_last_link(model))
+        place = document.tool or PlaceSection(link=last_link(model))
         tool = link_frame(model, place.link, place.offset, place.rpy)
     with located(path, "flange"):
         flange = _flange(model, document.flange, place.link)
@@ -207,7 +207,7 @@ def _positions(
     return lower, upper
 
 
-def _last_link(model: pin.Model) -> str:
+def last_link(model: pin.Model) -> str:
     """Last moving link that payloads and tools go to when nothing is said."""
     moving = [f.name for f in model.frames if f.parentJoint == model.njoints - 1]
     links = [name for name in link_names(model) if name in moving]

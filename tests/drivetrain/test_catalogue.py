@@ -36,7 +36,9 @@ def test_stiffer_with_size_and_ratio():
 
 
 def test_bolts():
-    assert catalogue.bolt_sizes() == ["M3", "M4", "M5", "M6", "M8"]
+    assert catalogue.bolt_sizes() == [
+        *("M3", "M4", "M5", "M6", "M8", "M10", "M12", "M16", "M20", "M24")
+    ]
     assert catalogue.bolt_grades() == ["8.8", "10.9", "12.9"]
     assert catalogue.proof_stress("12.9") == 1100e6
     for size in catalogue.bolt_sizes():

@@ -32,7 +32,7 @@ def print_table(
         console = Console(highlight=False, width=_LOG_WIDTH)
     table = Table(title=title)
     for name in head:
-        table.add_column(name, justify="right" if name in numbers else "left")
+        table.add_column(Text(name), justify="right" if name in numbers else "left")
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
     console.print(table)

@@ -1,0 +1,131 @@
+"""`stiffopt init`: files to begin with, from a URDF, a recording, or nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from stiffopt.cli.base import app, number_or_text
+from stiffopt.report.common.terminal import print_lines
+
+init = App(name="init", help="Write files to begin with: robot, problem, recording, flange.")
+app.command(init)
+
+File = Annotated[Path | None, Parameter(name="--out", help="File to write; never over another.")]
+
+
+@init.command
+def robot(urdf: Path, *, tip: str | None = None, out: File = None) -> int:
+    """Write the robot file of a URDF: limits, candidates of reducers, what is estimated marked.
+
+    Parameters
+    ----------
+    urdf
+        URDF of the arm; fingers and joints that do not lead to the tip are held.
+    tip
+        Link at the end of the arm; default where fingers branch off.
+    """
+    from stiffopt.starter.robot_file import robot_text
+    from stiffopt.starter.writing import write_new
+
+    path = out or urdf.with_name(f"{urdf.stem}_robot.toml")
+    written = write_new(path, robot_text(urdf, path.parent, tip))
+    print_lines(
+        (
+            f"Wrote {written}. What is marked estimated is yours to correct.",
+            f"Next: stiffopt init problem {written}",
+        )
+    )
+    return 0
+
+
+@init.command
+def problem(source: str, *, out: File = None) -> int:
+    """Write a first trajectory problem for a robot.
+
+    Parameters
+    ----------
+    source
+        A shipped robot, a robot TOML or a URDF.
+    """
+    from stiffopt.robot.files import load_robot, shipped_robots
+    from stiffopt.starter.problem_file import problem_text
+    from stiffopt.starter.writing import write_new
+
+    arm = load_robot(source)
+    file = source if source in shipped_robots() else Path(source)
+    path = out or (file.parent if isinstance(file, Path) else Path()) / f"{arm.name}_first.toml"
+    written = write_new(path, problem_text(arm, file, path.parent))
+    print_lines((f"Wrote {written}.", f"Next: stiffopt solve {written}"))
+    return 0
+
+
+@init.command
+def recording(data: list[Path], *, urdf: Path, out: Path | None = None) -> int:
+    """Write a recording set of one's own tables (CSV, NPZ, Parquet): what it guesses, it says.
+
+    Parameters
+    ----------
+    data
+        Files or folders; the last of several is kept for judging, a single one is cut in two.
+    urdf
+        Of the arm, as far as it is known.
+    out
+        Folder of the set; default NAME_set beside the data.
+    """
+    from stiffopt.starter.recording_set import start_recording_set
+
+    folder = out or data[0].with_name(f"{data[0].stem}_set")
+    started = start_recording_set(data, urdf, folder)
+    print_lines(
+        (
+            f"Wrote {started.path}, {started.guess.rate:.4g} Hz. Guessed:",
+            *(f"  {reason}" for reason in started.guess.reasons),
+            *started.notes,
+            f"Next: stiffopt recording check {folder}",
+            f"then: stiffopt diagnose {folder}",
+        )
+    )
+    return 0
+
+
+@init.command
+def flange(
+    *,
+    out: Annotated[Path, Parameter(name="--out", help="Folder for the files.")] = Path("flange"),
+    torque: str = "100 N*m",
+    size: str = "M5",
+    grade: str = "12.9",
+    count: int = 8,
+    circle: str = "50 mm",
+) -> int:
+    """Write a preload study of one bolted flange; no URDF is needed.
+
+    Parameters
+    ----------
+    torque
+        That the flange has to carry.
+    size
+        Of the bolts, `stiffopt catalogue bolts`.
+    grade
+        8.8, 10.9 or 12.9.
+    count
+        Number of bolts.
+    circle
+        Diameter of the circle they lie on.
+    """
+    from stiffopt.starter.flange_files import write_flange
+    from stiffopt.units import to_si
+
+    files = write_flange(
+        out,
+        torque=to_si(number_or_text(torque), "torque", "--torque"),
+        size=size,
+        grade=grade,
+        count=count,
+        circle=to_si(number_or_text(circle), "length", "--circle"),
+    )
+    print_lines((f"Wrote {', '.join(map(str, files))}.", f"Next: stiffopt preload {files[-1]}"))
+    return 0

@@ -1,0 +1,118 @@
+"""Tables of what the package brings along: reducers, bolts, keys, belts, surfaces, and so on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal, get_args
+
+from stiffopt.discovery.catalogue import CATALOGUE
+from stiffopt.drivetrain import catalogue
+from stiffopt.drivetrain.tables import rows
+from stiffopt.report.common.text import DASH
+from stiffopt.robot.files import load_robot, shipped_robots
+
+CatalogueKind = Literal["reducers", "bolts", "keys", "belts", "surfaces", "robots", "effects"]
+Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
+
+
+def catalogue_table(kind: CatalogueKind) -> Table:
+    """Head and rows of one kind, as texts."""
+    return _TABLES[kind]()
+
+
+def kinds() -> list[tuple[str, str, str]]:
+    """Each kind with how many there are and where a file names them."""
+    return [(kind, str(len(_TABLES[kind]()[1])), _WHERE[kind]) for kind in get_args(CatalogueKind)]
+
+
+def _reducers() -> Table:
+    head = ("name", "K1", "K2", "K3 [N m/rad]", "T1", "T2", "repeated peak [N m]", "provenance")
+    found = []
+    for name in catalogue.reducer_names():
+        entry = catalogue.reducer(name)
+        peak = DASH if entry.ratings is None else f"{entry.ratings[1]:g}"
+        values = (f"{v:g}" for v in (entry.K1, entry.K2, entry.K3, entry.T1, entry.T2))
+        found.append((name, *values, peak, _known(entry)))
+    return head, found
+
+
+def _bolts() -> Table:
+    head = ("size", "pitch [mm]", "stress area [mm2]", "head [mm]", "hole [mm]", "provenance")
+    found = []
+    for size in catalogue.bolt_sizes():
+        bolt = catalogue.bolt(size)
+        lengths = (f"{1e3 * v:g}" for v in (bolt.head_diameter, bolt.hole))
+        area = f"{1e6 * bolt.stress_area:.4g}"
+        found.append((size, f"{1e3 * bolt.pitch:g}", area, *lengths, _known(bolt)))
+    return head, found
+
+
+def _keys() -> Table:
+    head = ("width x height [mm]", "shaft above [mm]", "up to [mm]", "provenance", "source")
+    found: list[tuple[str, ...]] = [
+        (size, f"{1e3 * row['shaft_min']:g}", f"{1e3 * row['shaft_max']:g}", *_origin(row))
+        for size, row in rows("keys", "key", "size").items()
+    ]
+    return head, found
+
+
+def _belts() -> Table:
+    head = ("profile", "pitch [mm]", "widths [mm]", "provenance")
+    found: list[tuple[str, ...]] = []
+    for name in catalogue.belt_names():
+        belt = catalogue.belt(name)
+        widths = ", ".join(f"{1e3 * float(w):g}" for w in belt.span_stiffness)
+        found.append((name, f"{1e3 * belt.pitch:g}", widths, _known(belt)))
+    return head, found
+
+
+def _surfaces() -> Table:
+    head = ("name", "first", "second", "friction", "provenance", "source")
+    found: list[tuple[str, ...]] = [
+        (name, row["first"], row["second"], f"{row['friction']:g}", *_origin(row))
+        for name, row in rows("surfaces", "surface", "name").items()
+    ]
+    return head, found
+
+
+def _robots() -> Table:
+    arms = [load_robot(name) for name in shipped_robots()]
+    head = ("name", "title", "joints", "estimated numbers")
+    found: list[tuple[str, ...]] = [
+        (arm.name, arm.title, str(arm.n), str(len(arm.estimated()))) for arm in arms
+    ]
+    return head, found
+
+
+def _effects() -> Table:
+    head = ("effect", "family", "scope", "equation", "how it shows")
+    return head, [(e.name, e.family, e.scope, e.equation, e.signature) for e in CATALOGUE]
+
+
+def _known(entry: catalogue.Entry) -> str:
+    guessed = f" ({', '.join(entry.estimated)} estimated)" if entry.estimated else ""
+    return f"{entry.provenance}{guessed}"
+
+
+def _origin(row: dict[str, str]) -> tuple[str, str]:
+    return str(row["provenance"]), str(row["source"])
+
+
+_TABLES: dict[str, Callable[[], Table]] = {
+    "reducers": _reducers,
+    "bolts": _bolts,
+    "keys": _keys,
+    "belts": _belts,
+    "surfaces": _surfaces,
+    "robots": _robots,
+    "effects": _effects,
+}
+_WHERE = {
+    "reducers": 'catalogue = "NAME" of an element of type "reducer"',
+    "bolts": 'bolt = { size = "SIZE", grade = "12.9" } of a flange',
+    "keys": 'width and height of an element of type "key"',
+    "belts": 'profile = "NAME" of an element of type "timing_belt"',
+    "surfaces": 'surface = "NAME" of keys, flanges and pins',
+    "robots": 'robot = "NAME" of problems, studies and recording sets',
+    "effects": "what `stiffopt diagnose` can name",
+}

@@ -1,0 +1,1 @@
+"""Files to begin with: a robot file, a problem, a recording set or a flange from what one has."""

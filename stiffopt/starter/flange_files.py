@@ -1,0 +1,112 @@
+"""A bolted flange without a URDF: a one-joint robot and the study of its preload."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from stiffopt.drivetrain import catalogue
+from stiffopt.errors import InputError, nearest
+from stiffopt.starter.writing import number, quoted, write_new
+
+
+def write_flange(
+    folder: Path, *, torque: float, size: str, grade: str, count: int, circle: float
+) -> list[Path]:
+    """Write flange.urdf, flange_robot.toml and flange.toml into a folder.
+
+    Parameters
+    ----------
+    folder : Path
+    torque : float
+        That the flange has to carry [N m].
+    size, grade : str
+        Of its bolts, such as "M5" and "12.9".
+    count : int
+    circle : float
+        Diameter of the bolts' circle [m].
+    """
+    if size not in catalogue.bolt_sizes():
+        raise InputError(f"--size: no bolt {size!r}. {nearest(size, catalogue.bolt_sizes())}")
+    if grade not in catalogue.bolt_grades():
+        raise InputError(f"--grade: no grade {grade!r}. {nearest(grade, catalogue.bolt_grades())}")
+    data = catalogue.bolt(size)
+    bolt = data.diameter
+    for name, value in (("--torque", torque), ("--circle", circle), ("--count", count)):
+        if not value > 0.0:
+            raise InputError(f"{name} must be above 0, got {value:g}.")
+    if circle <= 4.0 * bolt:
+        raise InputError(f"--circle: {circle:g} m is too small for {count} bolts {size}.")
+    inner, outer = circle / 2.0 - 1.5 * bolt, circle / 2.0 + 1.5 * bolt
+    texts = {
+        "flange.urdf": _URDF.format(torque=f"{torque:g}"),
+        "flange_robot.toml": _ROBOT.format(
+            torque=number(torque),
+            inner=number(inner),
+            outer=number(outer),
+            size=quoted(size),
+            grade=quoted(grade),
+            count=count,
+            circle=number(circle),
+            # Somewhat below what the bolt bears: a study only needs where to start.
+            preload=number(round(0.4 * catalogue.proof_stress(grade) * data.stress_area, -1)),
+        ),
+        "flange.toml": _STUDY.format(torque=number(torque)),
+    }
+    return [write_new(folder / name, text) for name, text in texts.items()]
+
+
+_URDF = """<!-- Stands in for the machine: one joint that the flange is in. -->
+<robot name="flange">
+<link name="base"/>
+<link name="part"><inertial><mass value="1.0"/>
+<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial></link>
+<joint name="flange" type="revolute"><parent link="base"/><child link="part"/>
+<axis xyz="0 0 1"/><limit lower="-3.14" upper="3.14" effort="{torque}" velocity="1"/></joint>
+</robot>
+"""
+_ROBOT = """# The flange, written by `stiffopt init flange`. Estimated: put yours in its place.
+schema = 1
+kind = "robot"
+name = "flange"
+urdf = "flange.urdf"
+
+[[joint]]
+name = "flange"
+torque_max = {torque}           # [N m] that has to be carried
+
+[[joint.element]]
+name = "flange"
+type = "bolted_flange"
+ratio = 1.0
+inner_radius = {inner}       # [m] of the ring that touches; estimated: 1.5 bolts inside
+outer_radius = {outer}       # and outside of the circle
+bolt = {{ size = {size}, grade = {grade}, count = {count}, circle_diameter = {circle} }}
+surface = "fine_steel"          # `stiffopt catalogue surfaces`; estimated
+friction = 0.15                 # of the faces; estimated
+preload = {preload}             # [N] of one bolt now; the study changes it
+provenance = "estimated"
+source = "init flange"
+"""
+_STUDY = """# How tight must the bolts of the flange be? Written by `stiffopt init flange`.
+schema = 1
+kind = "preload"
+title = "Flange"
+robot = "flange_robot.toml"
+joints = [1]
+
+[[load_case]]
+name = "largest torque"
+torque = [{torque}]             # [N m], one entry a joint
+
+[tightening]
+method = "torque_wrench"        # or angle, yield
+thread_friction = 0.12
+head_friction = 0.12
+
+[[minimise]]
+objective = "total_preload"
+
+[require]
+slip_safety = 1.2
+bolt_utilisation = 1.0
+"""

@@ -1,0 +1,250 @@
+"""What the columns of a recording are, by their names and by their values."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stiffopt.errors import InputError
+from stiffopt.robot.robot import Robot
+
+KINDS = ("velocity", "torque", "link_position", "position")
+# Words of each kind, the first that fits wins; a name is cut at what is neither letter nor digit.
+_WORDS = {
+    "velocity": ("velocity", "velocities", "vel", "speed", "qd", "dq", "omega", "geschwindigkeit"),
+    "torque": (
+        "torque", "torques", "tau", "trq", "moment", "effort", "drehmoment", "current", "currents",
+        "strom", "amps", "tq", "load",
+    ),
+    "link_position": ("link", "linkside", "ql", "secondary", "outputside"),
+    "position": ("position", "positions", "pos", "q", "angle", "angles", "theta", "winkel", "ist",
+                 "axis", "joint", "a", "j"),
+}  # fmt: skip
+_CURRENT = ("current", "currents", "strom", "amps", "i")
+_TIME = ("t", "time", "timestamp", "stamp", "zeit", "seconds", "clock")
+# Of several columns of one kind: measured before wanted.
+_WANTED = ("target", "cmd", "command", "desired", "des", "soll", "ref", "reference", "setpoint")
+_OTHER = ("temperature", "temp", "voltage", "acceleration", "accel", "acc", "qdd", "mode", "status")
+_UNITS = {
+    "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "grad": "deg", "rad": "",
+    "deg/s": "deg/s", "°/s": "deg/s", "rad/s": "", "nm": "", "n m": "", "n*m": "", "mnm": "mN*m",
+    "a": "A", "ma": "mA", "ms": "ms", "us": "us", "µs": "us", "ns": "ns", "s": "", "m": "",
+    "mm": "mm", "mm/s": "mm/s", "n": "",
+}  # fmt: skip
+_IN_NAME = re.compile(r"[\[(]\s*([^\])]+)\s*[\])]\s*$")
+_WORD = re.compile(r"[a-zµ°]+|\d+")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GuessedColumns:
+    """Columns of a recording and their units.
+
+    Parameters
+    ----------
+    time : str
+    columns : mapping of kind to tuple of str (n,)
+        In the order of the joints; "" where one has none.
+    units : mapping of "time" or kind to str
+        Of `[signals.scale]`; "" is SI. "A" and "mA" are no torque yet.
+    reasons : tuple of str
+        Why, a sentence each.
+    rate : float
+        Of the samples [Hz].
+    """
+
+    time: str
+    columns: Mapping[str, tuple[str, ...]]
+    units: Mapping[str, str]
+    reasons: tuple[str, ...] = field(default=())
+    rate: float = 0.0
+
+
+def guess(table: Mapping[str, np.ndarray], robot: Robot) -> GuessedColumns:
+    """GuessedColumns what is what.
+
+    Raises
+    ------
+    InputError
+        No time, or not one position and some torque a joint, with the columns there are.
+    """
+    reasons: list[str] = []
+    time = _time(table)
+    columns: dict[str, tuple[str, ...]] = {}
+    left = [name for name in table if name != time]
+    for kind in KINDS:
+        found = _of_kind(left, kind, robot.joint_names)
+        if found is not None:
+            columns[kind] = found
+            left = [name for name in left if name not in found]
+    for kind in ("position", "torque"):
+        if kind not in columns:
+            raise InputError(
+                f"no {kind} was recognised for {robot.n} joints among the columns"
+                f" {', '.join(list(table)[:40])}. Name them like {_EXAMPLES[kind]}, or write"
+                " [signals] of recordings.toml by hand."
+            )
+    unit, why = _time_unit(table[time], time)
+    units = {"time": unit}
+    reasons.append(why)
+    seconds = table[time] * _SECONDS[unit]
+    for kind in ("position", "velocity", "link_position", "torque"):
+        if kind in columns:
+            units[kind], why = _unit(kind, columns, table, robot, seconds, units)
+            reasons.append(f"{kind}: {', '.join(c for c in columns[kind] if c)}; {why}")
+    step = float(np.median(np.diff(seconds)))
+    return GuessedColumns(
+        time=time, columns=columns, units=units, reasons=tuple(reasons), rate=1.0 / max(step, 1e-9)
+    )
+
+
+_EXAMPLES = {
+    "position": "q1, q2, ... or JOINT_position",
+    "torque": "tau1, tau2, ... or JOINT_effort",
+}
+_SECONDS = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+def _words(name: str) -> list[str]:
+    """Words of a column's name, its unit left out: "Actual_Q_0 [rad]" is actual, q, 0."""
+    bare = _IN_NAME.sub("", name)
+    bare = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", bare)
+    return _WORD.findall(bare.lower())
+
+
+def _stated_unit(name: str) -> str | None:
+    """Unit in brackets, or as the last word: "q1 [deg]", "q1_deg"; None where none is there."""
+    bracketed = _IN_NAME.search(name)
+    if bracketed is not None:
+        return _UNITS.get(bracketed[1].strip().lower())
+    last = re.split(r"[_\s]", name.strip().lower())[-1]
+    return _UNITS[last] if last in ("deg", "rad", "nm", "mnm", "ms", "us", "ns", "amps") else None
+
+
+def _time(table: Mapping[str, np.ndarray]) -> str:
+    rising = [
+        name
+        for name, values in table.items()
+        if np.isfinite(values).all() and len(values) > 2 and (np.diff(values) > 0.0).mean() > 0.99
+    ]
+    named = [name for name in table if set(_words(name)) & set(_TIME)]
+    for name in (*[n for n in named if n in rising], *rising, *named):
+        return name
+    raise InputError(
+        f"no column rises as a time does among {', '.join(list(table)[:40])}. Add one in seconds."
+    )
+
+
+def _time_unit(values: np.ndarray, name: str) -> tuple[str, str]:
+    stated = _stated_unit(name)
+    step = float(np.median(np.diff(values)))
+    if stated in ("ms", "us", "ns"):
+        return stated, f"time: {name}, in {stated} by its name"
+    for unit, factor in _SECONDS.items():
+        if 1e-4 <= step * factor <= 0.25:
+            return unit, f"time: {name}, in {unit or 's'} by its steps of {step:g}"
+    return "", f"time: {name}, taken as s; its steps of {step:g} are unusual: check"
+
+
+def _of_kind(names: Sequence[str], kind: str, joints: Sequence[str]) -> tuple[str, ...] | None:
+    """Columns of a kind, one a joint; None where there are not as many."""
+    fitting = [name for name in names if _is_kind(name, kind)]
+    measured = [n for n in fitting if not set(_words(n)) & set(_WANTED)]
+    for candidates in (measured, fitting):
+        found = _by_joint(candidates, joints)
+        if found is not None:
+            return found
+    return None
+
+
+def _is_kind(name: str, kind: str) -> bool:
+    words = set(_words(name))
+    if words & set(_OTHER):
+        return False
+    if kind == "torque" and words & set(_CURRENT) - {"i"}:
+        return True
+    for other in KINDS:
+        if words & set(_WORDS[other]):
+            return other == kind
+    return False
+
+
+def _by_joint(names: Sequence[str], joints: Sequence[str]) -> tuple[str, ...] | None:
+    """By the joint's name inside the column's, else by the last number, from 0 or 1."""
+    n = len(joints)
+    by_name = {}
+    for joint in joints:
+        own = [name for name in names if _contains(name, joint)]
+        if len(own) == 1:
+            by_name[joint] = own[0]
+    if len(by_name) == n and len(set(by_name.values())) == n:
+        return tuple(by_name[joint] for joint in joints)
+    numbered: dict[int, str] = {}
+    for name in names:
+        digits = [word for word in _words(name) if word.isdigit()]
+        if digits and int(digits[-1]) not in numbered:
+            numbered[int(digits[-1])] = name
+    for first in (1, 0):
+        if all(k in numbered for k in range(first, first + n)):
+            return tuple(numbered[k] for k in range(first, first + n))
+    return tuple(names) if len(names) == n else None
+
+
+def _contains(name: str, joint: str) -> bool:
+    return (
+        re.search(rf"(?<![a-z0-9]){re.escape(joint.lower())}(?![a-z0-9])", name.lower()) is not None
+    )
+
+
+def _unit(
+    kind: str,
+    columns: Mapping[str, tuple[str, ...]],
+    table: Mapping[str, np.ndarray],
+    robot: Robot,
+    seconds: np.ndarray,
+    units: Mapping[str, str],
+) -> tuple[str, str]:
+    """Unit of a kind by the names, else by the values, and why."""
+    names = [name for name in columns[kind] if name]
+    stated = {_stated_unit(name) for name in names}
+    if len(stated) == 1 and None not in stated:
+        unit = str(stated.pop())
+        return unit, f"in {unit or 'SI'} by their names"
+    values = np.column_stack([table[name] for name in names])
+    if kind in ("position", "link_position") and not robot.prismatic.any():
+        return _angle_unit(values, robot)
+    if kind == "velocity" and not robot.prismatic.any():
+        position = np.column_stack([table[name] for name in columns["position"]])
+        turning = np.gradient(position, seconds, axis=0)
+        ratio = np.nanmedian(
+            np.nanstd(values, axis=0) / np.maximum(np.nanstd(turning, axis=0), 1e-12)
+        )
+        own = 57.29578 if units["position"] == "deg" else 1.0
+        if abs(np.log(ratio * own / 57.29578)) < 0.5:
+            return "deg/s", "in deg/s, as the positions' change shows"
+        return "", "in rad/s, as the positions' change shows"
+    if kind == "torque":
+        if any(set(_words(name)) & set(_CURRENT) for name in names):
+            return "A", "a current: give N m/A in [signals.scale]"
+        most, allowed = float(np.nanmax(np.abs(values))), float(np.nanmax(robot.torque_max))
+        if most > 30.0 * allowed:
+            return (
+                "mN*m",
+                f"taken as mN m: they reach {most:.3g}, the drives {allowed:.3g} N m",
+            )
+    return "", "taken as SI"
+
+
+def _angle_unit(values: np.ndarray, robot: Robot) -> tuple[str, str]:
+    most = float(np.nanmax(np.abs(values)))
+    low, high = robot.position_lower, robot.position_upper
+    finite = np.isfinite(high - low) & (np.arange(robot.n) < values.shape[1])
+    beyond = bool(
+        np.any(np.nanmax(values, axis=0)[finite] > high[finite] + 0.1)
+        or np.any(np.nanmin(values, axis=0)[finite] < low[finite] - 0.1)
+    )
+    if most > 4.0 * np.pi or (beyond and most > np.pi):
+        return "deg", f"in deg: they reach {most:.4g}, beyond what rad would be"
+    return "", f"in rad: they reach {most:.3g}"

@@ -1,0 +1,166 @@
+"""A recording set from one's own tables: columns, units and roles guessed, and said."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stiffopt.errors import InputError, InputFileError
+from stiffopt.robot.files import load_robot
+from stiffopt.starter.guessing import GuessedColumns, guess
+from stiffopt.starter.tables import read_any_table
+from stiffopt.starter.writing import listed, quoted, write_new
+
+_ENDINGS = (".csv", ".txt", ".tsv", ".dat", ".log", ".npz", ".parquet")
+# Share of a single recording that is fitted to; the rest is for judging.
+_TRAIN = 0.7
+_FEWEST = 400
+
+
+@dataclass(frozen=True, kw_only=True)
+class StartedSet:
+    """What was written and what was guessed.
+
+    Parameters
+    ----------
+    path : Path
+        recordings.toml.
+    guess : GuessedColumns
+    notes : tuple of str
+    """
+
+    path: Path
+    guess: GuessedColumns
+    notes: tuple[str, ...]
+
+
+def start_recording_set(data: Sequence[Path], urdf: Path, folder: Path) -> StartedSet:
+    """Write a recording set of tables: recordings.toml, a copy of the URDF, the runs as NPZ.
+
+    Parameters
+    ----------
+    data : sequence of Path
+        Files, or folders of them. Values are kept as they are recorded; units stand in
+        `[signals.scale]`.
+    urdf : Path
+    folder : Path
+        Of the set; recordings.toml must not be there yet.
+
+    Raises
+    ------
+    InputError
+        No table, or columns that are not recognised.
+    """
+    if (folder / "recordings.toml").exists():
+        raise InputFileError(folder / "recordings.toml", "", "is there already and is kept.")
+    robot = load_robot(urdf)
+    files = _files(data)
+    tables = {path: read_any_table(path) for path in files}
+    first = guess(tables[files[0]], robot)
+    wanted = [first.time, *(c for columns in first.columns.values() for c in columns if c)]
+    notes = []
+    for path, table in tables.items():
+        lacking = [name for name in wanted if name not in table]
+        if lacking:
+            raise InputFileError(
+                path, "", f"lacks {', '.join(lacking)}, which {files[0].name} has."
+            )
+    runs: list[tuple[str, str, dict[str, np.ndarray]]] = []
+    if len(files) == 1:
+        table = {name: tables[files[0]][name] for name in wanted}
+        cut = int(_TRAIN * len(table[first.time]))
+        if cut < _FEWEST:
+            raise InputFileError(files[0], "", f"has {len(table[first.time])} rows; record more.")
+        stem = _stem(files[0])
+        runs.append((f"{stem}_train", "train", {k: v[:cut] for k, v in table.items()}))
+        runs.append((f"{stem}_test", "test", {k: v[cut:] for k, v in table.items()}))
+        notes.append(
+            "One recording: its first 70 % are fitted to, the rest judges. Record a second motion"
+            " for a better proof."
+        )
+    else:
+        for number, path in enumerate(files):
+            role = "test" if number == len(files) - 1 else "train"
+            runs.append((_stem(path), role, {name: tables[path][name] for name in wanted}))
+        notes.append(f"{files[-1].name} is kept for judging (test), the others are fitted to.")
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(urdf, folder / "robot.urdf")
+    for name, _, table in runs:
+        columns: dict[str, Any] = dict(table)
+        np.savez_compressed(folder / f"{name}.npz", **columns)
+    text = _text(folder.resolve().name, robot.joint_names, first, [(n, r) for n, r, _ in runs])
+    return StartedSet(
+        path=write_new(folder / "recordings.toml", text), guess=first, notes=tuple(notes)
+    )
+
+
+def _files(data: Sequence[Path]) -> list[Path]:
+    found: list[Path] = []
+    for path in data:
+        if path.is_dir():
+            found += sorted(p for p in path.iterdir() if p.suffix.lower() in _ENDINGS)
+        else:
+            found.append(path)
+    if not found:
+        raise InputError(
+            f"no recordings in {', '.join(map(str, data))}: {', '.join(_ENDINGS)} are read."
+        )
+    stems = [_stem(path) for path in found]
+    twice = [path for path, stem in zip(found, stems, strict=True) if stems.count(stem) > 1]
+    if twice:
+        raise InputFileError(twice[0], "", "has the name of another run. Rename one.")
+    return found
+
+
+def _stem(path: Path) -> str:
+    return "".join(c if c.isalnum() or c in "-_" else "_" for c in path.stem) or "run"
+
+
+def _text(
+    name: str, joints: Sequence[str], found: GuessedColumns, runs: Sequence[tuple[str, str]]
+) -> str:
+    lines = [
+        "# Written by `stiffopt init recording`; what it guessed, and why:",
+        *(f"#   {reason}" for reason in found.reasons),
+        f"#   rate: {found.rate:.4g} Hz",
+        "# Check it: `stiffopt recording check` of this folder.",
+        "schema = 1",
+        f"name = {quoted(name)}",
+        'robot = "robot.urdf"',
+        f"joints = {listed(map(quoted, joints))}",
+        "",
+        "[signals]",
+        f"time = {quoted(found.time)}",
+    ]
+    for kind in ("position", "velocity", "link_position", "torque"):
+        if kind in found.columns:
+            lines.append(f"{kind} = {listed(map(quoted, found.columns[kind]))}")
+    lines.append('torque_side = "motor"  # "link" with joint torque sensors')
+    scaled = {kind: unit for kind, unit in found.units.items() if unit}
+    if scaled:
+        lines += ["", "[signals.scale]"]
+        for kind, unit in scaled.items():
+            if unit in ("A", "mA"):
+                factor = "1.0" if unit == "A" else "0.001"
+                lines.append(
+                    f"{kind} = {factor}  # a current in {unit}: put N m per {unit} at the joint"
+                    " (torque constant times gear ratio) here"
+                )
+            else:
+                lines.append(f"{kind} = {quoted(unit)}")
+    lines += [
+        "",
+        "# [nominal]                 # what today's simulation knows, one number a joint, SI",
+        f"# gear_ratio = {listed(['100.0'] * len(joints))}",
+        f"# rotor_inertia = {listed(['0.1'] * len(joints))}",
+        f"# coulomb = {listed(['1.0'] * len(joints))}",
+        f"# viscous = {listed(['1.0'] * len(joints))}",
+    ]
+    for run, role in runs:
+        lines += ["", "[[runs]]", f"file = {quoted(run + '.npz')}", f"role = {quoted(role)}"]
+    return "\n".join(lines) + "\n"
