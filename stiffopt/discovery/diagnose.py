@@ -24,7 +24,8 @@ from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.judging.detection import detection_limits
-from stiffopt.discovery.judging.shares import Shares, parts_of
+from stiffopt.discovery.judging.next_recording import next_recording
+from stiffopt.discovery.judging.shares import Share, Shares, parts_of
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, channel_name
 from stiffopt.discovery.judging.variance_explained import variance_explained
 from stiffopt.discovery.proof.predict import Predictor
@@ -135,11 +136,13 @@ def diagnose(
     if unexplained is None and not findings:
         say("look for bursts above the filter's band")
         unexplained = bursts(training, (*start, found), settings)
-    pair = leading_pair(selected) if experiment else None
+    new = [s for s in selected if s.located.effect.nominal not in recordings.unstated]
+    pair = leading_pair(new or selected) if experiment else None
     plan = None if pair is None else plan_experiment(training, result, settings, pair, say=say)
     # The findings are fixed: from here on other runs may be opened, and change nothing above.
     shares = Shares(parts_of(found, recordings.unstated), 2 * training.robot.n)
     proofs = _proofs(recordings, training, settings, start, found, shares, say)
+    taken = shares.found()
     every = (*training.recorded, *(proof.run for proof in proofs))
     return Diagnosis(
         recordings=recordings,
@@ -151,11 +154,11 @@ def diagnose(
         training=training,
         search=result,
         held_out=proofs,
-        shares=shares.found(),
+        shares=taken,
         catalogue=catalogue,
         detection_limits=limits,
         unexplained=unexplained,
-        next_experiment=_next_experiment(findings, plan),
+        next_experiment=_next_experiment(findings, plan, unexplained, taken, recordings.unstated),
         assumptions=(*_despite(doubted), *training.assumptions),
         faults=tuple((run.name, fault) for run in every for fault in run.faults),
         experiment=plan,
@@ -241,11 +244,25 @@ def _proofs(
     return tuple(proofs)
 
 
-def _next_experiment(findings: tuple[Finding, ...], plan: ExperimentPlan | None) -> str:
-    """What separates the first finding that has rivals from them."""
+def _next_experiment(
+    findings: tuple[Finding, ...],
+    plan: ExperimentPlan | None,
+    unexplained: Unexplained | None,
+    shares: tuple[Share, ...],
+    unstated: Sequence[str],
+) -> str:
+    """What is open where that is the most, else what separates the first finding that has rivals.
+
+    Of a value that the nominal model does not give nobody doubts that it is there.
+    """
+    if unexplained is not None and shares and not unexplained.brief:
+        found = [each.share for each in shares if each.part and each.part.kind == "finding"]
+        if shares[-1].share > max(found, default=0.0):
+            return " ".join([next_recording(unexplained), *([plan.sentence] if plan else [])])
     if plan is not None:
         return plan.sentence
-    for finding in findings:
+    doubted = [each for each in findings if each.effect.nominal not in unstated]
+    for finding in (*doubted, *findings):
         if finding.rivals:
             return finding.effect.separate
-    return findings[0].located.effect.separate if findings else ""
+    return (doubted or findings)[0].located.effect.separate if findings else ""

@@ -35,6 +35,8 @@ MOST_EFFECTS_FREE, AT_ONCE = 12, 3
 
 # Jackknife deviations of its amplitudes from nothing, over stretches of the recordings.
 CONFIRMED_DEVIATIONS = 3.5
+# At least, in any case, where nobody vouches for the nominal model [0036].
+STRICT_DEVIATIONS = 2.5
 # Or, where a few seconds hold all there is: most of a channel's residual taken away, and most of
 # the evidence kept in runs left out.
 BORNE_OUT_SHARE = 0.5

@@ -245,3 +245,16 @@ def test_solve_with_a_model_shows_the_change(
     assert true > promised
     own = result["certificate"]["deflection"]["total"]["peak"]
     assert best == pytest.approx(1e3 * own, rel=1e-3)
+
+
+def test_re_identified_bodies_are_those_that_are_planned_with(arm: Robot, tmp_path: Path) -> None:
+    """Half a kilogram more in link 2, a centimetre further out: weight as the regressor has it."""
+    model = extended(tmp_path, arm.joint_names, arm.torque_max)
+    body = arm.tree.bodies[1]
+    change = {"body 2 m": 0.5, "body 2 mx": 0.01 * body.mass}
+    known = replace(model, extension=Extension(calibration=change))
+    changed = planner_model(arm, known)
+    moved = changed.robot.tree.bodies[1]
+    assert moved.mass == pytest.approx(body.mass + 0.5)
+    assert moved.mass * moved.centre[0] == pytest.approx(body.mass * (body.centre[0] + 0.01))
+    assert any("re-identified" in sentence for sentence in changed.changes)

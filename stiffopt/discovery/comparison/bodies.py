@@ -29,9 +29,14 @@ _LOWER = np.tril_indices(4)
 _LIFT = 1e-6
 
 
+def names_of_body(body: int) -> list[str]:
+    """Names of the ten parameters of a body (from 0): "body 2 mx"."""
+    return [f"body {body + 1} {name}" for name in PARAMETERS]
+
+
 def body_names(robot: RobotModel) -> list[str]:
-    """Names of all parameters, "body 2 mx", in the regressor's order."""
-    return [f"body {b + 1} {name}" for b in range(robot.n) for name in PARAMETERS]
+    """Names of all parameters in the regressor's order."""
+    return [name for body in range(robot.n) for name in names_of_body(body)]
 
 
 def body_units(robot: RobotModel) -> np.ndarray:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt.discovery.comparison.bodies import names_of_body
 from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.signals import JointConstants
 from stiffopt.discovery.extended.made_for import require_same_robot
@@ -64,8 +65,8 @@ def planner_model(robot: Robot, model: ExtendedModel) -> PlannerModel:
     Notes
     -----
     Values of a finding are added to the robot's own; calibrated values of friction and rotor
-    inertia scale them. Calibrated masses, centres and stiffnesses lie within the tolerances of the
-    nominal model and are not carried over.
+    inertia scale them, re-identified bodies are changed by as much. Calibrated masses, centres and
+    stiffnesses that lie within the tolerances of the nominal model are not carried over.
     """
     planner = _Planner(robot, model)
     planner.calibrate()
@@ -99,6 +100,24 @@ class _Planner:
             if moved:
                 changed: dict[str, Any] = {name: values}
                 self.robot = replace(self.robot, **changed)
+        self._bodies()
+
+    def _bodies(self) -> None:
+        """Change the bodies that were re-identified."""
+        calibration = self.model.extension.calibration
+        moved = []
+        for j, place in enumerate(self.place):
+            change = np.array([calibration.get(name, 0.0) for name in names_of_body(j)])
+            if not change.any():
+                continue
+            values = self.robot.tree.bodies[place].inertial_parameters + change
+            if values[0] <= 0.0:
+                self.left_out.append(f"re-identified body {j + 1} (it would have no mass)")
+                continue
+            self.robot = self.robot.with_inertial_parameters(place + 1, values)
+            moved.append(f"{j + 1}: {change[0]:+.3g} kg")
+        if moved:
+            self.changes.append(f"Rigid model re-identified, mass of link {', '.join(moved)}.")
 
     def add(self, estimated: EstimatedEffect) -> None:
         """Put one finding into the robot, or name it among those left out."""

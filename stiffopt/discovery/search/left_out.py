@@ -74,7 +74,11 @@ def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[
         inside = np.isin(owner, [-1, *kept])
         errors = sums.errors(np.flatnonzero(inside))
         excess = {
-            k: _excess(errors, sums.errors(np.flatnonzero(inside & (owner != k))))
+            k: _excess(
+                errors,
+                sums.errors(np.flatnonzero(inside & (owner != k))),
+                plain=bool(effects[k].effect.nominal),
+            )
             for k in judged
             if k in kept
         }
@@ -84,18 +88,24 @@ def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[
         kept.remove(poorest)
 
 
-def _excess(errors: np.ndarray, without: np.ndarray) -> float:
+def _excess(errors: np.ndarray, without: np.ndarray, plain: bool = False) -> float:
     """Share of the squares of its best channel that an effect takes away, over what it should.
 
-    -1 where it helps in few folds, or in one alone.
+    -1 where it helps in few folds, or in one alone. What is plain, as friction that every joint
+    has, is to help on the whole.
     """
     falls = without - errors
     by_fold = falls.sum(axis=1)
     total = float(by_fold.sum())
-    if np.mean(by_fold > 0.0) < LEFT_OUT_FOLDS or total <= float(by_fold.max()):
+    if total <= 0.0:
         return -1.0
     own = int(np.argmax(falls.sum(axis=0)))
-    return float(falls[:, own].sum() / without[:, own].sum()) - LEFT_OUT_SHARE
+    share = float(falls[:, own].sum() / without[:, own].sum())
+    if plain:
+        return share
+    if np.mean(by_fold > 0.0) < LEFT_OUT_FOLDS or total <= float(by_fold.max()):
+        return -1.0
+    return share - LEFT_OUT_SHARE
 
 
 def _sums(comparison: Comparison, columns: np.ndarray, prior: np.ndarray) -> _Sums:

@@ -26,6 +26,7 @@ from stiffopt.discovery.thresholds import (
     NAMED_EVIDENCE,
     NAMED_SHARE,
     RELIEF_SHARE,
+    STRICT_DEVIATIONS,
 )
 
 
@@ -320,14 +321,19 @@ def _confirmed(
     """Effects that no few seconds of the recordings are alone responsible for.
 
     Where a few seconds hold all there is, as of a drive at its limit, those count that take away
-    most of a channel's residual, in recordings left out of the fit too; not so where the model is
-    wrong in many ways (`strict`), each of which does that somewhere.
+    most of a channel's residual, in recordings left out of the fit too. Where the model is wrong in
+    many ways (`strict`), each of which does that somewhere, they need deviations as well, save for
+    what every joint has.
     """
     kept = list(effects)
     while kept:
         sure = significance(comparison, kept)
         weak = [int(i) for i in np.argsort(sure) if sure[i] < CONFIRMED_DEVIATIONS]
-        lost = next((i for i in weak if strict or not _borne_out(comparison, kept, i)), None)
+        doubted = [
+            i for i in weak if strict and not kept[i].effect.nominal and sure[i] < STRICT_DEVIATIONS
+        ]
+        unproved = (i for i in weak if not _borne_out(comparison, kept, i))
+        lost = doubted[0] if doubted else next(unproved, None)
         if lost is None:
             break
         kept.pop(lost)

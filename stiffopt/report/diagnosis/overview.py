@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.discovery.comparison.bodies import PARAMETERS
 from stiffopt.report.common.text import percent
 
 if TYPE_CHECKING:
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
 
 # Nominal values that are shown at most.
 _MOST_MOVED = 12
+# A parameter counts as shown where its standard deviation fell below this share of the prior's.
+_VISIBLE = 0.3
+_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,24 @@ class MovedValue:
     unit: str
     change: float
     tolerance: float
+
+
+@dataclass(frozen=True)
+class MovedBody:
+    """A link of a re-identified rigid model.
+
+    Parameters
+    ----------
+    link : str
+    shown : tuple of (name, change, sd, unit)
+        Inertial parameters that the runs show; the standard deviation is the linear model's.
+    hidden : int
+        Parameters that they do not show, which stay about the nominal ones.
+    """
+
+    link: str
+    shown: tuple[tuple[str, float, float, str], ...]
+    hidden: int
 
 
 @dataclass(frozen=True)
@@ -86,10 +108,34 @@ def moved_values(diagnosis: Diagnosis) -> list[MovedValue]:
     names, sd, _ = diagnosis.search.comparison.nuisance
     moved = diagnosis.search.fit.posterior.mean[: len(names)]
     units = {"com": "m", "encoder_zero": "rad"}
+    order = [k for k in np.argsort(-np.abs(moved / sd)) if not names[k].startswith("body ")]
     return [
         MovedValue(names[k], units.get(names[k].split()[0], ""), float(moved[k]), float(sd[k]))
-        for k in np.argsort(-np.abs(moved / sd))[:_MOST_MOVED]
+        for k in order[:_MOST_MOVED]
     ]
+
+
+def moved_bodies(diagnosis: Diagnosis) -> list[MovedBody]:
+    """Links of a re-identified rigid model that moved, in the directions that the runs show."""
+    comparison, posterior = diagnosis.search.comparison, diagnosis.search.fit.posterior
+    if comparison.bodies is None:
+        return []
+    found = []
+    for body, prior in enumerate(comparison.bodies):
+        own = slice(10 * body, 10 * body + 10)
+        spread = np.sqrt(np.diag(posterior.covariance)[own])
+        change = posterior.mean[own]
+        shown = [
+            (name, float(value), float(sd), unit)
+            for name, value, sd, wide, unit in zip(
+                PARAMETERS, change, spread, prior, _UNITS, strict=True
+            )
+            if sd < _VISIBLE * wide
+        ]
+        link = diagnosis.training.constants.links[body]
+        if shown:
+            found.append(MovedBody(link=link, shown=tuple(shown), hidden=10 - len(shown)))
+    return found
 
 
 def undetectable_effects(checks: Sequence[EffectCheck]) -> list[UndetectableEffects]:

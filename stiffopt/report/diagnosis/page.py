@@ -22,6 +22,7 @@ from stiffopt.report.diagnosis.mismatch import mismatch_sentence, named_shares, 
 from stiffopt.report.diagnosis.overview import (
     candidates,
     limits_by_effect,
+    moved_bodies,
     moved_values,
     sharpest_limits,
     undetectable_effects,
@@ -114,6 +115,7 @@ def write_diagnosis_report(
         "limits": limits_by_effect(diagnosis),
         "sharpest": sharpest_limits(diagnosis),
         "moved": moved_values(diagnosis),
+        "bodies": moved_bodies(diagnosis),
         "missing": missing_signals(
             recordings, [*trained, *(proof.run for proof in diagnosis.held_out)]
         ),
