@@ -18,12 +18,14 @@ from stiffopt.problem.objective import Objective
 from stiffopt.problem.schema import (
     ExpectedSection,
     LimitsSection,
+    PathSection,
     PayloadSection,
     ProblemFile,
     TargetSection,
     ToolSection,
     problem_file,
 )
+from stiffopt.problem.tool_path import ToolPath, ToolSegment, joint_waypoints
 from stiffopt.problem.trajectory import (
     Target,
     TrajectoryProblem,
@@ -31,6 +33,7 @@ from stiffopt.problem.trajectory import (
 from stiffopt.robot.elements import located
 from stiffopt.robot.files import load_robot, shipped_robots
 from stiffopt.robot.robot import Robot
+from stiffopt.robot.rotations import rotation_from_rpy
 from stiffopt.units import convert, fit_joint
 
 
@@ -74,6 +77,7 @@ def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
     robot = read_robot(document.robot, document.payload, document.tool, path)
     motion = document.motion
     joints = JointLists(robot, path)
+    remarks = _remarks(document.payload)
     if isinstance(motion.duration, float):
         duration = (motion.duration, motion.duration)
     else:
@@ -85,11 +89,26 @@ def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
             [joints(q, "angle", f"motion.path[{k}]") for k, q in enumerate(motion.path, start=1)]
         )
         start, end = Target(joints=waypoints[0]), Target(joints=waypoints[-1])
+    elif document.path is not None:
+        if motion.start is not None:
+            raise InputFileError(
+                path, "path", "fixes where the tool goes. Remove start, via and end of [motion]."
+            )
+        waypoints, followed = tool_waypoints(document.path, joints)
+        remarks += followed
+        start, end = Target(joints=waypoints[0]), Target(joints=waypoints[-1])
     else:
-        assert motion.start is not None
-        assert motion.end is not None
+        if motion.start is None or motion.end is None:
+            raise InputFileError(
+                path, "motion", "give `start` and `end`, or a fixed joint `path`, or a [path] of "
+                "the tool."
+            )  # fmt: skip
         start = _target(motion.start, joints, "motion.start")
         end = _target(motion.end, joints, "motion.end")
+    limits = _limits(document.limits, joints)
+    if document.path is not None and document.path.speed is not None:
+        fastest = min(limits.tool_speed, document.path.speed)
+        limits = Limits({**limits.values, "tool_speed": fastest})
     velocity = None
     if motion.boundary_velocity != "zero":
         velocity = (
@@ -111,14 +130,14 @@ def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
             )
             for term in document.minimise or ()
         ),
-        limits=_limits(document.limits, joints),
+        limits=limits,
         boundary_velocity=velocity,
         boundary_acceleration=motion.boundary_acceleration,
         process_force=np.array(document.tool.process_force),
         method=document.method,
         uncertainty=document.uncertainty,
         title=document.title or path.stem,
-        remarks=_remarks(document.payload),
+        remarks=remarks,
         cell=None if document.cell is None else document.cell.found_in(path.parent),
     )
 
@@ -202,6 +221,31 @@ def _target(section: TargetSection, joints: JointLists, where: str) -> Target:
             angle_tolerance=section.angle_tolerance,
             **extra,
         )
+
+
+def tool_waypoints(section: PathSection, joints: JointLists) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Joint waypoints (k, n) of a tool path, and a sentence on how closely they follow it."""
+    robot, start = joints.robot, section.start
+    limits = np.stack([robot.position_lower, robot.position_upper])
+    near = np.where(np.isfinite(limits).all(axis=0), limits.mean(axis=0), 0.0)
+    if start.near is not None:
+        near = joints(start.near, "angle", "path.start.near")
+    segments = [
+        ToolSegment(
+            end=np.array(each.to.position),
+            rotation=None if each.to.rpy is None else rotation_from_rpy(each.to.rpy),
+            through=None if each.through is None else np.array(each.through),
+            blend=each.blend,
+        )
+        for each in section.segment
+    ]
+    with located(joints.path, ""):
+        path = ToolPath(np.array(start.position), rotation_from_rpy(start.rpy), segments)
+        waypoints, error = joint_waypoints(robot, path, near, section.tolerance)
+    return waypoints, (
+        f"The tool's path of {1e3 * path.length:.4g} mm is followed by a spline through "
+        f"{len(waypoints)} joint waypoints, within {1e6 * error:.2g} µm.",
+    )
 
 
 def _limits(section: LimitsSection, joints: JointLists) -> Limits:

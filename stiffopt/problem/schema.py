@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, create_model, model_validator
 
 from stiffopt.declaration import (
+    NOT_NEGATIVE,
     POSITIVE,
     Angle,
     Bounds,
@@ -21,6 +22,7 @@ from stiffopt.declaration import (
     Length,
     Mass,
     Ratio,
+    Speed,
     Time,
     declared,
 )
@@ -126,13 +128,69 @@ class MotionSection(Section):
 
     @model_validator(mode="after")
     def _ends(self) -> MotionSection:
-        if self.path is None and (self.start is None or self.end is None):
+        # Without any of them the tool's path, [path], has to say where the motion goes.
+        some = self.start or self.end or self.via
+        if self.path is None and some and (self.start is None or self.end is None):
             raise ValueError("give `start` and `end`, or a fixed joint `path`")
         if self.path is not None and (self.start or self.end or self.via):
             raise ValueError("`path` fixes start, end and vias; remove those or the path")
         if self.path is not None and len(self.path) < 2:
             raise ValueError("`path` needs two waypoints or more")
         return self
+
+
+class PathEndSection(Section):
+    """A pose of the tool on its path."""
+
+    position: Annotated[Vector3, Doc("Position of the tool, base frame.")]
+    rpy: Annotated[
+        tuple[Angle, Angle, Angle] | None,
+        Doc("Fixed-axis roll, pitch, yaw of the tool; default that of the pose before."),
+    ] = None
+
+
+class PathStartSection(PathEndSection):
+    """Where the tool's path starts."""
+
+    rpy: Annotated[tuple[Angle, Angle, Angle], Doc("Fixed-axis roll, pitch, yaw of the tool.")]
+    near: Annotated[
+        list[JointPosition] | None,
+        Doc("Joint positions that choose between the solutions of the inverse kinematics."),
+    ] = None
+
+
+class SegmentSection(Section):
+    """A segment of the tool's path."""
+
+    type: Annotated[Literal["lin", "circ"], Doc("A straight line, or an arc.")]
+    to: Annotated[PathEndSection, Doc("Where it ends.")]
+    through: Annotated[Vector3 | None, Doc("A point on the arc; `circ` needs it.")] = None
+    blend: Annotated[
+        Length, NOT_NEGATIVE, Doc("Distance from its end at which the rounding begins.")
+    ] = 0.0
+
+    @model_validator(mode="after")
+    def _arc(self) -> SegmentSection:
+        if (self.type == "circ") != (self.through is not None):
+            raise ValueError("`through` belongs to a segment of type circ, which needs it")
+        return self
+
+
+class PathSection(Section):
+    """A fixed path of the tool, in place of [motion] start, via, end and path."""
+
+    start: Annotated[PathStartSection, Doc("Where it starts.")]
+    segment: Annotated[
+        tuple[SegmentSection, ...], Field(min_length=1), Doc("Lines and arcs, one after another.")
+    ]
+    speed: Annotated[
+        Speed | None,
+        POSITIVE,
+        Doc("Of the tool: held where limits and the ends allow it, never exceeded."),
+    ] = None
+    tolerance: Annotated[
+        Length, POSITIVE, Doc("How far the tool may be from the path: the joints follow a spline.")
+    ] = 5e-5
 
 
 class MinimiseSection(Section):
@@ -170,6 +228,7 @@ class ProblemFile(Section):
     payload: PayloadSection | None = None
     tool: ToolSection = ToolSection()
     motion: MotionSection
+    path: PathSection | None = None
     minimise: Annotated[
         list[MinimiseSection] | None,
         Field(min_length=1),

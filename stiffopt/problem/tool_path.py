@@ -1,0 +1,265 @@
+"""Tool paths of straight and circular segments with blended corners, as waypoints of the joints.
+
+The joints follow a spline through poses of the tool at equal steps of its path, close enough that
+the tool stays within a tolerance of the segments. A step of the spline's parameter is then a step
+of the path, and the tool's speed is the parameter's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from stiffopt.dynamics.inverse_kinematics import solve_pose
+from stiffopt.errors import ProblemError
+from stiffopt.result.joint_path import JointPath
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+# Directions that differ by less are no corner [rad].
+_STRAIGHT = 0.01
+# Samples of a piece, for its length.
+_SAMPLES = 400
+# Waypoints to begin with, and at most.
+_FEWEST, _MOST = 17, 257
+# Between neighbours a joint that turns further changes the arm's posture [rad].
+_JUMP = 0.6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ToolSegment:
+    """A segment of a tool path.
+
+    Parameters
+    ----------
+    end : array (3,)
+        Where it ends, base frame [m].
+    rotation : array (3, 3) or None
+        Orientation of the tool at its end; None keeps the one before.
+    through : array (3,) or None
+        A point on the arc; None for a straight line [m].
+    blend : float
+        Distance from its end at which the rounding into the next segment begins [m].
+    """
+
+    end: np.ndarray
+    rotation: np.ndarray | None = None
+    through: np.ndarray | None = None
+    blend: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """Samples of a smooth piece: path from its start (S,) [m] and points (S, 3)."""
+
+    length: np.ndarray
+    points: np.ndarray
+
+    @classmethod
+    def of(cls, points: np.ndarray) -> _Piece:
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        return cls(np.concatenate([[0.0], np.cumsum(steps)]), points)
+
+    @property
+    def total(self) -> float:
+        return float(self.length[-1])
+
+    def at(self, along: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(along, self.length, column) for column in self.points.T], axis=1)
+
+    def cut(self, before: float, after: float) -> _Piece:
+        """Without its first and last stretch."""
+        return _Piece.of(self.at(np.linspace(before, self.total - after, _SAMPLES)))
+
+    def direction(self, end: int) -> np.ndarray:
+        """Unit vector at its start (0) or end (-1)."""
+        step = self.points[1] - self.points[0] if end == 0 else self.points[-1] - self.points[-2]
+        return np.asarray(step / np.linalg.norm(step))
+
+
+class ToolPath:
+    """A smooth path of the tool.
+
+    Parameters
+    ----------
+    start : array (3,)
+        [m]
+    rotation : array (3, 3)
+        Orientation of the tool at the start.
+    segments : sequence of ToolSegment
+
+    Attributes
+    ----------
+    length : float [m]
+    """
+
+    def __init__(
+        self, start: np.ndarray, rotation: np.ndarray, segments: Sequence[ToolSegment]
+    ) -> None:
+        pieces, at = [], np.asarray(start, dtype=float)
+        for number, segment in enumerate(segments, start=1):
+            pieces.append(_sampled(at, segment, f"path.segment[{number}]"))
+            at = segment.end
+        joined, corners = _blended(pieces, [segment.blend for segment in segments])
+        self._piece = _Piece.of(np.vstack([joined[0].points, *(p.points[1:] for p in joined[1:])]))
+        self.length = self._piece.total
+        turns, last = [rotation], rotation
+        for segment in segments:
+            last = last if segment.rotation is None else segment.rotation
+            turns.append(last)
+        self._turn = Slerp([0.0, *corners, self.length], Rotation.from_matrix(np.stack(turns)))
+
+    def poses(self, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (K, 3) [m] and rotations (K, 3, 3) at distances along the path (K,) [m]."""
+        inside = np.clip(along, 0.0, self.length)
+        return self._piece.at(inside), self._turn(inside).as_matrix()
+
+
+def joint_waypoints(
+    robot: Robot, path: ToolPath, near: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, float]:
+    """Waypoints of the joints (k, n) whose spline follows a tool path, and by how much it errs.
+
+    Parameters
+    ----------
+    robot : Robot
+    path : ToolPath
+    near : array (n,)
+        Chooses between the solutions at the start [rad].
+    tolerance : float
+        Of the tool's position [m].
+
+    Returns
+    -------
+    (array, float)
+        [rad], and the largest distance of the tool from the path [m].
+
+    Raises
+    ------
+    ProblemError
+        Out of reach, through a change of posture, or not within the tolerance.
+    """
+    bodies, tool, count = robot.rigid_bodies(), robot.tool, _FEWEST
+    while True:
+        along = np.linspace(0.0, path.length, count)
+        waypoints = _solved(robot, path, along, near)
+        spline = JointPath.through(waypoints)
+        between = np.linspace(0.0, 1.0, 4 * (count - 1) + 1)
+        wanted = path.poses(between * path.length)[0]
+        found = np.array([bodies.pose(tool, q)[0] for q in spline(between)])
+        error = float(np.linalg.norm(found - wanted, axis=1).max())
+        if error <= tolerance:
+            return waypoints, error
+        if count >= _MOST:
+            raise ProblemError(
+                f"path: {count} waypoints follow the segments within {1e3 * error:.3g} mm, "
+                f"{1e3 * tolerance:.3g} mm are asked. Give a larger tolerance, or larger blends."
+            )
+        count = 2 * (count - 1) + 1
+
+
+def _solved(robot: Robot, path: ToolPath, along: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Joints (k, n) at distances along the path, each near the one before."""
+    positions, rotations = path.poses(along)
+    waypoints: list[np.ndarray] = []
+    for place, position, rotation in zip(along, positions, rotations, strict=True):
+        before = waypoints[-1] if waypoints else near
+        # From the waypoint before, the arm keeps its posture or does not get there.
+        restarts = 0 if waypoints else 60
+        try:
+            found = solve_pose(robot, position, rotation, before, restarts=restarts)
+        except ProblemError as error:
+            raise ProblemError(f"path, {place:.3f} m from its start: {error}") from error
+        if waypoints and np.max(np.abs(found - before)) > _JUMP:
+            j = int(np.argmax(np.abs(found - before)))
+            raise ProblemError(
+                f"path, {place:.3f} m from its start: joint {j + 1} would turn by "
+                f"{np.degrees(abs(found[j] - before[j])):.0f} deg at once, through a singular "
+                "pose. Choose another posture by path.start.near, or another path."
+            )
+        waypoints.append(np.asarray(found))
+    return np.stack(waypoints)
+
+
+def _sampled(start: np.ndarray, segment: ToolSegment, where: str) -> _Piece:
+    """Points of a line or an arc."""
+    share = np.linspace(0.0, 1.0, _SAMPLES)[:, None]
+    chord = segment.end - start
+    if not np.linalg.norm(chord) > 1e-6:
+        raise ProblemError(f"{where} ends where it begins. Give another end.")
+    if segment.through is None:
+        return _Piece.of(start + share * chord)
+    a, b = segment.through - start, chord
+    normal = np.cross(a, b)
+    if np.linalg.norm(normal) < 1e-6 * np.linalg.norm(a) * np.linalg.norm(b) + 1e-12:
+        raise ProblemError(
+            f"{where}: start, `through` and end lie on a line. Give a point beside it."
+        )
+    square = normal @ normal
+    middle = start + (np.cross(normal, a) * (b @ b) - np.cross(normal, b) * (a @ a)) / (2 * square)
+    first = start - middle
+    across = np.cross(normal / np.sqrt(square), first)
+    angle = np.arctan2((segment.end - middle) @ across, (segment.end - middle) @ first)
+    angle += 2.0 * np.pi if angle <= 0.0 else 0.0
+    return _Piece.of(middle + np.cos(share * angle) * first + np.sin(share * angle) * across)
+
+
+def _blended(pieces: Sequence[_Piece], blends: Sequence[float]) -> tuple[list[_Piece], list[float]]:
+    """Pieces with rounded corners, and the path up to the middle of each corner [m]."""
+    cuts = []
+    for number, (one, other) in enumerate(pairwise(pieces), start=1):
+        turn = np.arccos(np.clip(one.direction(-1) @ other.direction(0), -1.0, 1.0))
+        if turn > _STRAIGHT and not blends[number - 1] > 0.0:
+            raise ProblemError(
+                f"path.segment[{number}]: the tool turns by {np.degrees(turn):.3g} deg at its end, "
+                "where it would have to stop. Give the segment a `blend`, or end the path there."
+            )
+        cuts.append(blends[number - 1] if turn > _STRAIGHT else 0.0)
+    before, after = [0.0, *cuts], [*cuts, 0.0]
+    for number, piece in enumerate(pieces, start=1):
+        asked = before[number - 1] + after[number - 1]
+        if asked > 0.999 * piece.total:
+            raise ProblemError(
+                f"path.segment[{number}] is {1e3 * piece.total:.4g} mm long, its blends take "
+                f"{1e3 * asked:.4g} mm. Give smaller ones."
+            )
+    joined, corners, so_far = [], [], 0.0
+    for number, piece in enumerate(pieces):
+        own = piece.cut(before[number], after[number])
+        joined.append(own)
+        so_far += own.total
+        if number == len(pieces) - 1:
+            break
+        if cuts[number] > 0.0:
+            following = pieces[number + 1].cut(before[number + 1], after[number + 1])
+            bend = _rounded(own, following, cuts[number])
+            joined.append(bend)
+            corners.append(so_far + 0.5 * bend.total)
+            so_far += bend.total
+        else:
+            corners.append(so_far)
+    return joined, corners
+
+
+def _rounded(one: _Piece, other: _Piece, size: float) -> _Piece:
+    """A cubic from the end of one piece to the start of another, along both.
+
+    Between two lines it is the parabola whose tangents meet in the corner.
+    """
+    reach = 2.0 / 3.0 * size
+    first, last = one.points[-1], other.points[0]
+    u = np.linspace(0.0, 1.0, _SAMPLES)[:, None]
+    inner = first + reach * one.direction(-1), last - reach * other.direction(0)
+    points = (
+        (1 - u) ** 3 * first
+        + 3 * (1 - u) ** 2 * u * inner[0]
+        + 3 * (1 - u) * u**2 * inner[1]
+        + u**3 * last
+    )
+    return _Piece.of(points)
