@@ -111,10 +111,24 @@ class Springs:
         return np.array(slopes)
 
 
-def simulate(robot: Robot, motion: Any) -> Simulated:
-    """Simulate one motion (callable motion(t, order) with attribute duration)."""
-    model, springs = robot.model, Springs(robot)
+def simulate(
+    robot: Robot,
+    motion: Any,
+    *,
+    reference: Any = None,
+    stiffness: np.ndarray | float = 1.0,
+    payload: float = 1.0,
+    damping: float = 1.0,
+) -> Simulated:
+    """Simulate one motion (callable motion(t, order) with attribute duration).
+
+    The deviation is from where the tool hangs at the motor position of `reference`, which is the
+    motion itself where left out. The others are factors on the arm's own values.
+    """
+    springs, nominal = Springs(robot), robot
+    model = robot.with_payload_times(payload).model
     data = model.createData()
+    reference = motion if reference is None else reference
     steps = round((motion.duration + REST) / STEP)
     # Motor position and speed at every half step, at rest after arrival.
     times = np.minimum(STEP / 2 * np.arange(2 * steps + 1), motion.duration)
@@ -128,14 +142,21 @@ def simulate(robot: Robot, motion: Any) -> Simulated:
             q = at - springs.windup(pin.computeGeneralizedGravity(model, data, q))
         return q
 
+    # Damping is that of the nominal arm at rest.
+    own = nominal.model.createData()
+    at_rest = motor[0].copy()
+    for _ in range(8):
+        held = pin.computeGeneralizedGravity(nominal.model, own, at_rest)
+        at_rest = motor[0] - springs.windup(held)
+    inertia = np.diag(pin.crba(nominal.model, own, at_rest))
+    tangent = springs.stiffness(held, nominal)
+    friction = damping * 2.0 * DAMPING * np.sqrt(tangent * inertia)
+    springs.table = springs.table * np.broadcast_to(stiffness, (robot.n,))[:, None]
     q = hanging(motor[0])
     v = np.zeros(robot.n)
-    inertia = np.diag(pin.crba(model, data, q))
-    stiffness = springs.stiffness(pin.computeGeneralizedGravity(model, data, q), robot)
-    damping = 2.0 * DAMPING * np.sqrt(stiffness * inertia)
 
     def acceleration(q: np.ndarray, v: np.ndarray, half: int) -> np.ndarray:
-        torque = springs.torque(motor[half] - q) + damping * (speed[half] - v)
+        torque = springs.torque(motor[half] - q) + friction * (speed[half] - v)
         return pin.aba(model, data, q, v, torque)
 
     def tool(q: np.ndarray) -> np.ndarray:
@@ -143,10 +164,12 @@ def simulate(robot: Robot, motion: Any) -> Simulated:
         return data.oMi[robot.tool.joint].act(np.asarray(robot.tool.offset))
 
     every = 10
+    instants = np.minimum(STEP * every * np.arange(steps // every + 1), reference.duration)
+    wanted = reference(instants, 0)
     distance, at = [], []
     for k in range(steps):
         if k % every == 0:
-            distance.append(np.linalg.norm(tool(q) - tool(hanging(motor[2 * k]))))
+            distance.append(np.linalg.norm(tool(q) - tool(hanging(wanted[k // every]))))
             at.append(k * STEP)
         h = STEP
         a1 = acceleration(q, v, 2 * k)

@@ -20,6 +20,7 @@ BENCHMARKS = (
     "fixed_path",
     "dynamic_deflection",
     "elastic_simulation",
+    "compensation",
     "model_cost",
 )
 HEAD = """# Results of one run

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
@@ -134,6 +134,11 @@ class Departure:
         """The nominal arm."""
         return cls(stiffness=np.ones(joints))
 
+    def factors(self) -> dict[str, Any]:
+        """Plain numbers: everything but the label."""
+        numbers = {name: getattr(self, name) for name in ("damping", "payload", "servo")}
+        return {"stiffness": self.stiffness.tolist(), **numbers}
+
 
 def corners(uncertainty: Uncertainty, joints: int, carries: bool) -> list[Departure]:
     """Arms with every uncertainty at one of its bounds, all joints' stiffness alike.
@@ -201,8 +206,8 @@ def of_deviations(uncertainty: Uncertainty, deviations: np.ndarray) -> Uncertain
 
     Two standard deviations are taken as the bound; at 99 % a stiffness is as good as unknown.
     """
-    from dataclasses import replace
-
+    if np.all(np.isnan(deviations)):
+        return uncertainty
     shares = uncertainty.shares(len(deviations))
     known = np.where(
         np.isnan(deviations), shares, np.minimum(_DEVIATIONS * np.nan_to_num(deviations), 0.99)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,7 +25,10 @@ class Spread:
     worst : float
         The largest of all.
     worst_case : str
-        Which arm that is.
+        Which arm that is, in words.
+    worst_arm : dict
+        The same as factors on nominal values: stiffness (a list), damping, payload; and servo, how
+        much of the worst servo's lag.
     draws : array (D,)
         On arms drawn from within the uncertainties.
     """
@@ -33,6 +36,7 @@ class Spread:
     nominal: float
     worst: float
     worst_case: str
+    worst_arm: dict[str, Any]
     draws: np.ndarray
 
     def quantile(self, share: float) -> float:

@@ -80,5 +80,6 @@ def _spread(spread: Spread) -> dict[str, Any]:
         "nominal": spread.nominal,
         "worst": spread.worst,
         "worst_case": spread.worst_case,
+        "worst_arm": spread.worst_arm,
         "draws": spread.draws,
     }

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from stiffopt.solver.simulation import PlannedMotion
 
 # Of the knots of the splines that are tried [s], and shares of the nominal wind-up.
-_SPACINGS = (0.005, 0.01, 0.02)
+_SPACINGS = (0.005, 0.01, 0.02, 0.04)
 _SHARES = (1.0, 1.03, 1.06, 1.09)
 # Of the grid on which the splines are tried; the chosen one is judged on the certificate's.
 _COARSE = 1001
@@ -75,7 +75,7 @@ def compensate(
     for motion in motions:
         if progress is not None:
             progress(motion.name)
-        found.append(_Compensator(problem, arm, motion).compensated())
+        found.append(compensated(problem, arm, motion))
     own, trajectory = found[0]
     refusal, command = _refusal(own.excess), None
     if not refusal:
@@ -87,6 +87,13 @@ def compensate(
         uncertainty=problem.uncertainty.statements(arm.robot.payload is not None),
         draws=problem.uncertainty.draws,
     )
+
+
+def compensated(
+    problem: TrajectoryProblem, arm: ElasticArm, motion: PlannedMotion
+) -> tuple[CompensatedMotion, Trajectory]:
+    """What compensation gives of one motion, and the motors' command; parameters as above."""
+    return _Compensator(problem, arm, motion).compensated()
 
 
 def _refusal(excess: tuple[Violation, ...]) -> str:
@@ -172,7 +179,7 @@ class _Compensator:
     def _chosen(self) -> tuple[_Lead, float, list[Departure]]:
         """Spline and share of the least worst case; the worst signs of the joints' stiffness."""
         leads = self._leads()
-        within = [lead for lead in leads if not self._excess(lead.motors, _COARSE)] or leads
+        within = [lead for lead in leads if self._within(lead.motors)] or leads
         tried = [(lead, share) for lead in within for share in _SHARES]
         commands = [MotorMotion.of(lead.command(share)) for lead, share in tried]
         single = one_at_a_time(self._problem.uncertainty, self._arm.robot.n)
@@ -231,6 +238,11 @@ class _Compensator:
             ]
         return found
 
+    def _within(self, motors: Trajectory) -> bool:
+        """Whether the limits that the plan keeps are kept; some no method of its kind can take."""
+        excess = self._excess(motors, _COARSE)
+        return all(each.limit in self._motion.exceeded for each in excess)
+
     def _excess(self, motors: Trajectory, points: int | None = None) -> tuple[Violation, ...]:
         """Limits of the motors that a motion of theirs exceeds, worst first."""
         times = None if points is None else np.linspace(0.0, motors.duration, points)
@@ -250,6 +262,7 @@ def _spreads(
             nominal=float(peak[0]),
             worst=float(peak.max()),
             worst_case=arms[int(np.argmax(peak))].label,
+            worst_arm=arms[int(np.argmax(peak))].factors(),
             draws=peak[len(arms) - drawn :],
         )
         for peak in (flight, after)

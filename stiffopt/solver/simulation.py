@@ -72,6 +72,8 @@ class PlannedMotion:
         Whether it keeps all limits and the problem's duration.
     link : Trajectory or None
         What the links are planned to do, where that is planned apart from the motors' motion.
+    exceeded : tuple of str
+        Names of limits that it does not keep.
     """
 
     name: str
@@ -81,6 +83,7 @@ class PlannedMotion:
     planned: PeakRms
     counted: bool
     link: Trajectory | None = None
+    exceeded: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, name: str, assessment: Assessment, counted: bool) -> PlannedMotion:
@@ -92,6 +95,7 @@ class PlannedMotion:
             velocity=assessment.velocity,
             planned=assessment.deflection_summary()["dynamic"],
             counted=counted,
+            exceeded=tuple(v.limit for v in assessment.violations if v.value > CERTIFIED),
         )
 
 

@@ -20,6 +20,7 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.extended.made_for import made_for
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.extended.planner_model import joint_constants, planner_model
+from stiffopt.elastic.uncertainty import Uncertainty, of_deviations
 from stiffopt.errors import InputFileError
 from stiffopt.exact.chain import exact_windup, windup_shares
 from stiffopt.robot.files import load_robot
@@ -117,6 +118,32 @@ def test_payload_is_the_body_that_was_found(arm: Robot, model: ExtendedModel) ->
     q, v, a = (np.linspace(low, 1.0, arm.n) for low in (-0.8, 0.3, -2.0))
     torque = pin.rnea(changed.model, changed.model.createData(), q, v, a)
     assert torque == pytest.approx(pin.rnea(expected, expected.createData(), q, v, a), rel=1e-9)
+
+
+def test_standard_deviations_of_stiffness_bound_the_joint_in_planning(
+    arm: Robot, tmp_path: Path
+) -> None:
+    own = extended(tmp_path, arm.joint_names, arm.torque_max)
+    text = (tmp_path / "extended.toml").read_text()
+    (tmp_path / "extended.toml").write_text(
+        text
+        + """
+[[effect]]
+name = "stiffness_linear"
+joint = 3
+[effect.term]
+x = 0.25
+[effect.parameters]
+factor = { value = 0.8, sd = 0.02 }
+"""
+    )
+    planner = planner_model(arm, load_extended(tmp_path / "extended.toml"))
+    deviation = planner.stiffness_deviation
+    assert deviation[2] == pytest.approx(0.025)
+    assert np.isnan(np.delete(deviation, 2)).all()
+    shares = of_deviations(Uncertainty(), deviation).shares(arm.n)
+    assert shares == pytest.approx([0.2, 0.2, 0.05, 0.2, 0.2, 0.2])
+    assert np.isnan(planner_model(arm, own).stiffness_deviation).all()
 
 
 def test_softer_joint_winds_up_by_the_factor(arm: Robot, model: ExtendedModel) -> None:

@@ -83,6 +83,8 @@ class ExtendedModel:
     extension : Extension
     parameters : tuple of dict of str to float
         Reported values of every effect of the extension that the file states.
+    deviations : tuple of dict of str to float
+        Their standard deviations, where the file states them.
     """
 
     source: str
@@ -94,6 +96,7 @@ class ExtendedModel:
     scales: dict[str, tuple[float, ...]]
     extension: Extension
     parameters: tuple[dict[str, float], ...]
+    deviations: tuple[dict[str, float], ...] = ()
 
     def applied_to(self, recordings: RecordingSet) -> RecordingSet:
         """The set with this model's nominal values.
@@ -166,6 +169,10 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
         extension=Extension(calibration=document.calibration, effects=tuple(read)),
         parameters=tuple(
             {name: entry.value for name, entry in section.parameters.items()}
+            for section in document.effect
+        ),
+        deviations=tuple(
+            {name: entry.sd for name, entry in section.parameters.items() if entry.sd is not None}
             for section in document.effect
         ),
     )

@@ -23,6 +23,8 @@ from stiffopt.robot.robot import Robot
 
 # Nominal values of the robot that a calibration states relative to themselves.
 _RELATIVE = ("coulomb", "viscous", "rotor_inertia")
+# Parameters of effects that multiply a joint's stiffness.
+_STIFFNESS_FACTORS = ("factor", "k1_factor")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,11 +38,14 @@ class PlannerModel:
         What was changed, a sentence each.
     left_out : tuple of str
         What was found and a planner does not know, with the place.
+    stiffness_deviation : array (n,)
+        Relative standard deviation of each joint's stiffness; NaN where the model states none.
     """
 
     robot: Robot
     changes: tuple[str, ...]
     left_out: tuple[str, ...]
+    stiffness_deviation: np.ndarray
 
 
 def planner_model(robot: Robot, model: ExtendedModel) -> PlannerModel:
@@ -73,7 +78,10 @@ def planner_model(robot: Robot, model: ExtendedModel) -> PlannerModel:
     for estimated in model.extension.effects:
         planner.add(estimated)
     return PlannerModel(
-        robot=planner.robot, changes=tuple(planner.changes), left_out=tuple(planner.left_out)
+        robot=planner.robot,
+        changes=tuple(planner.changes),
+        left_out=tuple(planner.left_out),
+        stiffness_deviation=planner.stiffness_deviation(),
     )
 
 
@@ -135,6 +143,26 @@ class _Planner:
         else:
             self.robot = changed.robot
             self.changes.append(changed.sentence)
+
+    def stiffness_deviation(self) -> np.ndarray:
+        """Relative standard deviations (n,) of the joints whose stiffness was found."""
+        found = np.full(self.robot.n, np.nan)
+        stated = zip(
+            self.model.extension.effects, self.model.parameters, self.model.deviations, strict=False
+        )
+        for estimated, values, deviations in stated:
+            located = estimated.located
+            if located.effect.family != "elastic" or located.joint is None:
+                continue
+            shares = [
+                deviation / abs(values[name])
+                for name, deviation in deviations.items()
+                if name in _STIFFNESS_FACTORS and values.get(name)
+            ]
+            if shares:
+                place = self.place[located.joint]
+                found[place] = np.fmax(found[place], max(shares))
+        return found
 
 
 def _places(robot: Robot, model: ExtendedModel) -> tuple[int, ...]:

@@ -13,6 +13,7 @@ from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.extended.planner_model import PlannerModel, planner_model
 from stiffopt.discovery.user_effects import load_effects
+from stiffopt.elastic.uncertainty import of_deviations
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Solution
@@ -71,7 +72,8 @@ def solve_extended(
         The model is of another robot.
     """
     planner = planner_model(problem.robot, model)
-    changed = replace(problem, robot=planner.robot)
+    unsure = of_deviations(problem.uncertainty, planner.stiffness_deviation)
+    changed = replace(problem, robot=planner.robot, uncertainty=unsure)
     nominal = solve(problem, progress=progress, throw=False)
     carried = None
     if nominal.trajectory is not None:
