@@ -11,7 +11,6 @@ USED = {
     "deep_extdiag_exc_IndexError_a9381a",
     "phys_exc_ZeroDivisionError_54d86c",
     "phys_hang_hang_3d49f7",
-    "trap_noise_claim_1e-12",
     "trap_rate_20Hz_all",
 }
 

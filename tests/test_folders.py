@@ -2,6 +2,7 @@
 
 import json
 import os
+import resource
 import subprocess
 import sys
 from contextlib import suppress
@@ -172,3 +173,29 @@ def test_no_space_left(tmp_path, monkeypatch):
     assert error.value.path == str(tmp_path / "a.txt")
     monkeypatch.undo()
     assert tree(tmp_path) == {"a.txt": "old"}
+
+
+def test_no_space_in_the_middle_of_a_report(tmp_path):
+    """Files of more than 4 kB cannot be written: the table can, the page cannot."""
+    from benchmarks.reliability.mutants import alone, called
+
+    command = ["stiffness", "er3a_c60", "--out", str(tmp_path / "out")]
+
+    def cramped():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+        return called(command)
+
+    assert alone(cramped, tmp_path) == ("told", "")
+    assert list(tmp_path.iterdir()) == []
+    write(tmp_path / "out", "stiffness", a="old")
+    assert alone(cramped, tmp_path) == ("told", "")
+    assert tree(tmp_path / "out") == {"a.txt": "old"}
+
+
+@pytest.mark.parametrize("place", ["/proc/out", "/dev/null", "/sys/out"])
+def test_where_nothing_can_be_written(place):
+    with (
+        pytest.raises(InputFileError, match="cannot be written"),
+        output_folder(Path(place), "solve"),
+    ):
+        pass

@@ -87,6 +87,7 @@ def ended(place: Path, count: int, sign: signal.Signals, seed: int = 1) -> Count
         verdict = judged(out, before) if kept else "user's file lost"
         if "Traceback" in error:
             verdict = "traceback"
+            print(error, flush=True)
         said = sign is signal.SIGINT and "nothing was written" in error
         if said and hashes(out) != before:
             verdict = "said nothing was written"

@@ -32,7 +32,7 @@ def diagnose(
     """Find what the nominal model of recordings lacks, and prove it on runs never fitted to.
 
     Writes diagnosis.json, extended.toml, report.html and the predictions of test and extrapolation
-    runs.
+    runs. Ctrl-C ends the search and keeps what was found so far.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def diagnose(
             write_diagnosis_report(found, stage, png=png)
         write_diagnosis(found, stage)
     print_diagnosis(found, chosen)
-    return 0
+    return 130 if found.stopped else 0
 
 
 @recording.command

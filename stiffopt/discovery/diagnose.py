@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +45,10 @@ from stiffopt.recording.facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
 
 Say = Callable[[str], object]
+
+_STOPPED = (
+    "Stopped by the user: what was found until then is told, and more may be missing than that."
+)
 
 
 def diagnose(
@@ -138,10 +142,21 @@ def diagnose(
         unexplained = bursts(training, (*start, found), settings)
     new = [s for s in selected if s.located.effect.nominal not in recordings.unstated]
     pair = leading_pair(new or selected) if experiment else None
-    plan = None if pair is None else plan_experiment(training, result, settings, pair, say=say)
+    stopped = [_STOPPED] if result.stopped else []
+    plan = None
+    try:
+        if pair is not None and not result.stopped:
+            plan = plan_experiment(training, result, settings, pair, say=say)
+    except KeyboardInterrupt:
+        stopped.append("Stopped by the user: no experiment was designed.")
     # The findings are fixed: from here on other runs may be opened, and change nothing above.
     shares = Shares(parts_of(found, recordings.unstated), 2 * training.robot.n)
-    proofs = _proofs(recordings, training, settings, start, found, shares, say)
+    proofs = []
+    try:
+        for proof in _proofs(recordings, training, settings, start, found, shares, say):
+            proofs.append(proof)
+    except KeyboardInterrupt:
+        stopped.append("Stopped by the user: not all held-out runs were predicted.")
     taken = shares.found()
     every = (*training.recorded, *(proof.run for proof in proofs))
     return Diagnosis(
@@ -153,16 +168,17 @@ def diagnose(
         extension=found if base is None else base.extension.followed_by(found),
         training=training,
         search=result,
-        held_out=proofs,
+        held_out=tuple(proofs),
         shares=taken,
         catalogue=catalogue,
         detection_limits=limits,
         unexplained=unexplained,
         next_experiment=_next_experiment(findings, plan, unexplained, taken, recordings.unstated),
-        assumptions=(*_despite(doubted), *training.assumptions),
+        assumptions=(*stopped, *_despite(doubted), *training.assumptions),
         faults=tuple((run.name, fault) for run in every for fault in run.faults),
         experiment=plan,
         doubts=doubted,
+        stopped=bool(stopped),
     )
 
 
@@ -229,8 +245,7 @@ def _proofs(
     found: Extension,
     shares: Shares,
     say: Say,
-) -> tuple[RunProof, ...]:
-    proofs = []
+) -> Iterator[RunProof]:
     for entry in recordings.with_role("test", "extrapolate"):
         say(f"predict {entry.file}")
         run = recordings.open(entry)
@@ -240,8 +255,7 @@ def _proofs(
         before, after = predictor.predict(*start), predictor.predict(*start, found)
         say(f"share out what changes in {entry.file}")
         shares.add(predictor, start, found, after)
-        proofs.append(prove(run, predictor.velocity, before, after, training.noise))
-    return tuple(proofs)
+        yield prove(run, predictor.velocity, before, after, training.noise)
 
 
 def _next_experiment(

@@ -182,6 +182,8 @@ class Diagnosis:
         separate, or no motion separates them better than the training runs.
     doubts : tuple of Doubt
         What the recordings contradict of their own description; diagnosed all the same.
+    stopped : bool
+        By Ctrl-C; the first assumptions tell what was not done.
     """
 
     recordings: RecordingSet
@@ -202,6 +204,7 @@ class Diagnosis:
     faults: tuple[tuple[str, Fault], ...]
     experiment: ExperimentPlan | None = None
     doubts: tuple[Doubt, ...] = ()
+    stopped: bool = False
 
     def proofs(self, role: str) -> tuple[RunProof, ...]:
         """Held-out runs of one role, "test" or "extrapolate"."""

@@ -74,6 +74,7 @@ def answer(diagnosis: Diagnosis) -> dict[str, Any]:
         ],
         "outside": None if diagnosis.unexplained is None else _unexplained(diagnosis.unexplained),
         "next_experiment": diagnosis.next_experiment,
+        "stopped": diagnosis.stopped,
         "assumptions": list(diagnosis.assumptions),
         "doubts": [doubt.as_dict() for doubt in diagnosis.doubts],
         "runs": [

@@ -27,6 +27,8 @@ Say = Callable[[str], object]
 
 # Wind-up of a joint beyond which it is no drivetrain's, [rad] or [m].
 _SOFTEST = 1.0
+# Least noise of a torque over its largest value: 24 bits tell no less.
+_QUIETEST = 2.0**-24
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,6 +139,7 @@ def train(
         check_extended(model, ranged)
     ready = [replace(run, signals=replace(run.signals, constants=ranged)) for run in prepared]
     noise = known_noise(recordings.noise, ready)
+    _check_noise(recordings, noise, ready)
     if model is not None:
         ready = [extended(run, robot, model.extension) for run in ready]
     if len(ready) < FEW_RUNS:
@@ -204,6 +207,20 @@ def _check_nominal(recordings: RecordingSet, run: RecordedRun, ready: PreparedRu
             f"and no joint does so by more than {_SOFTEST:g}. Check its stiffness, and masses and "
             "times.",
         )
+
+
+def _check_noise(recordings: RecordingSet, noise: KnownNoise, runs: Sequence[PreparedRun]) -> None:
+    """Raise `InputFileError` where the stated noise of a torque is none of any sensor."""
+    largest = _largest_torques(runs)
+    for j, stated in enumerate(noise.torque_stated):
+        if stated and noise.channels.torque[j] < _QUIETEST * largest[j]:
+            raise InputFileError(
+                recordings.path,
+                "noise.torque",
+                f"{noise.channels.torque[j]:g} N m at {recordings.joints[j]!r}, whose torque goes "
+                f"to {largest[j]:.3g}: no sensor is so quiet. State one standard deviation, or "
+                "leave it out.",
+            )
 
 
 def _nothing_to_fit(run: RecordedRun, ready: PreparedRun) -> str:

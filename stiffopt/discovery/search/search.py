@@ -46,6 +46,8 @@ class SearchResult:
     before, calibrated, after : array (2 n,)
         Residual over noise in every channel: of the nominal model, with nominal values moved
         within tolerance, and with the effects.
+    stopped : bool
+        By Ctrl-C, before everything was searched for.
     """
 
     selected: tuple[Selected, ...]
@@ -55,6 +57,7 @@ class SearchResult:
     before: np.ndarray
     calibrated: np.ndarray
     after: np.ndarray
+    stopped: bool = False
 
     @property
     def effects(self) -> tuple[LocatedEffect, ...]:
@@ -101,7 +104,9 @@ def search(
         single = () if rigid.single is None else (rigid.single.located,)
         current, effects = _not_stated(comparison, [*start, *single], say)
     together = AT_ONCE if free_bodies else 1
-    current, effects = _forward(comparison, current, effects, catalogue, most, together, say, tell)
+    current, effects, stopped = _forward(
+        comparison, current, effects, catalogue, most, together, say, tell
+    )
     if effects:
         say(f"confirm what was found ({len(effects)}) on stretches left out")
     confirmed = _confirmed(current, effects, strict=free_bodies)
@@ -138,6 +143,7 @@ def search(
         before,
         calibrated,
         current.channel_ratio(fit.residual),
+        stopped,
     )
 
 
@@ -174,13 +180,21 @@ def _forward(
     together: int,
     say: Callable[[str], object],
     tell: Callable[[str], object],
-) -> tuple[Comparison, list[LocatedEffect]]:
-    """Add the best of the catalogue, some at once, until nothing more passes."""
+) -> tuple[Comparison, list[LocatedEffect], bool]:
+    """Add the best of the catalogue, some at once, until nothing more passes, or Ctrl-C."""
     most += len(effects)
+    stopped = False
     while len(effects) < most:
         scorer = Scorer(current, effects)
         room = min(together, most - len(effects))
-        best = _best(scan(scorer, catalogue, tell=tell), scorer, room)
+        try:
+            best = _best(scan(scorer, catalogue, tell=tell), scorer, room)
+        except KeyboardInterrupt:
+            if not effects:  # there is nothing to tell
+                raise
+            say("stopped: what was found so far is weighed")
+            stopped = True
+            break
         if not best:
             break
         for each in best:
@@ -190,7 +204,7 @@ def _forward(
         effects = _pruned(current, effects)
         if best[0].located.label not in [e.label for e in effects]:
             break
-    return _fitted_jointly(comparison, effects)
+    return *_fitted_jointly(comparison, effects), stopped
 
 
 def _ranked(
