@@ -14,6 +14,7 @@ from stiffopt.fastening.flange_load import (
     transverse_forces,
 )
 from stiffopt.preload.model import PreloadModel
+from stiffopt.preload.tightening_draws import SlipProbability, slip_probability
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,6 +50,8 @@ class BoltSheet:
         F_A of each bolt in that case.
     transverse : array (n, 2)
         F_Q of each bolt in that case.
+    chance : SlipProbability
+        That a bolt is left with less than its share of the load asks for.
     loads : FlangeLoads
         What all load cases bring to the face.
     """
@@ -71,6 +74,7 @@ class BoltSheet:
     angles: np.ndarray
     axial: np.ndarray
     transverse: np.ndarray
+    chance: SlipProbability
     loads: FlangeLoads
 
 
@@ -106,6 +110,7 @@ def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, .
                 transverse=transverse_forces(
                     load, steps.count, steps.flange.circle_diameter / 2, angles
                 ),
+                chance=slip_probability(steps, largest),
                 loads=steps.loads,
             )
         )

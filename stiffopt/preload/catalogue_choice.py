@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.drivetrain import catalogue
 from stiffopt.errors import ProblemError
+from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.catalogue_designs import CatalogueDesign, catalogue_designs
 from stiffopt.preload.catalogue_programme import ChoiceProgramme, choice_programme
 from stiffopt.preload.catalogue_search import CombinationSearch, Found, Goal
@@ -30,7 +32,7 @@ from stiffopt.preload.optimise import (
     optimise_preloads,
     with_worst_instants,
 )
-from stiffopt.preload.problem import PreloadProblem
+from stiffopt.preload.problem import Choice, PreloadProblem
 from stiffopt.preload.solution import PreloadSolution, evaluate_design
 from stiffopt.result.status import SolveStatus
 
@@ -85,6 +87,17 @@ class SearchProof:
         return sum(self.excluded.values()) + self.evaluated + self.unvisited
 
 
+@dataclass(frozen=True, kw_only=True)
+class TighteningWay:
+    """Best objective for one method and coating; friction is the lowest and the highest [-]."""
+
+    method: str
+    friction: float
+    friction_highest: float | None
+    status: SolveStatus
+    objective: float
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CatalogueChoice:
     """Best design that the catalogue has for a study, with the proof.
@@ -116,6 +129,8 @@ class CatalogueChoice:
         Accounts of the searches among designs of equal objective, where there were any.
     stoppers : tuple of Stopper
         Why the catalogue has nothing; empty where it has.
+    ways : tuple of TighteningWay
+        What each way to tighten reaches, where the study lets choose; else empty.
     """
 
     status: SolveStatus
@@ -130,6 +145,7 @@ class CatalogueChoice:
     proof: SearchProof
     tie_proofs: tuple[SearchProof, ...] = ()
     stoppers: tuple[Stopper, ...] = ()
+    ways: tuple[TighteningWay, ...] = ()
 
 
 def choose_design(problem: PreloadProblem, progress: Report | None = None) -> CatalogueChoice:
@@ -151,11 +167,66 @@ def choose_design(problem: PreloadProblem, progress: Report | None = None) -> Ca
     Returns
     -------
     CatalogueChoice
-        With status infeasible where the catalogue has nothing.
+        With status infeasible where the catalogue has nothing. Where the study lets choose how to
+        tighten, of the first of its ways that is best.
     """
-    if problem.choose is None:
+    choose = problem.choose
+    if choose is None:
         raise ProblemError("No catalogue to choose from. Add [choose] with sizes or counts.")
     problem = replace(problem, individual=False)
+    found = [
+        (way, _choose(replace(problem, tightening=way), progress))
+        for way in _ways(problem.tightening, choose)
+    ]
+    if len(found) == 1:
+        return found[0][1]
+    return _best_way(problem, found)
+
+
+def _ways(tightening: Tightening, choose: Choice) -> list[Tightening]:
+    """Every method with every coating that the study names."""
+    methods = [
+        replace(tightening, method=method, scatter=None)  # type: ignore[arg-type]
+        for method in choose.methods
+    ] or [tightening]
+    coatings = [catalogue.coating(name) for name in choose.coatings]
+    return [
+        replace(
+            method,
+            thread_friction=coating.least,
+            head_friction=coating.least,
+            friction_highest=coating.largest,
+        )
+        for method in methods
+        for coating in coatings
+    ] or methods
+
+
+def _best_way(
+    problem: PreloadProblem, found: list[tuple[Tightening, CatalogueChoice]]
+) -> CatalogueChoice:
+    """Best of several ways to tighten, with what each of them reaches."""
+    sign = -1.0 if problem.objective == "joint_stiffness" else 1.0
+    able = [(way, choice) for way, choice in found if choice.status.usable]
+    ways = tuple(
+        TighteningWay(
+            method=way.method,
+            friction=way.thread_friction,
+            friction_highest=way.friction_highest,
+            status=choice.status,
+            objective=choice.objective,
+        )
+        for way, choice in found
+    )
+    if not able:
+        return replace(found[-1][1], ways=ways)
+    way, best = min(able, key=lambda each: sign * each[1].objective)
+    text = f"Tightened by {way.method.replace('_', ' ')} at friction {way.thread_friction:g}. "
+    return replace(best, ways=ways, message=text + best.message)
+
+
+def _choose(problem: PreloadProblem, progress: Report | None) -> CatalogueChoice:
+    """Best design for one way to tighten."""
     cases = with_worst_instants(problem, problem.load_cases, PreloadModel(problem).design)
     for _ in range(WORST_INSTANT_ROUNDS):
         choice = _Choosing(problem, cases).run()

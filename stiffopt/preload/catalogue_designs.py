@@ -89,8 +89,11 @@ class CatalogueDesign:
 
     @property
     def bolts(self) -> str:
-        """Such as "9 x M5 12.9"."""
-        return " ".join(part for part in (f"{self.count} x {self.size}", self.grade) if part)
+        """Such as "9 x M5 12.9", "9 x M5 12.9 with washers"."""
+        held = self.stage.element
+        washer = isinstance(held, BoltedFlange) and held.bolt is not None and held.bolt.washer
+        parts = (f"{self.count} x {self.size}", self.grade, "with washers" if washer else "")
+        return " ".join(part for part in parts if part)
 
     @property
     def exceeded(self) -> tuple[str, ...]:
@@ -170,8 +173,10 @@ def _variants(stage: Stage, choose: Choice) -> Iterator[Stage]:
     )
     grades = sorted(set(choose.grades or (bolt.grade,)), key=catalogue.proof_stress)
     counts = sorted(set((choose.counts if free else ()) or (flange.bolt_count,)))
-    for size, grade, count in product(sizes, grades, counts):
-        changed = replace(flange, bolt=replace(bolt, size=size, grade=grade), bolt_count=count)
+    washers = (False, True) if choose.washers else (bolt.washer,)
+    for size, grade, count, washer in product(sizes, grades, counts, washers):
+        held = replace(bolt, size=size, grade=grade, washer=washer)
+        changed = replace(flange, bolt=held, bolt_count=count)
         yield replace(stage, element=changed)
 
 

@@ -32,7 +32,7 @@ from stiffopt.fastening.limits import (
     scatter,
     workshop_torque,
 )
-from stiffopt.fastening.tightening import Tightening
+from stiffopt.fastening.tightening import SCATTER, Tightening
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.symbolic import Quantity
 
@@ -105,6 +105,20 @@ class Choice:
         tuple[Annotated[str, Named("bolt grade")], ...], Doc("Strength classes, such as 12.9.")
     ] = ()
     counts: Annotated[tuple[int, ...], Bounds(least=1), Doc("Numbers of bolts in the ring.")] = ()
+    methods: Annotated[
+        tuple[str, ...],
+        Doc("Tightening methods, as in [tightening], for the whole study; cheapest first."),
+    ] = ()
+    coatings: Annotated[
+        tuple[Annotated[str, Named("coating")], ...],
+        Doc(
+            "Coatings of the bolts, for the whole study: each has its lowest and its highest "
+            "friction; cheapest first."
+        ),
+    ] = ()
+    washers: Annotated[
+        bool, Doc("Whether hardened washers under the heads are to be tried as well.")
+    ] = False
     redrill: Annotated[
         bool,
         Doc("Whether sizes and counts are also for purchased parts, whose pattern is fixed."),
@@ -117,6 +131,11 @@ class Choice:
 
     def __post_init__(self) -> None:
         check_fields(self, "choose")
+        for method in self.methods:
+            if method not in SCATTER:
+                raise ProblemError(
+                    f"choose.methods: no tightening method {method!r}. {nearest(method, SCATTER)}"
+                )
 
 
 @dataclass(frozen=True)

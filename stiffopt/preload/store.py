@@ -150,9 +150,10 @@ def _sheets(study: PreloadStudy) -> tuple[BoltSheet, ...]:
 
 def _sheet(sheet: BoltSheet) -> dict[str, Any]:
     """Forces of one bolt step by step, and the load of each."""
-    left_out = ("key", "flange", "loads")
+    left_out = ("key", "flange", "loads", "chance")
     own = {key: value for key, value in vars(sheet).items() if key not in left_out}
     loads = dict(zip(sheet.loads.names, sheet.loads.values, strict=True))
+    own |= {"slip_probability": _fields(sheet.chance)}
     return {**own, "loads": loads, "alternating": sheet.loads.alternating}
 
 
@@ -171,6 +172,7 @@ def _choice(choice: CatalogueChoice) -> dict[str, Any]:
         "proof": _fields(choice.proof),
         "tie_proofs": [_fields(proof) for proof in choice.tie_proofs],
         "stoppers": [_fields(stop) for stop in choice.stoppers],
+        "ways": [_fields(way) for way in choice.ways],
     }
 
 

@@ -284,3 +284,46 @@ def test_a_search_that_is_cut_short_says_so(monkeypatch, found, status):
     if choice.designs:
         assert all(row.kept for row in choice.solution.rows)
         assert choice.proof.bound <= best.objective <= choice.objective
+
+
+# ---- how to tighten
+
+
+def test_way_to_tighten_is_chosen_with_the_bolts():
+    choose = Choice(methods=("torque_wrench", "angle"), coatings=("oiled", "MoS2"), washers=True)
+    problem = study(
+        case(j2=80.0),
+        free=("flexspline_flange",),
+        tightening=Tightening(embedding=3e-6),
+        choose=choose,
+    )
+    found = choose_design(problem)
+    assert [(w.method, w.friction, w.friction_highest) for w in found.ways] == [
+        ("torque_wrench", 0.08, 0.16),
+        ("torque_wrench", 0.08, 0.12),
+        ("angle", 0.08, 0.16),
+        ("angle", 0.08, 0.12),
+    ]
+    alone = []
+    for way in found.ways:
+        tightening = Tightening(
+            method=way.method,
+            thread_friction=way.friction,
+            head_friction=way.friction,
+            friction_highest=way.friction_highest,
+            embedding=3e-6,
+        )
+        plain = replace(choose, methods=(), coatings=())
+        one = choose_design(replace(problem, tightening=tightening, choose=plain))
+        assert not one.ways
+        assert way.objective == pytest.approx(one.objective, nan_ok=True)
+        alone.append(one.objective)
+    # Friction that varies little and a method that hardly cares need the least preload.
+    assert found.objective == pytest.approx(np.nanmin(alone))
+    assert found.problem.tightening.method == "angle"
+    assert found.problem.tightening.friction_highest == 0.12
+    assert "Tightened by angle" in found.message
+    labels = {row.design.bolts for row in found.table}
+    assert labels == {"9 x M5 12.9", "9 x M5 12.9 with washers"}
+    with pytest.raises(ProblemError, match="Did you mean 'angle'"):
+        Choice(methods=("angel",))
