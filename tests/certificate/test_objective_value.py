@@ -1,4 +1,4 @@
-"""The value of an objective: one term in its unit, several as the weighted sum that is minimised."""
+"""The value of an objective: one term in its unit, several as the weighted sum to minimise."""
 
 from types import SimpleNamespace
 
