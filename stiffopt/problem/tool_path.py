@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 _STRAIGHT = 0.01
 # Samples of a piece, for its length.
 _SAMPLES = 400
+# Share by which the tool's speed may differ from the parameter's.
+_UNEVEN = 5e-3
 # Waypoints to begin with, and at most.
 _FEWEST, _MOST = 17, 257
 # Between neighbours a joint that turns further changes the arm's posture [rad].
@@ -154,12 +156,17 @@ def joint_waypoints(
         wanted = path.poses(between * path.length)[0]
         found = np.array([bodies.pose(tool, q)[0] for q in spline(between)])
         error = float(np.linalg.norm(found - wanted, axis=1).max())
-        if error <= tolerance:
+        # A step of the parameter is the same step of the path, so that a speed can be held.
+        slopes = zip(spline(between), spline(between, 1), strict=True)
+        rates = [np.linalg.norm(bodies.jacobian(tool, q)[:3] @ slope) for q, slope in slopes]
+        uneven = float(np.abs(np.array(rates) / path.length - 1.0).max())
+        if error <= tolerance and uneven <= _UNEVEN:
             return waypoints, error
         if count >= _MOST:
             raise ProblemError(
-                f"path: {count} waypoints follow the segments within {1e3 * error:.3g} mm, "
-                f"{1e3 * tolerance:.3g} mm are asked. Give a larger tolerance, or larger blends."
+                f"path: {count} waypoints follow the segments within {1e3 * error:.3g} mm and the "
+                f"speed within {uneven:.2%}; asked are {1e3 * tolerance:.3g} mm and {_UNEVEN:.2%}. "
+                "Give a larger tolerance, or larger blends."
             )
         count = 2 * (count - 1) + 1
 

@@ -126,7 +126,7 @@ objective = "duration"
 jerk = "none"
 
 [method]
-intervals = 24
+intervals = 40
 """
 
 
