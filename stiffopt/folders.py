@@ -18,7 +18,7 @@ import shutil
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -35,7 +35,9 @@ _KEPT = ".kept"
 
 
 @contextmanager
-def output_folder(path: Path, command: str, *, of: str = "") -> Iterator[Path]:
+def output_folder(
+    path: Path, command: str, *, of: str = "", maybe: Sequence[str] = ()
+) -> Iterator[Path]:
     """A hidden folder to write into, tried before any long work; its files then appear in `path`.
 
     What ends with an exception changes nothing, and folders that were made for it are removed.
@@ -47,6 +49,8 @@ def output_folder(path: Path, command: str, *, of: str = "") -> Iterator[Path]:
         That writes: files of its earlier answer make place for the new.
     of : str
         Command whose answer these files go with; a new answer of that takes them away too.
+    maybe : sequence of str
+        Files that it does not always write: without them, none of an earlier version stays.
 
     Raises
     ------
@@ -66,7 +70,7 @@ def output_folder(path: Path, command: str, *, of: str = "") -> Iterator[Path]:
             except InputFileError as error:
                 raise _from_stage(error, stage, path) from error
             calm.enter_context(_uninterrupted())
-            _switch(path, desk, command, of)
+            _switch(path, desk, command, of, maybe)
             written.append(path)
     except BaseException:
         for folder in made:
@@ -176,7 +180,7 @@ def _clear(desk: Path) -> None:
                 each.unlink()
 
 
-def _switch(path: Path, desk: Path, command: str, of: str) -> None:
+def _switch(path: Path, desk: Path, command: str, of: str, maybe: Sequence[str]) -> None:
     """Files of the stage take the place of the earlier answer."""
     stage = desk / _NEW
     coming = sorted(p.relative_to(stage).as_posix() for p in stage.rglob("*") if p.is_file())
@@ -189,7 +193,7 @@ def _switch(path: Path, desk: Path, command: str, of: str) -> None:
     # What is in the way and not as a manifest has it is the user's.
     users = [
         name
-        for name in sorted({*going, *coming})
+        for name in sorted({*going, *coming, *(set(maybe) - set(listed))})
         if (path / name).is_file()
         and (name not in listed or _hash(path / name) != listed[name]["sha256"])
     ]

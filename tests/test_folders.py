@@ -105,6 +105,13 @@ def test_a_users_own_files_are_kept(tmp_path, capsys):
     assert tree(tmp_path) == {"a.txt": "three", "a.txt.kept": "mine", "b.txt.kept": "edited"}
 
 
+def test_nothing_of_an_earlier_version_stays_beside_a_new_answer(tmp_path):
+    (tmp_path / "b.txt").write_text("of a version without manifest")
+    with output_folder(tmp_path, "solve", maybe=("b.txt", "c.txt")) as stage:
+        (stage / "a.txt").write_text("new")
+    assert tree(tmp_path) == {"a.txt": "new", "b.txt.kept": "of a version without manifest"}
+
+
 @pytest.mark.parametrize("moves", range(10))
 def test_killed_between_renames(tmp_path, moves):
     """Never old beside new; what was begun is ended by whoever comes next, and cleared."""

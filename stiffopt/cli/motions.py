@@ -52,7 +52,12 @@ def solve(
     from stiffopt.report.solve.page import write_solve_report
     from stiffopt.report.solve.terminal import print_solution
     from stiffopt.result.compensation_store import write_command
-    from stiffopt.result.store import export_times, write_result, write_trajectory
+    from stiffopt.result.store import (
+        TRAJECTORY_FILE,
+        export_times,
+        write_result,
+        write_trajectory,
+    )
     from stiffopt.solver.simulation import with_simulation
     from stiffopt.solver.solve import solve as optimise
 
@@ -64,7 +69,7 @@ def solve(
 
         found = read_model(model, effects)
     folder = out or Path("out") / problem.stem
-    with output_folder(folder, "solve") as stage:
+    with output_folder(folder, "solve", maybe=(TRAJECTORY_FILE,)) as stage:
         with _progress(stated, quiet) as progress, _about(problem):
             if found is None:
                 solution = optimise(stated, progress=progress, throw=False, simulate=True)

@@ -57,6 +57,7 @@ def diagnose(
         No progress display.
     """
     from stiffopt.discovery.diagnose import diagnose as find
+    from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
     from stiffopt.discovery.store import write_diagnosis
     from stiffopt.recording.recording_set import load_recordings
     from stiffopt.report.common.progress import StepDisplay
@@ -69,7 +70,7 @@ def diagnose(
         raise InputFileError(
             chosen, "", f"lies in the recording set {home}, which is only read. Give another --out."
         )
-    with output_folder(chosen, "diagnose") as stage:
+    with output_folder(chosen, "diagnose", maybe=("report.html", EXPERIMENT_FILE)) as stage:
         with nullcontext() if quiet else StepDisplay(loaded.title) as progress:
             found = find(
                 loaded,
