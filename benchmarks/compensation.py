@@ -102,7 +102,8 @@ def rows_of(name: str, problem: TrajectoryProblem) -> list[Row]:
     rows = [Row(f"{name}, toppra stretched as planned", text(plain))]
     rival = PlannedMotion.of("toppra", baseline, True)
     others = {}
-    # A command within the limits that toppra keeps, all but jerk; and one that need keep none.
+    # A command within the limits that toppra keeps, all but jerk, where a spline gives one; and one
+    # that need keep none.
     for how, motion in (
         ("within its limits", rival),
         ("without limits", replace(rival, exceeded=LIMITS)),

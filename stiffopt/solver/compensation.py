@@ -103,8 +103,8 @@ def _refusal(excess: tuple[Violation, ...]) -> str:
     named = "; ".join(each.describe() for each in excess)
     return (
         f"No command.csv: to make the links do this motion, the motors would exceed {named}. "
-        "Minimise tool_deviation, which plans the links within the motors' limits, give a longer "
-        f"duration, or plan with lower {limits}."
+        "Minimise shaped_deviation or tool_deviation, which plan the links within the motors' "
+        f"limits, give a longer duration, or plan with lower {limits}."
     )
 
 
