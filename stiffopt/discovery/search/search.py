@@ -114,25 +114,14 @@ def search(
         confirmed = borne_out(current, confirmed)
     if len(confirmed) < len(effects):
         current, effects = _fitted_jointly(comparison, confirmed)
-    ranked = _ranked(current, effects, catalogue, tell)
-    for _ in range(EXCHANGES):
-        likelier = _distinct([r.likeliest for r in ranked])
-        if likelier == effects:
+    current, ranked = _exchanged(comparison, current, effects, catalogue, tell)
+    for _ in range(EXCHANGES if free_bodies else 0):
+        effects = [r.selected.located for r in ranked]
+        kept = borne_out(current, _confirmed(current, effects, strict=True))
+        if len(kept) == len(effects):
             break
-        current, effects = _fitted_jointly(comparison, likelier)
-        ranked = _ranked(current, effects, catalogue, tell, ranked)
-    else:
-        # Explanations that go on taking each other's place explain nothing.
-        kept = [r.selected.located for r in ranked if r.likeliest is r.selected.located]
-        if len(kept) < len(effects):
-            current, effects = _fitted_jointly(comparison, kept)
-            ranked = _ranked(current, effects, catalogue, tell)
-    kept = [r.selected.located for r in ranked]
-    if free_bodies:
-        kept = borne_out(current, _confirmed(current, kept, strict=True))
-    if len(kept) < len(effects):
-        current, effects = _fitted_jointly(comparison, kept)
-        ranked = _ranked(current, effects, catalogue, tell, ranked)
+        current, kept = _fitted_jointly(comparison, kept)
+        current, ranked = _exchanged(comparison, current, kept, catalogue, tell, ranked)
     selected = sorted((r.selected for r in ranked), key=lambda s: -s.loss)
     fit = current.fit(tuple(s.located for s in selected))
     return SearchResult(
@@ -205,6 +194,34 @@ def _forward(
         if best[0].located.label not in [e.label for e in effects]:
             break
     return *_fitted_jointly(comparison, effects), stopped
+
+
+def _exchanged(
+    comparison: Comparison,
+    current: Comparison,
+    effects: list[LocatedEffect],
+    catalogue: Sequence[Effect],
+    tell: Callable[[str], object],
+    before: Sequence[Ranked] = (),
+) -> tuple[Comparison, list[Ranked]]:
+    """Effects among their rivals, each in the place of the likeliest."""
+    ranked = _ranked(current, effects, catalogue, tell, before)
+    for _ in range(EXCHANGES):
+        likelier = _distinct([r.likeliest for r in ranked])
+        if likelier == effects:
+            break
+        current, effects = _fitted_jointly(comparison, likelier)
+        ranked = _ranked(current, effects, catalogue, tell, ranked)
+    else:
+        # Explanations that go on taking each other's place explain nothing.
+        kept = [r.selected.located for r in ranked if r.likeliest is r.selected.located]
+        if len(kept) < len(effects):
+            current, effects = _fitted_jointly(comparison, kept)
+            ranked = _ranked(current, effects, catalogue, tell)
+    if len(ranked) < len(effects):
+        current, effects = _fitted_jointly(comparison, [r.selected.located for r in ranked])
+        ranked = _ranked(current, effects, catalogue, tell, ranked)
+    return current, ranked
 
 
 def _ranked(
