@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.comparison import FEW_RUNS, Comparison
 from stiffopt.discovery.comparison.extension import EstimatedEffect, with_amplitudes
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepare import PreparedRun
@@ -40,8 +40,9 @@ class Estimate:
     effects : tuple of EstimatedEffect
     covariance : array (r, r)
         Of nominal values, amplitudes over sizes, then shapes over theirs; by the linear model.
-    spread : array (r, r)
-        The same by a jackknife over stretches of the runs.
+    spread, between : array (r, r)
+        The same by a jackknife over stretches of the runs, and over whole runs where there are
+        three or more: what differs from run to run no stretch of one shows.
     """
 
     nuisance: tuple[str, ...]
@@ -49,6 +50,7 @@ class Estimate:
     effects: tuple[EstimatedEffect, ...]
     covariance: np.ndarray
     spread: np.ndarray
+    between: np.ndarray
     sizes: tuple[np.ndarray, ...]
     shape_sizes: tuple[np.ndarray, ...]
 
@@ -60,7 +62,7 @@ class Estimate:
     def parameters(self, index: int, constants: Constants) -> dict[str, tuple[float, float]]:
         """Reported values of one effect with their standard deviations.
 
-        The larger of both estimates of the covariance counts, carried over by the slopes of the
+        The largest of the estimates of the covariance counts, carried over by the slopes of the
         reported values.
         """
         found = self.effects[index]
@@ -82,9 +84,9 @@ class Estimate:
         )
         variances = [
             np.einsum("ij,jk,ik->i", slopes, matrix[np.ix_(rows, rows)], slopes)
-            for matrix in (self.covariance, self.spread)
+            for matrix in (self.covariance, self.spread, self.between)
         ]
-        sd = np.sqrt(np.maximum(*variances))
+        sd = np.sqrt(np.max(variances, axis=0))
         return {
             name: (float(v), float(s)) for name, v, s in zip(names, report(inputs), sd, strict=True)
         }
@@ -128,13 +130,17 @@ def estimate(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estima
             slopes.append(_shape_slope(comparison, located, amplitudes, i, step))
     matrix = np.column_stack([nuisance, *columns, *slopes])
     prior = np.concatenate([prior_sd, np.ones(len(scaled)), np.full(len(slopes), _SHAPE_PRIOR)])
-    covariance, spread = _jackknife(comparison, matrix, prior)
+    covariance, spread = _jackknife(comparison, matrix, prior, stretches(comparison))
+    between = covariance
+    if comparison.whole_runs:
+        _, between = _jackknife(comparison, matrix, prior, comparison.rows.block, FEW_RUNS)
     return Estimate(
         nuisance=tuple(names),
         values=fit.posterior.mean,
         effects=with_amplitudes(effects, scaled, sizes),
         covariance=covariance,
         spread=spread,
+        between=between,
         sizes=sizes,
         shape_sizes=shape_sizes,
     )
@@ -147,7 +153,8 @@ def significance(comparison: Comparison, effects: Sequence[LocatedEffect]) -> np
     columns = [comparison.effect_columns(e) for e in effects]
     amplitudes = fit.amplitudes()
     prior = np.concatenate([prior_sd, np.ones(len(amplitudes))])
-    _, spread = _jackknife(comparison, np.column_stack([nuisance, *columns]), prior)
+    matrix = np.column_stack([nuisance, *columns])
+    _, spread = _jackknife(comparison, matrix, prior, stretches(comparison))
     found, begin = [], 0
     for own in columns:
         values = amplitudes[begin : begin + own.shape[1]]
@@ -178,10 +185,13 @@ def _shape_slope(
 
 
 def _jackknife(
-    comparison: Comparison, matrix: np.ndarray, prior: np.ndarray
+    comparison: Comparison,
+    matrix: np.ndarray,
+    prior: np.ndarray,
+    block: np.ndarray,
+    fewest: int = _FEWEST,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance by the linear model, and by leaving stretches out one after another."""
-    block = stretches(comparison)
+    """Covariance by the linear model, and by leaving blocks of rows out one after another."""
     scaled = matrix * prior
     parts = [block == b for b in range(int(block.max()) + 1)]
     grams = np.array([scaled[p].T @ scaled[p] for p in parts])
@@ -189,7 +199,7 @@ def _jackknife(
     gram, moment = grams.sum(axis=0) + np.eye(len(prior)), moments.sum(axis=0)
     units = np.outer(prior, prior)
     covariance = np.linalg.inv(gram) * units
-    if len(parts) < _FEWEST:
+    if len(parts) < fewest:
         return covariance, covariance
     left_out = np.array(
         [np.linalg.solve(gram - g, moment - m) for g, m in zip(grams, moments, strict=True)]
