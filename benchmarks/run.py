@@ -21,6 +21,7 @@ BENCHMARKS = (
     "dynamic_deflection",
     "elastic_simulation",
     "compensation",
+    "random_deviation",
     "model_cost",
 )
 HEAD = """# Results of one run

@@ -107,6 +107,12 @@ class ElasticArm:
                 f"{self.damping[j]:.4g}."
             )
 
+    def without_force(self) -> ElasticArm:
+        """The same arm, without the process force."""
+        found = copy.copy(self)
+        found.process_force = np.zeros(3)
+        return found
+
     def windup(self, torque: np.ndarray) -> np.ndarray:
         """Wind-ups (K, n) [rad] of spring torques (K, n) [N m], in the middle of the hysteresis."""
         columns = [

@@ -115,6 +115,23 @@ class SimulatedMotion:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SimulatedPart:
+    """A part of the tool's deflection in flight, as planned and simulated.
+
+    Parameters
+    ----------
+    name : str
+        "dynamic", "total" or "process".
+    planned, simulated : PeakRms
+        [m].
+    """
+
+    name: str
+    planned: PeakRms
+    simulated: PeakRms
+
+
+@dataclass(frozen=True, kw_only=True)
 class ElasticMotion:
     """A motion as it was planned and as the elastic arm does it.
 
@@ -127,20 +144,31 @@ class ElasticMotion:
     simulated : SimulatedMotion
     counted : bool
         Whether it keeps all limits and the problem's duration.
+    minimised : SimulatedPart or None
+        The part of the deflection that is minimised, where it is not the dynamic one.
     """
 
     name: str
     planned: PeakRms
     simulated: SimulatedMotion
     counted: bool
+    minimised: SimulatedPart | None = None
+
+    @property
+    def judged(self) -> SimulatedPart:
+        """The part that is minimised, else the dynamic one."""
+        if self.minimised is not None:
+            return self.minimised
+        found = PeakRms(self.simulated.peak, self.simulated.rms)
+        return SimulatedPart(name="dynamic", planned=self.planned, simulated=found)
 
     @property
     def difference(self) -> float | None:
         """Simulated over planned peak in flight, less one; None where nothing was planned."""
-        planned = self.planned.peak
+        planned = self.judged.planned.peak
         if not 0.0 < planned < np.inf:
             return None
-        return self.simulated.peak / planned - 1.0
+        return self.judged.simulated.peak / planned - 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,7 +180,7 @@ class Simulation:
     motions : tuple of ElasticMotion
         The optimised one first.
     measure : str
-        "peak" or "rms", what is minimised of the dynamic deflection; "" where it is not.
+        "peak" or "rms", what is minimised of a deflection; "" where none is.
     assumed_damping : tuple of int
         Joints (from 1) whose damping is assumed.
     """
@@ -168,7 +196,8 @@ class Simulation:
 
     def value(self, motion: ElasticMotion) -> float:
         """Simulated deflection in flight that is compared [m]."""
-        return motion.simulated.rms if self.measure == "rms" else motion.simulated.peak
+        found = motion.judged.simulated
+        return found.rms if self.measure == "rms" else found.peak
 
     @property
     def better_baseline(self) -> ElasticMotion | None:

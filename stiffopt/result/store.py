@@ -19,7 +19,7 @@ from stiffopt.files import atomic_write, load_json, plain, write_csv
 from stiffopt.folders import check_result
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
 from stiffopt.result.compensation_store import compensation_document
-from stiffopt.result.simulation import ElasticMotion, Simulation
+from stiffopt.result.simulation import ElasticMotion, SimulatedPart, Simulation
 from stiffopt.result.solution import Baseline, ObjectiveValue, Solution
 
 if TYPE_CHECKING:
@@ -284,6 +284,13 @@ def simulation_document(simulation: Simulation | None) -> dict[str, Any] | None:
     }
 
 
+def _part(part: SimulatedPart | None) -> dict[str, Any] | None:
+    if part is None:
+        return None
+    planned, simulated = dict(vars(part.planned)), dict(vars(part.simulated))
+    return {"part": part.name, "planned": planned, "in_flight": simulated}
+
+
 def _elastic(motion: ElasticMotion) -> dict[str, Any]:
     simulated = motion.simulated
     return {
@@ -291,6 +298,7 @@ def _elastic(motion: ElasticMotion) -> dict[str, Any]:
         "duration": simulated.duration,
         "planned": dict(vars(motion.planned)),
         "in_flight": {"peak": simulated.peak, "rms": simulated.rms},
+        "minimised": _part(motion.minimised),
         "after_arrival": {"peak": simulated.peak_after, "rms": simulated.rms_after},
         "settling_time": simulated.settling_time,
         "settling_band": simulated.band,

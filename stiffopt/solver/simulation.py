@@ -22,7 +22,14 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import check_reach, simulate
 from stiffopt.errors import NotSimulatedError
 from stiffopt.problem.resolve import ResolvedMotion, resolve
-from stiffopt.result.simulation import SETTLING_BAND, ElasticMotion, Simulation
+from stiffopt.result.assessment import PeakRms
+from stiffopt.result.simulation import (
+    SETTLING_BAND,
+    ElasticMotion,
+    SimulatedMotion,
+    SimulatedPart,
+    Simulation,
+)
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.compensation import compensate
 from stiffopt.solver.stages import ProgressCallback, SolveProgress
@@ -30,7 +37,7 @@ from stiffopt.solver.stages import ProgressCallback, SolveProgress
 if TYPE_CHECKING:
     from stiffopt.elastic.motor import Servo
     from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.result.assessment import Assessment, PeakRms
+    from stiffopt.result.assessment import Assessment
     from stiffopt.result.solution import Baseline, Solution
     from stiffopt.result.trajectory import Trajectory
 
@@ -66,8 +73,8 @@ class PlannedMotion:
         From 0 [s].
     position, velocity : array (K, n)
         [rad], [rad/s].
-    planned : PeakRms
-        Its quasi-static dynamic deflection [m].
+    parts : dict of PeakRms
+        Parts of its planned deflection by name, "dynamic" among them [m].
     counted : bool
         Whether it keeps all limits and the problem's duration.
     link : Trajectory or None
@@ -80,7 +87,7 @@ class PlannedMotion:
     time: np.ndarray
     position: np.ndarray
     velocity: np.ndarray
-    planned: PeakRms
+    parts: dict[str, PeakRms]
     counted: bool
     link: Trajectory | None = None
     exceeded: tuple[str, ...] = ()
@@ -93,7 +100,7 @@ class PlannedMotion:
             time=assessment.time,
             position=assessment.position,
             velocity=assessment.velocity,
-            planned=assessment.deflection_summary()["dynamic"],
+            parts=assessment.deflection_summary(),
             counted=counted,
             exceeded=tuple(v.limit for v in assessment.violations if v.value > CERTIFIED),
         )
@@ -150,25 +157,46 @@ def simulate_motions(
         The arm cannot be simulated.
     """
     terms = problem.objectives
-    judged = len(terms) == 1 and terms[0].kind.deflection_part == "dynamic"
-    return Simulation(
-        motions=tuple(
+    part = terms[0].kind.deflection_part if len(terms) == 1 else ""
+    found = []
+    for each in motions:
+        command = MotorMotion(each.time, each.position, each.velocity)
+        simulated = simulate(arm, command, servo=servo, band=band)
+        minimised = None
+        if part not in ("", "dynamic"):
+            reference = command.position(simulated.time)
+            if part == "process":
+                reference = simulate(arm.without_force(), command, servo=servo).position
+            minimised = _part(arm, part, each.parts[part], simulated, reference)
+        found.append(
             ElasticMotion(
                 name=each.name,
-                planned=each.planned,
-                simulated=simulate(
-                    arm,
-                    MotorMotion(each.time, each.position, each.velocity),
-                    servo=servo,
-                    band=band,
-                ),
+                planned=each.parts["dynamic"],
+                simulated=simulated,
                 counted=each.counted,
+                minimised=minimised,
             )
-            for each in motions
-        ),
-        measure=terms[0].shown_measure if judged else "",
+        )
+    return Simulation(
+        motions=tuple(found),
+        measure=terms[0].shown_measure if part else "",
         assumed_damping=arm.assumed_damping,
     )
+
+
+def _part(
+    arm: ElasticArm,
+    name: str,
+    planned: PeakRms,
+    simulated: SimulatedMotion,
+    reference: np.ndarray,
+) -> SimulatedPart:
+    """Way of the tool in flight from where it is with the joints at the reference (K, n)."""
+    flight = simulated.time <= simulated.duration
+    away = arm.tool(simulated.position[flight]) - arm.tool(reference[flight])
+    size, time = np.linalg.norm(away, axis=1), simulated.time[flight]
+    rms = float(np.sqrt(np.trapezoid(size**2, time) / time[-1]))
+    return SimulatedPart(name=name, planned=planned, simulated=PeakRms(float(size.max()), rms))
 
 
 def check_simulation(problem: TrajectoryProblem, motion: ResolvedMotion) -> None:

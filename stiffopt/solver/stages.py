@@ -218,6 +218,14 @@ def solve_again(run: SolveRun, before: Outcome, nlp: Nlp, smoothing: float) -> O
     return _outcome(run, made, raw, smoothing)
 
 
+def motors_of(problem: TrajectoryProblem, outcome: Outcome, share: float) -> Trajectory:
+    """Motors of the same links by a law with this share of the outcome's smoothing widths."""
+    link = outcome.trajectory.link
+    assert link is not None
+    smoothing = share * WIDER * outcome.smoothing
+    return motor_motion(problem.robot, link, smoothing, problem.process_force)
+
+
 def _solved(
     run: SolveRun,
     plan: tuple[SolveStage, ...],

@@ -83,7 +83,8 @@ def read_result(folder: Path, problem: Path | None = None) -> StoredResult:
     if not isinstance(certificate, dict):
         raise InputFileError(path, "certificate", "this solve found no motion to simulate.")
     try:
-        planned = PeakRms(**certificate["deflection"]["dynamic"])
+        parts = {name: PeakRms(**part) for name, part in certificate["deflection"].items()}
+        _ = parts["dynamic"]
         worst = float(certificate["worst_violation"]["value"])
     except (KeyError, TypeError) as error:
         raise InputFileError(path, "certificate", f"has no usable {error}.") from error
@@ -93,7 +94,7 @@ def read_result(folder: Path, problem: Path | None = None) -> StoredResult:
         time=time,
         position=position,
         velocity=velocity,
-        planned=planned,
+        parts=parts,
         counted=worst <= CERTIFIED,
     )
     return StoredResult(problem=stated, motion=resolve(stated), optimised=own)

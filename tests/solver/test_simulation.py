@@ -100,3 +100,22 @@ def test_an_arm_that_cannot_be_simulated_keeps_its_solution_with_a_note(solved):
     plain = with_simulation(changed, replace(solution, simulation=None))
     assert plain.simulation is None
     assert plain.notes[-1].startswith("Not simulated on the elastic arm: a mode of")
+
+
+@pytest.mark.parametrize("part", ["total", "process"])
+def test_other_parts_of_the_deflection_are_simulated_too(part, tmp_path):
+    force = "[tool]\nprocess_force = [5.0, 2.0, -20.0]"
+    goal = f'objective = "{part}_deflection"\nmeasure = "rms"'
+    # Slow enough to be nearly what is planned quasi-statically.
+    problem = replace(load(tmp_path, minimise=goal, extra=force), duration=(3.0, 3.0))
+    solution = solve(problem, simulate=True)
+    simulation = solution.simulation
+    own = simulation.optimised
+    assert simulation.measure == "rms"
+    assert own.judged.name == part
+    assert own.judged.planned.rms == pytest.approx(solution.objective.value)
+    assert own.judged.simulated.rms == pytest.approx(own.judged.planned.rms, rel=0.03)
+    assert simulation.value(own) == own.judged.simulated.rms
+    assert "simulated (planned" in headline_text(solution)
+    saved = result_document(solution)["simulation"]["motions"]["optimised"]["minimised"]
+    assert saved["part"] == part

@@ -63,9 +63,11 @@ def difference_text(solution: Solution) -> str:
     motion = simulation.optimised
     change = motion.difference
     assert change is not None
+    part = motion.judged
+    deviates = "deviates by" if part.name == "dynamic" else f"has a {part.name} deflection of"
     text = (
-        f"The elastic arm deviates by up to {si(motion.simulated.peak, 'm', 3)} in flight where "
-        f"{si(motion.planned.peak, 'm', 3)} was planned ({percent(abs(change), 2)} "
+        f"The elastic arm {deviates} up to {si(part.simulated.peak, 'm', 3)} in flight where "
+        f"{si(part.planned.peak, 'm', 3)} was planned ({percent(abs(change), 2)} "
         f"{'more' if change > 0 else 'less'}): the links swing, which the quasi-static plan does "
         "not see."
     )
