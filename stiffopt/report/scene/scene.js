@@ -167,7 +167,7 @@ document.addEventListener("DOMContentLoaded", () => {
     camera.updateProjectionMatrix();
     const half = Math.tan((camera.fov / 2) * Math.PI / 180) * Math.min(1, camera.aspect);
     controls.target.copy(centre);
-    camera.position.copy(centre).addScaledVector(view, 0.42 * size / half);
+    camera.position.copy(centre).addScaledVector(view, (camera.aspect < 1 ? 0.62 : 0.42) * size / half);
     controls.update();
   }
 
