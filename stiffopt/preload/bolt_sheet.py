@@ -13,6 +13,7 @@ from stiffopt.fastening.flange_load import (
     bolt_angles,
     transverse_forces,
 )
+from stiffopt.fastening.tilting import tilting_flange
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.tightening_draws import SlipProbability, slip_probability
 
@@ -50,6 +51,11 @@ class BoltSheet:
         F_A of each bolt in that case.
     transverse : array (n, 2)
         F_Q of each bolt in that case.
+    tilting_stiffness, opening_moment : float
+        Of the flange while its face is closed, and moment that opens its edge, with F_Vmin
+        [N m/rad], [N m]; 0 where nothing is left of the preload.
+    tilt : float
+        Angle by which the largest tilting moment turns it [rad].
     chance : SlipProbability
         That a bolt is left with less than its share of the load asks for.
     loads : FlangeLoads
@@ -74,6 +80,9 @@ class BoltSheet:
     angles: np.ndarray
     axial: np.ndarray
     transverse: np.ndarray
+    tilting_stiffness: float
+    opening_moment: float
+    tilt: float
     chance: SlipProbability
     loads: FlangeLoads
 
@@ -88,6 +97,8 @@ def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, .
         largest, smallest = float(own.max()), float(own.min())
         worst = int(np.argmax(steps.clamp_needed))
         load, angles = steps.loads.values[worst], bolt_angles(steps.count)
+        left = float(element.least(smallest))
+        tilting = tilting_flange(steps.flange, left) if left > 0.0 else None
         found.append(
             BoltSheet(
                 key=element.key,
@@ -101,7 +112,7 @@ def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, .
                 clamp_needed=float(steps.clamp_needed[worst]),
                 largest=largest,
                 least=smallest / element.scatter,
-                in_service=float(element.least(smallest)),
+                in_service=left,
                 working_load=max(float(steps.opening.max()), 0.0),
                 additional=steps.additional,
                 case=steps.loads.names[worst],
@@ -110,6 +121,9 @@ def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, .
                 transverse=transverse_forces(
                     load, steps.count, steps.flange.circle_diameter / 2, angles
                 ),
+                tilting_stiffness=tilting.closed_stiffness if tilting else 0.0,
+                opening_moment=tilting.opening_moment if tilting else 0.0,
+                tilt=tilting.rotation(float(steps.loads.tilting.max())) if tilting else np.inf,
                 chance=slip_probability(steps, largest),
                 loads=steps.loads,
             )

@@ -13,7 +13,9 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputFileError
 from stiffopt.fastening.flange_load import FlangeLoads
 from stiffopt.fastening.tightening import Tightening, preload_at_torque
+from stiffopt.fastening.tilting import tilting_flange
 from stiffopt.fastening.verification import Verification
+from stiffopt.preload.bolt_sheet import bolt_sheets
 from stiffopt.preload.catalogue_choice import choose_design
 from stiffopt.preload.files import load_study
 from stiffopt.preload.flange_loads import flange_values
@@ -95,6 +97,22 @@ def test_a_pose_tilts_the_flange():
     assert "one-sided opening" not in {row.kind for row in alone.rows}
     (freed,) = PreloadModel(replace(problem, robot=beside)).verifications
     assert freed.least_preload < steps.least_preload
+
+
+def test_sheet_of_a_tilted_flange():
+    wrench = np.zeros((6, 6))
+    wrench[1] = [0, 0, 0, 30.0, 0, 20.0]
+    load = LoadCase(name="tilt", torque=wrench[:, 5], wrench=wrench)
+    model = PreloadModel(study(load, robot=open_flange(2), free=("flexspline_flange",)))
+    (element,), preload = model.elements, np.array([9e3])
+    (sheet,) = bolt_sheets(model, preload)
+    assert sheet.in_service == pytest.approx(9e3 / 1.6 - element.loss)
+    tilting = tilting_flange(element.stage.element, sheet.in_service)
+    assert sheet.tilt == pytest.approx(tilting.rotation(30.0))
+    assert 30.0 < sheet.opening_moment == pytest.approx(tilting.opening_moment)
+    # What is not tight holds nothing.
+    (loose,) = bolt_sheets(model, np.array([300.0]))
+    assert (loose.tilting_stiffness, loose.tilt) == (0.0, np.inf)
 
 
 def test_a_load_too_large_names_the_step_that_stops_it():

@@ -9,7 +9,7 @@ from stiffopt.drivetrain import catalogue
 from stiffopt.fastening.flange_load import FlangeLoads
 from stiffopt.fastening.tightening import Tightening, preload_at_torque
 from stiffopt.fastening.verification import Verification
-from stiffopt.preload.tightening_draws import slip_probability
+from stiffopt.preload.tightening_draws import SlipProbability, slip_probability
 
 FLANGE = er3a().chains[1].elements["flexspline_flange"]
 
@@ -61,3 +61,11 @@ def test_design_rules_leave_little_to_chance():
         assert found.drawn <= 2e-3
         assert found.least < steps.least_preload / 1.6 < found.largest
     assert slip_probability(steps, 0.5 * steps.least_preload).stated > 0.5
+
+
+def test_draws_that_do_not_agree_are_told():
+    numbers = {"draws": 1000, "needed": 1e3, "least": 0.0, "largest": 2e3}
+    # Four standard deviations of 1000 draws at a half are 6.3 %.
+    assert SlipProbability(stated=0.5, drawn=0.55, **numbers).agrees
+    assert not SlipProbability(stated=0.5, drawn=0.58, **numbers).agrees
+    assert not SlipProbability(stated=1e-6, drawn=0.01, **numbers).agrees
