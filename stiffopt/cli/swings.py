@@ -49,6 +49,7 @@ def simulate(
     delay
         Dead time of the loop.
     """
+    from stiffopt.elastic.arm import rigid_arm
     from stiffopt.elastic.motor import Servo
     from stiffopt.report.solve.terminal import print_simulation
     from stiffopt.result.store import write_simulation
@@ -65,9 +66,7 @@ def simulate(
     servo = None if bandwidth is None else Servo(bandwidth, feed_forward, late)
     stored = read_result(result, problem)
     if not is_elastic(stored.problem):
-        raise InputError(
-            f"{stored.problem.robot.name} is rigid: no joint has a drivetrain that could yield."
-        )
+        raise rigid_arm(stored.problem.robot)
     folder = out or result
     with output_folder(folder, "simulate", of="solve") as stage:
         arm = elastic_arm(stored.problem, stored.optimised.position[0])

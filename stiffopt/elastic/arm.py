@@ -168,5 +168,10 @@ class ElasticArm:
         return np.asarray(2.0 * np.sqrt(stiffness * np.diag(self.bodies.inertia_matrix(q))))
 
 
+def rigid_arm(robot: Robot) -> NotSimulatedError:
+    """What is to be raised for an arm that cannot swing."""
+    return NotSimulatedError(f"{robot.name} is rigid: no joint has a drivetrain that could yield.")
+
+
 def _given(values: np.ndarray | None, joints: int, default: float) -> np.ndarray:
     return np.full(joints, default) if values is None else np.array(values, dtype=float)

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.arm import ElasticArm, rigid_arm
 from stiffopt.elastic.modes import Mode, modes
-from stiffopt.errors import NotSimulatedError
 from stiffopt.files import write_csv
 
 if TYPE_CHECKING:
@@ -87,7 +86,5 @@ def write_modes_csv(rows: Sequence[PoseModes], path: Path) -> None:
 def _elastic(robot: Robot, at: np.ndarray) -> ElasticArm:
     arm = ElasticArm(robot, at)
     if not arm.elastic.any():
-        raise NotSimulatedError(
-            f"{robot.name} is rigid: no joint has a drivetrain that could yield."
-        )
+        raise rigid_arm(robot)
     return arm

@@ -207,13 +207,19 @@ def check_simulation(problem: TrajectoryProblem, motion: ResolvedMotion) -> None
 
 
 def with_simulation(
-    problem: TrajectoryProblem, solution: Solution, progress: ProgressCallback | None = None
+    problem: TrajectoryProblem,
+    solution: Solution,
+    progress: ProgressCallback | None = None,
+    motion: ResolvedMotion | None = None,
 ) -> Solution:
-    """The solution with its simulation and its command; a note instead where there are none."""
+    """The solution with its simulation and its command; a note instead where there are none.
+
+    `motion` are the problem's poses where they are resolved already.
+    """
     stopped = solution.status is SolveStatus.INTERRUPTED
     if solution.assessment is None or stopped or not is_elastic(problem):
         return solution
-    motion = resolve(problem)
+    motion = resolve(problem) if motion is None else motion
     try:
         arm = elastic_arm(problem, solution.assessment.position[0])
         counted = solution.assessment.feasible(CERTIFIED)

@@ -108,7 +108,7 @@ def solve(
         except KeyboardInterrupt:
             solution = _only_baseline(run, beside, notes)
     if simulate:
-        solution = with_simulation(problem, solution, progress)
+        solution = with_simulation(problem, solution, progress, motion)
     if throw and not (solution.status.usable or solution.status is SolveStatus.INTERRUPTED):
         raise NoSolutionFound(solution.message, solution)
     return solution

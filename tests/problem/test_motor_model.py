@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 from numpy.polynomial import Polynomial
 from small_arms import load
 
+from stiffopt.baseline.baselines import baselines
 from stiffopt.certificate.assess import assess
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import InputError
+from stiffopt.problem.formulation import Scales, exact_path_rows, formulate
 from stiffopt.problem.motor_model import WIDER, MotorModel, NearMotorModel, motor_motion
+from stiffopt.problem.resolve import resolve
 from stiffopt.result.store import export_times, write_trajectory
 from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.guess import initial_guess
 from stiffopt.solver.solve import solve
+from stiffopt.transcription.between import tightened
+from stiffopt.transcription.build import transcribe
+from stiffopt.transcription.mesh import uniform_mesh
 
 GOAL = 'objective = "tool_deviation"'
 SMOOTHING = 0.25
@@ -162,3 +171,39 @@ def test_a_process_force_is_hung_from_where_it_holds_the_tool(tmp_path):
 def test_what_cannot_be_planned_for_the_links_is_said(pieces, words, tmp_path):
     with pytest.raises(InputError, match=words):
         solve(load(tmp_path, minimise=GOAL, **pieces))
+
+
+def test_what_is_minimised_where_nothing_is_said(planar):
+    plain = replace(planar, objectives=())
+    assert [each.name for each in plain.objectives] == ["tool_deviation"]
+    assert plain.chosen == "tool_deviation is minimised, by default."
+    freed = replace(plain, objectives=(), boundary_acceleration="free")
+    assert [each.name for each in freed.objectives] == ["dynamic_deflection"]
+    assert freed.chosen.startswith("dynamic_deflection is minimised, by default: tool_deviation")
+    assert "at rest at both ends" in freed.chosen
+    assert planar.chosen == ""
+    bare = replace(planar.robot, chains=(None, None))
+    with pytest.raises(InputError, match="no drivetrain whose deflection could be the default"):
+        replace(plain, robot=bare, objectives=())
+
+
+def test_bounds_are_drawn_in_about_what_exceeds_them(planar):
+    motion = resolve(planar)
+    ocp = formulate(planar, motion, Scales())
+    transcription = transcribe(ocp, mesh=uniform_mesh(8))
+    x = transcription.pack(initial_guess(planar, motion, baselines(planar, motion)))
+    rows = exact_path_rows(planar, motion, Scales())
+    given = (x, np.array([SMOOTHING]), rows)
+    nlp, excess = tightened(transcription, transcription.nlp, *given, most=0.1)
+    change = transcription.nlp.upper_g - nlp.upper_g
+    changed = np.flatnonzero(np.nan_to_num(change))
+    assert excess > 0.0
+    assert changed.size
+    assert np.all(change[changed] > 0.0)
+    assert np.all(change[changed] <= 0.1 + 1e-12)
+    names = {nlp.rows.entry(int(k)).name for k in changed}
+    assert names <= {rows.name for rows in ocp.path_rows}
+    # Again from there, bounds only move further in.
+    further, same = tightened(transcription, nlp, *given, most=0.1)
+    assert same == excess
+    assert np.all(np.nan_to_num(nlp.upper_g - further.upper_g) >= 0.0)

@@ -68,7 +68,7 @@ def assumed_damping_note(joints: Sequence[int]) -> list[str]:
         return []
     named = f"joint{'s' if len(joints) > 1 else ''} {listed(str(j) for j in joints)}"
     return [
-        f"The damping of {named} is assumed, 2 % of critical each; give `damping` in the robot "
+        f"The damping of {named} is assumed, 2 % of critical each; give its damping in the robot "
         "file where it has been measured."
     ]
 
