@@ -89,7 +89,10 @@ def solve_shaped(
         shaped = _shaped(problem, found, swing)
     told = f"Averaged over {1e3 * swing:.0f} ms, a swing of the arm's lowest mode."
     solution = replace(
-        found, baselines=beside, notes=(*notes, told), inputs_hash=inputs_hash(problem)
+        found,
+        baselines=beside,
+        notes=(*dict.fromkeys((*notes, *found.notes)), told),
+        inputs_hash=inputs_hash(problem),
     )
     if shaped is None:
         return replace(solution, strict_baseline=None, ratio_to_strict_baseline=None)
