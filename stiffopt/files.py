@@ -121,6 +121,49 @@ def read_text(path: str | os.PathLike[str]) -> str:
         raise InputFileError(path, "", f"cannot be read: {error.strerror}.") from error
 
 
+def with_changes(data: dict[str, Any], changes: Sequence[str], path: object) -> dict[str, Any]:
+    """Content of a file with entries changed: "motion.duration=0.5 s", "minimise[1].weight=2".
+
+    What is right of "=" is read as TOML; what is none is a text.
+
+    Raises
+    ------
+    InputFileError
+        No "=", or a place that the file does not have.
+    """
+    for change in changes:
+        place, equals, text = change.partition("=")
+        keys = re.findall(r"[^.\[\]]+|\[\d+\]", place.strip())
+        if not equals or not keys:
+            raise InputFileError(path, "--set", f"needs KEY=VALUE, got {shortened(change)}.")
+        try:
+            value = tomllib.loads(f"value = {text.strip()}")["value"]
+        except (tomllib.TOMLDecodeError, RecursionError, ValueError):
+            value = text.strip()
+        held: Any = data
+        for key in keys[:-1]:
+            held = _held(held, key, place, path)
+        last = keys[-1]
+        if isinstance(held, list) and last.startswith("["):
+            number = int(last[1:-1])
+            if not 1 <= number <= len(held):
+                raise InputFileError(path, f"--set {place}", f"there are {len(held)} entries.")
+            held[number - 1] = value
+        elif isinstance(held, dict) and not last.startswith("["):
+            held[last] = value
+        else:
+            raise InputFileError(path, f"--set {place}", "there is no such place in the file.")
+    return data
+
+
+def _held(held: Any, key: str, place: str, path: object) -> Any:
+    if isinstance(held, dict) and not key.startswith("["):
+        return held.setdefault(key, {})
+    if isinstance(held, list) and key.startswith("[") and 1 <= int(key[1:-1]) <= len(held):
+        return held[int(key[1:-1]) - 1]
+    raise InputFileError(path, f"--set {place}", "there is no such place in the file.")
+
+
 def load_json(path: str | os.PathLike[str]) -> Any:
     """Content of a JSON file; raises `InputFileError` where there is none."""
     try:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
+# `stiffopt --install-completion` installs the completion of the shell that it runs in.
 app = App(
     name="stiffopt",
     help="Stiff and true trajectories for industrial robot arms.",
@@ -15,7 +16,29 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 
+app.register_install_completion_command(add_to_startup=False)
+
 Out = Annotated[Path, Parameter(name="--out", help="Folder for the results; made if missing.")]
+
+Changes = Annotated[
+    tuple[str, ...],
+    Parameter(
+        name="--set",
+        negative=(),
+        help="Change an entry of the file for this run, such as motion.duration='0.5 s'.",
+    ),
+]
+Open = Annotated[
+    bool, Parameter(name="--open", negative=(), help="Show report.html in the browser when done.")
+]
+
+
+def show_report(folder: Path, wanted: bool) -> None:
+    """Open the report of a folder in the browser, where it is wanted."""
+    if wanted and (folder / "report.html").is_file():
+        import webbrowser
+
+        webbrowser.open((folder / "report.html").resolve().as_uri())
 
 
 def print_json(document: object) -> None:

@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stiffopt.cli.base import Out, app
+from stiffopt.cli.base import Changes, Open, Out, app, show_report
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.folders import output_folder
 
@@ -25,6 +25,8 @@ def solve(
     out: Out | None = None,
     model: Path | None = None,
     effects: Path | None = None,
+    changes: Changes = (),
+    open_report: Open = False,
     quiet: bool = False,
 ) -> int:
     """Optimise a trajectory and certify it.
@@ -61,7 +63,7 @@ def solve(
     from stiffopt.solver.simulation import with_simulation
     from stiffopt.solver.solve import solve as optimise
 
-    loaded = load_problem(problem)
+    loaded = load_problem(problem, changes)
     stated = loaded.problem
     found = None
     if model is not None:
@@ -85,11 +87,19 @@ def solve(
         write_solve_report(stated, solution, stage)
         write_result(solution, stage, problem, home=folder, stated=stated)
     print_solution(stated, solution, folder)
+    show_report(folder, open_report)
     return solution.status.exit_code
 
 
 @app.command
-def preload(study: Path, *, out: Out | None = None, quiet: bool = False) -> int:
+def preload(
+    study: Path,
+    *,
+    out: Out | None = None,
+    changes: Changes = (),
+    open_report: Open = False,
+    quiet: bool = False,
+) -> int:
     """Find how tight bolts and pins must be: preloads, tightening torques, what binds.
 
     Writes study.json, study.csv and report.html with its figures.
@@ -109,7 +119,7 @@ def preload(study: Path, *, out: Out | None = None, quiet: bool = False) -> int:
     from stiffopt.report.preload.page import write_preload_report
     from stiffopt.report.preload.terminal import print_study
 
-    loaded = load_study(study)
+    loaded = load_study(study, changes)
     folder = out or Path("out") / study.stem
     with output_folder(folder, "preload") as stage:
         with _named_progress(loaded.problem.title, quiet) as display, _about(study):
@@ -124,6 +134,7 @@ def preload(study: Path, *, out: Out | None = None, quiet: bool = False) -> int:
         write_curves(result, stage)
         write_study(result, stage)
     print_study(result, folder)
+    show_report(folder, open_report)
     return result.status.exit_code
 
 

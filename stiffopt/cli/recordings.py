@@ -8,7 +8,7 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from stiffopt.cli.base import Out, app, print_json
+from stiffopt.cli.base import Changes, Open, Out, app, print_json, show_report
 from stiffopt.errors import InputFileError
 from stiffopt.folders import output_folder
 
@@ -27,6 +27,8 @@ def diagnose(
     report: bool = True,
     png: bool = False,
     despite_doubts: Annotated[bool, Parameter(negative=())] = False,
+    changes: Changes = (),
+    open_report: Open = False,
     quiet: bool = False,
 ) -> int:
     """Find what the nominal model of recordings lacks, and prove it on runs never fitted to.
@@ -63,7 +65,7 @@ def diagnose(
     from stiffopt.report.common.progress import StepDisplay
     from stiffopt.report.diagnosis.terminal import print_diagnosis
 
-    loaded = load_recordings(recordings)
+    loaded = load_recordings(recordings, changes)
     home = loaded.path.parent.resolve()
     chosen = out or Path("out") / home.name
     if home in (chosen.resolve(), *chosen.resolve().parents):
@@ -86,6 +88,7 @@ def diagnose(
             write_diagnosis_report(found, stage, png=png)
         write_diagnosis(found, stage)
     print_diagnosis(found, chosen)
+    show_report(chosen, open_report)
     return 130 if found.stopped else 0
 
 

@@ -1,7 +1,8 @@
-"""`stiffopt schema`, `explain` and `catalogue`: what may stand in the files, and what there is."""
+"""`stiffopt schema`, `explain`, `catalogue` and `compare`: files, what there is, what differs."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 from stiffopt.cli.base import app, print_json
@@ -61,4 +62,26 @@ def catalogue(
         print_table(("stiffopt catalogue", "entries", "named in files as"), kinds())
     else:
         print_table(*catalogue_table(kind))
+    return 0
+
+
+@app.command
+def compare(first: Path, second: Path) -> int:
+    """Compare the answers of two result folders: every entry that differs.
+
+    Parameters
+    ----------
+    first
+        Folder of a solve, a study or a diagnosis.
+    second
+        Another of the same kind.
+    """
+    from stiffopt.report.common.terminal import print_lines, print_table
+    from stiffopt.report.compare import compared
+
+    name, rows = compared(first, second)
+    if rows:
+        print_table((name, str(first), str(second), "change"), rows)
+    else:
+        print_lines((f"{name}: the two answers are the same.",))
     return 0

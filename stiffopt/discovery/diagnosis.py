@@ -22,6 +22,7 @@ from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import Fault
+from stiffopt.result.shown import Shown
 
 Verdict = Literal["named", "nothing_missing", "outside_catalogue"]
 
@@ -140,8 +141,8 @@ class ChannelFit:
     unit: str
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Diagnosis(Shown):
     """What the nominal model of a recording set lacks, and the proof of it.
 
     Parameters
@@ -205,6 +206,34 @@ class Diagnosis:
     experiment: ExperimentPlan | None = None
     doubts: tuple[Doubt, ...] = ()
     stopped: bool = False
+
+    def facts(self) -> dict[str, str]:
+        """Verdict, findings and residuals in a few words."""
+        found: dict[str, str] = {"verdict": self.verdict}
+        for number, finding in enumerate(self.findings, start=1):
+            place = finding.link or (f"joint {finding.joint}" if finding.joint else "robot")
+            found[f"finding {number}"] = f"{finding.effect.name} of {place}"
+        for role in ("test", "extrapolate"):
+            if self.proofs(role):
+                before, after = self.nrmse(role)
+                found[f"residual over noise, {role}"] = f"{role} {before:.3g} to {after:.3g}"
+        return found
+
+    def table(self) -> dict[str, list[object]]:
+        """One row a parameter of a finding."""
+        rows = [(f, p) for f in self.findings for p in f.parameters]
+        return {
+            "effect": [f.effect.name for f, _ in rows],
+            "joint": [f.joint for f, _ in rows],
+            "link": [f.link for f, _ in rows],
+            "run": [f.located.run for f, _ in rows],
+            "parameter": [p.name for _, p in rows],
+            "value": [p.value for _, p in rows],
+            "sd": [p.sd for _, p in rows],
+            "unit": [p.unit for _, p in rows],
+            "probability": [f.probability for f, _ in rows],
+            "variance_explained": [f.variance_explained for f, _ in rows],
+        }
 
     def proofs(self, role: str) -> tuple[RunProof, ...]:
         """Held-out runs of one role, "test" or "extrapolate"."""

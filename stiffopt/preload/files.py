@@ -13,7 +13,7 @@ from stiffopt.connection import BoltedFlange
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.fastening.limits import check_preload
-from stiffopt.files import check_header, load_toml, validate
+from stiffopt.files import check_header, load_toml, validate, with_changes
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.load_sources import pose_case, trajectory_history
 from stiffopt.preload.problem import PreloadProblem
@@ -58,8 +58,10 @@ class LoadedStudy:
     rounds: int
 
 
-def load_study(path: str | os.PathLike[str]) -> LoadedStudy:
+def load_study(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> LoadedStudy:
     """Read a preload study file.
+
+    `changes` such as "motion.duration=0.5 s" count in place of what the file says.
 
     Raises
     ------
@@ -67,7 +69,7 @@ def load_study(path: str | os.PathLike[str]) -> LoadedStudy:
         With the file, the key, what is allowed and what to do next.
     """
     path = Path(path)
-    data = load_toml(path)
+    data = with_changes(load_toml(path), changes, path)
     check_header(data, path, "preload")
     document = validate(PreloadFile, data, path)
     robot = read_robot(document.robot, document.payload, document.tool, path)

@@ -12,7 +12,7 @@ import numpy as np
 
 from stiffopt.declaration import declared
 from stiffopt.errors import InputFileError
-from stiffopt.files import check_header, load_toml, validate
+from stiffopt.files import check_header, load_toml, validate, with_changes
 from stiffopt.problem.limit import LIMITS, Limits
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.schema import (
@@ -53,8 +53,10 @@ class LoadedProblem:
     path: Path
 
 
-def load_problem(path: str | os.PathLike[str]) -> LoadedProblem:
+def load_problem(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> LoadedProblem:
     """Read a trajectory problem file.
+
+    `changes` such as "motion.duration=0.5 s" count in place of what the file says.
 
     Raises
     ------
@@ -62,7 +64,7 @@ def load_problem(path: str | os.PathLike[str]) -> LoadedProblem:
         With the file, the key, what is allowed and what to do next.
     """
     path = Path(path)
-    data = load_toml(path)
+    data = with_changes(load_toml(path), changes, path)
     check_header(data, path, "trajectory")
     document = validate(problem_file(), data, path)
     with located(path, ""):

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Set
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from stiffopt.errors import InputFileError
-from stiffopt.files import load_toml, validate
+from stiffopt.files import load_toml, validate, with_changes
 from stiffopt.recording.assumptions import assumptions
 from stiffopt.recording.clean import clean
 from stiffopt.recording.nominal import Noise, Nominal, Tolerance
@@ -140,8 +140,10 @@ class RecordingSet(RecordedArm):
         )
 
 
-def load_recordings(path: str | os.PathLike[str]) -> RecordingSet:
+def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> RecordingSet:
     """Recording set of a folder or of its recordings.toml; no run file is opened.
+
+    `changes` such as "motion.duration=0.5 s" count in place of what the file says.
 
     Raises
     ------
@@ -151,7 +153,7 @@ def load_recordings(path: str | os.PathLike[str]) -> RecordingSet:
     path = Path(path)
     if path.is_dir():
         path = path / FILE
-    data = load_toml(path)
+    data = with_changes(load_toml(path), changes, path)
     if data.get("schema") != 1 or isinstance(data.get("schema"), bool):
         got = f"got {data['schema']!r}" if "schema" in data else "the key is missing"
         raise InputFileError(path, "schema", f"this version reads schema = 1, {got}.")

@@ -5,7 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from stiffopt.errors import InputError
 from stiffopt.result.assessment import Assessment
+from stiffopt.result.shown import Shown
 from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
@@ -55,8 +59,8 @@ class SolverRecord:
     homotopy: tuple[dict[str, float | str], ...]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Solution:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Solution(Shown):
     """Outcome of `stiffopt.solve`.
 
     Parameters
@@ -102,6 +106,47 @@ class Solution:
     ratio_to_strict_baseline: float | None = None
     simulation: Simulation | None = None
     compensation: Compensation | None = None
+
+    def facts(self) -> dict[str, str]:
+        """Status, objective, duration and ratio in a few words."""
+        found = {"status": str(self.status)}
+        if self.objective is not None:
+            value = self.objective
+            name = f"{value.name} {value.measure}".strip()
+            found["objective"] = f"{name} {value.value:.4g} {value.unit}".strip()
+        if self.assessment is not None:
+            found["duration"] = f"{self.assessment.duration:.4g} s"
+            found["tightest limit"] = f"{self.assessment.worst_violation.limit}"
+        if self.ratio_to_better_baseline is not None:
+            found["over the better baseline"] = f"ratio {self.ratio_to_better_baseline:.3g}"
+        return found
+
+    def table(self) -> dict[str, np.ndarray]:
+        """Motion on the certificate's grid: t, q1.., qd1.., qdd1.., tau1.., deflection.
+
+        Raises
+        ------
+        InputError
+            There is no motion.
+        """
+        motion = self.assessment
+        if motion is None:
+            raise InputError(f"there is no motion: {self.message}")
+        columns = {"t": motion.time}
+        for name, values in (
+            ("q", motion.position),
+            ("qd", motion.velocity),
+            ("qdd", motion.acceleration),
+            ("tau", motion.torque),
+            ("tau_spring", motion.spring_torque),
+            ("windup", motion.windup),
+        ):
+            columns |= {f"{name}{j}": column for j, column in enumerate(values.T, start=1)}
+        for axis, column in zip("xyz", motion.tool.T, strict=True):
+            columns[f"tool_{axis}"] = column
+        for part, vectors in motion.deflection.items():
+            columns[f"deflection_{part}"] = np.linalg.norm(vectors, axis=1)
+        return columns
 
     @property
     def duration(self) -> float | None:

@@ -1,0 +1,82 @@
+"""Two result folders side by side: what differs between their answers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from stiffopt.errors import InputFileError
+from stiffopt.files import load_json
+from stiffopt.report.common.text import DASH
+
+ANSWERS = ("result.json", "diagnosis.json", "study.json", "stiffness.json")
+# Relative difference below which two numbers are the same; times of a solver never are.
+_SAME = 1e-9
+_LEFT_OUT = ("versions", "solver", "inputs_hash", "detection_limits", "faults", "homotopy")
+
+Row = tuple[str, str, str, str]
+
+
+def compared(first: Path, second: Path) -> tuple[str, list[Row]]:
+    """Name of the answer and a row for each entry that differs.
+
+    Raises
+    ------
+    InputFileError
+        A folder without an answer, or answers of two kinds.
+    """
+    names = [_answer(folder) for folder in (first, second)]
+    if names[0] != names[1]:
+        raise InputFileError(
+            second, "", f"holds {names[1]}, {first} holds {names[0]}. Compare two of one kind."
+        )
+    one, two = (dict(_leaves(load_json(folder / names[0]))) for folder in (first, second))
+    rows = []
+    for key in dict.fromkeys((*one, *two)):
+        a, b = one.get(key), two.get(key)
+        if not _equal(a, b):
+            rows.append((key, _text(a), _text(b), _change(a, b)))
+    return names[0], rows
+
+
+def _answer(folder: Path) -> str:
+    for name in ANSWERS:
+        if (folder / name).is_file():
+            return name
+    raise InputFileError(
+        folder, "", f"is no folder of results: it has none of {', '.join(ANSWERS)}."
+    )
+
+
+def _leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
+    if isinstance(value, dict):
+        for key, inside in value.items():
+            if key not in _LEFT_OUT:
+                yield from _leaves(inside, f"{place}.{key}".lstrip("."))
+    elif isinstance(value, list):
+        for number, inside in enumerate(value, start=1):
+            yield from _leaves(inside, f"{place}[{number}]")
+    else:
+        yield place, value
+
+
+def _equal(a: Any, b: Any) -> bool:
+    if isinstance(a, float | int) and isinstance(b, float | int):
+        return math.isclose(a, b, rel_tol=_SAME, abs_tol=1e-15)
+    return bool(a == b)
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return DASH
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    text = str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _change(a: Any, b: Any) -> str:
+    numbers = all(isinstance(v, float | int) and not isinstance(v, bool) for v in (a, b))
+    return f"{100.0 * (b / a - 1.0):+.3g} %" if numbers and a else ""

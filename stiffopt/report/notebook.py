@@ -1,0 +1,50 @@
+"""Figures of results for notebooks: `Solution.plot()` and `Diagnosis.plot()`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from stiffopt.discovery.diagnosis import Diagnosis
+from stiffopt.errors import InputError
+from stiffopt.report.common.svg import WIDTH, house_style
+from stiffopt.report.diagnosis.figures import balances_figure
+from stiffopt.result.solution import Solution
+
+
+def figure_of(result: Any) -> Figure:
+    """Joint motion and deflection of a solution; residuals over noise of a diagnosis."""
+    if isinstance(result, Diagnosis):
+        return balances_figure(result)
+    assert isinstance(result, Solution)
+    return _motion(result)
+
+
+def _motion(solution: Solution) -> Figure:
+    motion = solution.assessment
+    if motion is None:
+        raise InputError("there is no motion to plot: " + solution.message)
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 5.6))
+        axes = figure.subplots(2, 2, sharex=True).ravel()
+        for place, values, name in (
+            (axes[0], motion.position, "position [rad, m]"),
+            (axes[1], motion.velocity, "velocity [rad/s, m/s]"),
+            (axes[2], motion.torque, "drive torque [N m, N]"),
+        ):
+            for j, column in enumerate(values.T, start=1):
+                place.plot(motion.time, column, label=f"J{j}")
+            place.set_ylabel(name)
+        axes[0].legend(ncols=3)
+        for part, values in motion.deflection.items():
+            if abs(values).max() > 0.0:
+                size = 1e3 * (values**2).sum(axis=1) ** 0.5
+                axes[3].plot(motion.time, size, label=part)
+        axes[3].set_ylabel("tool deflection [mm]")
+        if axes[3].lines:
+            axes[3].legend()
+        for place in axes[2:]:
+            place.set_xlabel("time [s]")
+        figure.tight_layout()
+        return figure
