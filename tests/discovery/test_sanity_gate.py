@@ -146,8 +146,8 @@ def test_exchanged_joints(tmp_path: Path) -> None:
     assert 'position = ["q2", "q1"] and torque = ["tau2", "tau1"]' in found[0].line
 
 
-@pytest.mark.parametrize("stated", ["[0.0, 0.0, 9.81]", "[0.0, 0.0, -1.0]", "[9.81, 0.0, 0.0]"])
-def test_gravity_upside_down_or_in_g(stated: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("stated", ["[0.0, 0.0, 9.81]", "[9.81, 0.0, 0.0]"])
+def test_gravity_upside_down_or_aside(stated: str, tmp_path: Path) -> None:
     folder = changed_copy(SHIPPED, tmp_path / "set", lambda columns: None)
     rewritten(folder, "[0.0, 0.0, -9.81]", stated)
     (found,) = doubted(folder)
