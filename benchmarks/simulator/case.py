@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from . import (  # noqa: F401
@@ -25,6 +27,8 @@ _STREAMS = ("plans", "motion", "tolerance", "noise", "effects")
 def build_world(spec: CaseSpec) -> tuple[World, dict[str, object]]:
     """The true robot and the truth about it, before anything moves."""
     robot = ROBOTS[spec.robot]
+    if spec.payload is not None:
+        robot = replace(robot, payload_mass=spec.payload)
     streams = _streams(spec)
     plans = run_plans(spec, robot.joints, streams["plans"])
     motion = references(spec, robot, plans, streams["motion"])

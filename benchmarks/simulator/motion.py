@@ -96,7 +96,7 @@ def references(
             for j in range(robot.joints):
                 speed = 0.5 * robot.speed_max[j] * fast * pace
                 result[r, :, j] = robot.centre[j] + _one_joint(
-                    steps, step, speed, robot.reach[j] * wide, 0.42 * sharp / pace, draw
+                    steps, step, speed, robot.reach[j] * wide, spec.smoothing * sharp / pace, draw
                 )
             peak = np.abs(nominal_torque(robot, result[r], step, 10)).max(axis=0)
             if np.all(peak <= TORQUE_USED * robot.torque_max * (1.2 if beyond else 1.0)):

@@ -35,6 +35,10 @@ class CaseSpec:
         What the set states over what the noise is.
     substeps : int
         Integration steps a recorded sample.
+    payload : float, optional
+        Mass of the load of nominal and true robot [kg]; default the robot's own.
+    smoothing : float
+        Time over which the corners of the motion are rounded [s].
     """
 
     robot: str = "planar2"
@@ -50,6 +54,8 @@ class CaseSpec:
     tolerance: float = 1.0
     stated_noise: float = 1.0
     substeps: int = 4
+    payload: float | None = None
+    smoothing: float = 0.42
     name: str = ""
 
     @property

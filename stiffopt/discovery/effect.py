@@ -58,7 +58,10 @@ class Term:
         Added to the torque in the spring [N m]: the drive has to give it, and the joint winds up
         under it.
     deflection
-        Added to motor angle minus link angle [rad].
+        Added to motor angle minus link angle, by what displaces the link [rad]; the link swings
+        after it.
+    reading
+        Added to motor angle minus link angle as they are read alone [rad].
     previous_torque
         Added to the drive torque of the joint before [N m]; effects of a joint only.
 
@@ -70,6 +73,7 @@ class Term:
     drive_torque: Quantity = 0.0
     link_torque: Quantity = 0.0
     deflection: Quantity = 0.0
+    reading: Quantity = 0.0
     previous_torque: Quantity = 0.0
 
 

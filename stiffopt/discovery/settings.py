@@ -25,6 +25,7 @@ WIDE = Tolerance(
     coulomb=0.3,
     viscous=0.3,
     stiffness=0.1,
+    joint_damping=0.3,
     torque_constant=0.02,
     com=5e-3,
     encoder_zero=2e-3,

@@ -19,7 +19,7 @@ from stiffopt.discovery.effect import Effect, Need, Scope, Term
 from stiffopt.recording.nominal_files import joint_chain
 from stiffopt.symbolic import is_symbolic
 
-PARTS = ("drive_torque", "link_torque", "deflection", "previous_torque")
+PARTS = ("drive_torque", "link_torque", "deflection", "reading", "previous_torque")
 SCOPES = get_args(Scope)
 # A scan of a catalogue tries every combination of starts at every place.
 MOST_STARTS = 30
@@ -62,6 +62,7 @@ def sample_signals(count: int = 60, dt: float = 0.01) -> RobotSignals:
         link_position=position,
         link_velocity=velocity,
         link_acceleration=acceleration,
+        transmitted_torque=torque,
         spring_torque=torque,
         windup=windup,
         drive_torque=torque + friction,

@@ -9,8 +9,9 @@ import numpy as np
 
 from stiffopt.discovery.comparison.bands import choose_bands
 from stiffopt.discovery.comparison.channel_noise import KnownNoise, known_noise
-from stiffopt.discovery.comparison.comparison import FEW_RUNS, Comparison, bridged
-from stiffopt.discovery.comparison.extension import extended
+from stiffopt.discovery.comparison.columns import FEW_RUNS, bridged
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import merged
 from stiffopt.discovery.comparison.prepare import PreparedRun, prepare
@@ -39,7 +40,9 @@ class Training:
     ----------
     robot : RobotModel
     runs : tuple of PreparedRun
-        With the nominal model, or with the model that the diagnosis started from.
+        With the nominal model.
+    start : Extension
+        Of the model that the diagnosis started from.
     recorded : tuple of RecordedRun
         The same runs as they were read.
     constants : RobotConstants
@@ -59,6 +62,7 @@ class Training:
 
     robot: RobotModel
     runs: tuple[PreparedRun, ...]
+    start: Extension
     recorded: tuple[RecordedRun, ...]
     constants: RobotConstants
     noise: KnownNoise
@@ -71,7 +75,14 @@ class Training:
 
     def comparison(self) -> Comparison:
         """The comparison that a search starts from."""
-        return Comparison(self.robot, self.runs, self.noise.channels, self.tolerance, box=self.box)
+        return Comparison(
+            self.robot,
+            self.runs,
+            self.noise.channels,
+            self.tolerance,
+            start=self.start,
+            box=self.box,
+        )
 
 
 def training_runs(recordings: RecordingSet, say: Say = lambda _: None) -> list[RecordedRun]:
@@ -140,8 +151,6 @@ def train(
     ready = [replace(run, signals=replace(run.signals, constants=ranged)) for run in prepared]
     noise = known_noise(recordings.noise, ready)
     _check_noise(recordings, noise, ready)
-    if model is not None:
-        ready = [extended(run, robot, model.extension) for run in ready]
     if len(ready) < FEW_RUNS:
         notes.append(
             f"With {len(ready)} training run{'s' * (len(ready) > 1)}, candidates are"
@@ -154,6 +163,7 @@ def train(
     return Training(
         robot=robot,
         runs=tuple(ready),
+        start=Extension() if model is None else model.extension,
         recorded=tuple(opened),
         constants=ranged,
         noise=noise,

@@ -30,7 +30,12 @@ def assumptions(
     if document.signals.torque_side is None:
         found.append("Torque is the motor's, from current, before friction.")
     found += _of_nominal(document, described)
-    tolerances = [key for key, value in vars(document.tolerance).items() if value is None]
+    # Nobody knows a damping well: that it may differ widely needs no word.
+    tolerances = [
+        key
+        for key, value in vars(document.tolerance).items()
+        if value is None and key != "joint_damping"
+    ]
     if tolerances:
         found.append(f"Tolerances not given, wide defaults hold: {', '.join(tolerances)}.")
     if document.noise.torque is None:

@@ -91,6 +91,7 @@ class Tolerance:
     coulomb: Annotated[_Share | None, Doc("Of Coulomb friction, relative.")] = None
     viscous: Annotated[_Share | None, Doc("Of viscous friction, relative.")] = None
     stiffness: Annotated[_Share | None, Doc("Of stiffnesses, relative.")] = None
+    joint_damping: Annotated[_Share | None, Doc("Of the damping of joints, relative.")] = None
     torque_constant: Annotated[_Share | None, Doc("Of torque constants, relative.")] = None
     encoder_zero: Annotated[_Position | None, Doc("Of the zero of an encoder.")] = None
 

@@ -190,8 +190,8 @@ def test_payload_and_link_errors_sum_the_columns_of_their_bodies():
 def test_readings_and_springs_have_their_signs():
     signals = ROBOT.of_joint(4)
     for name in ("encoder_offset", "encoder_zero_change"):
-        np.testing.assert_allclose(effect(name).term(signals, [2e-4], []).deflection, -2e-4)
-    shift = effect("encoder_skew").term(ROBOT, [2e-3], []).deflection
+        np.testing.assert_allclose(effect(name).term(signals, [2e-4], []).reading, -2e-4)
+    shift = effect("encoder_skew").term(ROBOT, [2e-3], []).reading
     np.testing.assert_allclose(shift, 2e-3 * ROBOT.link_velocity)
     late = effect("time_delay").term(ROBOT, [1e-3], []).drive_torque
     np.testing.assert_allclose(late, -1e-3 * ROBOT.drive_torque_rate)

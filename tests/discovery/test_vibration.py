@@ -53,7 +53,10 @@ def _errors(spec, folder, *extensions, swinging=True):
         if not name.startswith("test"):
             continue
         predictor = Predictor(robot, run, ranged, Settings())
-        predictor.swinging = swinging
+        if not swinging:
+            predictor.nominal = prepare(
+                robot, run, 0, ranged, replace(Settings(), cutoff=20.0), swinging=False
+            )
         found = predictor.predict(*extensions)
         for j in range(robot.n):
             moving = np.abs(record.clean[f"qd{j + 1}"]) >= MOVING

@@ -40,7 +40,7 @@ def encoder_offset_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
     """A constant added to the reading of the link angle."""
-    return Term(deflection=-amplitudes[0] + 0.0 * signals.windup)
+    return Term(reading=-amplitudes[0] + 0.0 * signals.windup)
 
 
 def time_delay_term(
@@ -54,7 +54,7 @@ def encoder_skew_term(
     signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
     """Link angles read d later than motor angles, on all joints."""
-    return Term(deflection=amplitudes[0] * signals.link_velocity)
+    return Term(reading=amplitudes[0] * signals.link_velocity)
 
 
 def saturation_term(

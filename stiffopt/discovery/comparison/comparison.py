@@ -16,20 +16,14 @@ from stiffopt.discovery.comparison.bodies import (
     nearest_bodies,
     nominal_bodies,
 )
+from stiffopt.discovery.comparison.columns import Columns
 from stiffopt.discovery.comparison.evidence import BlockSums, Posterior, Sums, posterior
+from stiffopt.discovery.comparison.extension import Extension, with_amplitudes
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.nuisance import NuisanceColumn, nuisance_columns
-from stiffopt.discovery.comparison.prepare import PreparedRun, with_link_torque
-from stiffopt.discovery.comparison.rows import ChannelNoise, ChannelRows
+from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.comparison.rows import ChannelNoise
 from stiffopt.recording.nominal import Tolerance
-
-# Blocks a run is cut into where there are too few runs to leave one out.
-FEW_RUNS = 3
-_BLOCK_SECONDS = 2.0
-_MOST_BLOCKS = 8
-# Columns that are kept for the next time they are asked for.
-_KEPT = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,17 +70,17 @@ class Comparison:
     ----------
     robot : RobotModel
     runs : sequence of PreparedRun
+        With the nominal model.
     noise : ChannelNoise
     tolerance : Tolerance
-    link_torque : sequence of array (K, n), optional
-        Of effects already found, one a run; laws that bend are taken about it.
+    start : Extension, optional
+        What the model that is compared has beyond the nominal one.
     inflation : array (2 n,), optional
         Factor on the noise of every channel, for what the model leaves unexplained there.
     box : float
         Nominal values stay within so many standard deviations.
-    bodies : array (n, 10), optional
-        Standard deviations of all inertial parameters, where they are free: in place of the
-        tolerances of masses and centres.
+    columns : Columns, optional
+        Of these runs, about what was found already.
     """
 
     def __init__(
@@ -96,93 +90,96 @@ class Comparison:
         noise: ChannelNoise,
         tolerance: Tolerance,
         *,
-        link_torque: Sequence[np.ndarray] | None = None,
+        start: Extension | None = None,
         inflation: np.ndarray | None = None,
         box: float = 4.0,
-        bodies: np.ndarray | None = None,
+        columns: Columns | None = None,
     ) -> None:
         self.robot, self.noise, self.tolerance, self.box = robot, noise, tolerance, box
-        self.bodies = bodies
-        self.nominal_runs = tuple(runs)
-        self.link_torque = link_torque
-        if link_torque is not None:
-            runs = [
-                with_link_torque(run, robot, added)
-                for run, added in zip(runs, link_torque, strict=True)
-            ]
-        self.runs = tuple(runs)
+        self.nominal_runs, self.start = tuple(runs), start or Extension()
+        self.columns = columns or Columns(
+            robot, self.nominal_runs, noise, tolerance, self.start, Extension()
+        )
+        self.runs, self.rows = self.columns.runs, self.columns.rows
         self.constants = self.runs[0].signals.constants
-        self.whole_runs = len(self.runs) >= FEW_RUNS
-        self.rows = ChannelRows(self.runs, noise, self._blocks())
         self.blocks = int(self.rows.block.max()) + 1
         self._kept: dict[tuple[object, ...], np.ndarray] = {}
         self.inflation = np.ones(2 * robot.n) if inflation is None else inflation
-
-    def _blocks(self) -> int:
-        if self.whole_runs:
-            return 1
-        seconds = min(float(run.time[-1] - run.time[0]) for run in self.runs)
-        return int(np.clip(seconds / _BLOCK_SECONDS, 2, _MOST_BLOCKS))
 
     @cached_property
     def _weight(self) -> np.ndarray:
         """Weight of every row beside the stated noise."""
         return np.asarray(1.0 / self.inflation[self.rows.channel])
 
+    def about(self, fit: Fit) -> Comparison:
+        """The comparison about a fit: links that move as found, the noise left in each channel."""
+        left = np.nan_to_num(self.channel_ratio(fit.residual), nan=1.0)
+        names = self.nuisance[0]
+        sizes = [located.sizes(self.constants) for located in fit.effects]
+        found = Extension(
+            calibration=dict(zip(names, fit.posterior.mean[: len(names)].tolist(), strict=True)),
+            effects=with_amplitudes(fit.effects, fit.amplitudes(), sizes),
+        )
+        return Comparison(
+            self.robot,
+            self.nominal_runs,
+            self.noise,
+            self.tolerance,
+            start=self.start,
+            inflation=np.maximum(1.0, left),
+            box=self.box,
+            columns=self.columns.about(found),
+        )
+
+    @property
+    def bodies(self) -> np.ndarray | None:
+        """Standard deviations of all inertial parameters (n, 10), where they are free."""
+        return self.columns.bodies
+
+    def with_bodies(self, bodies: np.ndarray | None) -> Comparison:
+        """The comparison with inertial parameters free (n, 10), in place of masses and centres."""
+        return Comparison(
+            self.robot,
+            self.nominal_runs,
+            self.noise,
+            self.tolerance,
+            start=self.start,
+            inflation=self.inflation,
+            box=self.box,
+            columns=self.columns.with_bodies(bodies),
+        )
+
     # ---- columns, weighted
 
     @cached_property
     def nuisance(self) -> tuple[list[str], np.ndarray, np.ndarray]:
         """Names, priors and columns (m, p) of the nominal values."""
-        per_run: list[list[NuisanceColumn]] = [
-            list(nuisance_columns(run, self.robot, self.tolerance, self.bodies))
-            for run in self.runs
-        ]
-        columns = []
-        for each in zip(*per_run, strict=True):
-            columns.append(self._column([c.torque for c in each], [c.deflection for c in each]))
-        first = per_run[0]
-        matrix = np.column_stack(columns) if columns else np.zeros((self.rows.size, 0))
-        return [c.name for c in first], np.array([c.sd for c in first]), matrix
+        names, sd, columns = self.columns.nuisance
+        return names, sd, self._weighted(columns)
 
     @cached_property
     def target(self) -> np.ndarray:
         """What the nominal model leaves of the measured channels (m,), weighted."""
-        torque, deflection = [], []
-        for index, run in enumerate(self.runs):
-            signals = run.signals
-            drive, windup = signals.drive_torque, signals.windup
-            if self.link_torque is not None:
-                # Amplitudes stay whole: what their own share of the link torque does comes back.
-                added = self.link_torque[index]
-                drive = drive - added
-                windup = windup - self.robot.compliance(signals.spring_torque) * added
-            torque.append(bridged(run.torque) - drive)
-            deflection.append(bridged(run.deflection) - windup)
-        return self._column(torque, deflection)
+        return self._weighted(self.columns.target)
 
     def effect_columns(self, located: LocatedEffect) -> np.ndarray:
         """Columns (m, k) of an effect's amplitudes over their sizes."""
-        key = located.key
-        if key not in self._kept:
-            self._kept[key] = self._effect_columns(located)
-            if len(self._kept) > _KEPT:
-                self._kept.pop(next(iter(self._kept)))
-        return self._kept[key]
+        return self._weighted(self.columns.of_effect(located))
 
-    def _effect_columns(self, located: LocatedEffect) -> np.ndarray:
-        per_run = [list(located.columns(run, self.robot)) for run in self.runs]
-        sizes = located.sizes(self.constants)
-        columns = [
-            size * self._column([c[0] for c in each], [c[1] for c in each])
-            for size, each in zip(sizes, zip(*per_run, strict=True), strict=True)
-        ]
-        return np.column_stack(columns)
+    def _weighted(self, columns: np.ndarray) -> np.ndarray:
+        """Rows over the noise; what may be the swing that a run began with counts as noise."""
+        weighted = (columns.T * self._weight).T
+        along, kept = self._unknown
+        if along.size:
+            weighted -= along @ (((1.0 - kept) * (along.T @ weighted).T).T)
+        return np.asarray(weighted)
 
-    def _column(
-        self, torque: Sequence[np.ndarray | None], deflection: Sequence[np.ndarray | None]
-    ) -> np.ndarray:
-        return np.asarray(self.rows.flatten(torque, deflection) * self._weight)
+    @cached_property
+    def _unknown(self) -> tuple[np.ndarray, np.ndarray]:
+        """Directions (m, r) of the rows that the unknown start of runs has, the share kept."""
+        columns = self.columns.unknown * self._weight[:, None]
+        along, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+        return along, 1.0 / np.sqrt(1.0 + sizes**2)
 
     # ---- fits
 
@@ -230,14 +227,3 @@ def _within(sums: Sums, prior: np.ndarray, limits: np.ndarray) -> np.ndarray:
     root = np.linalg.cholesky(scaled)
     goal = solve_triangular(root, prior * sums.moment.sum(axis=0), lower=True)
     return np.asarray(prior * lsq_linear(root.T, goal, (-limits, limits)).x)
-
-
-def bridged(samples: np.ndarray) -> np.ndarray:
-    """Single missing samples bridged for the filter; whole missing channels are zero."""
-    out = np.where(np.isfinite(samples), samples, 0.0)
-    for j in range(samples.shape[1]):
-        missing = ~np.isfinite(samples[:, j])
-        if missing.any() and not missing.all():
-            places = np.arange(len(samples))
-            out[missing, j] = np.interp(places[missing], places[~missing], samples[~missing, j])
-    return out

@@ -8,13 +8,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.bodies import body_torque
-from stiffopt.discovery.comparison.filtering import derivative
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, derivative
+from stiffopt.discovery.comparison.located_effect import Contribution, LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import nuisance_columns
 from stiffopt.discovery.comparison.prepare import PreparedRun, with_link_torque
+from stiffopt.discovery.comparison.swing import SLOW_CUTOFF, LinkMotion, Swing
 from stiffopt.recording.nominal import Tolerance
 
+# Of the slope of a spring's law, over the rated torque.
+_SLOPE_STEP = 0.01
+# Times that the links' motion is found with all that was found, nominal values about it.
+_PASSES = 2
+# Between inertia matrices, which change with posture only [s].
+_POSTURE = 0.02
 # Any tolerance above zero makes a column; its size does not matter here.
 _EVERY = Tolerance(
     mass=1.0,
@@ -23,6 +30,7 @@ _EVERY = Tolerance(
     coulomb=1.0,
     viscous=1.0,
     stiffness=1.0,
+    joint_damping=1.0,
     torque_constant=1.0,
     encoder_zero=1.0,
 )
@@ -69,44 +77,267 @@ class Extension:
             effects=(*self.effects, *later.effects),
         )
 
+    def less(self, other: Extension) -> Extension:
+        """What this one has beyond another."""
+        names = {**self.calibration, **other.calibration}
+        taken = (
+            replace(e, amplitudes=tuple(-value for value in e.amplitudes)) for e in other.effects
+        )
+        return Extension(
+            calibration={
+                name: self.calibration.get(name, 0.0) - other.calibration.get(name, 0.0)
+                for name in names
+            },
+            effects=(*self.effects, *taken),
+        )
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing is changed."""
+        return not self.effects and not any(self.calibration.values())
+
 
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """Sum of what changes the channels, (K, n) each."""
+    """Sum of what changes the channels, (K, n) each; as `Contribution`."""
 
     torque: np.ndarray
     link_torque: np.ndarray
     deflection: np.ndarray
+    reading: np.ndarray
+
+    def add(self, part: Contribution, times: float = 1.0) -> None:
+        """Add a contribution."""
+        for name, total in vars(self).items():
+            own = getattr(part, name)
+            if own is not None:
+                total += times * own
 
 
-def extended(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun:
-    """Run whose nominal torques and wind-up have an extension in them.
+def extended(run: PreparedRun, robot: RobotModel, *extensions: Extension) -> PreparedRun:
+    """Run whose nominal torques and wind-up have extensions in them.
 
     Parameters
     ----------
     run : PreparedRun
         With the nominal model.
     robot : RobotModel
+    extensions : Extension
+        Each on top of those before it.
+
+    Notes
+    -----
+    Where links swing, they do so with all that was found: on springs as soft, and as heavy. Else
+    terms are evaluated with the link torque that was found in the springs, as they were when they
+    were fitted; the joints wind up by the exact law under it.
+    """
+    if run.swing is None:
+        for extension in extensions:
+            run = _wound_up(run, robot, extension)
+        return run
+    whole = Extension()
+    for extension in extensions:
+        whole = whole.followed_by(extension)
+    moved = swung(run, robot, whole)
+    change = _change(moved, robot, whole)
+    drive = moved.signals.drive_torque + change.torque
+    rate = derivative(run.low_pass(drive), moved.signals.dt)
+    return replace(
+        moved,
+        signals=replace(moved.signals, drive_torque=drive, drive_torque_rate=rate),
+        beside=moved.beside + change.reading,
+    )
+
+
+def around(
+    run: PreparedRun, robot: RobotModel, start: Extension, found: Extension
+) -> tuple[PreparedRun, np.ndarray | float, np.ndarray | float]:
+    """Run about what was found, for laws that bend and modes that move.
+
+    Parameters
+    ----------
+    run : PreparedRun
+        With the nominal model.
+    robot : RobotModel
+    start : Extension
+        Whole in the prediction of the run.
+    found : Extension
+        In it by what moves the links.
+
+    Returns
+    -------
+    run : PreparedRun
+    torque, deflection : array (K, n) or float
+        What the amplitudes of the found extension add by the columns about this run, which is in
+        its prediction already [N m], [rad].
+    """
+    if start.empty and found.empty:
+        return run, 0.0, 0.0
+    if run.swing is None:
+        base = extended(run, robot, start)
+        change = _change(base, robot, replace(found, calibration={}))
+        if not change.link_torque.any():
+            return base, 0.0, 0.0
+        bent = with_link_torque(base, robot, change.link_torque)
+        wound = robot.compliance(bent.signals.spring_torque) * change.link_torque
+        return bent, change.link_torque, wound
+    whole = start.followed_by(found)
+    moved = swung(run, robot, whole)
+    softer = _softer(moved, robot, whole)
+    heavier = _heavier(moved, robot, whole)
+    own = moved.springs(robot).swing(moved.links, softer, heavier, moved.swing)
+    moved = replace(moved, swing=own)
+    change = _change(moved, robot, found)
+    torque, deflection = moved.answer(robot, change.link_torque, change.deflection)
+    assert torque is not None
+    assert deflection is not None
+    if not start.empty:
+        stated = _change(moved, robot, start)
+        drive = moved.signals.drive_torque + stated.torque
+        moved = replace(
+            moved,
+            signals=replace(moved.signals, drive_torque=drive),
+            beside=moved.beside + stated.reading,
+        )
+    return moved, torque, deflection
+
+
+def swung(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun:
+    """Run whose links swing with an extension: what it does to drives and readings is left out.
+
+    Parameters
+    ----------
+    run : PreparedRun
+        With the nominal model and its swing.
+    robot : RobotModel
     extension : Extension
 
     Notes
     -----
-    Terms are evaluated with the link torque that was found in the springs, as they were when they
-    were fitted; the joints wind up by the exact law under it.
+    Nominal values are taken about the motion with the effects; regressors about the one before,
+    what else the bodies need goes with their inertia. The swing of the result is one near by.
     """
-    bent = with_link_torque(run, robot, _change(run, robot, extension).link_torque)
-    change = _change(bent, robot, extension)
-    wound = with_link_torque(run, robot, change.link_torque).signals
-    drive = run.signals.drive_torque + change.torque
+    assert run.swing is not None
+    springs = run.springs(robot)
+    values = replace(extension, effects=())
+    effects = replace(extension, calibration={})
+    heavier = _heavier(run, robot, effects)
+    swing = springs.swing(run.links, _softer(run, robot, extension), heavier, run.swing)
+    begin = _slowly(run, robot, extension, swing)
+    moved = run
+    for again in range(_PASSES if effects.effects else 1):
+        known = _change(moved, robot, values)
+
+        def added(
+            links: LinkMotion, moved: PreparedRun = moved, known: _Change = known
+        ) -> tuple[np.ndarray, np.ndarray]:
+            if not effects.effects:
+                return known.link_torque, known.deflection
+            change = _change(_with_links(moved, robot, links), robot, effects)
+            if isinstance(heavier, np.ndarray):
+                away = (links.acceleration - moved.signals.link_acceleration)[..., None]
+                change.link_torque[:] += (heavier @ away)[..., 0]
+            return change.link_torque + known.link_torque, change.deflection + known.deflection
+
+        links = (
+            springs.follow(moved.links, swing, added)
+            if again
+            else springs.started(begin, swing, added)
+        )
+        if links is None:
+            return _nearly(run, robot, extension)
+        moved = _with_links(moved, robot, links)
+        if isinstance(heavier, np.ndarray):
+            moved = _with_regressor(moved, robot)
+    return replace(
+        moved,
+        swing=swing,
+        beside=springs.motor - moved.signals.link_position - moved.signals.windup,
+    )
+
+
+def _slowly(run: PreparedRun, robot: RobotModel, extension: Extension, swing: Swing) -> LinkMotion:
+    """Slow motion of the links with an extension."""
+    assert run.swing is not None
+    slow = run.swing.begin
+    here = _with_links(run, robot, slow)
+    if any(e.located.effect.family == "inertial" for e in extension.effects):
+        here = _with_regressor(here, robot)
+    change = _change(here, robot, extension)
+    low_pass = ZeroPhaseFilter(1.0 / run.signals.dt, SLOW_CUTOFF)
+    wound = low_pass(change.link_torque / swing.stiffness + change.deflection)
+    rate = derivative(wound, run.signals.dt)
+    return slow.moved(-wound, -rate, -derivative(rate, run.signals.dt))
+
+
+def _nearly(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun:
+    """The run with an extension to first order, where no motion of such an arm is found."""
+    assert run.swing is not None
+    change = _change(run, robot, extension)
+    torque, deflection = run.swing.answer(change.link_torque, change.deflection)
+    signals = replace(run.signals, drive_torque=run.signals.drive_torque + torque)
+    return replace(run, signals=signals, beside=run.beside + deflection)
+
+
+def _with_regressor(run: PreparedRun, robot: RobotModel) -> PreparedRun:
+    """The run with the regressor of its links' motion."""
+    s = run.signals
+    regressor = robot.body_regressor(s.link_position, s.link_velocity, s.link_acceleration)
+    return replace(run, signals=replace(s, body_regressor=regressor))
+
+
+def _with_links(run: PreparedRun, robot: RobotModel, links: LinkMotion) -> PreparedRun:
+    """The run with another motion of its links."""
+    signals = run.signals
     return replace(
         run,
         signals=replace(
-            wound,
-            windup=wound.windup + change.deflection,
-            drive_torque=drive,
-            drive_torque_rate=derivative(run.low_pass(drive), wound.dt),
+            signals,
+            link_position=links.position,
+            link_velocity=links.velocity,
+            link_acceleration=links.acceleration,
+            transmitted_torque=links.torque,
+            spring_torque=links.spring,
+            windup=robot.windup(links.spring),
+            drive_torque=signals.drive_torque - signals.transmitted_torque + links.torque,
         ),
     )
+
+
+def _wound_up(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun:
+    """The run with an extension, its links in balance."""
+    bent = with_link_torque(run, robot, _change(run, robot, extension).link_torque)
+    change = _change(bent, robot, extension)
+    wound = with_link_torque(run, robot, change.link_torque).signals
+    drive = wound.drive_torque + change.torque
+    return replace(
+        run,
+        signals=replace(
+            wound, drive_torque=drive, drive_torque_rate=derivative(run.low_pass(drive), wound.dt)
+        ),
+        beside=run.beside + change.deflection + change.reading,
+    )
+
+
+def _softer(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.ndarray:
+    """Compliance of the springs (K, n) with an extension over the nominal one."""
+    if not any(e.located.effect.family == "elastic" for e in extension.effects):
+        extension = replace(extension, effects=())
+    step = _SLOPE_STEP * np.array([j.torque_rated for j in run.signals.constants.joints])
+    loaded = with_link_torque(run, robot, np.broadcast_to(step, run.torque.shape))
+    ends = [_change(each, robot, extension).deflection for each in (run, loaded)]
+    nominal = loaded.signals.windup - run.signals.windup
+    return np.asarray(1.0 + (ends[1] - ends[0]) / nominal)
+
+
+def _heavier(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.ndarray | float:
+    """What an extension adds to the inertia matrices of the links (K, n, n) [kg m^2]."""
+    effects = tuple(e for e in extension.effects if e.located.effect.family == "inertial")
+    if not effects:
+        return 0.0
+    every = max(1, round(_POSTURE / run.signals.dt))
+    added = added_inertia(run, robot, [Extension(effects=effects)], every)
+    return np.repeat(added, every, axis=0)[: len(run.time)]
 
 
 def added_inertia(
@@ -150,38 +381,18 @@ def added_inertia(
 
 
 def _change(run: PreparedRun, robot: RobotModel, extension: Extension) -> _Change:
-    like = np.zeros_like(run.signals.spring_torque)
-    change = _Change(like.copy(), like.copy(), like.copy())
+    change = _Change(*(np.zeros_like(run.signals.spring_torque) for _ in range(4)))
     if extension.calibration:
         for column in nuisance_columns(run, robot, _EVERY):
             value = extension.calibration.get(column.name, 0.0)
-            if not value:
-                continue
-            if column.torque is not None:
-                change.torque[:] += value * column.torque
-            # A change of both is a link torque: the joint winds up under it.
-            if column.torque is not None and column.deflection is not None:
-                change.link_torque[:] += value * column.torque
-            elif column.deflection is not None:
-                change.deflection[:] += value * column.deflection
+            if value:
+                change.add(column.added, value)
         bodies = body_torque(robot, run.signals.body_regressor, extension.calibration)
         if bodies is not None:
-            change.torque[:] += bodies
             change.link_torque[:] += bodies
     for each in extension.effects:
-        _add(change, run, each)
+        change.add(each.located.contribution(run, each.amplitudes))
     return change
-
-
-def _add(change: _Change, run: PreparedRun, each: EstimatedEffect) -> None:
-    added = each.located.contribution(run, each.amplitudes)
-    for total, part in (
-        (change.torque, added.torque),
-        (change.link_torque, added.link_torque),
-        (change.deflection, added.deflection),
-    ):
-        if part is not None:
-            total += part
 
 
 def with_amplitudes(

@@ -22,16 +22,26 @@ class Contribution:
     Parameters
     ----------
     torque : array
-        To the drive torque [N m]; the link torque is in it.
+        To the drive torque [N m], beside the link torque.
     link_torque : array
-        To the spring torque [N m].
+        To the torque between motor and link [N m].
     deflection : array
-        Beside the wind-up under the link torque [rad].
+        To motor minus link angle, beside the wind-up under the link torque [rad].
+    reading : array
+        To motor minus link angle as they are read [rad].
     """
 
-    torque: np.ndarray | None
-    link_torque: np.ndarray | None
-    deflection: np.ndarray | None
+    torque: np.ndarray | None = None
+    link_torque: np.ndarray | None = None
+    deflection: np.ndarray | None = None
+    reading: np.ndarray | None = None
+
+    def channels(
+        self, run: PreparedRun, robot: RobotModel
+    ) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Change of drive torque and of motor minus link angle, (K, n) each or None."""
+        torque, deflection = run.answer(robot, self.link_torque, self.deflection)
+        return _sum(self.torque, torque), _sum(self.reading, deflection)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,22 +127,25 @@ class LocatedEffect:
         """What it adds to a run, not filtered."""
         signals = run.signals
         if self.run is not None and run.name != self.run:
-            return Contribution(None, None, None)
+            return Contribution()
+        like = signals.motor_position
         if self.joint is None:
             seen = signals if self.link is None else replace(signals, link=self.link)
             term = self.effect.term(seen, amplitudes, self.shapes)
-            link = _whole(term.link_torque, signals.motor_position)
-            drive = _whole(term.drive_torque, signals.motor_position)
             return Contribution(
-                _sum(drive, link), link, _whole(term.deflection, signals.motor_position)
+                _whole(term.drive_torque, like),
+                _whole(term.link_torque, like),
+                _whole(term.deflection, like),
+                _whole(term.reading, like),
             )
         term = self.effect.term(signals.of_joint(self.joint), amplitudes, self.shapes)
-        like = signals.motor_position
-        link = _column(term.link_torque, like, self.joint)
         drive = _column(term.drive_torque, like, self.joint)
         before = _column(term.previous_torque, like, self.joint - 1) if self.joint else None
         return Contribution(
-            _sum(_sum(drive, link), before), link, _column(term.deflection, like, self.joint)
+            _sum(drive, before),
+            _column(term.link_torque, like, self.joint),
+            _column(term.deflection, like, self.joint),
+            _column(term.reading, like, self.joint),
         )
 
     def columns(
@@ -142,12 +155,7 @@ class LocatedEffect:
         count = len(self.effect.amplitudes)
         for i in range(count):
             unit = [1.0 if k == i else 0.0 for k in range(count)]
-            added = self.contribution(run, unit)
-            deflection = added.deflection
-            if added.link_torque is not None:
-                slope = robot.compliance(run.signals.spring_torque)
-                deflection = _sum(deflection, slope * added.link_torque)
-            yield added.torque, deflection
+            yield self.contribution(run, unit).channels(run, robot)
 
 
 def places(effect: Effect, robot: RobotConstants, runs: Sequence[str]) -> Iterator[LocatedEffect]:

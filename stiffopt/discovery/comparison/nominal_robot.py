@@ -161,10 +161,15 @@ class RobotModel:
         bodies = self._bodies.with_gravity(gravity)
         return np.array([bodies.gravity_torque(row) for row in self._of_robot(q)])[:, self.order]
 
-    def inertia(self, q: np.ndarray) -> np.ndarray:
-        """Inertia matrices of the rigid bodies (K, n, n) [kg m^2]."""
-        full = (self._bodies.inertia_matrix(row) for row in self._of_robot(q))
-        return np.array([matrix[np.ix_(self.order, self.order)] for matrix in full])
+    def torque_slopes(
+        self, q: np.ndarray, v: np.ndarray, a: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Slopes of the bodies' torques along position, velocity, acceleration (K, n, n) each."""
+        rows = zip(*(self._of_robot(x) for x in (q, v, a)), strict=True)
+        found = np.array([self._bodies.torque_slopes(*row) for row in rows])
+        ordered = found[:, :, self.order][..., self.order]
+        position, velocity, acceleration = ordered.swapaxes(0, 1)
+        return position, velocity, acceleration
 
     def body_regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Spring torques for the inertial parameters of every body (K, n, 10 n)."""

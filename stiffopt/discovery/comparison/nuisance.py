@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.bodies import body_columns
+from stiffopt.discovery.comparison.located_effect import Contribution
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.signals import smooth_sign
@@ -16,6 +17,8 @@ from stiffopt.recording.nominal import Tolerance
 # Relative standard deviation of the torques at which a reducer's slope changes, and the width over
 # which it does.
 _KNEE = 0.08
+# Values that move links, by the first word of their names.
+MOVES_LINKS = ("stiffness", "T1", "T2", "rounding", "joint_damping", "mass", "com", "body")
 
 
 @dataclass(frozen=True)
@@ -28,14 +31,13 @@ class NuisanceColumn:
         Such as "coulomb 3".
     sd : float
         Its tolerance.
-    torque, deflection : array (K, n) or None
-        Change of the predicted drive torque [N m] and deflection [rad] for a unit of the value.
+    added : Contribution
+        For a unit of the value.
     """
 
     name: str
     sd: float
-    torque: np.ndarray | None
-    deflection: np.ndarray | None
+    added: Contribution
 
 
 def nuisance_columns(
@@ -58,10 +60,9 @@ def nuisance_columns(
     if bodies is None:
         yield from _bodies(run, robot, tolerance)
     else:
-        compliance = robot.compliance(signals.spring_torque)
         named = body_columns(robot, signals.body_regressor)
         for (name, torque), sd in zip(named, bodies.ravel(), strict=True):
-            yield NuisanceColumn(name, float(sd), torque, compliance * torque)
+            yield NuisanceColumn(name, float(sd), Contribution(link_torque=torque))
     compliance_free = np.zeros_like(signals.spring_torque)
 
     def single(j: int, values: np.ndarray) -> np.ndarray:
@@ -80,16 +81,21 @@ def nuisance_columns(
         for name, values in relative:
             sd = getattr(tolerance, name)
             if sd and np.any(values):
-                yield NuisanceColumn(f"{name} {j + 1}", sd, single(j, values), None)
+                yield NuisanceColumn(f"{name} {j + 1}", sd, Contribution(single(j, values)))
         if tolerance.stiffness and np.any(signals.windup[:, j]):
             values = signals.windup[:, j]
-            yield NuisanceColumn(f"stiffness {j + 1}", tolerance.stiffness, None, single(j, values))
+            added = Contribution(deflection=single(j, values))
+            yield NuisanceColumn(f"stiffness {j + 1}", tolerance.stiffness, added)
             yield from _knees(run, j, single)
+        if tolerance.joint_damping and run.swing is not None:
+            # Of a spring that takes more of the torque where its damping takes less.
+            taken = run.swing.damping[j] * (signals.motor_velocity - signals.link_velocity)[:, j]
+            added = Contribution(deflection=single(j, -taken / run.swing.stiffness[:, j]))
+            yield NuisanceColumn(f"joint_damping {j + 1}", tolerance.joint_damping, added)
         if tolerance.encoder_zero:
             values = np.ones(len(signals.time))
-            yield NuisanceColumn(
-                f"encoder_zero {j + 1}", tolerance.encoder_zero, None, single(j, values)
-            )
+            added = Contribution(reading=single(j, values))
+            yield NuisanceColumn(f"encoder_zero {j + 1}", tolerance.encoder_zero, added)
 
 
 def _knees(
@@ -104,25 +110,23 @@ def _knees(
     for name, knee, before, after in (("T1", t1, k1, k2), ("T2", t2, k2, k3)):
         fall = 1.0 / before - 1.0 / after
         beyond = np.sign(spring) * np.clip((np.abs(spring) - knee) / (_KNEE * knee), 0.0, 1.0)
-        column = single(j, fall * knee * beyond)
-        yield NuisanceColumn(f"{name} {j + 1}", _KNEE, None, column)
+        moved = Contribution(deflection=single(j, fall * knee * beyond))
+        yield NuisanceColumn(f"{name} {j + 1}", _KNEE, moved)
         width = _KNEE * knee
         rounded = np.sign(spring) * fall * width * np.exp(-np.abs(np.abs(spring) - knee) / width)
-        yield NuisanceColumn(f"rounding {name} {j + 1}", 1.0, None, single(j, rounded))
+        round_knee = Contribution(deflection=single(j, rounded))
+        yield NuisanceColumn(f"rounding {name} {j + 1}", 1.0, round_knee)
 
 
 def _bodies(run: PreparedRun, robot: RobotModel, tolerance: Tolerance) -> Iterator[NuisanceColumn]:
     """Mass and centre of mass of every body."""
-    compliance = robot.compliance(run.signals.spring_torque)
     for position, joint in enumerate(robot.order):
         body = robot.arm.tree.bodies[joint]
         regressor = run.signals.body_regressor[:, :, 10 * position : 10 * position + 10]
         now = body.inertial_parameters
         if tolerance.mass:
-            torque = regressor @ now
-            yield NuisanceColumn(
-                f"mass {position + 1}", tolerance.mass, torque, compliance * torque
-            )
+            added = Contribution(link_torque=regressor @ now)
+            yield NuisanceColumn(f"mass {position + 1}", tolerance.mass, added)
         if not tolerance.com:
             continue
         for axis in range(3):
@@ -131,7 +135,7 @@ def _bodies(run: PreparedRun, robot: RobotModel, tolerance: Tolerance) -> Iterat
             moved = replace(body, centre=body.centre + shift)
             torque = regressor @ ((moved.inertial_parameters - now) / 1e-5)
             name = f"com {position + 1} {'xyz'[axis]}"
-            yield NuisanceColumn(name, tolerance.com, torque, compliance * torque)
+            yield NuisanceColumn(name, tolerance.com, Contribution(link_torque=torque))
 
 
 def merged(tolerance: Tolerance, default: Tolerance) -> Tolerance:

@@ -9,6 +9,13 @@ import numpy as np
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, derivative
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.signals import RobotConstants, RobotSignals
+from stiffopt.discovery.comparison.swing import (
+    MOTOR_CUTOFF,
+    SLOW_CUTOFF,
+    LinkMotion,
+    Springs,
+    Swing,
+)
 from stiffopt.discovery.settings import Settings
 from stiffopt.recording.run import RecordedRun
 
@@ -36,8 +43,10 @@ class PreparedRun:
     moving : array (K, n) of bool
         The joint is faster than `settings.slow`.
     low_pass : ZeroPhaseFilter
-    settling : int
-        Samples at either end of the links' motion that its filter makes up in part.
+    swing : Swing or None
+        How links answer small changes; None where they follow at once, by the springs alone.
+    beside : array (K, n) or float
+        Deflection beside the nominal wind-up of the spring torque, of what an extension adds [rad].
     """
 
     name: str
@@ -51,7 +60,48 @@ class PreparedRun:
     deflection_used: np.ndarray
     moving: np.ndarray
     low_pass: ZeroPhaseFilter
-    settling: int
+    swing: Swing | None = None
+    beside: np.ndarray | float = 0.0
+
+    @property
+    def links(self) -> LinkMotion:
+        """Motion of the links with the torques that belong to it."""
+        s = self.signals
+        return LinkMotion(
+            s.link_position,
+            s.link_velocity,
+            s.link_acceleration,
+            s.transmitted_torque,
+            s.spring_torque,
+        )
+
+    def springs(self, robot: RobotModel) -> Springs:
+        """Springs between the motors and the links of this run."""
+        return Springs(
+            robot, self.signals.motor_position, self.signals.motor_velocity, self.signals.dt
+        )
+
+    def answer(
+        self, robot: RobotModel, link_torque: np.ndarray | None, deflection: np.ndarray | None
+    ) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Change of torque and deflection between motor and link, (K, n) each or None.
+
+        Parameters
+        ----------
+        robot : RobotModel
+        link_torque : array (K, n) or None
+            That the links need in addition [N m].
+        deflection : array (K, n) or None
+            By which the springs' ends are displaced [rad].
+        """
+        if link_torque is None and deflection is None:
+            return None, None
+        if self.swing is not None:
+            return self.swing.answer(link_torque, deflection)
+        if link_torque is None:
+            return None, deflection
+        wound = robot.compliance(self.signals.spring_torque) * link_torque
+        return link_torque, wound if deflection is None else wound + deflection
 
 
 def prepare(
@@ -61,7 +111,7 @@ def prepare(
     constants: RobotConstants | None,
     settings: Settings,
     *,
-    links: float = np.inf,
+    swinging: bool = True,
 ) -> PreparedRun:
     """Filter a run and evaluate the nominal model along it.
 
@@ -73,21 +123,30 @@ def prepare(
     constants : RobotConstants or None
         Of the training runs; None takes the ranges met from this run alone.
     settings : Settings
-    links : float
-        Of the links' motion where it is to be slower than the motors' [Hz].
+    swinging : bool
+        Links swing where the nominal model tells how; else they are in balance all the time.
     """
     time, position, link, torque = uniform(run)
     dt = float(time[1] - time[0])
     low_pass = ZeroPhaseFilter(1.0 / dt, min(settings.fit_band, 0.2 / dt))
     followed = whole(position)
-    motor = low_pass.motion(followed)
+    swinging = swinging and robot.swings
+    wide = low_pass
+    if swinging:
+        # All that comes of the motion passes the fit's filter later: once, as the readings do.
+        wide = ZeroPhaseFilter(1.0 / dt, min(max(settings.fit_band, MOTOR_CUTOFF), 0.24 / dt))
+    motor = wide.motion(followed)
     velocity = derivative(motor, dt)
     acceleration = derivative(velocity, dt)
-    slow = low_pass if links >= low_pass.cutoff else ZeroPhaseFilter(1.0 / dt, links)
-    q, v, a, spring = _link_motion(robot, slow.motion(followed), dt, slow)
-    windup = robot.windup(spring)
+    slow = ZeroPhaseFilter(1.0 / dt, min(wide.cutoff, SLOW_CUTOFF)) if swinging else low_pass
+    followed = slow.motion(followed)
+    links, swing = _link_motion(robot, followed, dt, slow), None
+    if swinging:
+        links, swing = _swinging(robot, motor, followed - links.position, links, slow)
+    q, v, a = links.position, links.velocity, links.acceleration
+    windup = robot.windup(links.spring)
     friction = robot.friction(velocity)
-    drive = robot.rotor_inertia * acceleration + spring + friction
+    drive = robot.rotor_inertia * acceleration + links.torque + friction
     tool = robot.tool(q, v)
     signals = RobotSignals(
         time=time,
@@ -100,7 +159,8 @@ def prepare(
         link_position=q,
         link_velocity=v,
         link_acceleration=a,
-        spring_torque=spring,
+        transmitted_torque=links.torque,
+        spring_torque=links.spring,
         windup=windup,
         drive_torque=drive,
         drive_torque_rate=derivative(low_pass(drive), dt),
@@ -132,7 +192,7 @@ def prepare(
         deflection_used=used[:, None] & np.isfinite(deflection),
         moving=moving,
         low_pass=low_pass,
-        settling=slow.settling,
+        swing=swing,
     )
 
 
@@ -144,9 +204,9 @@ def with_link_torque(prepared: PreparedRun, robot: RobotModel, added: np.ndarray
         prepared,
         signals=replace(
             signals,
+            transmitted_torque=signals.transmitted_torque + added,
             spring_torque=spring,
-            # What an extended model adds to the springs' own law stays.
-            windup=signals.windup + robot.windup(spring) - robot.windup(signals.spring_torque),
+            windup=robot.windup(spring),
             drive_torque=signals.drive_torque + added,
         ),
     )
@@ -192,7 +252,7 @@ def whole(samples: np.ndarray) -> np.ndarray:
 
 def _link_motion(
     robot: RobotModel, motor: np.ndarray, dt: float, low_pass: ZeroPhaseFilter
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+) -> LinkMotion:
     """Link motion and spring torque that agree with each other and with the motors' motion."""
     q = motor
     for _ in range(_ROUNDS if robot.elastic else 0):
@@ -201,7 +261,28 @@ def _link_motion(
         q = low_pass.motion(motor - robot.windup(spring))
     v = derivative(q, dt)
     a = derivative(v, dt)
-    return q, v, a, robot.spring_torque(q, v, a)
+    torque = robot.spring_torque(q, v, a)
+    return LinkMotion(q, v, a, torque, torque)
+
+
+def _swinging(
+    robot: RobotModel,
+    motor: np.ndarray,
+    deflection: np.ndarray,
+    balanced: LinkMotion,
+    slow: ZeroPhaseFilter,
+) -> tuple[LinkMotion, Swing | None]:
+    """Links that swing behind the motors; they begin as near to a slow deflection as can be."""
+    dt = 1.0 / slow.rate
+    speed = derivative(motor, dt)
+    rate = derivative(deflection, dt)
+    springs = Springs(robot, motor, speed, dt)
+    begin = springs.motion(
+        motor - deflection, speed - rate, derivative(speed, dt) - derivative(rate, dt)
+    )
+    swing = springs.swing(begin)
+    links = springs.started(begin, swing)
+    return (balanced, None) if links is None else (links, swing)
 
 
 def _widened(flags: np.ndarray, reach: int) -> np.ndarray:

@@ -146,8 +146,10 @@ class MotionSignals:
         Through the ratio [rad], [rad/s], [rad/s^2].
     link_position, link_velocity, link_acceleration
         By the nominal wind-up.
+    transmitted_torque
+        Nominal, of the rigid bodies: what motor and link give each other [N m].
     spring_torque
-        Nominal, of the rigid bodies [N m].
+        The same without the damping of the joint, where it is known [N m].
     windup
         Nominal, under the spring torque [rad].
     drive_torque, drive_torque_rate
@@ -164,6 +166,7 @@ class MotionSignals:
     link_position: Quantity
     link_velocity: Quantity
     link_acceleration: Quantity
+    transmitted_torque: Quantity
     spring_torque: Quantity
     windup: Quantity
     drive_torque: Quantity
@@ -275,6 +278,7 @@ OF_EACH_JOINT = (
     "link_position",
     "link_velocity",
     "link_acceleration",
+    "transmitted_torque",
     "spring_torque",
     "windup",
     "drive_torque",

@@ -118,14 +118,8 @@ class _Instant:
                 np.eye(len(located.effect.amplitudes)), located.sizes(self.constants), strict=True
             ):
                 torque, deflection = self._channels(located, unit * size)
-                own = located.contribution(run, unit * size)
-                extra = 0.0
-                if own.link_torque is not None:
-                    extra = self.robot.compliance(run.signals.spring_torque) * own.link_torque
-                for formula, term in (
-                    (torque, own.torque),
-                    (deflection, _with(own.deflection, extra)),
-                ):
+                own = located.contribution(run, unit * size).channels(run, self.robot)
+                for formula, term in zip((torque, deflection), own, strict=True):
                     along = self._along(formula, run)
                     pointwise = np.zeros_like(along) if term is None else term
                     scale = float(np.sqrt(np.mean(pointwise**2)))
@@ -192,6 +186,7 @@ class _Instant:
             link_position=self.q[j],
             link_velocity=self.v[j],
             link_acceleration=self.a[j],
+            transmitted_torque=self.spring[j],
             spring_torque=self.spring[j],
             windup=constants.windup(self.spring[j]),
             drive_torque=self.drive[j],
@@ -208,7 +203,7 @@ class _Instant:
         if j:
             torque[j - 1] += term.previous_torque
         slope = constants.compliance(self.spring[j])
-        deflection[j] = term.deflection + slope * term.link_torque
+        deflection[j] = term.deflection + term.reading + slope * term.link_torque
         return torque, deflection
 
     def _weighted(self, channels: tuple[Quantity, Quantity]) -> Quantity:
@@ -234,10 +229,6 @@ def _balance(balance: Any, angle: Quantity) -> Quantity:
         return balance.at(angle)
     table = ca.interpolant("balance", "linear", [list(balance.angle)], list(balance.torque))
     return table(angle)
-
-
-def _with(values: np.ndarray | None, extra: Any) -> np.ndarray | None:
-    return values if np.isscalar(extra) else extra + (0.0 if values is None else values)
 
 
 def _between(name: str, labels: list[str], most: np.ndarray, unit: str) -> Rows:

@@ -171,4 +171,4 @@ def prepared_motion(
         torque=np.where(has_torque, np.zeros_like(position), np.nan),
         faults=(),
     )
-    return prepare(training.robot, run, 0, constants, settings)
+    return prepare(training.robot, run, 0, constants, settings, swinging=False)

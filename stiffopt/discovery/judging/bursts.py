@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.comparison.swing import MOTOR_CUTOFF
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.settings import MOVING, Settings
@@ -23,6 +24,8 @@ from stiffopt.discovery.training import Training
 _NORMAL = 1.4826
 # Share of the samples that bursts are sought in.
 _SHARE = 0.1
+# Of a filter's length, left out at either end of a run, over its period.
+_ENDS = 1.5
 
 
 @dataclass(frozen=True)
@@ -62,15 +65,18 @@ def bursts(
         samples with bursts, `gain` the share of all that remains that lies in them.
     """
     parts: list[list[_Channel]] = [[] for _ in range(training.robot.n)]
-    for run in training.recorded:
-        predictor = Predictor(training.robot, run, training.constants, settings)
-        if not predictor.swinging:
+    for run, prepared in zip(training.recorded, training.runs, strict=True):
+        predictor = Predictor(training.robot, run, training.constants, settings, prepared)
+        if predictor.nominal.swing is None:
             return None
         places = np.searchsorted(run.stamps, run.time)
         predicted = predictor.predict(*extensions).torque[places]
         left = (run.torque - predicted) / training.noise.channels.torque
         rate = np.gradient(predicted, run.time, axis=0)
         used = np.isfinite(left) & (np.abs(predictor.velocity) >= MOVING)
+        # Where the filter of the motion reaches beyond the record.
+        ends = _ENDS / MOTOR_CUTOFF
+        used &= ((run.time > run.time[0] + ends) & (run.time < run.time[-1] - ends))[:, None]
         for j, own in enumerate(parts):
             kept = used[:, j]
             followed = {

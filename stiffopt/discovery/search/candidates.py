@@ -13,6 +13,9 @@ from stiffopt.discovery.comparison.evidence import Added, Beside, BlockSums, pos
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
 from stiffopt.discovery.effect import Effect
 
+# Share of its work on one channel from which an effect acts on another: less is the swing of links
+# that others set going.
+_ACTED_ON = 0.05
 # Steps of the search that refines shapes.
 _REFINEMENTS = 40
 
@@ -151,7 +154,8 @@ class Scorer:
         size = 2 * self.comparison.robot.n
         before = np.bincount(rows.channel, self._residual**2, minlength=size)
         after = np.bincount(rows.channel, residual**2, minlength=size)
-        own = np.bincount(rows.channel, acted_on, minlength=size) > 0.0
+        acted = np.bincount(rows.channel, acted_on, minlength=size)
+        own = acted > _ACTED_ON * acted.max()
         fall = np.where(own, before - after, -np.inf)
         channel = int(np.argmax(fall))
         return channel, float(fall[channel] / before[channel]) if before[channel] > 0.0 else 0.0

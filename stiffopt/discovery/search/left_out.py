@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.discovery.comparison.comparison import FEW_RUNS, Comparison
+from stiffopt.discovery.comparison.columns import FEW_RUNS
+from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.thresholds import LEFT_OUT_FOLDS, LEFT_OUT_SHARE

@@ -48,20 +48,6 @@ class RigidStage:
         return self.width * body_units(comparison.robot) if self.width else None
 
 
-def with_bodies(comparison: Comparison, bodies: np.ndarray | None) -> Comparison:
-    """The comparison with inertial parameters free."""
-    return Comparison(
-        comparison.robot,
-        comparison.nominal_runs,
-        comparison.noise,
-        comparison.tolerance,
-        link_torque=comparison.link_torque,
-        inflation=comparison.inflation,
-        box=comparison.box,
-        bodies=bodies,
-    )
-
-
 def rigid_stage(
     comparison: Comparison, effects: Sequence[LocatedEffect], catalogue: Sequence[Effect]
 ) -> RigidStage:
@@ -96,7 +82,7 @@ def _best_width(
     units = body_units(comparison.robot)
     gains = np.array(
         [
-            Scorer(with_bodies(comparison, width * units), effects).start.by_block - without
+            Scorer(comparison.with_bodies(width * units), effects).start.by_block - without
             for width in WIDTHS
         ]
     )

@@ -9,12 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
-from stiffopt.discovery.comparison.extension import with_amplitudes
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
 from stiffopt.discovery.search.left_out import borne_out
-from stiffopt.discovery.search.rigid import RigidStage, rigid_stage, with_bodies
+from stiffopt.discovery.search.rigid import RigidStage, rigid_stage
 from stiffopt.discovery.search.rivals import Ranked, Selected, ranked_among_rivals
 from stiffopt.discovery.search.uncertainty import significance
 from stiffopt.discovery.thresholds import (
@@ -99,7 +98,7 @@ def search(
     if free_bodies:
         say("re-identify the rigid model")
         rigid = rigid_stage(current, effects, catalogue)
-        comparison = with_bodies(comparison, rigid.bodies(comparison))
+        comparison = comparison.with_bodies(rigid.bodies(comparison))
         # All of it again: what a wrong mass had hidden is seen now.
         single = () if rigid.single is None else (rigid.single.located,)
         current, effects = _not_stated(comparison, [*start, *single], say)
@@ -154,7 +153,7 @@ def _not_stated(
 ) -> tuple[Comparison, list[LocatedEffect]]:
     """Fit what the nominal model does not state, without what the recordings do not bear out."""
     if not start:
-        return _about(comparison, comparison.fit(boxed=False)), []
+        return comparison.about(comparison.fit(boxed=False)), []
     say(f"fit what the nominal model does not state ({len(start)} values)")
     current, effects = _fitted_jointly(comparison, start)
     return _fitted_jointly(comparison, _pruned(current, effects))
@@ -283,42 +282,11 @@ def _relief(candidate: Candidate, scorer: Scorer) -> float:
     return 0.5 * float(without @ without - within @ within)
 
 
-def _about(comparison: Comparison, fit: Fit) -> Comparison:
-    """The comparison about a fit: joints wound up as found, with the noise left in each channel."""
-    left = np.nan_to_num(comparison.channel_ratio(fit.residual), nan=1.0)
-    return Comparison(
-        comparison.robot,
-        comparison.nominal_runs,
-        comparison.noise,
-        comparison.tolerance,
-        link_torque=_link_torque(comparison, fit),
-        inflation=np.maximum(1.0, left),
-        box=comparison.box,
-        bodies=comparison.bodies,
-    )
-
-
-def _link_torque(comparison: Comparison, fit: Fit) -> list[np.ndarray] | None:
-    """Torque (K, n) that the effects of a fit put into the joints of every run."""
-    sizes = [located.sizes(comparison.constants) for located in fit.effects]
-    effects = with_amplitudes(fit.effects, fit.amplitudes(), sizes)
-    per_run = [
-        [each.located.contribution(run, each.amplitudes).link_torque for each in effects]
-        for run in comparison.nominal_runs
-    ]
-    if all(part is None for parts in per_run for part in parts):
-        return None
-    return [
-        sum((p for p in parts if p is not None), np.zeros_like(run.signals.spring_torque))
-        for run, parts in zip(comparison.nominal_runs, per_run, strict=True)
-    ]
-
-
 def _fitted_jointly(
     start: Comparison, effects: list[LocatedEffect]
 ) -> tuple[Comparison, list[LocatedEffect]]:
     """Fit all effects together: their shapes in turn, then the noise that is left."""
-    current = _about(start, start.fit(effects))
+    current = start.about(start.fit(effects))
     refined = list(effects)
     for i, located in enumerate(effects):
         if located.effect.shapes:
@@ -327,7 +295,7 @@ def _fitted_jointly(
             scored = scorer.score(refined[i])
             if scored is not None:
                 refined[i] = scorer.refine(scored).located
-    return _about(start, current.fit(refined)), refined
+    return start.about(current.fit(refined)), refined
 
 
 def _pruned(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:

@@ -1,0 +1,304 @@
+"""Links that swing on the springs of their joints as the motors' recorded motion makes them.
+
+Motor motion in, link motion and spring torque out: a mode within the band of the recordings is then
+part of what the model explains. Small changes (of masses, springs, damping) move the links along
+the linear response about that motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.elastic.response import SwingResponse
+
+# Of the motors' motion that is followed [Hz]: wider than a fit's filter, which all that comes of it
+# passes later.
+MOTOR_CUTOFF = 60.0
+# Of the wind-up that links are taken to have at first, without swing [Hz].
+SLOW_CUTOFF = 20.0
+# Spring and link motion agree within this [rad]; far below any encoder's noise.
+_SETTLED = 3e-8
+_ROUNDS = 60
+# Samples that are followed at once, at least.
+_FEWEST = 25
+# Gap of a round over that of the round before from which springs are taken anew.
+_SLOW = 0.4
+# Behind the settling of the filter, over which links begin without swing as far as can be [s].
+_START = 0.25
+# Of a swing, by which positions and velocities are compared [rad/s].
+_RATE = 60.0
+# Slope of a wind-up with what was found over the nominal one; beyond, a wave or a gap is no
+# spring's.
+_SOFTER = (0.3, 10.0)
+
+
+@dataclass(frozen=True, eq=False)
+class LinkMotion:
+    """Motion of the links and torque between motor and link, (K, n) each.
+
+    Parameters
+    ----------
+    position, velocity, acceleration : array
+        [rad], [rad/s], [rad/s^2].
+    torque : array
+        Between motor and link, that of the joint's damping in it [N m].
+    spring : array
+        In the spring alone [N m].
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    torque: np.ndarray
+    spring: np.ndarray
+
+    def moved(self, z: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> LinkMotion:
+        """The motion with a change; torques stay."""
+        return replace(
+            self,
+            position=self.position + z,
+            velocity=self.velocity + velocity,
+            acceleration=self.acceleration + acceleration,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Swing:
+    """Small changes about a link motion.
+
+    Parameters
+    ----------
+    response : SwingResponse
+    stiffness : array (K, n)
+        Of the springs along the motion [N m/rad].
+    damping : array (n,)
+        Of the joints [N m s/rad].
+    bodies : tuple of array (K, n, n)
+        Slopes of the torques of the nominal bodies along position, velocity and acceleration.
+    begin : LinkMotion
+        Motion that it is about.
+    softer : array (K, n) or float
+        Compliance over the nominal one.
+    heavier : array (K, n, n) or float
+        Added to the nominal inertia [kg m^2].
+    """
+
+    response: SwingResponse
+    stiffness: np.ndarray
+    damping: np.ndarray
+    bodies: tuple[np.ndarray, np.ndarray, np.ndarray]
+    begin: LinkMotion
+    softer: np.ndarray | float
+    heavier: np.ndarray | float
+
+    def answer(
+        self, link_torque: np.ndarray | None, deflection: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Change of torque and deflection (K, n) between motor and link.
+
+        Parameters
+        ----------
+        link_torque : array (K, n) or None
+            That the links need in addition [N m].
+        deflection : array (K, n) or None
+            By which the springs' ends are displaced [rad].
+        """
+        pushed = 0.0 if deflection is None else self.stiffness * deflection
+        needed = pushed if link_torque is None else pushed + link_torque
+        z, velocity, _ = self.response(-np.asarray(needed))
+        return -self.stiffness * z - pushed - self.damping * velocity, -z
+
+    def begun_near(self, links: LinkMotion, near: LinkMotion, window: slice) -> LinkMotion:
+        """Link motion that begins otherwise, so that it is nearest to another one in a window.
+
+        In slow modes; fast ones fall off before it.
+        """
+        states = self._states(SLOW_CUTOFF)
+        if not states.size:
+            return links
+        free = self.response.free(states)
+        basis = np.concatenate([_RATE * free[0][window], free[1][window]])
+        away = np.concatenate(
+            [
+                _RATE * (near.position - links.position)[window],
+                (near.velocity - links.velocity)[window],
+            ]
+        )
+        state = np.linalg.lstsq(basis.reshape(away.size, -1), away.ravel())[0]
+        return links.moved(*(part @ state for part in free))
+
+    def unknown_start(self, deflection: np.ndarray, band: float) -> tuple[np.ndarray, np.ndarray]:
+        """Torque and deflection (K, n, m) of the swings that a run may begin with.
+
+        Each as large as the run's own motion of its springs.
+
+        Parameters
+        ----------
+        deflection : array (K, n)
+            Of the springs along the run [rad].
+        band : float
+            Modes up to this frequency are told [Hz].
+        """
+        states = self._states(band)
+        n = self.response.n
+        energy = float(np.sum(self.stiffness[0] * np.var(deflection, axis=0)))
+        own = np.sum(self.stiffness[0] * states[:n, ::2].T ** 2, axis=1)
+        return self.left_alone(states * np.repeat(np.sqrt(energy / own), 2))
+
+    def _states(self, band: float) -> np.ndarray:
+        """Displacement and velocity (2 n, m) of every mode up to a frequency [Hz], in pairs."""
+        frequencies, shapes = self.response.modes_at_start()
+        still = np.zeros(self.response.n)
+        states = [np.zeros((2 * self.response.n, 0))]
+        for frequency, shape in zip(frequencies, shapes.T, strict=True):
+            if 0.0 < frequency < band:
+                moving = np.append(still, 2.0 * np.pi * frequency * shape)
+                states.append(np.column_stack([np.append(shape, still), moving]))
+        return np.hstack(states)
+
+    def left_alone(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Torque and deflection (K, n, m) of swings from displacements and speeds (2 n, m)."""
+        z, velocity, _ = self.response.free(state)
+        return -self.stiffness[..., None] * z - self.damping[:, None] * velocity, -z
+
+
+# From link motion to what is added: torque on the links, displacement of the springs' ends.
+Added = Callable[[LinkMotion], tuple[np.ndarray, np.ndarray]]
+
+
+class Springs:
+    """Springs between motors that move as recorded and links that follow.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        That swings.
+    motor, speed : array (K, n)
+        Position and speed of the motors [rad], [rad/s].
+    dt : float
+        [s]
+    """
+
+    def __init__(self, robot: RobotModel, motor: np.ndarray, speed: np.ndarray, dt: float) -> None:
+        self.robot, self.motor, self.speed, self.dt = robot, motor, speed, dt
+        self.damping = damping_of(robot)
+
+    def motion(
+        self, q: np.ndarray, v: np.ndarray, a: np.ndarray, link_torque: np.ndarray | float = 0.0
+    ) -> LinkMotion:
+        """The torques that belong to a motion of the links."""
+        torque = self.robot.spring_torque(q, v, a) + link_torque
+        return LinkMotion(q, v, a, torque, torque - self.damping * (self.speed - v))
+
+    def swing(
+        self,
+        links: LinkMotion,
+        softer: np.ndarray | float = 1.0,
+        heavier: np.ndarray | float = 0.0,
+        near: Swing | None = None,
+    ) -> Swing:
+        """Linear response about a link motion.
+
+        Parameters
+        ----------
+        links : LinkMotion
+        softer : array (K, n)
+            Compliance over the nominal one.
+        heavier : array (K, n, n)
+            Added to the nominal inertia [kg m^2].
+        near : Swing, optional
+            Of a motion in the same postures.
+        """
+        bodies = (
+            self.robot.torque_slopes(links.position, links.velocity, links.acceleration)
+            if near is None
+            else near.bodies
+        )
+        weight, rate, inertia = bodies
+        stiffness = 1.0 / (self.robot.compliance(links.spring) * np.clip(softer, *_SOFTER))
+        own = np.eye(self.robot.n)
+        response = SwingResponse(
+            inertia + heavier,
+            rate + self.damping * own,
+            weight + stiffness[..., None] * own,
+            self.dt,
+        )
+        return Swing(response, stiffness, self.damping, bodies, links, softer, heavier)
+
+    def started(
+        self, begin: LinkMotion, swing: Swing, added: Added | None = None
+    ) -> LinkMotion | None:
+        """Link motion that begins as near to a slow one as can be; None where none is found.
+
+        Parameters
+        ----------
+        begin : LinkMotion
+            Slow; near its ends its filter makes up some of it.
+        swing : Swing
+            Response near it.
+        added : callable, optional
+            What acts beside the nominal robot.
+        """
+        links = self.follow(begin, swing, added)
+        first = ZeroPhaseFilter(1.0 / self.dt, SLOW_CUTOFF).settling
+        if links is None or len(self.motor) <= first + 2:
+            return links
+        window = slice(first, first + max(2, round(_START / self.dt)))
+        return self.follow(swing.begun_near(links, begin, window), swing, added)
+
+    def follow(
+        self, links: LinkMotion, swing: Swing, added: Added | None = None
+    ) -> LinkMotion | None:
+        """Link motion that agrees with springs and motors; None where none is found.
+
+        Parameters
+        ----------
+        links : LinkMotion
+            To start from; at the first sample it stays.
+        swing : Swing
+            Response near that motion.
+        added : callable, optional
+            What acts beside the nominal robot.
+        """
+        before, end = np.inf, len(self.motor)
+        torque: np.ndarray | float = 0.0
+        displaced: np.ndarray | float = 0.0
+        for _ in range(_ROUNDS):
+            links = self.motion(links.position, links.velocity, links.acceleration, torque)
+            if added is not None:
+                before_it = torque
+                torque, displaced = added(links)
+                change = torque - before_it
+                links = replace(links, torque=links.torque + change, spring=links.spring + change)
+            gaps = self.motor - links.position - self.robot.windup(links.spring) - displaced
+            sizes = np.max(np.abs(gaps), axis=1)
+            if not np.isfinite(sizes).all():
+                return None
+            if np.all(sizes < _SETTLED):
+                return links
+            first = int(np.argmax(sizes >= _SETTLED))
+            if first >= end:
+                before, end = np.inf, min(len(sizes), 2 * end)
+            worst = float(np.max(sizes[:end]))
+            if worst > _SLOW * before:
+                # Springs bend where the motion was taken to be: anew about where it is.
+                swing = self.swing(links, swing.softer, swing.heavier, swing)
+            if worst > before:
+                # What comes late hangs on all before it: so far, then further.
+                end = first + max(_FEWEST, (end - first) // 4)
+            before = worst
+            gaps[end:] = 0.0
+            links = links.moved(*swing.response(swing.stiffness * gaps))
+        return None
+
+
+def damping_of(robot: RobotModel) -> np.ndarray:
+    """Damping of the joints (n,) [N m s/rad]."""
+    damping = robot.recordings.nominal.joint_damping
+    assert damping is not None
+    return damping

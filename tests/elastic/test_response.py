@@ -1,0 +1,79 @@
+"""Linear swings along a motion: against closed forms, and against a general integrator."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from stiffopt.elastic.response import SwingResponse
+
+STEP, COUNT = 0.004, 500
+TIME = STEP * np.arange(COUNT)
+
+
+def _one(mass, damping, spring):
+    return SwingResponse(*(np.full((COUNT, 1, 1), float(x)) for x in (mass, damping, spring)), STEP)
+
+
+@pytest.mark.parametrize("spring", [200.0, 8e4, 5e7])
+def test_a_step_of_torque_makes_the_swing_of_one_mass(spring):
+    mass, damping = 2.0, 0.04 * np.sqrt(2.0 * spring)
+    torque = np.ones((COUNT, 1))
+    z, velocity, acceleration = _one(mass, damping, spring)(torque)
+    rate = np.sqrt(spring / mass)
+    share = damping / (2.0 * mass * rate)
+    damped = rate * np.sqrt(1.0 - share**2)
+    fall = np.exp(-share * rate * TIME)
+    expected = 1.0 - fall * (np.cos(damped * TIME) + share * rate / damped * np.sin(damped * TIME))
+    np.testing.assert_allclose(z[:, 0] * spring, expected, atol=1e-9)
+    np.testing.assert_allclose(
+        mass * acceleration + damping * velocity + spring * z, torque, atol=1e-9
+    )
+
+
+def test_what_is_left_alone_keeps_its_energy_without_damping():
+    z, velocity, _ = _one(3.0, 0.0, 1.2e4).free(np.array([[1e-3], [0.02]]))
+    energy = 0.5 * 3.0 * velocity[:, 0, 0] ** 2 + 0.5 * 1.2e4 * z[:, 0, 0] ** 2
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-10)
+
+
+def test_two_coupled_joints_whose_matrices_change_follow_a_general_integrator():
+    random = np.random.default_rng(1)
+    base = np.array([[8.0, 1.5], [1.5, 2.0]])
+    damping = np.array([[14.0, 2.0], [-2.0, 5.0]])
+
+    def matrices(t):
+        return base * (1.0 + 0.2 * np.sin(2.0 * t)), damping, np.diag([4e4, 3e4]) * (1 + 0.1 * t)
+
+    torque = random.normal(size=(2, 2)) @ np.array([np.sin(40.0 * TIME), np.cos(11.0 * TIME)])
+    along = [np.array(part) for part in zip(*(matrices(t) for t in TIME), strict=True)]
+    z, *_ = SwingResponse(*along, STEP)(torque.T)
+
+    def slope(t, state):
+        inertia, rate, stiffness = matrices(t)
+        pull = np.array([np.interp(t, TIME, row) for row in torque])
+        pull = pull - rate @ state[2:] - stiffness @ state[:2]
+        return np.append(state[2:], np.linalg.solve(inertia, pull))
+
+    solved = solve_ivp(
+        slope, (0.0, 1.0), np.zeros(4), t_eval=TIME[TIME <= 1.0], max_step=STEP / 2, rtol=1e-8,
+        atol=1e-13,
+    )  # fmt: skip
+    assert np.max(np.abs(solved.y[:2].T - z[: solved.t.size])) < 1e-4 * np.max(np.abs(z))
+
+
+def test_columns_beside_each_other_are_those_one_after_another():
+    response = _one(1.0, 3.0, 9e3)
+    torque = np.random.default_rng(0).normal(size=(COUNT, 1, 3))
+    together = response(torque)[0]
+    for i in range(3):
+        np.testing.assert_array_equal(together[..., i], response(torque[..., i])[0])
+
+
+def test_no_swing_at_all_is_none():
+    assert _one(1.0, 3.0, 9e3).free(np.zeros((2, 0)))[0].shape == (COUNT, 1, 0)
+
+
+def test_modes_at_the_start_are_those_of_the_first_matrices():
+    frequencies, shapes = _one(2.0, 0.0, 2.0 * (2.0 * np.pi * 9.0) ** 2).modes_at_start()
+    assert frequencies[0] == pytest.approx(9.0)
+    assert abs(shapes[0, 0]) == pytest.approx(2.0**-0.5)
