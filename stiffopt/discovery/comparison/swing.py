@@ -24,6 +24,8 @@ SLOW_CUTOFF = 20.0
 # Spring and link motion agree within this [rad]; far below any encoder's noise.
 _SETTLED = 3e-8
 _ROUNDS = 60
+# No link accelerates like this [rad/s^2].
+_ABSURD = 1e9
 # Samples that are followed at once, at least.
 _FEWEST = 25
 # Gap of a round over that of the round before from which springs are taken anew.
@@ -269,6 +271,9 @@ class Springs:
         torque: np.ndarray | float = 0.0
         displaced: np.ndarray | float = 0.0
         for _ in range(_ROUNDS):
+            # None of it counts where it runs away.
+            if not np.all(np.abs(links.acceleration) < _ABSURD):
+                return None
             links = self.motion(links.position, links.velocity, links.acceleration, torque)
             if added is not None:
                 before_it = torque
@@ -277,8 +282,6 @@ class Springs:
                 links = replace(links, torque=links.torque + change, spring=links.spring + change)
             gaps = self.motor - links.position - self.robot.windup(links.spring) - displaced
             sizes = np.max(np.abs(gaps), axis=1)
-            if not np.isfinite(sizes).all():
-                return None
             if np.all(sizes < _SETTLED):
                 return links
             first = int(np.argmax(sizes >= _SETTLED))
