@@ -164,7 +164,6 @@ def test_file_and_python_give_the_same_problem(tmp_path):
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"objectives": ()},
         {"duration": (0.0, 1.0)},
         {"duration": (1.0, 0.5)},
         {"duration": (float("nan"), 1.0)},

@@ -155,7 +155,7 @@ class ElasticMotion:
     minimised: SimulatedPart | None = None
 
     @property
-    def judged(self) -> SimulatedPart:
+    def compared(self) -> SimulatedPart:
         """The part that is minimised, else the dynamic one."""
         if self.minimised is not None:
             return self.minimised
@@ -165,10 +165,10 @@ class ElasticMotion:
     @property
     def difference(self) -> float | None:
         """Simulated over planned peak in flight, less one; None where nothing was planned."""
-        planned = self.judged.planned.peak
+        planned = self.compared.planned.peak
         if not 0.0 < planned < np.inf:
             return None
-        return self.judged.simulated.peak / planned - 1.0
+        return self.compared.simulated.peak / planned - 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,7 +196,7 @@ class Simulation:
 
     def value(self, motion: ElasticMotion) -> float:
         """Simulated deflection in flight that is compared [m]."""
-        found = motion.judged.simulated
+        found = motion.compared.simulated
         return found.rms if self.measure == "rms" else found.peak
 
     @property

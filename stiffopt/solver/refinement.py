@@ -37,7 +37,7 @@ _AIM = 0.8 * CERTIFIED
 _CLOSE = 1e-3
 _REFINEMENTS = 3
 _GROWTH = 1.25
-_CORRECTIONS = 6
+_CORRECTIONS = 12
 # Of a row's bound at once: a larger excess is a narrow one, and goes with less.
 _LARGEST_STEP = 0.15
 # Of the widths of the motors' law, tried when all limits hold: at half of it, nothing more is left

@@ -112,10 +112,10 @@ def test_other_parts_of_the_deflection_are_simulated_too(part, tmp_path):
     simulation = solution.simulation
     own = simulation.optimised
     assert simulation.measure == "rms"
-    assert own.judged.name == part
-    assert own.judged.planned.rms == pytest.approx(solution.objective.value)
-    assert own.judged.simulated.rms == pytest.approx(own.judged.planned.rms, rel=0.03)
-    assert simulation.value(own) == own.judged.simulated.rms
+    assert own.compared.name == part
+    assert own.compared.planned.rms == pytest.approx(solution.objective.value)
+    assert own.compared.simulated.rms == pytest.approx(own.compared.planned.rms, rel=0.03)
+    assert simulation.value(own) == own.compared.simulated.rms
     assert "simulated (planned" in headline_text(solution)
     saved = result_document(solution)["simulation"]["motions"]["optimised"]["minimised"]
     assert saved["part"] == part

@@ -63,7 +63,7 @@ def difference_text(solution: Solution) -> str:
     motion = simulation.optimised
     change = motion.difference
     assert change is not None
-    part = motion.judged
+    part = motion.compared
     deviates = "deviates by" if part.name == "dynamic" else f"has a {part.name} deflection of"
     text = (
         f"The elastic arm {deviates} up to {si(part.simulated.peak, 'm', 3)} in flight where "
