@@ -33,6 +33,7 @@ from stiffopt.discovery.proof.proof import RunProof, prove
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.gate import doubts
 from stiffopt.discovery.search.candidates import Scorer
+from stiffopt.discovery.search.left_out import shares_left_out
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import search
 from stiffopt.discovery.search.told import told_effects, unstated_effects, without_bounds
@@ -211,10 +212,12 @@ def _findings(
     shares = variance_explained(
         comparison, tuple(s.located for s in kept), tuple(s.channel for s in kept)
     )
+    refitted = shares_left_out(comparison, tuple(s.located for s in kept))
     findings = []
     for index, (selected, share) in enumerate(zip(kept, shares, strict=True)):
         located, effect = selected.located, selected.located.effect
-        misfit = MISFIT_ODDS * (1.0 - share) if after[selected.channel] > MISFIT_RATIO else 0.0
+        open_ = after[selected.channel] > MISFIT_RATIO
+        misfit = MISFIT_ODDS * (1.0 - refitted[index]) if open_ else 0.0
         values = parameters.parameters(index, located.constants(constants))
         findings.append(
             Finding(

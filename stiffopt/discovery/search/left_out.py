@@ -62,13 +62,7 @@ def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[
     """
     if not effects:
         return []
-    _, sd, nuisance = comparison.nuisance
-    parts = [comparison.effect_columns(e) for e in effects]
-    widths = [len(sd), *(part.shape[1] for part in parts)]
-    # Of every column the effect that it belongs to; -1 are nominal values.
-    owner = np.repeat(np.arange(-1, len(effects)), widths)
-    prior = np.concatenate([sd, np.ones(len(owner) - len(sd))])
-    sums = _sums(comparison, np.column_stack([nuisance, *parts]), prior)
+    sums, owner = _summed(comparison, effects)
     judged = [k for k, e in enumerate(effects) if e.run is None]
     kept = set(range(len(effects)))
     while True:
@@ -87,6 +81,34 @@ def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[
         if poorest is None or excess[poorest] >= 0.0:
             return [e for k, e in enumerate(effects) if k in kept]
         kept.remove(poorest)
+
+
+def shares_left_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[float, ...]:
+    """Share of its best channel's squares that each effect takes away where no fit looked.
+
+    Against a fit without it, in which all others may stand in for it: 0 to 1, one an effect.
+    """
+    if not effects:
+        return ()
+    sums, owner = _summed(comparison, effects)
+    errors = sums.errors(np.arange(len(owner)))
+    shares = []
+    for k in range(len(effects)):
+        without = sums.errors(np.flatnonzero(owner != k))
+        falls = (without - errors).sum(axis=0)
+        own = int(np.argmax(falls))
+        shares.append(float(np.clip(falls[own] / without[:, own].sum(), 0.0, 1.0)))
+    return tuple(shares)
+
+
+def _summed(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[_Sums, np.ndarray]:
+    """Sums of all columns, and of every column the effect it belongs to; -1: nominal values."""
+    _, sd, nuisance = comparison.nuisance
+    parts = [comparison.effect_columns(e) for e in effects]
+    widths = [len(sd), *(part.shape[1] for part in parts)]
+    owner = np.repeat(np.arange(-1, len(effects)), widths)
+    prior = np.concatenate([sd, np.ones(len(owner) - len(sd))])
+    return _sums(comparison, np.column_stack([nuisance, *parts]), prior), owner
 
 
 def _excess(errors: np.ndarray, without: np.ndarray, plain: bool = False) -> float:
