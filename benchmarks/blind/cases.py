@@ -37,7 +37,7 @@ def make(key: Key, name: str, store: Store) -> None:
         return
     write_text(store.truth(name), truth_text(case))
     with whole_folder(store.oracle_predictions(name)) as folder:
-        _write_exact(case, folder)
+        write_exact(case, folder)
     write_json(store.oracle(name), oracle)
     with whole_folder(store.case(name)) as folder:
         write_case(case, folder)
@@ -88,7 +88,7 @@ def _first_seen(
     raise NothingToSeeError(f"{drawn.name}: no effect can be seen in {drawn.robot}")
 
 
-def _write_exact(case: Case, folder: Path) -> None:
+def write_exact(case: Case, folder: Path) -> None:
     """Exact signals of the held-out runs, and what robots that lack nothing would give."""
     for r, run in enumerate(case.runs):
         if run.plan.role == "train":

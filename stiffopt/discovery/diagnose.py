@@ -24,6 +24,7 @@ from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.judging.detection import detection_limits
+from stiffopt.discovery.judging.modes import mode_shifts
 from stiffopt.discovery.judging.next_recording import next_recording
 from stiffopt.discovery.judging.shares import Share, Shares, parts_of
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, channel_name
@@ -171,6 +172,7 @@ def diagnose(
         search=result,
         held_out=tuple(proofs),
         shares=taken,
+        modes=mode_shifts(result.comparison, result.fit),
         catalogue=catalogue,
         detection_limits=limits,
         unexplained=unexplained,

@@ -12,6 +12,7 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.judging.detection import DetectionLimit
+from stiffopt.discovery.judging.modes import ModeShift
 from stiffopt.discovery.judging.shares import Share
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.proof.proof import RunProof, nrmse
@@ -185,6 +186,8 @@ class Diagnosis(Shown):
         What the recordings contradict of their own description; diagnosed all the same.
     stopped : bool
         By Ctrl-C; the first assumptions tell what was not done.
+    modes : tuple of ModeShift
+        Modes of the arm within the band of the fit, lowest first; none where links do not swing.
     """
 
     recordings: RecordingSet
@@ -204,6 +207,7 @@ class Diagnosis(Shown):
     assumptions: tuple[str, ...]
     faults: tuple[tuple[str, Fault], ...]
     experiment: ExperimentPlan | None = None
+    modes: tuple[ModeShift, ...] = ()
     doubts: tuple[Doubt, ...] = ()
     stopped: bool = False
 

@@ -72,6 +72,7 @@ def answer(diagnosis: Diagnosis) -> dict[str, Any]:
             }
             for limit in diagnosis.detection_limits
         ],
+        "modes": [vars(mode) for mode in diagnosis.modes],
         "outside": None if diagnosis.unexplained is None else _unexplained(diagnosis.unexplained),
         "next_experiment": diagnosis.next_experiment,
         "stopped": diagnosis.stopped,

@@ -88,10 +88,13 @@ class SwingResponse:
         z, velocity = found[:, : self.n], self._unit * found[:, self.n :]
         return z, velocity, self._pulled(np.zeros_like(z), z, velocity)
 
-    def modes_at_start(self) -> tuple[np.ndarray, np.ndarray]:
-        """Frequencies (n,) [Hz], lowest first, and shapes (n, n) of unit modal mass, in columns."""
-        inertia = np.linalg.inv(self._mobility[0])
-        stiffness = self._stiffness[0]
+    def modes(self, sample: int) -> tuple[np.ndarray, np.ndarray]:
+        """Modes with the matrices of one sample.
+
+        Frequencies (n,) [Hz], lowest first, and shapes (n, n) of unit modal mass, in columns.
+        """
+        inertia = np.linalg.inv(self._mobility[sample])
+        stiffness = self._stiffness[sample]
         squares, shapes = eigh(0.5 * (stiffness + stiffness.T), 0.5 * (inertia + inertia.T))
         return np.sqrt(np.maximum(squares, 0.0)) / (2.0 * np.pi), shapes
 

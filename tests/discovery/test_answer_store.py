@@ -48,6 +48,7 @@ DOCUMENT = {
     "fit": (dict,),
     "detection_limits": (list,),
     "mismatch": (list,),
+    "modes": (list,),
     "rigid_model": (dict, *NULL),
     "outside": (dict, *NULL),
     "next_experiment": TEXT,

@@ -74,6 +74,6 @@ def test_no_swing_at_all_is_none():
 
 
 def test_modes_at_the_start_are_those_of_the_first_matrices():
-    frequencies, shapes = _one(2.0, 0.0, 2.0 * (2.0 * np.pi * 9.0) ** 2).modes_at_start()
+    frequencies, shapes = _one(2.0, 0.0, 2.0 * (2.0 * np.pi * 9.0) ** 2).modes(0)
     assert frequencies[0] == pytest.approx(9.0)
     assert abs(shapes[0, 0]) == pytest.approx(2.0**-0.5)

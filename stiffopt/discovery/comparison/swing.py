@@ -154,7 +154,7 @@ class Swing:
 
     def _states(self, band: float) -> np.ndarray:
         """Displacement and velocity (2 n, m) of every mode up to a frequency [Hz], in pairs."""
-        frequencies, shapes = self.response.modes_at_start()
+        frequencies, shapes = self.response.modes(0)
         still = np.zeros(self.response.n)
         states = [np.zeros((2 * self.response.n, 0))]
         for frequency, shape in zip(frequencies, shapes.T, strict=True):

@@ -10,6 +10,7 @@ from scipy.interpolate import BSpline
 
 from stiffopt.discovery.comparison.channel_noise import above_cutoff
 from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.judging.modes import is_mode
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.thresholds import (
@@ -92,6 +93,8 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
         # What formulas that differ from nature leave behind, small against what they explain.
         return kept, None
     found = _describe(result, [int(c) for c in remaining])
+    if _swing(result, found):
+        return kept, None
     small = found.ratio < REMAINDER_RATIO * _noisier(result)
     if not kept and small and found.gain < REMAINDER_SHARE:
         # Neither large nor depending on anything: noise that is larger than stated.
@@ -105,9 +108,14 @@ def _faint(result: SearchResult, after: np.ndarray) -> Unexplained | None:
     for channel in [int(c) for c in np.argsort(-after)[:_MOST] if after[c] > FAINT_RATIO]:
         found = _describe(result, [channel])
         taken = found.gain * (1.0 - 1.0 / found.ratio**2)
-        if taken > most:
+        if taken > most and not _swing(result, found):
             best, most = found, taken
     return best
+
+
+def _swing(result: SearchResult, found: Unexplained) -> bool:
+    """Whether a remainder is the swing of the arm itself: its period is that of a mode."""
+    return found.period is not None and is_mode(result.comparison, result.fit, found.period)
 
 
 def _noisier(result: SearchResult) -> float:

@@ -117,7 +117,7 @@ def lead(diagnosis: Diagnosis) -> str:
         text = " ".join(parts)
         if diagnosis.unexplained is not None:
             text += f" {unexplained_sentence(diagnosis)}"
-    return text
+    return " ".join([text, *(str(mode) for mode in diagnosis.modes if mode.elsewhere)])
 
 
 def how_sure(finding: Finding) -> str:

@@ -1,0 +1,39 @@
+"""Modes of a large arm: explained where the nominal model has them, told where they lie elsewhere."""
+
+from dataclasses import replace
+
+import pytest
+from simulated_sets import diagnosed
+
+from benchmarks.simulator import CaseSpec
+from stiffopt.discovery.judging.modes import is_mode
+
+# It swings at 10 to 12 Hz, and is excited by sharp corners.
+HEALTHY = CaseSpec(
+    robot="big6", seed=5, train=3, test=1, extrapolate=0, seconds=5.0, rate=250.0, substeps=8,
+    payload=10.0, smoothing=0.2,
+)  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_mode_in_the_band_is_explained_and_not_found():
+    found = diagnosed(HEALTHY)
+    assert found.verdict == "nothing_missing"
+    assert found.nrmse("test")[1] < 1.15
+    assert found.modes
+    assert not any(mode.elsewhere for mode in found.modes)
+    comparison, fit = found.search.comparison, found.search.fit
+    assert is_mode(comparison, fit, 1.0 / found.modes[0].found)
+    assert not is_mode(comparison, fit, 1.0)
+
+
+@pytest.mark.slow
+def test_a_softer_joint_has_its_mode_elsewhere():
+    softer = replace(HEALTHY, effects=(("stiffness_linear", 2, 2.0),))
+    found = diagnosed(softer)
+    (line,) = [f for f in found.findings if f.effect.name == "stiffness_linear"]
+    assert line.joint == 2
+    moved = [mode for mode in found.modes if mode.elsewhere]
+    assert moved
+    assert all(mode.found < mode.nominal for mode in moved)
+    assert "Hz, the model has" in str(moved[0])
