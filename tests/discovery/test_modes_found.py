@@ -1,4 +1,4 @@
-"""Modes of a large arm: explained where the nominal model has them, told where they lie elsewhere."""
+"""Modes of a large arm: explained where the nominal model has them, told where they moved."""
 
 from dataclasses import replace
 

@@ -222,11 +222,15 @@ def swung(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prepared
     values = replace(extension, effects=())
     effects = replace(extension, calibration={})
     heavier = _heavier(run, robot, effects)
-    swing = springs.swing(run.links, _softer(run, robot, extension), heavier, run.swing)
+    nominal = _softer(run, robot, values)
+    swing = springs.swing(run.links, nominal * _softer(run, robot, effects), heavier, run.swing)
     begin = _slowly(run, robot, extension, swing)
     moved = run
     for again in range(_PASSES if effects.effects else 1):
         known = _change(moved, robot, values)
+
+        def softer(links: LinkMotion, moved: PreparedRun = moved) -> np.ndarray:
+            return nominal * _softer(_with_links(moved, robot, links), robot, effects)
 
         def added(
             links: LinkMotion, moved: PreparedRun = moved, known: _Change = known
@@ -240,9 +244,9 @@ def swung(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prepared
             return change.link_torque + known.link_torque, change.deflection + known.deflection
 
         links = (
-            springs.follow(moved.links, swing, added)
+            springs.follow(moved.links, swing, added, softer)
             if again
-            else springs.started(begin, swing, added)
+            else springs.started(begin, swing, added, softer)
         )
         if links is None:
             return _nearly(run, robot, extension)

@@ -23,7 +23,7 @@ MOTOR_CUTOFF = 60.0
 SLOW_CUTOFF = 20.0
 # Spring and link motion agree within this [rad]; far below any encoder's noise.
 _SETTLED = 3e-8
-_ROUNDS = 60
+_ROUNDS = 30
 # No link accelerates like this [rad/s^2].
 _ABSURD = 1e9
 # Samples that are followed at once, at least.
@@ -171,6 +171,8 @@ class Swing:
 
 # From link motion to what is added: torque on the links, displacement of the springs' ends.
 Added = Callable[[LinkMotion], tuple[np.ndarray, np.ndarray]]
+# From link motion to the compliance of the springs (K, n) over the nominal one.
+Softer = Callable[[LinkMotion], np.ndarray]
 
 
 class Springs:
@@ -233,7 +235,11 @@ class Springs:
         return Swing(response, stiffness, self.damping, bodies, links, softer, heavier)
 
     def started(
-        self, begin: LinkMotion, swing: Swing, added: Added | None = None
+        self,
+        begin: LinkMotion,
+        swing: Swing,
+        added: Added | None = None,
+        softer: Softer | None = None,
     ) -> LinkMotion | None:
         """Link motion that begins as near to a slow one as can be; None where none is found.
 
@@ -245,16 +251,22 @@ class Springs:
             Response near it.
         added : callable, optional
             What acts beside the nominal robot.
+        softer : callable, optional
+            What it makes of the springs.
         """
-        links = self.follow(begin, swing, added)
+        links = self.follow(begin, swing, added, softer)
         first = ZeroPhaseFilter(1.0 / self.dt, SLOW_CUTOFF).settling
         if links is None or len(self.motor) <= first + 2:
             return links
         window = slice(first, first + max(2, round(_START / self.dt)))
-        return self.follow(swing.begun_near(links, begin, window), swing, added)
+        return self.follow(swing.begun_near(links, begin, window), swing, added, softer)
 
     def follow(
-        self, links: LinkMotion, swing: Swing, added: Added | None = None
+        self,
+        links: LinkMotion,
+        swing: Swing,
+        added: Added | None = None,
+        softer: Softer | None = None,
     ) -> LinkMotion | None:
         """Link motion that agrees with springs and motors; None where none is found.
 
@@ -266,6 +278,8 @@ class Springs:
             Response near that motion.
         added : callable, optional
             What acts beside the nominal robot.
+        softer : callable, optional
+            What it makes of the springs.
         """
         before, end = np.inf, len(self.motor)
         torque: np.ndarray | float = 0.0
@@ -290,7 +304,8 @@ class Springs:
             worst = float(np.max(sizes[:end]))
             if worst > _SLOW * before:
                 # Springs bend where the motion was taken to be: anew about where it is.
-                swing = self.swing(links, swing.softer, swing.heavier, swing)
+                ratio = swing.softer if softer is None else softer(links)
+                swing = self.swing(links, ratio, swing.heavier, swing)
             if worst > before:
                 # What comes late hangs on all before it: so far, then further.
                 end = first + max(_FEWEST, (end - first) // 4)
