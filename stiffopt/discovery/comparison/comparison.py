@@ -16,7 +16,7 @@ from stiffopt.discovery.comparison.bodies import (
     nearest_bodies,
     nominal_bodies,
 )
-from stiffopt.discovery.comparison.columns import Columns
+from stiffopt.discovery.comparison.columns import FEW_RUNS, Columns
 from stiffopt.discovery.comparison.evidence import BlockSums, Posterior, Sums, posterior
 from stiffopt.discovery.comparison.extension import Extension, with_amplitudes
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
@@ -130,6 +130,11 @@ class Comparison:
             box=self.box,
             columns=self.columns.about(found),
         )
+
+    @property
+    def whole_runs(self) -> bool:
+        """Whether blocks are whole runs."""
+        return len(self.runs) >= FEW_RUNS
 
     @property
     def bodies(self) -> np.ndarray | None:

@@ -230,7 +230,8 @@ def swung(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prepared
         known = _change(moved, robot, values)
 
         def softer(links: LinkMotion, moved: PreparedRun = moved) -> np.ndarray:
-            return nominal * _softer(_with_links(moved, robot, links), robot, effects)
+            now = _softer(_with_links(moved, robot, links), robot, effects)
+            return np.asarray(nominal * now)
 
         def added(
             links: LinkMotion, moved: PreparedRun = moved, known: _Change = known

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.discovery.comparison.comparison import FEW_RUNS, Comparison
+from stiffopt.discovery.comparison.columns import FEW_RUNS
+from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.extension import EstimatedEffect, with_amplitudes
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepare import PreparedRun
