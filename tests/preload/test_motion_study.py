@@ -315,5 +315,7 @@ def test_the_er3a_gains_less_than_one_percent():
     expected = [loaded.expected[f"deflection_{name}"] for name in ("start", "separate", "joint")]
     assert {(each.unit, each.rtol) for each in expected} == {("mm", 1e-4)}
     start, separate, joint = (each.value for each in expected)
-    assert joint <= separate < start
+    assert joint <= separate
+    # The present preloads are net, more than the study's own tightening can promise: no less stiff.
+    assert start == pytest.approx(separate, rel=1e-3)
     assert joint > 0.99 * separate
