@@ -68,7 +68,7 @@ def robot(joints=2):
         torque_max=np.full(joints, 30.0),
         tree=BodyTree(tuple(body(j, prismatic[j]) for j in range(joints)), np.zeros(3)),
         tool=LinkFrame(joints, np.array([0.2, 0.0, 0.0]), np.eye(3)),
-        placed_shapes=lambda purpose: [],
+        joint_shapes=lambda purpose: [],
         rigid_bodies=lambda: SimpleNamespace(gravity_torque=np.zeros_like),
         estimated=lambda: [
             SimpleNamespace(joint="axis_1", element="key", key="width", source="a guess"),

@@ -34,10 +34,14 @@ from stiffopt.discovery.proof.proof import RunProof, prove
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.gate import doubts
 from stiffopt.discovery.search.candidates import Scorer
+from stiffopt.discovery.search.identifiable_effects import (
+    identifiable_effects,
+    unstated_effects,
+    without_bounds,
+)
 from stiffopt.discovery.search.left_out import shares_left_out
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import search
-from stiffopt.discovery.search.told import told_effects, unstated_effects, without_bounds
 from stiffopt.discovery.search.uncertainty import Estimate, estimate
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.thresholds import MISFIT_ODDS, MISFIT_RATIO, OPEN_RATIO, OPEN_SHARE
@@ -115,7 +119,7 @@ def diagnose(
     settings = training.settings
     facts = joint_facts(recordings, training.recorded)
     checks = effect_checks(recordings, facts, len(training.recorded), catalogue)
-    asked = told_effects(catalogue, checks)
+    asked = identifiable_effects(catalogue, checks)
     say("compare with the nominal model" if base is None else f"compare with {base.source}")
     result = search(
         training.comparison(),

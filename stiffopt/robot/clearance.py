@@ -135,7 +135,7 @@ def _links(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[_Solid]:
     shown: set[int] = set()
     purposes: tuple[Purpose, ...] = ("collision", "visual")
     for purpose in purposes:
-        placed = [each for each in robot.placed_shapes(purpose) if each.joint not in shown]
+        placed = [each for each in robot.joint_shapes(purpose) if each.joint not in shown]
         for each in placed:
             form = _form(each.shape)
             if form is None:

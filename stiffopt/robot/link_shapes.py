@@ -70,7 +70,7 @@ class LinkShape:
 
 
 @dataclass(frozen=True, eq=False)
-class PlacedShape:
+class JointShape:
     """A shape in the frame of the joint that carries its link; joint 0 is the base."""
 
     shape: LinkShape
@@ -98,9 +98,9 @@ def read_link_shapes(path: str | os.PathLike[str]) -> tuple[LinkShape, ...]:
     return tuple(found)
 
 
-def placed_shapes(
+def joint_shapes(
     model: pin.Model, shapes: Iterable[LinkShape], purpose: Purpose
-) -> list[PlacedShape]:
+) -> list[JointShape]:
     """Shapes of one purpose in the frames of the model's joints."""
     placed = []
     for shape in shapes:
@@ -109,7 +109,7 @@ def placed_shapes(
         frame = model.frames[model.getFrameId(shape.link, pin.FrameType.BODY)]
         at = frame.placement * pin.SE3(shape.rotation, shape.offset)
         placed.append(
-            PlacedShape(shape, int(frame.parentJoint), at.translation.copy(), at.rotation.copy())
+            JointShape(shape, int(frame.parentJoint), at.translation.copy(), at.rotation.copy())
         )
     return placed
 

@@ -16,7 +16,7 @@ from stiffopt.errors import RobotError
 from stiffopt.robot.body_tree import BodyTree, body_tree
 from stiffopt.robot.frames import LinkFrame, link_frame, named_frame
 from stiffopt.robot.held_joints import HeldJoint
-from stiffopt.robot.link_shapes import LinkShape, PlacedShape, Purpose, placed_shapes
+from stiffopt.robot.link_shapes import JointShape, LinkShape, Purpose, joint_shapes
 from stiffopt.robot.rigid_body import RigidBodies
 
 
@@ -138,9 +138,9 @@ class Robot:
         """Dynamics and kinematics of links and payload in numbers."""
         return RigidBodies(self.model)
 
-    def placed_shapes(self, purpose: Purpose) -> list[PlacedShape]:
+    def joint_shapes(self, purpose: Purpose) -> list[JointShape]:
         """Shapes of the links in the frames of their joints."""
-        return placed_shapes(self.model, self.shapes, purpose)
+        return joint_shapes(self.model, self.shapes, purpose)
 
     def estimated(self) -> list[Source]:
         """Numbers that are estimates, for reports to mark."""

@@ -8,7 +8,7 @@ from benchmarks.simulator import write_case
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.located_effect import places
 from stiffopt.discovery.search.candidates import Scorer
-from stiffopt.discovery.search.told import without_bounds
+from stiffopt.discovery.search.identifiable_effects import without_bounds
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import train
 from stiffopt.recording.recording_set import load_recordings

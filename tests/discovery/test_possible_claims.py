@@ -12,7 +12,7 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.signals import JointConstants, RobotConstants
 from stiffopt.discovery.identifiable import EffectCheck
 from stiffopt.discovery.judging.unexplained import _period
-from stiffopt.discovery.search.told import told_effects
+from stiffopt.discovery.search.identifiable_effects import identifiable_effects
 
 JOINT = JointConstants(
     joint=1,
@@ -62,7 +62,7 @@ def test_an_effect_is_sought_only_where_it_can_be_told() -> None:
         EffectCheck(effect=entry, joint=1, lacks=("it does not move",)),
         EffectCheck(effect=entry, joint=2, lacks=()),
     ]
-    (told,) = told_effects([entry], checks)
+    (told,) = identifiable_effects([entry], checks)
     assert told.applies is not None
     assert [told.applies(joint) for joint in ROBOT.joints] == [False, True]
 

@@ -12,20 +12,20 @@ from stiffopt.robot.skeleton import capsules, reach
 
 def test_shapes_lie_in_the_frame_of_their_joint(tmp_path):
     arm = load(tmp_path, with_shapes("fore", BOX))
-    (placed,) = arm.placed_shapes("visual")
+    (placed,) = arm.joint_shapes("visual")
     assert (placed.joint, placed.shape.kind, placed.shape.size) == (2, "box", (0.1, 0.4, 0.1))
     np.testing.assert_allclose(placed.offset, [0.2, 0.0, 0.0])
     np.testing.assert_allclose(placed.rotation @ [0, 1, 0], [-1, 0, 0], atol=1e-12)
-    assert arm.placed_shapes("collision") == []
+    assert arm.joint_shapes("collision") == []
 
 
 def test_shapes_of_what_is_fixed_or_locked_belong_to_the_link_before(tmp_path):
     tip = '<link name="tip"><visual><geometry><sphere radius="0.05"/></geometry></visual></link>'
     arm = load(tmp_path, PLANAR.replace('<link name="tip"/>', tip))
-    (placed,) = arm.placed_shapes("visual")
+    (placed,) = arm.joint_shapes("visual")
     assert placed.joint == 2
     np.testing.assert_allclose(placed.offset, [0.4, 0.0, 0.0])
-    (locked,) = arm.with_joints_locked(["elbow"]).placed_shapes("visual")
+    (locked,) = arm.with_joints_locked(["elbow"]).joint_shapes("visual")
     assert locked.joint == 1
     np.testing.assert_allclose(locked.offset, [0.8, 0.0, 0.0])
 

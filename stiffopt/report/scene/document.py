@@ -13,7 +13,7 @@ from stiffopt.errors import InputFileError
 from stiffopt.files import plain
 from stiffopt.report.scene.mesh import compact_mesh
 from stiffopt.report.scene.poses import Poses
-from stiffopt.robot.link_shapes import PlacedShape
+from stiffopt.robot.link_shapes import JointShape
 from stiffopt.robot.skeleton import capsules, joint_radii
 
 if TYPE_CHECKING:
@@ -82,8 +82,8 @@ def _motion(name: str, poses: Poses) -> dict[str, Any]:
 
 def _shapes(robot: Robot) -> list[dict[str, Any]]:
     """Shapes of the URDF; capsules for moving links that it does not show."""
-    placed = [each for each in robot.placed_shapes("visual") if each.shape.known]
-    placed = placed or [each for each in robot.placed_shapes("collision") if each.shape.known]
+    placed = [each for each in robot.joint_shapes("visual") if each.shape.known]
+    placed = placed or [each for each in robot.joint_shapes("collision") if each.shape.known]
     meshes = max(sum(each.shape.kind == "mesh" for each in placed), 1)
     shapes: list[dict[str, Any]] = []
     for each in placed:
@@ -107,7 +107,7 @@ def _shapes(robot: Robot) -> list[dict[str, Any]]:
     return shapes
 
 
-def _shape(placed: PlacedShape, triangles: int) -> dict[str, Any]:
+def _shape(placed: JointShape, triangles: int) -> dict[str, Any]:
     shape = placed.shape
     document = {
         "joint": placed.joint,

@@ -13,7 +13,9 @@ from stiffopt.discovery.identifiable import EffectCheck
 from stiffopt.recording.recording_set import RecordingSet
 
 
-def told_effects(catalogue: Sequence[Effect], checks: Sequence[EffectCheck]) -> tuple[Effect, ...]:
+def identifiable_effects(
+    catalogue: Sequence[Effect], checks: Sequence[EffectCheck]
+) -> tuple[Effect, ...]:
     """The catalogue, each entry only where the recordings can tell it.
 
     What `recording check` says cannot be told of a joint is never claimed there.
