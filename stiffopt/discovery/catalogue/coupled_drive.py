@@ -18,6 +18,9 @@ from stiffopt.discovery.comparison.signals import JointConstants, JointSignals, 
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.symbolic import Quantity
 
+# Share of the joint before from which a motor turns with two joints; gears of wrists have 1.
+_LEAST = 0.5
+
 
 def coupled_drive_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
@@ -33,6 +36,11 @@ def coupled_drive_term(
 
 def _after_another_wrist_joint(constants: JointConstants) -> bool:
     return constants.joint > 4
+
+
+def _turns_with_both(shapes: Sequence[float], constants: Constants) -> bool:
+    """Whether the joint before turns the motor at all: else it is a drive like any other."""
+    return abs(shapes[0]) >= _LEAST
 
 
 def _reported(
@@ -60,6 +68,7 @@ COUPLED_DRIVE = Effect(
     shapes=(Shape(name="c", unit="", starts=(1.0, -1.0), lower=-1.5, upper=1.5),),
     report=_reported,
     applies=_after_another_wrist_joint,
+    possible=_turns_with_both,
     log_prior=lambda constants: -1.0,
     separate="Move both wrist joints together and against each other at one speed: the friction of"
     " their sum vanishes in one of the two.",
