@@ -124,14 +124,14 @@ def _deflection(
     # A connection that slips winds up without end: its parts are infinite, not undefined.
     with np.errstate(invalid="ignore"):
         parts = {
+            "dynamic": np.zeros_like(spring),
             "static": static,
-            first: between - static,
-            last: spring - between,
+            "process": np.zeros_like(spring),
             "total": spring,
         }
         for part, (one, other) in {first: (between, static), last: (spring, between)}.items():
-            if one is other:
-                parts[part] = np.zeros_like(spring)
+            if one is not other:
+                parts[part] = one - other
         vectors = {k: -np.einsum("kij,kj->ki", jacobian, angle) for k, angle in parts.items()}
     return {part: np.where(np.isnan(v), np.inf, v) for part, v in vectors.items()}
 

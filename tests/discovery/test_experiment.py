@@ -66,7 +66,9 @@ def found() -> Found:
         training = train(recordings, SETTINGS)
     comparison = training.comparison()
     ratio = comparison.channel_ratio(comparison.target)
-    result = SearchResult((), comparison, comparison.fit((COULOMB,)), None, ratio, ratio, ratio)
+    result = SearchResult(
+        (), comparison, comparison.fit((COULOMB,)), None, ratio, ratio, ratio, comparison.target
+    )
     return Found(training, comparison, result)
 
 

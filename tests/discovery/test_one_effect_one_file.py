@@ -17,8 +17,8 @@ from stiffopt.discovery.extended.model import load_extended
 from stiffopt.discovery.extended.planner_model import planner_model
 from stiffopt.discovery.user_effects import load_effects
 from stiffopt.errors import InputFileError
+from stiffopt.recording.recording_set import load_recordings
 from stiffopt.report.catalogue_page import catalogue_page
-from stiffopt.robot.files import load_robot
 
 WAVE = 3.0
 FILE = '''
@@ -95,7 +95,7 @@ def test_diagnosis_report_file_and_planner_know_it(wavy: tuple[Path, Path]) -> N
     assert 'name = "rail_wave"' in text
     with pytest.raises(InputFileError, match="An effect of your own needs its file"):
         load_extended(answer.out / "extended.toml")
-    robot = load_robot(ROOT / "problems" / "two_link_robot.toml")
+    robot = load_recordings(source).robot
     model = load_extended(answer.out / "extended.toml", load_effects(effects))
     planner = planner_model(robot, model)
     assert "Joint 2: a wave as friction." in planner.changes

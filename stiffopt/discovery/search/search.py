@@ -45,6 +45,8 @@ class SearchResult:
     before, calibrated, after : array (2 n,)
         Residual over noise in every channel: of the nominal model, with nominal values moved
         within tolerance, and with the effects.
+    target : array (m,)
+        What the nominal model leaves, over the stated noise: the rows of `before`.
     stopped : bool
         By Ctrl-C, before everything was searched for.
     """
@@ -56,6 +58,7 @@ class SearchResult:
     before: np.ndarray
     calibrated: np.ndarray
     after: np.ndarray
+    target: np.ndarray
     stopped: bool = False
 
     @property
@@ -91,7 +94,8 @@ def search(
     """
     say = report or (lambda _: None)
     tell = paced(say)
-    before = comparison.channel_ratio(comparison.target)
+    target = comparison.target
+    before = comparison.channel_ratio(target)
     calibrated = comparison.channel_ratio(comparison.fit().residual)
     current, effects = _not_stated(comparison, list(start), say)
     rigid = None
@@ -131,6 +135,7 @@ def search(
         before,
         calibrated,
         current.channel_ratio(fit.residual),
+        target,
         stopped,
     )
 

@@ -83,7 +83,7 @@ def channel_residuals(diagnosis: Diagnosis, name: str) -> ChannelResiduals:
         name=name,
         joint=joint,
         unit=joint_unit("N m" if number < rows.n else "rad", slides),
-        before=comparison.target[chosen] * comparison.inflation[number] * noise,
+        before=search.target[chosen] * noise,
         after=search.fit.residual[chosen] * noise,
         noise=noise,
         run=rows.sampled(lambda run: np.full(len(run.time), run.index))[chosen],
