@@ -5,6 +5,7 @@ import json
 import os
 import resource
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -217,6 +218,23 @@ def test_a_reader_that_wants_all_memory_is_stopped(tmp_path):
     with limits.bounded_memory():
         assert resource.getrlimit(resource.RLIMIT_DATA) != before
     assert resource.getrlimit(resource.RLIMIT_DATA) == before
+
+
+def test_a_deep_stack_is_no_room_for_data():
+    def under(calls):
+        # Sorting calls back from C: every level takes some kilobytes of the stack.
+        return sorted([calls], key=lambda k: under(k - 1) if k else [])
+
+    def stack():
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return next(1024 * int(each.split()[1]) for each in lines if each.startswith("VmStk:"))
+
+    before = limits.held_data()
+    under(250)
+    assert stack() > 2**20
+    with limits.bounded_memory():
+        most, _ = resource.getrlimit(resource.RLIMIT_DATA)
+    assert most - limits.MOST_MEMORY - before < 2**19
 
 
 def test_no_file_runs_code(tmp_path):

@@ -105,8 +105,9 @@ def _mutant(subject: Subject, seed: int, commands: bool) -> tuple[str, str]:
 
 def _limited() -> None:
     """Memory beyond what the process has, and silence."""
-    pages = int(Path("/proc/self/statm").read_text().split()[5])
-    most = pages * resource.getpagesize() + BYTES
+    from stiffopt.recording.readers.limits import held_data
+
+    most = held_data() + BYTES
     resource.setrlimit(resource.RLIMIT_DATA, (most, most))
     silent = os.open(os.devnull, os.O_WRONLY)
     os.dup2(silent, sys.stdout.fileno())

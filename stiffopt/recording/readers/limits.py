@@ -28,14 +28,20 @@ def bounded_memory() -> Iterator[None]:
     import resource
 
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    pages = int(Path("/proc/self/statm").read_text().split()[5])
-    most = pages * resource.getpagesize() + MOST_MEMORY
+    most = held_data() + MOST_MEMORY
     given = [limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY]
     resource.setrlimit(resource.RLIMIT_DATA, (min([most, *given]), hard))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
+
+
+def held_data() -> int:
+    """Bytes of this process that Linux counts against RLIMIT_DATA: without the stack."""
+    status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+    (line,) = (line for line in status.splitlines() if line.startswith("VmData:"))
+    return 1024 * int(line.split()[1])
 
 
 def check_numbers(path: Path, samples: int, columns: int) -> None:
