@@ -65,6 +65,9 @@ EXCHANGES = 3
 # open in a channel gives to an unknown cause of both.
 MISFIT_RATIO, MISFIT_ODDS = 2.0, 0.5
 
+# Residual over noise of a fit with swinging links from which one in balance is tried as well [0037]
+SWING_MISFIT = 1.5
+
 # ---- When something is outside the catalogue [0023]
 
 # Residual over noise from which a channel counts as not explained, beyond what formulas that differ

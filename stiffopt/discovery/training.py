@@ -100,6 +100,8 @@ def train(
     model: ExtendedModel | None = None,
     say: Say = lambda _: None,
     runs: Sequence[RecordedRun] | None = None,
+    *,
+    swinging: bool = True,
 ) -> Training:
     """Open and prepare the training runs, and no other run.
 
@@ -113,6 +115,8 @@ def train(
         Called with a sentence at every step.
     runs : sequence of RecordedRun, optional
         The training runs where they are open already.
+    swinging : bool
+        See `prepare`.
     """
     robot = RobotModel(recordings)
     opened: list[RecordedRun] = []
@@ -122,7 +126,7 @@ def train(
         if not run.usable:
             notes.append(f"{run.file} is left out: a joint of it has no usable position.")
             continue
-        probe = prepare(robot, run, len(opened), None, settings)
+        probe = prepare(robot, run, len(opened), None, settings, swinging=swinging)
         _check_nominal(recordings, run, probe)
         if not (probe.torque_used.any() or probe.deflection_used.any()):
             notes.append(_nothing_to_fit(run, probe))
@@ -139,7 +143,10 @@ def train(
         say("choose how fast a motion to follow")
         settings, note = _with_bands(robot, opened, settings)
         notes.append(note)
-        prepared = [prepare(robot, run, k, None, settings) for k, run in enumerate(opened)]
+        prepared = [
+            prepare(robot, run, k, None, settings, swinging=swinging)
+            for k, run in enumerate(opened)
+        ]
     stated = recordings.tolerance
     free = stated.mass is None and stated.com is None
     # Where the model is vouched for, the torque may be what a drive was asked for in vain.
