@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.reliability.commands import BYTES
 from benchmarks.reliability.mutants import alone
 from benchmarks.reliability.mutators import json_messages, mcap_of_json
 from stiffopt.cli import run
@@ -203,8 +204,15 @@ def test_a_reader_that_wants_all_memory_is_stopped(tmp_path):
     from stiffopt.recording.readers import npz
 
     def greedy(*_):
-        return {"t": np.zeros(limits.MOST_MEMORY // 8 + 10**6)}
+        # More than the tens of megabytes that malloc may keep free of what the process holds, and
+        # less than the child's own limit.
+        return {"t": np.zeros((limits.MOST_MEMORY + 2**28) // 8)}
 
+    assert limits.MOST_MEMORY + 2**28 < BYTES
+    kept = np.ones(30 * 2**17)
+    del kept  # malloc keeps blocks of that size on its heap from now on
+    kept = np.ones(25 * 2**17)
+    del kept
     (tmp_path / "a.npz").write_bytes(b"")
     npz.read = greedy  # in the child alone
     try:
