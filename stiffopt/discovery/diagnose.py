@@ -30,7 +30,7 @@ from stiffopt.discovery.judging.shares import Share, Shares, parts_of
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, channel_name
 from stiffopt.discovery.judging.variance_explained import variance_explained
 from stiffopt.discovery.proof.predict import Predictor
-from stiffopt.discovery.proof.proof import RunProof, prove
+from stiffopt.discovery.proof.proof import RunProof, nrmse, prove
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.gate import doubts
 from stiffopt.discovery.search.candidates import Scorer
@@ -290,16 +290,36 @@ def _proofs(
     shares: Shares,
     say: Say,
 ) -> Iterator[RunProof]:
+    swinging = _predicted_swinging(training, settings, (*start, found))
     for entry in recordings.with_role("test", "extrapolate"):
         say(f"predict {entry.file}")
         run = recordings.open(entry)
         if not run.usable:
             continue
-        predictor = Predictor(training.robot, run, training.constants, settings)
+        predictor = Predictor(training.robot, run, training.constants, settings, swinging=swinging)
         before, after = predictor.predict(*start), predictor.predict(*start, found)
         say(f"share out what changes in {entry.file}")
         shares.add(predictor, start, found, after)
         yield prove(run, predictor.velocity, before, after, training.noise)
+
+
+def _predicted_swinging(
+    training: Training, settings: Settings, extensions: tuple[Extension, ...]
+) -> bool:
+    """Whether links swing in predictions: as the training runs are predicted better."""
+    if not training.robot.swings:
+        return False
+    left = {}
+    for swinging in (True, False):
+        proofs = []
+        for run in training.recorded:
+            predictor = Predictor(
+                training.robot, run, training.constants, settings, swinging=swinging
+            )
+            after = predictor.predict(*extensions)
+            proofs.append(prove(run, predictor.velocity, after, after, training.noise))
+        left[swinging] = nrmse(proofs, "after")
+    return left[True] <= left[False]
 
 
 def _next_experiment(

@@ -73,9 +73,6 @@ TRIALS = (
 )
 
 
-LOW_SPEED = "what the sixth harmonic leaves at low speed is called stribeck"
-
-
 def trials(**doubtful: str) -> list[object]:
     """Parameters of a test: all trials, those that fail with the reason why.
 
@@ -132,7 +129,7 @@ def test_effect_is_named_at_its_place_before_anything_else(trial: Trial) -> None
     assert finding.probability >= max((r.probability for r in finding.rivals), default=0.0)
 
 
-@pytest.mark.parametrize("trial", trials(torque_ripple=LOW_SPEED), scope="module")
+@pytest.mark.parametrize("trial", trials(), scope="module")
 def test_nothing_is_named_beside_the_effect(trial: Trial) -> None:
     diagnosis = diagnosed(trial.spec)
     assert len(diagnosis.findings) == 1, said(diagnosis)
@@ -141,7 +138,6 @@ def test_nothing_is_named_beside_the_effect(trial: Trial) -> None:
 @pytest.mark.parametrize(
     "trial",
     trials(
-        thermal_friction="another law over 15 K, of which the share of dry friction takes a part",
         torque_ripple="the sixth harmonic passes the filter only where a joint counts as standing",
     ),
     scope="module",
@@ -159,7 +155,6 @@ def test_parameters_that_any_model_shares_agree_with_the_truth(trial: Trial) -> 
 @pytest.mark.parametrize(
     "trial",
     trials(
-        torque_ripple="stribeck friction is claimed beside it, which is not there",
         saturation="how much is asked for in vain depends on how long, not on the motion alone",
     ),
     scope="module",

@@ -96,6 +96,9 @@ class Columns:
             list(nuisance_columns(run, self.robot, self.tolerance, self.bodies))
             for run in self.runs
         ]
+        # A run whose links could not be followed swinging has no damping: then none has.
+        shared = set.intersection(*({c.name for c in own} for own in per_run))
+        per_run = [[c for c in own if c.name in shared] for own in per_run]
         columns = []
         for each in zip(*per_run, strict=True):
             channels = [

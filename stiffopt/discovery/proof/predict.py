@@ -44,6 +44,8 @@ class Predictor:
     settings : Settings
     prepared : PreparedRun, optional
         The run as it was prepared for a fit; where links swing, predictions are of the same motion.
+    swinging : bool
+        See `prepare`.
 
     Attributes
     ----------
@@ -58,6 +60,8 @@ class Predictor:
         constants: RobotConstants,
         settings: Settings,
         prepared: PreparedRun | None = None,
+        *,
+        swinging: bool = True,
     ) -> None:
         self.robot, self.run = robot, run
         self._position = _at_stamps(run.time, run.position, run.stamps)
@@ -71,7 +75,8 @@ class Predictor:
         blind = replace(run, torque=np.full_like(run.torque, np.nan), link_position=None)
 
         def along(cutoff: float) -> PreparedRun:
-            return prepare(robot, blind, 0, constants, replace(settings, cutoff=cutoff))
+            narrowed = replace(settings, cutoff=cutoff)
+            return prepare(robot, blind, 0, constants, narrowed, swinging=swinging)
 
         self.nominal = along(usual)
         # Joints whose torque follows another band than the rest.
