@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.bodies import body_torque
-from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, derivative
+from stiffopt.discovery.comparison.filtering import derivative
 from stiffopt.discovery.comparison.located_effect import Contribution, LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import nuisance_columns
 from stiffopt.discovery.comparison.prepare import PreparedRun, with_link_torque
-from stiffopt.discovery.comparison.swing import SLOW_CUTOFF, LinkMotion, Swing
+from stiffopt.discovery.comparison.swing import LinkMotion, Swing, slow_filter
 from stiffopt.recording.nominal import Tolerance
 
 # Of the slope of a spring's law, over the rated torque.
@@ -269,7 +269,7 @@ def _slowly(run: PreparedRun, robot: RobotModel, extension: Extension, swing: Sw
     if any(e.located.effect.family == "inertial" for e in extension.effects):
         here = _with_regressor(here, robot)
     change = _change(here, robot, extension)
-    low_pass = ZeroPhaseFilter(1.0 / run.signals.dt, SLOW_CUTOFF)
+    low_pass = slow_filter(run.signals.dt)
     wound = low_pass(change.link_torque / swing.stiffness + change.deflection)
     rate = derivative(wound, run.signals.dt)
     return slow.moved(-wound, -rate, -derivative(rate, run.signals.dt))

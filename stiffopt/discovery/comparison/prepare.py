@@ -11,10 +11,10 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.signals import RobotConstants, RobotSignals
 from stiffopt.discovery.comparison.swing import (
     MOTOR_CUTOFF,
-    SLOW_CUTOFF,
     LinkMotion,
     Springs,
     Swing,
+    slow_filter,
 )
 from stiffopt.discovery.settings import Settings
 from stiffopt.recording.run import RecordedRun
@@ -138,7 +138,7 @@ def prepare(
     motor = wide.motion(followed)
     velocity = derivative(motor, dt)
     acceleration = derivative(velocity, dt)
-    slow = ZeroPhaseFilter(1.0 / dt, min(wide.cutoff, SLOW_CUTOFF)) if swinging else low_pass
+    slow = slow_filter(dt) if swinging else low_pass
     followed = slow.motion(followed)
     links, swing = _link_motion(robot, followed, dt, slow), None
     if swinging:

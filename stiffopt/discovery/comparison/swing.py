@@ -39,6 +39,11 @@ _RATE = 60.0
 _SOFTER = (0.3, 10.0)
 
 
+def slow_filter(dt: float) -> ZeroPhaseFilter:
+    """What leaves the slow part of a motion sampled every `dt` [s], however seldom that is."""
+    return ZeroPhaseFilter(1.0 / dt, min(SLOW_CUTOFF, 0.24 / dt))
+
+
 @dataclass(frozen=True, eq=False)
 class LinkMotion:
     """Motion of the links and torque between motor and link, (K, n) each.
@@ -255,7 +260,7 @@ class Springs:
             What it makes of the springs.
         """
         links = self.follow(begin, swing, added, softer)
-        first = ZeroPhaseFilter(1.0 / self.dt, SLOW_CUTOFF).settling
+        first = slow_filter(self.dt).settling
         if links is None or len(self.motor) <= first + 2:
             return links
         window = slice(first, first + max(2, round(_START / self.dt)))
