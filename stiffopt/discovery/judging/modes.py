@@ -104,5 +104,7 @@ def _ranges(runs: tuple[PreparedRun, ...]) -> Iterator[tuple[float, float]]:
         if run.swing is not None
         for k in np.linspace(0, len(run.time) - 1, _POSTURES)
     ]
+    if not found:  # links in balance have no modes
+        return
     for own in np.array(found).reshape(len(found), -1).T:
         yield float(own.min()), float(own.max())
