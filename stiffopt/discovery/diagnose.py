@@ -152,7 +152,7 @@ def diagnose(
     except KeyboardInterrupt:
         stopped.append("Stopped by the user: no experiment was designed.")
     # The findings are fixed: from here on other runs may be opened, and change nothing above.
-    shares = Shares(parts_of(found, recordings.unstated), 2 * training.robot.n)
+    shares = Shares(parts_of(found, recordings.unstated))
     proofs = []
     try:
         for proof in _proofs(recordings, training, settings, start, found, shares, say):
@@ -298,9 +298,10 @@ def _proofs(
             continue
         predictor = Predictor(training.robot, run, training.constants, settings, swinging=swinging)
         before, after = predictor.predict(*start), predictor.predict(*start, found)
+        proof = prove(run, predictor.velocity, before, after, training.noise)
         say(f"share out what changes in {entry.file}")
-        shares.add(predictor, start, found, after)
-        yield prove(run, predictor.velocity, before, after, training.noise)
+        shares.add(predictor, start, found, proof)
+        yield proof
 
 
 def _predicted_swinging(

@@ -58,6 +58,17 @@ def test_the_friction_is_found(without_report):
     assert test["nrmse_after"] < 0.5 * test["nrmse_before"]
 
 
+def test_the_mismatch_is_shared_out_as_the_residual_falls(without_report):
+    document = json.loads((without_report / "diagnosis.json").read_text())
+    shares = {each["part"]: each["share"] for each in document["mismatch"]}
+    test = document["fit"]["test"]
+    still_open = (test["nrmse_after"] ** 2 - 1.0) / (test["nrmse_before"] ** 2 - 1.0)
+    # Parts taken one at a time add up to all of them but for what they share.
+    assert shares["open"] == pytest.approx(still_open, rel=1e-2)
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert shares["finding"] > 0.9
+
+
 def test_with_what_was_found_nothing_is_missing(without_report, tmp_path):
     model, out = without_report / "extended.toml", tmp_path / "again"
     arguments = ["diagnose", str(SHIPPED), "--model", str(model), "--out", str(out)]

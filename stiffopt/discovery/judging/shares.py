@@ -1,8 +1,9 @@
 """What the mismatch is made of: how much each part of the answer takes away on runs left out.
 
-Every channel counts alike, as the share of the squares that the nominal model leaves there. Parts
-are taken in the order of what they take away beside those before them, so that shares add up to
-one with what stays open.
+The mismatch is the squares over the sensors' noise that the nominal model leaves above it, all
+channels together, as in the residuals over noise that an answer states. Parts are taken in the
+order of what they take away beside those before them, so that shares add up to one with what stays
+open.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ import numpy as np
 
 from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.proof.predict import Prediction, Predictor
-from stiffopt.discovery.proof.proof import used_samples
+from stiffopt.discovery.proof.predict import Predictor
+from stiffopt.discovery.proof.proof import RunProof, used_samples
 
 Kind = Literal["unstated", "nominal", "usual", "finding"]
 
@@ -57,8 +58,8 @@ class Share:
     part : Part or None
         None for what stays open.
     share : float
-        Of the squared residual that the nominal model leaves on runs left out; below zero where it
-        does harm there.
+        Of the squares above noise that the nominal model leaves on runs left out; below zero where
+        it does harm there.
     """
 
     part: Part | None
@@ -96,46 +97,47 @@ class Shares:
     Parameters
     ----------
     parts : sequence of Part
-    channels : int
-        Torques, then link positions.
     """
 
-    def __init__(self, parts: Sequence[Part], channels: int) -> None:
+    def __init__(self, parts: Sequence[Part]) -> None:
         self._parts = tuple(parts)
-        self._gram = np.zeros((channels, len(parts) + 1, len(parts) + 1))
+        # Products of what stays open and of what each part takes away, over the noise's variance.
+        self._gram = np.zeros((len(parts) + 1, len(parts) + 1))
+        self._samples = 0
 
     def add(
         self,
         predictor: Predictor,
         start: tuple[Extension, ...],
         found: Extension,
-        after: Prediction,
+        proof: RunProof,
     ) -> None:
         """Take in a run that is predicted with everything, and without each part."""
         without = [predictor.predict(*start, part.left_out_of(found)) for part in self._parts]
         run = predictor.run
-        for number, (kind, joint, used) in enumerate(used_samples(run, predictor.velocity)):
-            if used is None:
+        judged = {(each.kind, each.joint): each for each in proof.channels}
+        for kind, joint, used in used_samples(run, predictor.velocity):
+            if used is None or (kind, joint) not in judged:
                 continue
+            channel = judged[kind, joint]
+            self._samples += channel.samples
             places = np.searchsorted(run.stamps, run.time)[used]
-            own = getattr(after, kind)[places, joint]
+            own = getattr(proof.after, kind)[places, joint]
             left = getattr(run, kind)[used, joint] - own
             added = [own - getattr(each, kind)[places, joint] for each in without]
-            columns = np.column_stack([left, *added])
-            self._gram[number] += columns.T @ columns
+            columns = np.column_stack([left, *added]) / channel.noise
+            self._gram += columns.T @ columns
 
     def found(self) -> tuple[Share, ...]:
-        """Shares in the order of what they take away, what is open last; none without a run."""
-        seen = self._gram.sum(axis=(1, 2)) > 0.0
-        gram = self._gram[seen]
-        if not len(gram):
+        """Shares in the order of what they take away, what is open last; may be none."""
+        mismatch = float(self._gram.sum()) - self._samples
+        if mismatch <= 0.0:
             return ()
-        whole = gram.sum(axis=(1, 2))
 
         def open_with(out: set[int]) -> float:
-            """Mean share of the squares that is open with all parts but these."""
+            """Share of the mismatch that is open with all parts but these."""
             kept = [0, *(k + 1 for k in sorted(out))]
-            return float(np.mean(gram[:, kept][:, :, kept].sum(axis=(1, 2)) / whole))
+            return (float(self._gram[np.ix_(kept, kept)].sum()) - self._samples) / mismatch
 
         out, now, shares = set(range(len(self._parts))), 1.0, []
         while out:
