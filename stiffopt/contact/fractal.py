@@ -60,6 +60,7 @@ class FractalLaw:
             surface.softer.poisson,
             regimes=self.regimes,
             mode=self.mode,
+            loading=surface.loading,
         )
 
     @cached_property
@@ -86,7 +87,10 @@ class FractalLaw:
         return self.extension_factor * force / self.surface.reference_area
 
     def stiffness(self, largest_spot: np.ndarray) -> np.ndarray:
-        """Stiffness per area, normal [N/m^3], when the largest spot is a_L [m^2]."""
+        """Stiffness per area, normal [N/m^3], when the largest spot is a_L [m^2].
+
+        Of first loading, or of loading again up to that spot, as the surface says.
+        """
         total = total_stiffness(self.spots, largest_spot, self.surface.fractal_dimension)
         return self.extension_factor * total / self.surface.reference_area
 

@@ -4,24 +4,37 @@ A spot is named by its truncated area a' [m^2]. Each regime is a pure power of a
 the size distribution n(a') = (D-1)/2 a_L^((D-1)/2) a'^(-(D+1)/2), 0 < a' <= a_L, have closed forms.
 
 Sources: Yan and Komvopoulos, J. Appl. Phys. 84 (1998) 3617 (spots, sizes); Kogut and Etsion,
-J. Appl. Mech. 69 (2002) 657 (elastic-plastic spots).
+J. Appl. Mech. 69 (2002) 657 (elastic-plastic spots); Etsion, Kligerman and Kadin, Int. J. Solids
+Struct. 42 (2005) 3716 (unloading is elastic).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import numpy as np
 
+from stiffopt.declaration import Doc
 from stiffopt.errors import OutOfValidityError
 
 # Kogut-Etsion fits: force factor and exponent of omega, and the interference range they hold in.
 _ELASTIC_PLASTIC = ((1.03, 1.425, 6.0), (1.40, 1.263, 110.0))
+# Their contact areas over that at yield, 0.93 omega^1.136 and 0.94 omega^1.146, as share of the
+# truncated area, which is 2 omega of it: factor and exponent of omega.
+_SPOT_AREA = ((0.93 / 2, 0.136), (0.94 / 2, 0.146))
 # Beyond this the critical area leaves the range of doubles (and of any joint) by far.
 _LARGEST_LOG_AREA = 300.0
+
+Loading = Annotated[
+    Literal["first", "cyclic"],
+    Doc(
+        "Stiffness of rough contacts: of first loading, or cyclic, the tangent of unloading and of "
+        "loading again below a load that was there before, 2.0 to 2.9 times as stiff."
+    ),
+]
 
 
 @dataclass(frozen=True)
@@ -56,6 +69,7 @@ def spot_laws(
     *,
     regimes: Literal[2, 3] = 3,
     mode: Literal["hertz", "fractal"] = "hertz",
+    loading: Loading = "first",
 ) -> tuple[SpotLaw, ...]:
     """Laws of all regimes, from the smallest spots (plastic) to the largest (elastic).
 
@@ -77,6 +91,10 @@ def spot_laws(
     mode : {"hertz", "fractal"}
         Stiffness of an elastic spot: of a given spot under more load, or the derivative of force
         by interference from spot to spot (larger by 2/3 (4-D)/(3-D)).
+    loading : {"first", "cyclic"}
+        cyclic: an elastic or elastic-plastic spot keeps its area a and yields as an elastic punch,
+        k = 2 E* sqrt(a/pi). Plastic spots stay without stiffness: theirs has no limit towards small
+        sizes in a fractal, so the cyclic stiffness is a lower bound.
 
     Raises
     ------
@@ -111,13 +129,16 @@ def spot_laws(
         * modulus
     )
     elastic_stiffness = 2 * modulus / math.sqrt(2 * math.pi)
-    if mode == "fractal":
+    if mode == "fractal" and loading == "first":
         elastic_stiffness *= 2 / 3 * (4 - dimension) / (3 - dimension)
     laws = [
         SpotLaw(limit, math.inf, elastic_force, (4 - dimension) / 2, elastic_stiffness, 0.5),
     ]
     if regimes == 3:
-        laws += _elastic_plastic_laws(dimension, big_lambda, modulus, hardness, yield_factor, limit)
+        worn = _elastic_plastic_laws(dimension, big_lambda, modulus, hardness, yield_factor, limit)
+        if loading == "cyclic":
+            worn = _unloading(worn, dimension, modulus, limit)
+        laws += worn
     laws.append(SpotLaw(0.0, laws[-1].lower, hardness, 1.0, 0.0, 0.0))
     return tuple(reversed(laws))
 
@@ -152,6 +173,21 @@ def _elastic_plastic_laws(
         )
         upper = lower
     return laws
+
+
+def _unloading(
+    laws: list[SpotLaw], dimension: float, modulus: float, limit: float
+) -> list[SpotLaw]:
+    """Elastic-plastic spots with the stiffness of elastic punches of their contact area."""
+    slope = dimension - 2
+    found = []
+    for law, (share, exponent) in zip(laws, _SPOT_AREA, strict=True):
+        # a = share a' omega^exponent with omega = (limit/a')^(D-2).
+        factor = 2 * modulus * math.sqrt(share / math.pi) * limit ** (slope * exponent / 2)
+        found.append(
+            replace(law, stiffness_factor=factor, stiffness_exponent=(1 - slope * exponent) / 2)
+        )
+    return found
 
 
 def total_force(laws: Sequence[SpotLaw], largest: np.ndarray, dimension: float) -> np.ndarray:

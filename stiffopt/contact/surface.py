@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 
-from stiffopt.contact.spots import SpotLaw, spot_laws, total_force
+from stiffopt.contact.spots import Loading, SpotLaw, spot_laws, total_force
+from stiffopt.contact.validate import require_one_of
 from stiffopt.declaration import (
     NOT_NEGATIVE,
     POSITIVE,
@@ -84,10 +85,13 @@ class SurfacePair:
         Bounds(above=1.0),
         Doc("Ratio of successive frequencies of the fractal surface; customary is 1.5."),
     ] = 1.5
+    # Whether the contact has been loaded before; a robot file says it for all of its contacts.
+    loading: Literal["first", "cyclic"] = "first"
 
     def __post_init__(self) -> None:
         owner = f"surface {self.name!r}"
         check_fields(self, owner)
+        require_one_of(owner, get_args(get_args(Loading)[0]), loading=self.loading)
         self._require_elastic_spots(owner)
 
     def _require_elastic_spots(self, owner: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 from stiffopt.contact.surface import SurfacePair
@@ -67,6 +68,9 @@ class ElementBuilder:
         return Stage(element, section.ratio, section.efficiency, section.parallel)
 
     def _pair(self, name: str) -> SurfacePair:
+        return replace(self._surface(name), loading=self.assembly.loading)
+
+    def _surface(self, name: str) -> SurfacePair:
         if name in self.surfaces:
             return self.surfaces[name]
         known = [*self.surfaces, *catalogue.surface_names()]

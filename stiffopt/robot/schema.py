@@ -11,6 +11,7 @@ from pydantic import Field, create_model
 from stiffopt.connection import Connection
 from stiffopt.connection.connection import connection_kinds
 from stiffopt.contact.shear import ShearLaw
+from stiffopt.contact.spots import Loading
 from stiffopt.contact.surface import Material, SurfacePair
 from stiffopt.contact.surrogate import LawName
 from stiffopt.declaration import (
@@ -95,6 +96,7 @@ class AssemblySection(Cited):
     ] = True
     contact_law: LawName = "log_cubic"
     shear: ShearLaw = "mindlin"
+    loading: Loading = "first"
 
 
 class PlaceSection(Section):

@@ -6,11 +6,13 @@ import dataclasses
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from stiffopt.connection import Key
+from stiffopt.contact.spots import Loading
+from stiffopt.contact.surface import SurfacePair
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputError, RobotError
 from stiffopt.exact.chain import compliance_shares, exact_compliance, exact_windup
@@ -46,6 +48,9 @@ class StiffnessRow:
         Of the reducer alone; infinite for a joint without one [N m/rad].
     ratio_to_reducer_only : float
         Tangent stiffness with contacts over that of the reducer alone [-].
+    first_loading_stiffness, cyclic_stiffness : float
+        Tangent stiffness with contacts loaded for the first time, and with contacts that had a
+        larger load before, which a robot's have after its first motions [N m/rad].
     flanks : str
         How the flanks of the keys act: "series", "parallel", "mixed" as the robot has it, or
         "none" for a joint without keys.
@@ -60,6 +65,8 @@ class StiffnessRow:
     reducer_only_tangent_stiffness: float
     ratio_to_reducer_only: float
     flanks: str
+    first_loading_stiffness: float
+    cyclic_stiffness: float
 
 
 COLUMNS: tuple[str, ...] = tuple(f.name for f in dataclasses.fields(StiffnessRow))
@@ -139,6 +146,18 @@ def with_flanks(chain: Chain, flanks: Flanks) -> Chain:
     return replace(chain, stages=stages)
 
 
+def with_loading(chain: Chain, loading: Loading) -> Chain:
+    """Copy of a chain with all its rough contacts loaded for the "first" time or "cyclic"."""
+    stages = []
+    for stage in chain.stages:
+        surface = getattr(stage.element, "surface", None)
+        if isinstance(surface, SurfacePair):
+            worn: Any = {"surface": replace(surface, loading=loading)}
+            stage = replace(stage, element=replace(stage.element, **worn))
+        stages.append(stage)
+    return replace(chain, stages=tuple(stages))
+
+
 def _readings(chain: Chain, both: bool) -> list[tuple[str, Chain]]:
     kinds = sorted({e.flanks for e in chain.elements.values() if isinstance(e, Key)})
     own = "none" if not kinds else kinds[0] if len(kinds) == 1 else "mixed"
@@ -163,6 +182,8 @@ def _rows(
             "windup": windup,
             "reducer_only_tangent_stiffness": 1.0 / alone,
             "ratio_to_reducer_only": alone / compliance,
+            "first_loading_stiffness": 1.0 / exact_compliance(with_loading(chain, "first"), torque),
+            "cyclic_stiffness": 1.0 / exact_compliance(with_loading(chain, "cyclic"), torque),
         }
     return [
         StiffnessRow(

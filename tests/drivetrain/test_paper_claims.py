@@ -12,6 +12,7 @@ from er3a_tables import table_chain
 
 from stiffopt.exact.chain import breakpoints, exact_compliance, exact_windup, windup_shares
 from stiffopt.robot.files import load_robot
+from stiffopt.robot.stiffness_study import with_loading
 
 ROBOTS = ["er3a_c60", "er3a_c60_contact"]
 JOINTS = range(1, 7)
@@ -90,6 +91,25 @@ def test_c3_steep_then_flat_with_the_papers_layout():
 def test_c3_the_stiffness_rises_with_output_side_keys():
     for chain, limit in each(load_robot("er3a_c60_contact")):
         assert rise(chain, limit) > 2.0
+
+
+def cyclic(robot):
+    for chain, limit in each(robot):
+        yield with_loading(chain, "cyclic"), limit
+
+
+def test_claims_under_cyclic_loading():
+    """What a robot feels after its first motions: the same shape, contacts half as soft."""
+    for chain, limit in cyclic(load_robot("er3a_c60")):
+        assert 1e-4 < rise(chain, limit) < 4e-3
+    for chain, limit in cyclic(load_robot("er3a_c60_contact")):
+        whole, alone = curves(chain, limit, [0.01, 0.05, 0.2])
+        assert (whole < alone).all()
+        assert (np.diff(whole / alone) > 0).all()
+        assert rise(chain, limit) > 1.5
+        at = np.array([limit])
+        share = 1 - float((exact_windup(chain.reducer_only(), at) / exact_windup(chain, at))[0])
+        assert 0.18 < share < 0.33
 
 
 def test_c2_as_a_ratio_holds_at_one_joint_of_the_arm_as_shipped():

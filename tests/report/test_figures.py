@@ -52,6 +52,8 @@ def stiffness_rows(joints=(1, 2)):
             reducer_only_tangent_stiffness=1e4,
             ratio_to_reducer_only=0.9 * ratio**0.1,
             flanks=flanks,
+            first_loading_stiffness=9e3 * ratio**0.1,
+            cyclic_stiffness=9.5e3 * ratio**0.05,
         )
         for joint in joints
         for flanks in ("parallel", "series")

@@ -1,11 +1,14 @@
 """Table of stiffness over torque ratio."""
 
 import csv
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import stiffopt.robot
 from stiffopt.errors import InputError, RobotError
 from stiffopt.exact.chain import exact_compliance
 from stiffopt.robot.files import load_robot
@@ -25,7 +28,8 @@ def robot():
 def test_columns_are_as_documented():
     assert ",".join(COLUMNS) == (
         "joint,torque_ratio,torque,tangent_stiffness,secant_stiffness,windup,"
-        "reducer_only_tangent_stiffness,ratio_to_reducer_only,flanks"
+        "reducer_only_tangent_stiffness,ratio_to_reducer_only,flanks,"
+        "first_loading_stiffness,cyclic_stiffness"
     )
 
 
@@ -38,6 +42,10 @@ def test_rows_agree_with_the_chain(robot):
         ratio = row.tangent_stiffness / row.reducer_only_tangent_stiffness
         assert row.ratio_to_reducer_only == pytest.approx(ratio, rel=1e-12)
         assert ratio < 1
+        # The contacts alone differ: at 1 % of the torque they count most.
+        assert row.first_loading_stiffness == row.tangent_stiffness
+        assert row.first_loading_stiffness < row.cyclic_stiffness
+        assert row.cyclic_stiffness < row.reducer_only_tangent_stiffness
     own = [r for r in rows if r.joint == 3 and r.flanks == "parallel"]
     expected = exact_compliance(robot.chains[2], 38.0 * np.array([0.01, 0.1, 1.0]))
     np.testing.assert_allclose([1 / r.tangent_stiffness for r in own], expected, rtol=1e-12)
@@ -78,3 +86,15 @@ def test_bad_requests(robot):
     for ratios in ([0.0, 1.0], [-0.1], [float("nan")]):
         with pytest.raises(InputError, match="above 0"):
             stiffness_study(robot, ratios)
+
+
+def test_a_robot_file_says_how_its_contacts_are_loaded(robot, tmp_path):
+    text = (Path(stiffopt.robot.__file__).parent / "data/er3a_c60/robot.toml").read_text()
+    shutil.copytree(Path(stiffopt.robot.__file__).parent / "data/er3a_c60", tmp_path / "arm")
+    changed = text.replace("[assembly]", '[assembly]\nloading = "cyclic"', 1)
+    assert changed != text
+    (tmp_path / "arm/robot.toml").write_text(changed)
+    worn = load_robot(tmp_path / "arm/robot.toml")
+    for new, old in zip(stiffness_study(worn, [0.01]), stiffness_study(robot, [0.01]), strict=True):
+        assert new.tangent_stiffness == old.cyclic_stiffness > old.tangent_stiffness
+        assert new.first_loading_stiffness == old.tangent_stiffness

@@ -34,6 +34,8 @@ class StiffnessCurve:
     tangent, reducer_only, relative : array (K,)
         With contacts and without [N m/rad], and their ratio.
     windup : array (K,) [rad]
+    first, cyclic : array (K,)
+        Tangent stiffness under first loading and under cyclic loading of the contacts [N m/rad].
     """
 
     joint: int
@@ -43,6 +45,8 @@ class StiffnessCurve:
     reducer_only: np.ndarray
     relative: np.ndarray
     windup: np.ndarray
+    first: np.ndarray
+    cyclic: np.ndarray
 
     def at(self, ratio: float, values: np.ndarray) -> float:
         """Value of one of the curve's arrays at a torque ratio, interpolated."""
@@ -63,6 +67,8 @@ def stiffness_curves(rows: Iterable[StiffnessRow]) -> dict[int, list[StiffnessCu
                 row.reducer_only_tangent_stiffness,
                 row.ratio_to_reducer_only,
                 row.windup,
+                row.first_loading_stiffness,
+                row.cyclic_stiffness,
             )
             for row in own
         )

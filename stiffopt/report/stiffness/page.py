@@ -86,6 +86,7 @@ def write_stiffness_report(
         "curves": curves,
         "units": units,
         "slip": _first_slips(robot),
+        "loading": _loading(robot),
         "estimated": estimated_inputs(robot),
         "references": robot_references(robot),
     }
@@ -98,6 +99,17 @@ def _lowest(curves: Mapping[int, Sequence[StiffnessCurve]]) -> LowestRatio:
         for joint, (own, *_) in curves.items()
     )
     return min(every, key=lambda each: (each.relative, each.joint))
+
+
+def _loading(robot: Robot) -> str:
+    """Loading of the rough contacts that the robot file states."""
+    surfaces = (
+        getattr(element, "surface", None)
+        for chain in robot.chains
+        if chain is not None
+        for element in chain.elements.values()
+    )
+    return next((surface.loading for surface in surfaces if surface is not None), "first")
 
 
 def _first_slips(robot: Robot) -> list[FirstSlip]:
