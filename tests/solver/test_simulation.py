@@ -58,6 +58,23 @@ def test_headline_and_comparison_are_of_the_simulated_motion(solved):
     assert bool(said) is (abs(found.peak / solution.simulation.optimised.planned.peak - 1) > 0.1)
 
 
+def test_only_the_motion_compared_with_is_said_to_be_excused(solved):
+    problem, solution = solved
+    counted = solution.simulation.better_baseline.name
+    other = next(name for name in ("toppra", "quintic") if name != counted)
+
+    def excused(name):
+        """Whether the comparison excuses a baseline that exceeds a limit."""
+        baseline = solution.baselines[name]
+        worst = replace(baseline.assessment.violations[0], value=1.0)
+        assessment = replace(baseline.assessment, violations=(worst,))
+        beside = solution.baselines | {name: replace(baseline, assessment=assessment)}
+        return "is excused from limits" in comparison(problem, replace(solution, baselines=beside))
+
+    assert excused(counted)
+    assert not excused(other)
+
+
 def test_result_and_table_hold_every_motion(solved):
     _, solution = solved
     document = result_document(solution)["simulation"]

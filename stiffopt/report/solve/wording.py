@@ -10,7 +10,7 @@ from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.problem.objective import OBJECTIVES, ObjectiveKind
 from stiffopt.report.common.text import listed, percent, si, significant, words
 from stiffopt.result.assessment import Violation
-from stiffopt.result.solution import ObjectiveValue, Solution
+from stiffopt.result.solution import Baseline, ObjectiveValue, Solution
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -83,7 +83,7 @@ def comparison(problem: TrajectoryProblem, solution: Solution) -> str:
 
 def _excused(problem: TrajectoryProblem, solution: Solution) -> str:
     """What the counted baseline exceeds, and the ratio to one that keeps every limit."""
-    better = better_baseline(problem, solution.baselines)
+    better = _counted(problem, solution)
     if better is None or better.assessment is None or solution.ratio_to_better_baseline is None:
         return ""
     exceeded = [v for v in better.assessment.violations if v.value > CERTIFIED]
@@ -96,6 +96,16 @@ def _excused(problem: TrajectoryProblem, solution: Solution) -> str:
     motion = _motion_of(better.name)
     text = f" {motion[0].upper()}{motion[1:]} is excused from limits its method cannot take: "
     return f"{text}{limits}.{_strict(problem, solution)}"
+
+
+def _counted(problem: TrajectoryProblem, solution: Solution) -> Baseline | None:
+    """The baseline that the comparison is with: the better one as it was simulated, if it was."""
+    simulation = solution.simulation
+    if simulation is not None and simulation.ratio_to_better_baseline is not None:
+        assert simulation.better_baseline is not None
+        # The slowed quintic is none of the baselines, but keeps every limit.
+        return solution.baselines.get(simulation.better_baseline.name, solution.strict_baseline)
+    return better_baseline(problem, solution.baselines)
 
 
 def _strict(problem: TrajectoryProblem, solution: Solution) -> str:
