@@ -30,6 +30,18 @@ _ANGLE_UNITS = (
 )
 
 
+def number_and_unit(value: float | str) -> tuple[float, str | None]:
+    """Number and unit of a value of a file, "" where it is bare; no unit (None) of other texts.
+
+    >>> number_and_unit("0.4 s"), number_and_unit(2), number_and_unit("fast")
+    ((0.4, 's'), (2.0, ''), (nan, None))
+    """
+    if not isinstance(value, str):
+        return float(value), ""
+    match = _NUMBER_AND_UNIT.match(value)
+    return (float(match[1]), match[2]) if match else (math.nan, None)
+
+
 @functools.cache
 def _registry() -> Any:
     import pint

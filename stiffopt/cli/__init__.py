@@ -14,7 +14,7 @@ from cyclopts import CycloptsError
 from stiffopt import folders
 
 # In the order in which help lists them; importing registers them.
-from stiffopt.cli import cache, exports, motions, recordings, schemas, starters, swings
+from stiffopt.cli import cache, exports, motions, recordings, schemas, starters, sweeps, swings
 from stiffopt.cli.base import app
 from stiffopt.errors import InputError, NoSolutionFound
 
@@ -27,6 +27,7 @@ __all__ = [
     "run",
     "schemas",
     "starters",
+    "sweeps",
     "swings",
 ]
 

@@ -11,7 +11,7 @@ from stiffopt.cli.base import app, print_json
 @app.command
 def schema(
     kind: Literal[
-        "trajectory", "robot", "preload", "recordings", "static", "extended"
+        "trajectory", "robot", "preload", "sweep", "recordings", "static", "extended"
     ] = "trajectory",
 ) -> int:
     """Print the JSON Schema of a file kind, for editors.

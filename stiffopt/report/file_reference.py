@@ -15,6 +15,7 @@ from stiffopt.preload.schema import PreloadFile
 from stiffopt.problem.schema import problem_file
 from stiffopt.recording.schema import RecordingsFile, StaticFile
 from stiffopt.robot.schema import robot_file
+from stiffopt.sweep.schema import SweepFile
 
 # More names of the catalogue than these are not written out.
 _NAMES_SHOWN = 12
@@ -30,6 +31,7 @@ Unknown keys are errors that name the nearest known one."""
 _TITLES = {
     "trajectory": "Trajectory problem",
     "preload": "Preload study",
+    "sweep": "Sweep",
     "robot": "Robot",
     "recordings": "Recording set (`recordings.toml`)",
     "static": "Static deflections (`static.toml`)",
@@ -42,6 +44,7 @@ def file_models() -> dict[str, type[Section]]:
     return {
         "trajectory": problem_file(),
         "preload": PreloadFile,
+        "sweep": SweepFile,
         "robot": robot_file(),
         "recordings": RecordingsFile,
         "static": StaticFile,

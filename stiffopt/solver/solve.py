@@ -56,6 +56,7 @@ def solve(
     guess: Guess | None = None,
     throw: bool = True,
     simulate: bool = False,
+    start: int = 0,
 ) -> Solution:
     """Optimise a motion and certify it.
 
@@ -71,6 +72,8 @@ def solve(
         Raise `NoSolutionFound` unless the status is optimal, acceptable or interrupted.
     simulate : bool
         Simulate the motion and its baselines on the elastic arm: `Solution.simulation`.
+    start : int
+        Above zero: begin with a random smooth detour of the guess, another for each number.
 
     Returns
     -------
@@ -103,7 +106,11 @@ def solve(
     else:
         rival = better_baseline(problem, beside)
         try:
-            outcome = _best_of_starts(run, guess or initial_guess(problem, motion, beside), rival)
+            begin = guess or initial_guess(problem, motion, beside)
+            if start:
+                random = np.random.default_rng([problem.method.seed, start])
+                begin = _perturbed(begin, problem, random)
+            outcome = _best_of_starts(run, begin, rival)
             solution = _solution(run, outcome, beside, notes)
         except KeyboardInterrupt:
             solution = _only_baseline(run, beside, notes)

@@ -1,0 +1,63 @@
+"""`stiffopt sweep`: a problem, study or diagnosis for many values of its entries."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from pathlib import Path
+
+from stiffopt.cli.base import Changes, Open, Out, app, show_report
+from stiffopt.errors import InputError
+from stiffopt.folders import output_folder
+
+
+@app.command
+def sweep(
+    file: Path,
+    *,
+    out: Out | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    changes: Changes = (),
+    open_report: Open = False,
+    quiet: bool = False,
+) -> int:
+    """Solve a file for grids, lists and Latin hypercubes of its entries, and tabulate the answers.
+
+    Writes cases/KEY.json for each case as it is done, then table.csv, table.parquet (with pyarrow),
+    sweep.json and report.html. The same command goes on where a killed or interrupted one stopped.
+
+    Parameters
+    ----------
+    file
+        A sweep file (TOML).
+    out
+        Default: out/NAME of the sweep file.
+    workers
+        Processes; default one a core, 1 solves in this one.
+    scheduler
+        Address of a Dask scheduler, tcp://HOST:PORT, whose workers see the same files.
+    quiet
+        No progress display.
+    """
+    from stiffopt.report.sweep.page import write_sweep_report
+    from stiffopt.report.sweep.terminal import SweepDisplay, print_sweep
+    from stiffopt.sweep.cases import load_sweep
+    from stiffopt.sweep.run import run_sweep
+    from stiffopt.sweep.store import PARQUET_FILE, write_sweep
+    from stiffopt.sweep.summary import SweepSummary
+    from stiffopt.sweep.workers import workers as employed
+
+    if workers is not None and workers < 1:
+        raise InputError(f"--workers {workers}: at least 1 is needed.")
+    loaded = load_sweep(file, changes)
+    folder = out or Path("out") / file.stem
+    with output_folder(folder, "sweep", maybe=(PARQUET_FILE,)) as stage:
+        with nullcontext() if quiet else SweepDisplay(loaded.title) as progress:
+            pool = employed(workers, scheduler)
+            results, interrupted = run_sweep(loaded, folder, pool, progress)
+        summary = SweepSummary(loaded, results, interrupted)
+        write_sweep(summary, stage)
+        write_sweep_report(summary, stage)
+    print_sweep(summary, folder)
+    show_report(folder, open_report)
+    return 130 if interrupted else 0

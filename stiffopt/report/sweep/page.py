@@ -1,0 +1,78 @@
+"""report.html of a sweep: how its cases ended, the answer over what varies, the table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from stiffopt.report.common.page import PageFigures, write_page
+from stiffopt.report.common.text import listed, si, significant
+from stiffopt.report.sweep.figures import axes_figure, front_figure, spread_figure
+from stiffopt.sweep.summary import Cell, SweepSummary
+
+PAGE_FILE = "report.html"
+# Of the table on the page; table.csv has all.
+_ROWS = 200
+
+
+def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
+    """Write report.html and its figures as SVG into `folder`; return the page."""
+    figures = PageFigures("sweep", png=False)
+    drawn = axes_figure(summary)
+    if drawn is not None:
+        figures.draw("answer", drawn, "The answer over what varies")
+    front, spreads = summary.front(), summary.spreads()
+    if front is not None and len(front.values) > 1:
+        figures.draw("front", front_figure(front, summary.units["objective"]), "Trade-off front")
+    if spreads:
+        figures.draw("spread", spread_figure(summary), "Spread of the optima")
+    columns = summary.columns()
+    shown = [name for name in columns if name != "message"]
+    rows = list(zip(*(columns[name] for name in shown), strict=True))
+    context = {
+        "title": f"Sweep: {summary.sweep.title}",
+        "headline": headline(summary),
+        "knee": knee_sentence(summary),
+        "spread": spread_sentence(summary),
+        "head": [f"{name} [{unit}]" if (unit := summary.units.get(name)) else name
+                 for name in shown],
+        "rows": [[_text(cell) for cell in row] for row in rows[:_ROWS]],
+        "more": max(len(rows) - _ROWS, 0),
+    }  # fmt: skip
+    return write_page("sweep/page.html.j2", folder / PAGE_FILE, context, figures)
+
+
+def headline(summary: SweepSummary) -> str:
+    """How many cases ended how."""
+    counts = [f"{number} {name.replace('_', ' ')}" for name, number in summary.statuses().items()]
+    return f"{len(summary.sweep.cases)} cases: {listed(counts)}"
+
+
+def knee_sentence(summary: SweepSummary) -> str:
+    """Where the trade-off front bends; "" without a front."""
+    front = summary.front()
+    if front is None:
+        return ""
+    if front.knee is None:
+        return f"Fewer than three cases trade {front.over} for the objective: no knee."
+    value = si(float(front.objectives[front.knee]), summary.units["objective"])
+    return f"Knee of the front: {front.over} = {front.values[front.knee]:.4g}, objective {value}."
+
+
+def spread_sentence(summary: SweepSummary) -> str:
+    """How far optima from several starts lie apart; "" where there is one start."""
+    spreads = list(summary.spreads().values())
+    if not spreads:
+        return ""
+    furthest = max(spreads, key=lambda each: abs(each.worst - each.best) / (abs(each.best) or 1.0))
+    near = sum(each.near for each in spreads)
+    usable = sum(each.usable for each in spreads)
+    return (
+        f"{near} of {usable} usable starts end within 1 % of the best of their case; the widest "
+        f"spread is {si(furthest.best, furthest.unit)} to {si(furthest.worst, furthest.unit)}."
+    )
+
+
+def _text(cell: Cell) -> str:
+    if isinstance(cell, str):
+        return cell
+    return significant(cell, 5)

@@ -1,0 +1,97 @@
+"""What `stiffopt sweep` shows while it runs and when it is done."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+from rich.console import Console
+from rich.status import Status
+from rich.text import Text
+
+from stiffopt.report.common.terminal import print_lines
+from stiffopt.report.sweep.page import headline, knee_sentence, spread_sentence
+from stiffopt.sweep.run import SweepProgress
+from stiffopt.sweep.store import TABLE_FILE
+from stiffopt.sweep.summary import SweepSummary
+
+PLAIN_INTERVAL = 5.0
+
+
+class SweepDisplay(ExitStack):
+    """Context manager that is called with each event: one line that moves, or one now and then.
+
+    Parameters
+    ----------
+    title : str
+    console : rich.console.Console or None
+        None: standard error, so that standard output stays free for results.
+    clock : callable
+        Seconds; replaced in tests.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        console: Console | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__()
+        self._title, self._clock = title, clock
+        self._console = Console(stderr=True) if console is None else console
+        self._status: Status | None = None
+        self._printed_at = -math.inf
+
+    def __enter__(self) -> SweepDisplay:
+        if self._console.is_terminal:
+            self._status = self.enter_context(self._console.status(Text(self._title)))
+        return self
+
+    def __call__(self, event: SweepProgress) -> None:
+        """Show how far the sweep is, and the time left."""
+        line = progress_line(event)
+        if self._status is not None:
+            self._status.update(Text(f"{self._title}: {line}"))
+            return
+        now = self._clock()
+        if now - self._printed_at >= PLAIN_INTERVAL or event.done == event.total:
+            self._printed_at = now
+            self._console.print(Text(line), soft_wrap=True)
+
+
+def progress_line(event: SweepProgress) -> str:
+    """How far a sweep is, in one line.
+
+    >>> progress_line(SweepProgress(done=30, total=200, unusable=1, elapsed=60.0, left=340.0))
+    '30 of 200 cases (1 without a usable result), 1 min 0 s, about 5 min 40 s left'
+    """
+    bad = f" ({event.unusable} without a usable result)" if event.unusable else ""
+    line = f"{event.done} of {event.total} cases{bad}, {_duration(event.elapsed)}"
+    if event.left is None or event.done == event.total:
+        return line
+    return f"{line}, about {_duration(event.left)} left"
+
+
+def print_sweep(summary: SweepSummary, folder: Path) -> None:
+    """How the cases ended, knee and spread, and where the files are."""
+    print_lines(
+        (
+            f"{headline(summary)}.",
+            knee_sentence(summary) or None,
+            spread_sentence(summary) or None,
+            "Interrupted: the same command goes on from here." if summary.interrupted else None,
+            f"Table: {folder / TABLE_FILE}",
+            f"Report: {folder / 'report.html'}",
+        )
+    )
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours} h {minutes} min"
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"

@@ -1,0 +1,222 @@
+"""Cases of a sweep: which entries of which file have which values, and what names a case."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import itertools
+import json
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import qmc
+
+from stiffopt import __version__
+from stiffopt.errors import InputFileError
+from stiffopt.files import check_file, check_header, load_toml, validate, with_changes
+from stiffopt.recording.recording_set import FILE as RECORDINGS
+from stiffopt.sweep.schema import MOST_CASES, RangeSection, SweepFile
+from stiffopt.units import number_and_unit
+
+KINDS = ("trajectory", "preload", "recordings")
+
+Change = tuple[str, Any]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One solve of a sweep.
+
+    Parameters
+    ----------
+    number : int
+        From 1, in the order of the sweep file.
+    kind : str
+        trajectory, preload or recordings.
+    base : Path
+        Absolute: workers may stand in another folder.
+    changes : tuple of (place, value)
+    start : int
+        0 is the usual one, others begin with a random detour.
+    baselines : bool
+    key : str
+        Names the case by all that its result depends on.
+    """
+
+    number: int
+    kind: str
+    base: Path
+    changes: tuple[Change, ...]
+    start: int
+    baselines: bool
+    key: str
+
+    @property
+    def settings(self) -> tuple[str, ...]:
+        """The changes as `load_problem` takes them."""
+        return _settings(self.changes)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A sweep file with its cases.
+
+    Parameters
+    ----------
+    path : Path
+    title : str
+    kind : str
+        Of its base files.
+    places : tuple of str
+        Entries that vary, in order.
+    front : str
+        Entry whose trade-off with the objective is looked for; "" for none.
+    starts : int
+    cases : tuple of Case
+    """
+
+    path: Path
+    title: str
+    kind: str
+    places: tuple[str, ...]
+    front: str
+    starts: int
+    cases: tuple[Case, ...]
+
+
+def load_sweep(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Sweep:
+    """Read a sweep file and list its cases.
+
+    Raises
+    ------
+    InputFileError
+        With the file, the key, what is allowed and what to do next.
+    """
+    path = Path(path)
+    data = with_changes(load_toml(path), changes, path)
+    check_header(data, path, "sweep")
+    document = validate(SweepFile, data, path)
+    names = [document.base] if isinstance(document.base, str) else document.base
+    bases = [_base(path, name) for name in names]
+    kinds = {kind for _, kind in bases}
+    if len(kinds) != 1:
+        raise InputFileError(path, "base", f"files of one kind, got {', '.join(sorted(kinds))}.")
+    if document.starts > 1 and kinds != {"trajectory"}:
+        raise InputFileError(path, "starts", "only trajectory problems have several starts.")
+    axes = list(_axes(document, path))
+    count = len(bases) * document.starts * int(np.prod([float(len(axis)) for axis in axes]))
+    if count > MOST_CASES:
+        raise InputFileError(path, "", f"has {count} cases; allowed: {MOST_CASES}.")
+    cases: list[Case] = []
+    for base, kind in bases:
+        content, inputs = load_toml(base), _digest(base)
+        for parts in itertools.product(*axes):
+            own = tuple(change for part in parts for change in part)
+            changed = with_changes(copy.deepcopy(content), _settings(own), base)
+            for start in range(document.starts):
+                facts = [__version__, kind, changed, inputs, start, document.baselines]
+                text = json.dumps(facts, sort_keys=True, default=str)
+                key = hashlib.sha256(text.encode()).hexdigest()[:20]
+                number = len(cases) + 1
+                cases.append(Case(number, kind, base, own, start, document.baselines, key))
+    return Sweep(
+        path=path,
+        title=document.title or path.stem,
+        kind=kinds.pop(),
+        places=tuple(place for axis in axes for place, _ in axis[0]),
+        front="" if document.front is None else document.front.over,
+        starts=document.starts,
+        cases=tuple(cases),
+    )
+
+
+def _base(path: Path, name: str) -> tuple[Path, str]:
+    """Absolute path of a base file and its kind."""
+    base = (path.parent / name).resolve()
+    if base.is_dir():
+        base = base / RECORDINGS
+    check_file(base)
+    kind = load_toml(base).get("kind", "recordings")
+    if kind not in KINDS:
+        raise InputFileError(
+            path, "base", f"{name} is of kind {kind!r}; allowed: a trajectory problem, a preload "
+            "study or a recording set."
+        )  # fmt: skip
+    return base, kind
+
+
+def _axes(document: SweepFile, path: Path) -> Iterator[list[tuple[Change, ...]]]:
+    """Each axis as the changes of each of its points."""
+    if document.front is not None:
+        front = document.front
+        bounds = RangeSection(lower=front.lower, upper=front.upper)
+        shares = np.linspace(0.0, 1.0, front.points)
+        yield [((front.over, v),) for v in _values(bounds, shares, path, "front")]
+    for place, values in document.grid.items():
+        yield [((place, value),) for value in values]
+    if document.lists:
+        rows = zip(*document.lists.values(), strict=True)
+        yield [tuple(zip(document.lists, row, strict=True)) for row in rows]
+    cube = document.latin_hypercube
+    if cube is not None:
+        if not cube.ranges:
+            raise InputFileError(
+                path, "latin_hypercube", "has no range. Add KEY = { lower, upper }."
+            )
+        shares = qmc.LatinHypercube(len(cube.ranges), rng=cube.seed).random(cube.count)
+        columns = [
+            _values(each, own, path, f"latin_hypercube.{place}")
+            for (place, each), own in zip(cube.ranges.items(), shares.T, strict=True)
+        ]
+        yield [tuple(zip(cube.ranges, row, strict=True)) for row in zip(*columns, strict=True)]
+
+
+def _values(bounds: RangeSection, shares: np.ndarray, path: Path, where: str) -> list[Any]:
+    """Values at shares of a range, as numbers or as texts with its unit."""
+    (low, unit), (high, other) = (number_and_unit(each) for each in (bounds.lower, bounds.upper))
+    if unit is None or unit != other:
+        raise InputFileError(
+            path, where, f"needs two numbers, or two with the same unit; got {bounds.lower!r} and "
+            f"{bounds.upper!r}."
+        )  # fmt: skip
+    if not low < high:
+        raise InputFileError(path, where, f"lower = {low:g} must be below upper = {high:g}.")
+    # Twelve digits: no tails of binary fractions in tables.
+    values = [float(f"{low + share * (high - low):.12g}") for share in shares]
+    return [f"{value!r} {unit}" for value in values] if unit else values
+
+
+def _settings(changes: Sequence[Change]) -> tuple[str, ...]:
+    return tuple(f"{place}={_toml(value)}" for place, value in changes)
+
+
+def _toml(value: Any) -> str:
+    """A value as TOML has it in one line."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f'"{key}" = {_toml(each)}' for key, each in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_toml(each) for each in value)}]"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _digest(path: Path, seen: frozenset[Path] = frozenset()) -> str:
+    """Hash of a file and of all that it names and that lies beside it, TOML files likewise."""
+    found = hashlib.sha256(path.read_bytes())
+    if path.suffix == ".toml" and path not in seen:
+        for name in sorted(_texts(load_toml(path))):
+            beside = path.parent / name
+            if "\0" not in name and len(name) < 256 and beside.is_file():
+                found.update(_digest(beside.resolve(), seen | {path}).encode())
+    return found.hexdigest()
+
+
+def _texts(value: Any) -> set[str]:
+    if isinstance(value, dict):
+        return {text for each in value.values() for text in _texts(each)}
+    if isinstance(value, list):
+        return {text for each in value for text in _texts(each)}
+    return {value} if isinstance(value, str) else set()

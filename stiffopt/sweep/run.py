@@ -1,0 +1,163 @@
+"""A sweep in progress: cases out to workers, one result file each, begun anew where it stopped."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stiffopt.errors import InputFileError
+from stiffopt.files import atomic_write, load_json
+from stiffopt.sweep.cases import Case, Sweep
+from stiffopt.sweep.solve_case import CaseResult, document, solve_case
+from stiffopt.sweep.workers import Workers
+
+CASES = "cases"
+# Deaths of a worker that had nothing else to do, after which the case is to blame.
+_DEATHS = 2
+
+
+@dataclass(frozen=True)
+class SweepProgress:
+    """How far a sweep is.
+
+    Attributes
+    ----------
+    done, total : int
+        Cases, those of earlier runs included.
+    unusable : int
+        Done without a usable result.
+    elapsed, left : float or None
+        Of this run, and estimated to its end [s].
+    """
+
+    done: int
+    total: int
+    unusable: int
+    elapsed: float
+    left: float | None
+
+
+ProgressCallback = Callable[[SweepProgress], object]
+
+
+def run_sweep(
+    sweep: Sweep, folder: Path, pool: Workers, progress: ProgressCallback | None = None
+) -> tuple[list[dict[str, Any] | None], bool]:
+    """Solve the cases that have no result file yet.
+
+    Parameters
+    ----------
+    sweep : Sweep
+    folder : Path
+        Its subfolder `cases` holds the result files.
+    pool : Workers
+    progress : callable, optional
+        Called with a `SweepProgress` at the begin and after each case.
+
+    Returns
+    -------
+    results : list of dict or None
+        Content of each case's file, None where Ctrl-C came before it.
+    interrupted : bool
+    """
+    own = {case.key: case for case in sweep.cases}
+    results = {key: found for key in own if (found := _read(folder, key)) is not None}
+    watch = _Watch(len(own), results, progress)
+    todo = [case for key, case in own.items() if key not in results]
+    try:
+        for found in _solved(todo, pool):
+            _write(folder, found)
+            results[found["key"]] = found
+            watch.tell()
+    except KeyboardInterrupt:
+        pool.close(now=True)
+        return [results.get(case.key) for case in sweep.cases], True
+    except BaseException:
+        pool.close(now=True)
+        raise
+    pool.close(now=False)
+    return [results.get(case.key) for case in sweep.cases], False
+
+
+def _solved(todo: Iterable[Case], pool: Workers) -> Iterable[dict[str, Any]]:
+    """Results as they come; a case whose worker dies is tried again."""
+    waiting, alone = deque(todo), deque[Case]()
+    deaths: dict[str, int] = {}
+    busy: dict[Future[dict[str, Any]], Case] = {}
+    lonely = False
+    while waiting or alone or busy:
+        if alone and not busy:
+            # Whose fault a death was shows with nobody beside.
+            case = alone.popleft()
+            busy[pool.submit(solve_case, case)] = case
+            lonely = True
+        elif not alone and not lonely:
+            while waiting and len(busy) < pool.slots:
+                case = waiting.popleft()
+                busy[pool.submit(solve_case, case)] = case
+        done, _ = wait(busy, return_when=FIRST_COMPLETED)
+        for future in done:
+            case = busy.pop(future)
+            try:
+                yield future.result()
+            except pool.lost:
+                deaths[case.key] = deaths.get(case.key, 0) + lonely
+                if deaths[case.key] < _DEATHS:
+                    alone.append(case)
+                else:
+                    text = "Its worker process died each time, as one without memory does."
+                    yield document(case, CaseResult("failed", text, {}, {}), 0.0)
+        lonely = lonely and bool(busy)
+
+
+class _Watch:
+    """Counts cases and estimates the time left."""
+
+    def __init__(
+        self, total: int, results: dict[str, dict[str, Any]], progress: ProgressCallback | None
+    ) -> None:
+        self._total, self._results, self._progress = total, results, progress
+        self._begin, self._before = time.monotonic(), len(results)
+        self.tell()
+
+    def tell(self) -> None:
+        if self._progress is None:
+            return
+        done, elapsed = len(self._results), time.monotonic() - self._begin
+        own = done - self._before
+        left = elapsed / own * (self._total - done) if own else None
+        bad = sum(is_unusable(each) for each in self._results.values())
+        self._progress(SweepProgress(done, self._total, bad, elapsed, left))
+
+
+def is_unusable(found: dict[str, Any]) -> bool:
+    """Whether a case has no usable result."""
+    usable = ("optimal", "acceptable", "named", "nothing_missing", "outside_catalogue")
+    return found["status"] not in usable
+
+
+def _file(folder: Path, key: str) -> Path:
+    return folder / CASES / f"{key}.json"
+
+
+def _read(folder: Path, key: str) -> dict[str, Any] | None:
+    """Content of a case's file; None where there is none, or none of this case."""
+    path = _file(folder, key)
+    with suppress(InputFileError):
+        found = load_json(path) if path.exists() else None
+        # What a dying worker left undone is tried anew.
+        if isinstance(found, dict) and found.get("key") == key and found.get("status") != "failed":
+            return found
+    return None
+
+
+def _write(folder: Path, found: dict[str, Any]) -> None:
+    text = json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False)
+    atomic_write(_file(folder, found["key"]), text + "\n")

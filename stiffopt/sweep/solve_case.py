@@ -1,0 +1,164 @@
+"""One case of a sweep, solved: what a worker does."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stiffopt.errors import InputError
+from stiffopt.files import plain
+from stiffopt.sweep.cases import Case
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """Outcome of one case.
+
+    Parameters
+    ----------
+    status : str
+        Of the solve or diagnosis; "invalid" where the case cannot be stated, "failed" where its
+        worker died or met an error of its own.
+    message : str
+    values : dict of name to (value in SI or text, unit)
+        What the table has.
+    result : dict
+        The whole answer, as its own file has it.
+    maximised : bool
+        Whether a larger objective is better.
+    """
+
+    status: str
+    message: str
+    values: dict[str, tuple[float | int | str | None, str]]
+    result: dict[str, Any]
+    maximised: bool = False
+
+
+def solve_case(case: Case) -> dict[str, Any]:
+    """Content of a case's file; no error of the case leaves this function.
+
+    Parameters
+    ----------
+    case : Case
+
+    Returns
+    -------
+    dict
+        Plain numbers, strings, lists and dicts.
+    """
+    begin = time.perf_counter()
+    try:
+        found = _SOLVERS[case.kind](case)
+    except InputError as error:
+        found = CaseResult("invalid", str(error), {}, {})
+    except Exception as error:
+        # One case's trouble must not cost the others.
+        found = CaseResult("failed", f"{type(error).__name__}: {error}", {}, {})
+    return document(case, found, time.perf_counter() - begin)
+
+
+def document(case: Case, found: CaseResult, seconds: float) -> dict[str, Any]:
+    """Content of a case's file."""
+    content: dict[str, Any] = plain(
+        {
+            "schema": SCHEMA,
+            "key": case.key,
+            "base": case.base,
+            "changes": dict(case.changes),
+            "start": case.start,
+            "status": found.status,
+            "message": found.message,
+            "values": {
+                name: {"value": value, "unit": unit} for name, (value, unit) in found.values.items()
+            },
+            "maximised": found.maximised,
+            "seconds": seconds,
+            "result": found.result,
+        }
+    )
+    return content
+
+
+def _trajectory(case: Case) -> CaseResult:
+    from stiffopt.certificate.objective_value import is_maximised
+    from stiffopt.problem.files import load_problem
+    from stiffopt.result.store import result_document
+    from stiffopt.solver.solve import solve
+
+    problem = load_problem(case.base, case.settings).problem
+    solution = solve(problem, throw=False, start=case.start)
+    values: dict[str, tuple[float | int | str | None, str]] = {}
+    if solution.objective is not None:
+        values["objective"] = (solution.objective.value, solution.objective.unit)
+    motion = solution.assessment
+    if motion is not None:
+        deflection = motion.deflection_summary()
+        values["duration"] = (motion.duration, "s")
+        for part in ("dynamic", "total"):
+            values[f"{part}_deflection_peak"] = (deflection[part].peak, "m")
+        values["least_stiffness"] = (motion.min_stiffness.value, "N*m/rad")
+        values["worst_violation"] = (motion.worst_violation.value, "")
+    if case.baselines:
+        values["ratio_to_better_baseline"] = (solution.ratio_to_better_baseline, "")
+    values["iterations"] = (solution.solver.iterations, "")
+    return CaseResult(
+        str(solution.status),
+        solution.message,
+        values,
+        result_document(solution),
+        is_maximised(problem),
+    )
+
+
+def _preload(case: Case) -> CaseResult:
+    from stiffopt.preload.files import load_study
+    from stiffopt.preload.store import study_document
+    from stiffopt.preload.study import named_values, preload_study
+
+    loaded = load_study(case.base, case.settings)
+    study = preload_study(
+        loaded.problem, motion=loaded.motion, rounds=loaded.rounds, front_points=0
+    )
+    values: dict[str, tuple[float | int | str | None, str]] = {
+        name: (value if np.isfinite(value) else None, unit)
+        for name, (value, unit) in named_values(study).items()
+        if name != "kkt_residual"
+    }
+    return CaseResult(
+        str(study.status),
+        study.solution.message,
+        values,
+        study_document(study),
+        loaded.problem.objective == "joint_stiffness",
+    )
+
+
+def _recordings(case: Case) -> CaseResult:
+    from stiffopt.discovery.diagnose import diagnose
+    from stiffopt.discovery.store import answer
+    from stiffopt.recording.recording_set import load_recordings
+
+    found = diagnose(load_recordings(case.base, case.settings), experiment=False)
+    named = [f"{f.effect.name} of {f.link or f.joint or 'robot'}" for f in found.findings]
+    values: dict[str, tuple[float | int | str | None, str]] = {
+        "findings": ("; ".join(named), ""),
+        "finding_count": (len(named), ""),
+    }
+    if found.proofs("test"):
+        before, after = found.nrmse("test")
+        values |= {"residual_before": (before, ""), "residual_after": (after, "")}
+    return CaseResult(str(found.verdict), "; ".join(found.assumptions), values, answer(found))
+
+
+_SOLVERS: dict[str, Callable[[Case], CaseResult]] = {
+    "trajectory": _trajectory,
+    "preload": _preload,
+    "recordings": _recordings,
+}

@@ -1,0 +1,219 @@
+"""What a sweep shows: its table, the spread of optima from several starts, the knee of a front."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stiffopt.sweep.cases import Case, Sweep
+from stiffopt.sweep.run import is_unusable
+from stiffopt.units import number_and_unit
+
+Cell = float | int | str | None
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Optima of one case from several starts.
+
+    Parameters
+    ----------
+    best, worst : float
+        Objective in SI.
+    unit : str
+    usable, starts : int
+        Starts that ended with a usable result, of how many.
+    near : int
+        Those within 1 % of the best.
+    best_start : int
+    """
+
+    best: float
+    worst: float
+    unit: str
+    usable: int
+    starts: int
+    near: int
+    best_start: int
+
+
+@dataclass(frozen=True)
+class Front:
+    """Trade-off of one entry and the objective: the points that no other beats in both.
+
+    Parameters
+    ----------
+    over : str
+    values, objectives : array (k,)
+        By rising value; objectives fall (rise, where they are maximised).
+    knee : int or None
+        Where giving more of the one begins to bring little of the other; None below three points.
+    """
+
+    over: str
+    values: np.ndarray
+    objectives: np.ndarray
+    knee: int | None
+
+
+@dataclass(frozen=True)
+class SweepSummary:
+    """A sweep with its results.
+
+    Parameters
+    ----------
+    sweep : Sweep
+    results : sequence of dict or None
+        Of the cases, in order.
+    interrupted : bool
+    """
+
+    sweep: Sweep
+    results: Sequence[dict[str, Any] | None]
+    interrupted: bool
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Names of the values and their units, as they first come up."""
+        found: dict[str, str] = {}
+        for each in self.results:
+            for name, entry in (each or {"values": {}})["values"].items():
+                found.setdefault(name, entry["unit"])
+        return found
+
+    def columns(self) -> dict[str, list[Cell]]:
+        """The table: case, what varies, status and values (SI), one row a case that is done."""
+        done = self.done
+        several = len({case.base for case in self.sweep.cases}) > 1
+        table: dict[str, list[Cell]] = {"case": [case.number for case, _ in done]}
+        if several:
+            table["base"] = [case.base.stem for case, _ in done]
+        for place in self.sweep.places:
+            table[place] = [cell(dict(case.changes)[place]) for case, _ in done]
+        if self.sweep.starts > 1:
+            table["start"] = [case.start for case, _ in done]
+        table["status"] = [found["status"] for _, found in done]
+        for name in self.units:
+            table[name] = [found["values"].get(name, {}).get("value") for _, found in done]
+        table["message"] = [found["message"] if is_unusable(found) else "" for _, found in done]
+        return table
+
+    @property
+    def done(self) -> list[tuple[Case, dict[str, Any]]]:
+        """Cases with a result, and the result."""
+        pairs = zip(self.sweep.cases, self.results, strict=True)
+        return [(case, found) for case, found in pairs if found is not None]
+
+    def statuses(self) -> dict[str, int]:
+        """Number of cases by status; "open" are those without a result."""
+        found: dict[str, int] = {}
+        for each in self.results:
+            status = "open" if each is None else str(each["status"])
+            found[status] = found.get(status, 0) + 1
+        return found
+
+    def spreads(self) -> dict[tuple[Cell, ...], Spread]:
+        """Spread of the optima of each case, where there are several starts."""
+        if self.sweep.starts < 2:
+            return {}
+        groups: dict[tuple[Cell, ...], list[tuple[int, float | None]]] = {}
+        for case, found in self.done:
+            name = (case.base.stem, *(cell(value) for _, value in case.changes))
+            groups.setdefault(name, []).append((case.start, objective(found)))
+        spreads = {}
+        for name, own in groups.items():
+            values = {start: value for start, value in own if value is not None}
+            if not values:
+                continue
+            best = self._better(values, key=lambda start: values[start])
+            spread = max(abs(value - values[best]) for value in values.values())
+            near = [v for v in values.values() if abs(v - values[best]) <= 0.01 * abs(values[best])]
+            worst = values[best] + (-spread if self.maximised else spread)
+            spreads[name] = Spread(
+                values[best], worst, self.units["objective"], len(values), len(own), len(near), best
+            )
+        return spreads
+
+    def _better(self, starts: dict[int, float], key: Any) -> int:
+        return max(starts, key=key) if self.maximised else min(starts, key=key)
+
+    @property
+    def maximised(self) -> bool:
+        """Whether a larger objective is better."""
+        return any(found["maximised"] for _, found in self.done)
+
+    def front(self) -> Front | None:
+        """The trade-off front, where the sweep asks for one."""
+        if not self.sweep.front:
+            return None
+        sign = -1.0 if self.maximised else 1.0
+        points = sorted(
+            (number_and_unit(dict(case.changes)[self.sweep.front])[0], sign * value)
+            for case, found in self.done
+            if (value := objective(found)) is not None
+        )
+        kept: list[tuple[float, float]] = []
+        for value, cost in points:
+            if not kept or cost < kept[-1][1]:
+                kept.append((value, cost))
+        values = np.array([value for value, _ in kept])
+        costs = np.array([cost for _, cost in kept])
+        return Front(self.sweep.front, values, sign * costs, knee(values, costs))
+
+    def document(self) -> dict[str, Any]:
+        """Content of sweep.json."""
+        front = self.front()
+        return {
+            "schema": 1,
+            "title": self.sweep.title,
+            "kind": self.sweep.kind,
+            "cases": len(self.sweep.cases),
+            "status": self.statuses(),
+            "interrupted": self.interrupted,
+            "varied": list(self.sweep.places),
+            "units": self.units,
+            "spread": [
+                {"case": list(name), **vars(spread)} for name, spread in self.spreads().items()
+            ],
+            "front": None
+            if front is None
+            else {
+                "over": front.over,
+                "values": front.values,
+                "objectives": front.objectives,
+                "knee": None if front.knee is None else front.values[front.knee],
+            },
+        }
+
+
+def objective(found: dict[str, Any]) -> float | None:
+    """Objective [SI] of a usable result."""
+    if is_unusable(found):
+        return None
+    value = found["values"].get("objective", {}).get("value")
+    return None if value is None else float(value)
+
+
+def cell(value: Any) -> Cell:
+    """A varied value as a cell: numbers stay numbers."""
+    if isinstance(value, str) or (isinstance(value, int | float) and not isinstance(value, bool)):
+        return value if isinstance(value, str) else float(value)
+    return str(value)
+
+
+def knee(values: np.ndarray, costs: np.ndarray) -> int | None:
+    """Point of a falling curve that lies farthest below the line between its ends.
+
+    Both axes run from 0 to 1, so that units do not matter.
+
+    >>> knee(np.array([1.0, 2.0, 3.0, 4.0]), np.array([9.0, 2.0, 1.0, 0.0]))
+    1
+    """
+    if len(values) < 3:
+        return None
+    x = (values - values[0]) / (values[-1] - values[0])
+    y = (costs - costs[-1]) / (costs[0] - costs[-1])
+    return int(np.argmax(1.0 - x - y))

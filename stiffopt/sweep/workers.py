@@ -1,0 +1,171 @@
+"""Who solves the cases: this process, processes of this machine, or a Dask cluster.
+
+All take a call and give a `concurrent.futures.Future`; `Workers.lost` is what tells of a death.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from importlib import import_module
+from multiprocessing import connection
+from typing import Any, Protocol
+
+from stiffopt.errors import InputError
+
+Call = Callable[..., Any]
+
+
+class Workers(Protocol):
+    """Takes calls; `slots` is how many to give it at once."""
+
+    # What a future raises whose worker died.
+    lost: tuple[type[BaseException], ...]
+
+    @property
+    def slots(self) -> int:
+        """How many calls keep it busy."""
+
+    def submit(self, function: Call, *arguments: Any) -> Future[Any]:
+        """Have a call made."""
+
+    def close(self, *, now: bool) -> None:
+        """Let the workers go; `now`: without waiting for what they do."""
+
+
+class InProcess:
+    """Makes each call at once, here."""
+
+    lost: tuple[type[BaseException], ...] = ()
+    slots = 1
+
+    def submit(self, function: Call, *arguments: Any) -> Future[Any]:
+        """Make the call."""
+        future: Future[Any] = Future()
+        future.set_result(function(*arguments))
+        return future
+
+    def close(self, *, now: bool) -> None:
+        """Nothing to let go."""
+
+
+class Processes:
+    """Processes of this machine.
+
+    Parameters
+    ----------
+    count : int
+    """
+
+    lost: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+
+    def __init__(self, count: int) -> None:
+        self.slots = count
+        self._pool: Executor | None = None
+
+    def submit(self, function: Call, *arguments: Any) -> Future[Any]:
+        """Have a call made; after a death by new processes."""
+        for _ in range(2):
+            if self._pool is None:
+                context = multiprocessing.get_context("spawn")
+                self._pool = ProcessPoolExecutor(self.slots, context, initializer=_begin)
+            try:
+                # Each process works on one core; it starts with the first call.
+                with _one_thread():
+                    return self._pool.submit(function, *arguments)
+            except BrokenProcessPool:
+                self._pool.shutdown(wait=False)
+                self._pool = None
+        raise InputError("worker processes die as soon as they begin; try --workers 1.")
+
+    def close(self, *, now: bool) -> None:
+        """Let the processes go."""
+        if self._pool is not None:
+            if now:
+                for process in multiprocessing.active_children():
+                    process.terminate()
+            self._pool.shutdown(wait=not now, cancel_futures=True)
+            self._pool = None
+
+
+class Cluster:
+    """A Dask cluster; its scheduler gives a call whose worker died to another one.
+
+    Parameters
+    ----------
+    address : str
+        Of the scheduler. Its workers see the same files under the same paths.
+
+    Raises
+    ------
+    InputError
+        `distributed` is not installed, or no scheduler answers.
+    """
+
+    def __init__(self, address: str) -> None:
+        try:
+            distributed: Any = import_module("distributed")
+        except ImportError as error:
+            raise InputError(
+                "--scheduler needs `distributed`: pip install 'stiffopt[cluster]'."
+            ) from error
+        self.lost: tuple[type[BaseException], ...] = (distributed.scheduler.KilledWorker,)
+        try:
+            self._client: Any = distributed.Client(address, timeout="10s", set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            raise InputError(f"--scheduler {address}: no Dask scheduler answers there.") from error
+        self._executor = self._client.get_executor(pure=False)
+
+    @property
+    def slots(self) -> int:
+        """Twice the threads of all workers, so that none waits for the next call."""
+        return max(2 * int(sum(self._client.nthreads().values())), 1)
+
+    def submit(self, function: Call, *arguments: Any) -> Future[Any]:
+        """Have a call made."""
+        future: Future[Any] = self._executor.submit(function, *arguments)
+        return future
+
+    def close(self, *, now: bool) -> None:
+        """Let the cluster go; what it has not begun is dropped."""
+        self._executor.shutdown(wait=not now)
+        self._client.close()
+
+
+def workers(count: int | None, scheduler: str | None) -> Workers:
+    """Workers as the command line asks for them: None counts the cores."""
+    if scheduler is not None:
+        return Cluster(scheduler)
+    count = len(os.sched_getaffinity(0)) if count is None else count
+    return InProcess() if count == 1 else Processes(count)
+
+
+def _begin() -> None:
+    """A worker process begins: Ctrl-C is its parent's to take, whose end is its own."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    # A parent that was killed cannot tell its workers.
+    connection.wait([sentinel])
+    os._exit(1)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    before = os.environ.get("OMP_NUM_THREADS")
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["OMP_NUM_THREADS"]

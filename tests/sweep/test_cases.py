@@ -1,0 +1,98 @@
+"""What a sweep file says: its cases, their names, and what is refused."""
+
+import pytest
+from small_arms import ROOT
+
+from stiffopt.errors import InputFileError
+from stiffopt.sweep.cases import load_sweep
+from stiffopt.sweep.solve_case import solve_case
+
+BASE = ROOT / "problems" / "two_link.toml"
+
+
+def sweep_file(folder, text, base=BASE):
+    path = folder / "sweep.toml"
+    path.write_text(f'schema = 1\nkind = "sweep"\nbase = "{base}"\n{text}\n', encoding="utf-8")
+    return path
+
+
+def changes(sweep):
+    return [dict(case.changes) for case in sweep.cases]
+
+
+def test_a_grid_is_every_combination_and_lists_go_together(tmp_path):
+    text = """
+[grid]
+"motion.duration" = ["1 s", "2 s"]
+payload.mass = [0.0, 0.5]
+[lists]
+"method.intervals" = [20, 30]
+"method.tolerance" = [1e-6, 1e-7]
+"""
+    sweep = load_sweep(sweep_file(tmp_path, text))
+    assert sweep.places == (
+        "motion.duration", "payload.mass", "method.intervals", "method.tolerance"
+    )  # fmt: skip
+    assert len(sweep.cases) == len({case.key for case in sweep.cases}) == 8
+    assert changes(sweep)[:2] == [
+        {"motion.duration": "1 s", "payload.mass": 0.0, "method.intervals": n,
+         "method.tolerance": tolerance}
+        for n, tolerance in ((20, 1e-6), (30, 1e-7))
+    ]  # fmt: skip
+
+
+def test_a_latin_hypercube_has_one_point_in_each_layer_of_each_range(tmp_path):
+    text = """
+[latin_hypercube]
+count = 10
+"limits.scale.velocity" = { lower = 0.5, upper = 1.0 }
+"motion.duration" = { lower = "1 s", upper = "2 s" }
+seed = 3
+"""
+    path = sweep_file(tmp_path, text)
+    sweep = load_sweep(path)
+    scales = sorted(each["limits.scale.velocity"] for each in changes(sweep))
+    assert [int((value - 0.5) / 0.05) for value in scales] == list(range(10))
+    times = sorted(each["motion.duration"] for each in changes(sweep))
+    assert [int((float(value.split()[0]) - 1.0) / 0.1) for value in times] == list(range(10))
+    assert changes(load_sweep(path)) == changes(sweep)
+    assert changes(load_sweep(path, ["latin_hypercube.seed=4"])) != changes(sweep)
+
+
+def test_a_case_is_named_by_all_that_its_result_depends_on(tmp_path):
+    robot = tmp_path / "robot.toml"
+    base = tmp_path / "base.toml"
+    for source, copy in ((BASE, base), (ROOT / "problems" / "two_link_robot.toml", robot)):
+        copy.write_text(source.read_text().replace("two_link_robot.toml", "robot.toml"))
+    (tmp_path / "two_link.urdf").write_text((ROOT / "problems" / "two_link.urdf").read_text())
+    path = sweep_file(tmp_path, '[grid]\n"payload.mass" = [0.1]', base.name)
+    (before,) = load_sweep(path).cases
+    assert load_sweep(path).cases[0].key == before.key
+    assert solve_case(before)["status"] == "optimal"
+    robot.write_text(robot.read_text() + "\n# another\n")
+    assert load_sweep(path).cases[0].key != before.key
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ('[grid]\n"payload.mass" = []', "payload.mass has no value"),
+        ('[lists]\n"a" = [1]\n"b" = [1, 2]', "differ in number"),
+        ('[grid]\n"a" = [1]\n[lists]\n"a" = [1]', "two axes"),
+        ("[latin_hypercube]\ncount = 3", "has no range"),
+        ('[latin_hypercube]\ncount = 3\na = { lower = "1 s", upper = "2 mm" }', "same unit"),
+        ("[latin_hypercube]\ncount = 3\na = { lower = 2, upper = 1 }", "must be below"),
+        ('[latin_hypercube]\ncount = 3\na = { lower = "x", upper = "y" }', "two numbers"),
+        ("starts = 0", "starts"),
+        ("[grid]\na = [1, 2]\n[latin_hypercube]\ncount = 100000\nb = { lower = 0, upper = 1 }",
+         "200000 cases"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_a_sweep_is_refused(tmp_path, text, named):
+    with pytest.raises(InputFileError, match=named):
+        load_sweep(sweep_file(tmp_path, text))
+
+
+def test_a_base_of_another_kind_is_refused(tmp_path):
+    with pytest.raises(InputFileError, match="is of kind 'robot'"):
+        load_sweep(sweep_file(tmp_path, "", ROOT / "problems" / "two_link_robot.toml"))
