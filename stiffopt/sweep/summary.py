@@ -16,7 +16,7 @@ Cell = float | int | str | None
 
 
 @dataclass(frozen=True)
-class Spread:
+class StartSpread:
     """Optima of one case from several starts.
 
     Parameters
@@ -115,8 +115,8 @@ class SweepSummary:
             found[status] = found.get(status, 0) + 1
         return found
 
-    def spreads(self) -> dict[tuple[Cell, ...], Spread]:
-        """Spread of the optima of each case, where there are several starts."""
+    def spreads(self) -> dict[tuple[Cell, ...], StartSpread]:
+        """StartSpread of the optima of each case, where there are several starts."""
         if self.sweep.starts < 2:
             return {}
         groups: dict[tuple[Cell, ...], list[tuple[int, float | None]]] = {}
@@ -132,7 +132,7 @@ class SweepSummary:
             spread = max(abs(value - values[best]) for value in values.values())
             near = [v for v in values.values() if abs(v - values[best]) <= 0.01 * abs(values[best])]
             worst = values[best] + (-spread if self.maximised else spread)
-            spreads[name] = Spread(
+            spreads[name] = StartSpread(
                 values[best], worst, self.units["objective"], len(values), len(own), len(near), best
             )
         return spreads
