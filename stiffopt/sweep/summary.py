@@ -116,7 +116,7 @@ class SweepSummary:
         return found
 
     def spreads(self) -> dict[tuple[Cell, ...], StartSpread]:
-        """StartSpread of the optima of each case, where there are several starts."""
+        """Spread of the optima of each case, where there are several starts."""
         if self.sweep.starts < 2:
             return {}
         groups: dict[tuple[Cell, ...], list[tuple[int, float | None]]] = {}

@@ -19,6 +19,11 @@ PURE = {
     ("ParameterSection", "sd"),
     ("ExpectedSection", "objective"),
     ("ExpectedValueSection", "value"),
+    # In the unit of the entry that they vary.
+    ("RangeSection", "lower"),
+    ("RangeSection", "upper"),
+    ("FrontSection", "lower"),
+    ("FrontSection", "upper"),
 }
 
 
