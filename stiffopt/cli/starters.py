@@ -31,10 +31,12 @@ def robot(urdf: Path, *, tip: str | None = None, out: File = None) -> int:
     from stiffopt.starter.writing import write_new
 
     path = out or urdf.with_name(f"{urdf.stem}_robot.toml")
-    written = write_new(path, robot_text(urdf, path.parent, tip))
+    started = robot_text(urdf, path.parent, tip)
+    written = write_new(path, started.text)
     print_lines(
         (
             f"Wrote {written}. What is marked estimated is yours to correct.",
+            *started.notes,
             f"Next: stiffopt init problem {written}",
         )
     )
@@ -63,7 +65,9 @@ def problem(source: str, *, out: File = None) -> int:
 
 
 @init.command
-def recording(data: list[Path], *, urdf: Path, out: Path | None = None) -> int:
+def recording(
+    data: list[Path], *, urdf: Path, out: Path | None = None, rate: float | None = None
+) -> int:
     """Write a recording set of one's own tables (CSV, NPZ, Parquet): what it guesses, it says.
 
     Parameters
@@ -74,11 +78,13 @@ def recording(data: list[Path], *, urdf: Path, out: Path | None = None) -> int:
         Of the arm, as far as it is known.
     out
         Folder of the set; default NAME_set beside the data.
+    rate
+        Rows a second, where no column is a time.
     """
     from stiffopt.starter.recording_set import start_recording_set
 
     folder = out or data[0].with_name(f"{data[0].stem}_set")
-    started = start_recording_set(data, urdf, folder)
+    started = start_recording_set(data, urdf, folder, rate)
     print_lines(
         (
             f"Wrote {started.path}, {started.guess.rate:.4g} Hz. Guessed:",

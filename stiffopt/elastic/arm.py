@@ -22,6 +22,9 @@ ASSUMED_DAMPING = 0.02
 # Torque, as a share of the drive's, over which a reversal goes through the hysteresis: reducer
 # catalogues measure lost motion at 3 to 4 % of the rated torque.
 _REVERSAL = 0.04
+# Above it [Hz] a joint that swings alone is taken to follow its motor: the motions of an arm excite
+# up to a tenth of it.
+FAST = 1200.0
 _SETTLED = 1e-12
 _ITERATIONS = 50
 
@@ -46,6 +49,8 @@ class ElasticArm:
         Joints (from 1) whose damping is assumed.
     hysteresis : array (n,)
         Half width of the loop [rad].
+    following : tuple of int
+        Joints (from 1) whose springs are left out, see `with_fast_joints_following`.
     reversal_torque : array (n,)
         Over which a reversal goes through the hysteresis [N m].
 
@@ -61,6 +66,7 @@ class ElasticArm:
         self, robot: Robot, at: np.ndarray, process_force: object = (0.0, 0.0, 0.0)
     ) -> None:
         self.robot, self.bodies = robot, robot.rigid_bodies()
+        self.following: tuple[int, ...] = ()
         self.process_force = np.asarray(process_force, dtype=float)
         self.springs = joint_springs(robot)
         self.elastic = np.array([spring is not None for spring in self.springs])
@@ -106,6 +112,27 @@ class ElasticArm:
                 f"{self._critical[j]:.4g} N m s/rad of the joint swinging alone; got "
                 f"{self.damping[j]:.4g}."
             )
+
+    def with_fast_joints_following(self, at: np.ndarray) -> ElasticArm:
+        """Copy whose joints follow their motors at once where their springs swing above `FAST`.
+
+        Each swinging alone, judged with the motors at `at` (n,). Such a joint stays within a
+        hundred-thousandth of a degree of its motor, and would take an integrator minutes.
+        """
+        q = self.hanging(np.asarray(at, dtype=float)[None])[0]
+        inertia = np.diag(self.bodies.inertia_matrix(q))
+        stiffness = self.stiffness(self.held_torque(q))
+        fast = self.elastic & (stiffness > (2.0 * np.pi * FAST) ** 2 * inertia)
+        if not fast.any() or np.all(fast == self.elastic):
+            return self
+        found = copy.copy(self)
+        found.following = tuple(int(j) + 1 for j in np.flatnonzero(fast))
+        found.springs = tuple(None if fast[j] else spring for j, spring in enumerate(self.springs))
+        found.elastic = self.elastic & ~fast
+        found.damping = np.where(fast, 0.0, self.damping)
+        found.hysteresis = np.where(fast, 0.0, self.hysteresis)
+        found.assumed_damping = tuple(j for j in self.assumed_damping if j not in found.following)
+        return found
 
     def without_force(self) -> ElasticArm:
         """The same arm, without the process force."""

@@ -16,6 +16,8 @@ from stiffopt.errors import NotSimulatedError
 
 _NAMED_SHARE = 0.1
 _STEP = 1e-6
+# Least inertia of the joints together over the largest.
+_LIGHT = 1e-13
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,7 @@ def modes(arm: ElasticArm, motor: np.ndarray) -> tuple[Mode, ...]:
     weight = slopes[free]
     stiffness = np.diag(springs) + 0.5 * (weight + weight.T)
     inertia = arm.bodies.inertia_matrix(q)[np.ix_(free, free)]
+    _check_inertia(arm, free, inertia)
     squares, shapes = eigh(stiffness, inertia)
     if not squares[0] > 0.0:
         raise NotSimulatedError("the springs do not hold the arm in this pose: it falls over.")
@@ -97,3 +100,15 @@ def modes(arm: ElasticArm, motor: np.ndarray) -> tuple[Mode, ...]:
             )
         )
     return tuple(found)
+
+
+def _check_inertia(arm: ElasticArm, free: np.ndarray, inertia: np.ndarray) -> None:
+    """Raise `NotSimulatedError` where a spring has nothing to swing."""
+    sizes, ways = np.linalg.eigh(inertia)
+    if sizes[0] <= _LIGHT * max(sizes[-1], 0.0):
+        name = arm.robot.joint_names[int(free[np.argmax(np.abs(ways[:, 0]))])]
+        raise NotSimulatedError(
+            f"the links behind {name} have no inertia about it: its spring has nothing to swing."
+            " Give their masses and inertias ([[link]] of the robot file, or the URDF), or leave"
+            " the drivetrain of that joint out (rigid)."
+        )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.arm import FAST, ElasticArm
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.motor import MotorMotion, Servo
 from stiffopt.errors import NotSimulatedError
@@ -114,6 +114,7 @@ def simulate(
         spring_torque=torque,
         band=band,
         notes=(
+            *_following(arm),
             *_beyond_law(arm, times, torque),
             *_hysteresis(arm, q[-1], float(np.linalg.norm(deviation, axis=1).max())),
         ),
@@ -209,6 +210,13 @@ def check_reach(arm: ElasticArm, motor: np.ndarray) -> float:
             "check its stiffness and the inertia behind it."
         )
     return max(fastest.frequency, 1.0)
+
+
+def _following(arm: ElasticArm) -> list[str]:
+    if not arm.following:
+        return []
+    names = ", ".join(arm.robot.joint_names[j - 1] for j in arm.following)
+    return [f"{names}: alone above {FAST:g} Hz, taken to follow the motor at once."]
 
 
 def _beyond_law(arm: ElasticArm, times: np.ndarray, torque: np.ndarray) -> list[str]:

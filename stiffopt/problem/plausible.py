@@ -82,6 +82,7 @@ def _more_than_a_turn(where: str, value: float) -> str:
 
 
 def _check_robot(robot: Robot) -> None:
+    _check_masses(robot)
     arm = reach_of(robot) - float(np.linalg.norm(robot.tool.offset))
     if not 0.0 < arm < np.inf:
         return
@@ -99,6 +100,16 @@ def _check_robot(robot: Robot) -> None:
                 f" {far:.4g} m from the joint; the whole arm is {arm:.4g} m long. Lengths are in m:"
                 " look at payload.com and at the URDF."
             )
+
+
+def _check_masses(robot: Robot) -> None:
+    """An arm without masses has no torques and no deflections: every motion is as good."""
+    if not any(body.mass > 0.0 for body in robot.tree.bodies) and not robot.rotor_inertia.any():
+        raise ProblemError(
+            f"no link of {robot.name} has a mass: its URDF gives no <inertial>, so all torques and"
+            " deflections are zero. Give masses in [[link]] sections of a robot file (`stiffopt"
+            " init robot` of the URDF guesses some), or in the URDF."
+        )
 
 
 def _listed(values: np.ndarray) -> str:

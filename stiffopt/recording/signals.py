@@ -148,7 +148,9 @@ def _factor(entry: float | str, dimension: str, path: Path, where: str) -> float
     try:
         value = joint_to_si(f"1 {entry}", dimension) if isinstance(entry, str) else entry
     except UnitError as error:
-        raise InputFileError(path, where, f"{error}") from None
+        raise InputFileError(
+            path, where, f"{error} Where no unit fits, give the number that one of it is in SI."
+        ) from None
     if not value or not np.isfinite(value):
         raise InputFileError(path, where, f"got {entry}; a factor is finite and not 0.")
     return float(value)

@@ -137,7 +137,7 @@ def _links(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[_Solid]:
     for purpose in purposes:
         placed = [each for each in robot.joint_shapes(purpose) if each.joint not in shown]
         for each in placed:
-            form = _form(each.shape)
+            form = coal_form(each.shape)
             if form is None:
                 missing.append(each.shape.name)
                 continue
@@ -171,7 +171,7 @@ def _extent(solid: _Solid) -> float:
     )
 
 
-def _form(shape: LinkShape) -> Any:
+def coal_form(shape: LinkShape) -> Any:
     """Shape of a link as coal has it; None for a mesh that is not there or cannot be read."""
     if shape.kind == "box":
         return coal.Box(*shape.size)

@@ -21,7 +21,7 @@ from stiffopt.robot.frames import LinkFrame, link_frame, link_names
 from stiffopt.robot.link_shapes import read_link_shapes
 from stiffopt.robot.robot import Robot, Source
 from stiffopt.robot.schema import JointSection, PlaceSection, RobotFile, robot_file
-from stiffopt.robot.urdf import UNLIMITED, load_urdf
+from stiffopt.robot.urdf import UNLIMITED, LinkBody, load_urdf
 from stiffopt.units import fit_joint
 
 if TYPE_CHECKING:
@@ -97,6 +97,12 @@ def _assemble(document: RobotFile, path: Path, urdf: Path, keep: Collection[str]
         lock=document.lock,
         tip=None if document.tool is None else document.tool.link,
         keep={*keep, *(section.name for section in document.joint)},
+        limited={
+            section.name
+            for section in document.joint
+            if section.position_lower is not None and section.position_upper is not None
+        },
+        bodies=_bodies(document, path),
     )
     model, moving = loaded.model, loaded.joints
     names = tuple(model.names)[1:]
@@ -134,6 +140,26 @@ def _assemble(document: RobotFile, path: Path, urdf: Path, keep: Collection[str]
         held=loaded.held,
         **columns,
     )
+
+
+def _bodies(document: RobotFile, path: Path) -> dict[str, LinkBody]:
+    """Masses of links that the file states."""
+    found: dict[str, LinkBody] = {}
+    for section in document.link:
+        if section.name in found:
+            raise InputFileError(path, f"link[{section.name}]", "is given twice. Keep one.")
+        moments = np.sort(section.inertia)
+        if moments[0] < 0.0 or moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
+            raise InputFileError(
+                path,
+                f"link[{section.name}].inertia",
+                f"{list(section.inertia)} belongs to no body: none may be below 0, none above the"
+                " sum of the other two.",
+            )
+        found[section.name] = LinkBody(
+            mass=section.mass, com=np.array(section.com), inertia=np.diag(section.inertia)
+        )
+    return found
 
 
 def _sections(document: RobotFile, names: tuple[str, ...], path: Path) -> list[JointSection]:
@@ -228,6 +254,8 @@ def _sources(document: RobotFile) -> Iterable[Source]:
     for name in sorted(_surfaces_used(document) - set(document.surface)):
         entry = catalogue.surface_entry(name)
         yield Source("", f"surface {name}", "", entry.provenance, entry.source)
+    for link in document.link:
+        yield from _cited(link, "", f"link {link.name}")
     for joint in document.joint:
         yield from _cited(joint, joint.name, "")
         for element in joint.element:

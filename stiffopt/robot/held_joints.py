@@ -9,6 +9,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,8 @@ from stiffopt.units import fit_joint
 _MOVING = ("revolute", "continuous", "prismatic")
 # A branch of so many joints, behind an arm of so many, is a finger and no second arm.
 _FINGER, _ARM = 4, 3
+# What the one joint of a gripper is called.
+_JAWS = ("gripper", "finger", "jaw", "knuckle", "claw")
 
 
 @dataclass(frozen=True)
@@ -71,31 +74,89 @@ class _Tree:
             link = _link(self.joints[name], "parent")
         return way
 
+    def follows(self, name: str) -> bool:
+        """Whether a joint moves with another (mimic)."""
+        return self.joints[name].find("mimic") is not None
+
     def next_moving(self, link: str) -> list[str]:
         """Moving joints that come next behind a link, over fixed ones."""
-        found: list[str] = []
-        for name in self.below.get(link, []):
+        found, waiting = [], list(reversed(self.below.get(link, [])))
+        while waiting:
+            name = waiting.pop()
             if self.moves(name):
                 found.append(name)
             else:
-                found += self.next_moving(_link(self.joints[name], "child"))
+                waiting += reversed(self.below.get(_link(self.joints[name], "child"), []))
         return found
 
-    def behind(self, name: str) -> int:
-        """Moving joints of the branch that begins with a joint."""
-        deeper = self.next_moving(_link(self.joints[name], "child"))
-        return 1 + sum(self.behind(each) for each in deeper)
+    @cached_property
+    def behind(self) -> dict[str, int]:
+        """Joints of the branch that begins with each joint, which move on their own."""
+        counts: dict[str, int] = {}
+        order = [name for root in self.roots for name in self.below.get(root, [])]
+        for name in order:  # grows: parents before children
+            order += self.below.get(_link(self.joints[name], "child"), [])
+        for name in reversed(order):
+            deeper = self.below.get(_link(self.joints[name], "child"), [])
+            own = self.moves(name) and not self.follows(name)
+            counts[name] = own + sum(counts[each] for each in deeper)
+        return counts
+
+    @property
+    def roots(self) -> list[str]:
+        """Links without a joint to a parent."""
+        return sorted({_link(j, "parent") for j in self.joints.values()} - set(self.above))
 
     def arm(self) -> list[str]:
         """Joints of the arm where no tip is named: up to where fingers branch off, else all."""
-        roots = {_link(j, "parent") for j in self.joints.values()} - set(self.above)
+        way, ahead = self.trunk()
+        fingers = len(way) >= _ARM and all(self.behind[each] <= _FINGER for each in ahead)
+        if fingers or not ahead:
+            return way
+        return [name for name in self.moving if not self.follows(name)]
+
+    def trunk(self) -> tuple[list[str], list[str]]:
+        """Joints from the base to where the arm branches, and those that come next there.
+
+        Branches that only follow joints of the way, such as the cylinder of a counterbalance, are
+        no branches; jaws that follow another one make a gripper of both.
+        """
         way: list[str] = []
-        ahead = self.next_moving(min(roots, default=""))
-        while len(ahead) == 1:
+        link = self.roots[0] if self.roots else ""
+        while True:
+            ahead = self.next_moving(link)
+            own = [name for name in ahead if self.behind[name]]
+            if len(own) == 1 and not (len(way) >= _ARM and self._is_jaw(own[0], ahead)):
+                ahead = own
+            elif len(long := [name for name in own if self.behind[name] > _FINGER]) == 1:
+                ahead = long  # beside it a head, or wheels
+            elif own or len(ahead) != 1:
+                return way, own
             way += ahead
-            ahead = self.next_moving(_link(self.joints[ahead[0]], "child"))
-        fingers = len(way) >= _ARM and all(self.behind(each) <= _FINGER for each in ahead)
-        return way if fingers else self.moving
+            link = _link(self.joints[ahead[0]], "child")
+
+    def _is_jaw(self, name: str, ahead: list[str]) -> bool:
+        """Whether a joint moves a jaw: by its name, or as others beside it follow it."""
+        if self.behind[name] > _FINGER:
+            return False
+        named = self.behind[name] == 1 and any(word in name.lower() for word in _JAWS)
+        return named or any(_leader(self.joints[each]) == name for each in ahead)
+
+    def ends(self) -> list[str]:
+        """Links at the ends of branches that are too long for fingers; none for one arm."""
+        way, ahead = self.trunk()
+        if len(way) >= _ARM and all(self.behind[each] <= _FINGER for each in ahead):
+            return []
+        return [self._end(name) for name in ahead if self.behind[name] > _ARM]
+
+    def _end(self, name: str) -> str:
+        """Last link of a branch before fingers."""
+        link = _link(self.joints[name], "child")
+        ahead = self.next_moving(link)
+        while len(ahead) == 1:
+            link = _link(self.joints[ahead[0]], "child")
+            ahead = self.next_moving(link)
+        return link
 
 
 def hold_joints(
@@ -105,6 +166,7 @@ def hold_joints(
     lock: Mapping[str, float],
     tip: str | None,
     keep: Collection[str],
+    followers: bool = False,
 ) -> tuple[HeldJoint, ...]:
     """Fix the joints of a URDF that the arm does not move; the tree is changed in place.
 
@@ -120,6 +182,8 @@ def hold_joints(
         Link at the end of the arm; None takes the arm up to where fingers branch off.
     keep : collection of str
         Joints that move also where they are not on the way to the tip.
+    followers : bool
+        Hold also joints of the arm that follow another one, in place of an error.
 
     Raises
     ------
@@ -143,20 +207,20 @@ def hold_joints(
         if name not in arm and name not in keep and name not in held:
             rest = _in_range(joints, name, None)
             held[name] = HeldJoint(name, rest, "not on the way to the tool")
-    _hold_followers(joints, held, path, explicitly=set(lock))
+    _hold_followers(joints, held, path, explicitly=set(lock), all_=followers)
     for each in held.values():
         _fix(joints.joints[each.name], each.value)
     return tuple(held.values())
 
 
 def _hold_followers(
-    joints: _Tree, held: dict[str, HeldJoint], path: Path, explicitly: set[str]
+    joints: _Tree, held: dict[str, HeldJoint], path: Path, explicitly: set[str], all_: bool
 ) -> None:
     for name, joint in joints.joints.items():
         mimic = joint.find("mimic")
         if mimic is None or name in explicitly or not joints.moves(name):
             continue
-        leader = mimic.get("joint", "")
+        leader = _leader(joint)
         if leader not in joints.joints:
             raise RobotError(
                 f"{path}: joint {name!r} follows {leader!r} (mimic), which there is not."
@@ -166,12 +230,27 @@ def _hold_followers(
             at = held[leader].value if leader in held else 0.0
             value = _number(mimic, "multiplier", 1.0) * at + _number(mimic, "offset", 0.0)
             held[name] = HeldJoint(name, value, f"follows {leader}")
-        elif name not in held:
+        elif name in held or all_:
+            rest = _in_range(joints, name, None)
+            held[name] = HeldJoint(name, rest, f"follows {leader}, which moves")
+        else:
             raise RobotError(
                 f"{path}: joint {name!r} follows {leader!r} (mimic), which moves; an arm is planned"
                 " with joints that move on their own. Hold one of the two in a robot file, such as"
-                f" lock = {{ {name} = 0.0 }} (`stiffopt init robot {path.name}` writes one)."
+                f" lock = {{ {name} = 0.0 }} (`stiffopt init robot {path.name}` writes one), or"
+                " name a tip before it."
             )
+
+
+def _leader(joint: ET.Element) -> str:
+    """Name of the joint that a joint follows; "" where it follows none."""
+    mimic = joint.find("mimic")
+    return "" if mimic is None else mimic.get("joint", "")
+
+
+def arm_ends(tree: ET.Element) -> list[str]:
+    """Links at the ends of the arms of a URDF that has several; none where it is one arm."""
+    return _Tree(tree).ends()
 
 
 def _in_range(joints: _Tree, name: str, value: float | None) -> float:

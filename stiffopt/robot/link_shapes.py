@@ -85,7 +85,7 @@ def read_link_shapes(path: str | os.PathLike[str]) -> tuple[LinkShape, ...]:
     Raises
     ------
     RobotError
-        A size that is no positive finite number.
+        A size that is no finite number, or below 0.
     """
     urdf = Path(path)
     found = []
@@ -139,7 +139,7 @@ def load_mesh(shape: LinkShape) -> coal.BVHModelBase:
 
 
 def _shape(section: ET.Element, link: str, purpose: Purpose, urdf: Path) -> LinkShape | None:
-    """One visual or collision section; None where it holds no shape."""
+    """One visual or collision section; None where it holds no shape, or one without extent."""
     geometry = section.find("geometry")
     if geometry is None or len(geometry) == 0:
         return None
@@ -160,11 +160,13 @@ def _shape(section: ET.Element, link: str, purpose: Purpose, urdf: Path) -> Link
                 raise InputFileError(file, "", f"is larger than {_LARGEST / 2**20:.0f} MiB.")
             digest = hashlib.sha256(file.read_bytes()).hexdigest()
     elif own.tag == "box":
-        size = _positive(own.get("size", ""), 3, f"{place} box size")
+        size = _extents(own.get("size", ""), 3, f"{place} box size")
     elif own.tag in _SIZES:
         keys = _SIZES[own.tag]
-        size = [_positive(own.get(key, ""), 1, f"{place} {own.tag} {key}")[0] for key in keys]
+        size = [_extents(own.get(key, ""), 1, f"{place} {own.tag} {key}")[0] for key in keys]
     else:
+        return None
+    if own.tag != "mesh" and min(size) == 0.0:
         return None
     return LinkShape(
         link=link,
@@ -200,8 +202,10 @@ def find_mesh(name: str, urdf: Path) -> Path | None:
     return next((root / rest for root in roots if (root / rest).is_file()), None)
 
 
-def _positive(text: str, count: int, place: str) -> list[float]:
+def _extents(text: str, count: int, place: str) -> list[float]:
     values = urdf_numbers(text, count, place)
-    if min(values) <= 0.0:
-        raise RobotError(f"{place}: got {shortened(text)}, allowed is above 0. Correct the URDF.")
+    if min(values) < 0.0:
+        raise RobotError(
+            f"{place}: got {shortened(text)}, allowed is 0 or above. Correct the URDF."
+        )
     return values

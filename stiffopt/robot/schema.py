@@ -18,7 +18,9 @@ from stiffopt.declaration import (
     NOT_NEGATIVE,
     POSITIVE,
     Angle,
+    Bounds,
     Doc,
+    Inertia,
     JointAcceleration,
     JointInertia,
     JointJerk,
@@ -27,6 +29,7 @@ from stiffopt.declaration import (
     JointVelocity,
     JointViscous,
     Length,
+    Mass,
     Named,
     declared,
 )
@@ -78,6 +81,18 @@ class JointSection(Cited):
             "group; without any the joint is rigid."
         ),
     ] = ()
+
+
+class LinkSection(Cited):
+    """What a link weighs, in place of what the URDF says or does not say."""
+
+    name: Annotated[str, Doc("Name of the link in the URDF.")]
+    mass: Annotated[Mass, Bounds(least=0.0, most=1e5), Doc("Mass.")]
+    com: Annotated[Vector, Doc("Centre of mass in the frame of the link.")] = (0.0, 0.0, 0.0)
+    inertia: Annotated[
+        tuple[Inertia, Inertia, Inertia],
+        Doc("Principal inertias about the centre of mass, along the axes of the link."),
+    ] = (0.0, 0.0, 0.0)
 
 
 class SurfaceSection(Cited):
@@ -133,6 +148,10 @@ class RobotFile(Section):
         PlaceSection | None, Doc("Where payloads are fixed; default the flange of the URDF.")
     ] = None
     assembly: Annotated[AssemblySection, Doc("How the elements make a joint.")] = AssemblySection()
+    link: Annotated[
+        tuple[LinkSection, ...],
+        Doc("Masses of links, in place of the URDF's; all may be left out."),
+    ] = ()
     surface: Annotated[
         dict[str, SurfaceSection], Doc("Pairs of surfaces by name, besides the catalogue's.")
     ] = Field(default_factory=dict)

@@ -9,9 +9,10 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pinocchio as pin
 
-from stiffopt.errors import InputFileError, RobotError, shortened
+from stiffopt.errors import InputFileError, RobotError, nearest, shortened
 from stiffopt.robot.held_joints import HeldJoint, hold_joints
 from stiffopt.robot.urdf_tree import read_tree
 
@@ -36,11 +37,33 @@ class LoadedUrdf:
         0 where the URDF is silent. [N m], [rad/s], [N m s/rad], [N m]
     held : tuple of HeldJoint
         Moving joints that the arm does not move.
+    unlimited : tuple of str
+        Joints that need limits of position, which the URDF does not state; without any in the
+        model.
     """
 
     model: pin.Model
     joints: dict[str, dict[str, float]]
     held: tuple[HeldJoint, ...] = ()
+    unlimited: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinkBody:
+    """What a link weighs, in place of what the URDF says.
+
+    Parameters
+    ----------
+    mass : float [kg]
+    com : array (3,)
+        Centre of mass in the frame of the link [m].
+    inertia : array (3, 3)
+        About the centre of mass, in the axes of the link [kg m^2].
+    """
+
+    mass: float
+    com: np.ndarray
+    inertia: np.ndarray
 
 
 def load_urdf(
@@ -49,6 +72,9 @@ def load_urdf(
     lock: Mapping[str, float] | None = None,
     tip: str | None = None,
     keep: Collection[str] = (),
+    limited: Collection[str] | None = (),
+    bodies: Mapping[str, LinkBody] | None = None,
+    followers: bool = False,
 ) -> LoadedUrdf:
     """Model of a URDF and what it says about each joint.
 
@@ -61,6 +87,12 @@ def load_urdf(
         Link at the end of the arm; joints that do not lead to it are held.
     keep : collection of str
         Joints that move all the same.
+    limited : collection of str or None
+        Joints whose limits of position are given elsewhere; None: all that need some.
+    bodies : mapping of link name to LinkBody, optional
+        In place of the URDF's inertials.
+    followers : bool
+        Hold joints of the arm that follow another one, in place of an error.
 
     Raises
     ------
@@ -71,21 +103,25 @@ def load_urdf(
     path = Path(path)
     tree = read_tree(path)
     _check_links(tree, path)
+    _put_bodies(tree, bodies or {}, path)
     moving = {}
     for joint in tree.findall("joint"):
         found = _joint(joint, path)
         if found is not None:
             moving[joint.get("name", "")] = found
-    held = hold_joints(tree, path, lock=lock or {}, tip=tip, keep=keep)
+    held = hold_joints(tree, path, lock=lock or {}, tip=tip, keep=keep, followers=followers)
     for each in held:
         del moving[each.name]
+    unlimited = [joint for joint in tree.findall("joint") if _needs_limits(joint)]
+    for joint in unlimited:
+        _free(joint, path, limited)
     if not moving:
         raise RobotError(f"{path}: no joint moves. Give an arm with revolute or prismatic joints.")
     try:
         model = pin.buildModelFromXML(ET.tostring(tree, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
         raise InputFileError(path, "", f"cannot be read as a URDF: {shortened(error)}.") from error
-    return LoadedUrdf(model, moving, held)
+    return LoadedUrdf(model, moving, held, tuple(joint.get("name", "") for joint in unlimited))
 
 
 def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
@@ -112,23 +148,66 @@ def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
     for key in ("effort", "velocity", "lower", "upper"):
         text = "0" if limit is None else limit.get(key, "0")
         values[key] = urdf_numbers(text, 1, f"{path}: joint {name!r}, limit {key}", _NO_LIMIT)[0]
+    lower, upper = values.pop("lower"), values.pop("upper")
     if kind == "continuous":
         joint.set("type", "revolute")
-        limit = ET.SubElement(joint, "limit") if limit is None else limit
-        limit.set("lower", str(-UNLIMITED))
-        limit.set("upper", str(UNLIMITED))
-        limit.set("effort", limit.get("effort", "0"))
-        limit.set("velocity", limit.get("velocity", "0"))
-    elif limit is None or not values.pop("lower") < values.pop("upper"):
+        _set_limits(joint, -UNLIMITED, UNLIMITED)
+    elif lower > upper or (lower == upper and lower != 0.0):
         raise RobotError(
-            f"{path}: joint {name!r} needs limits with lower below upper. "
-            "Give <limit lower upper effort velocity>, or make it continuous."
+            f"{path}: joint {name!r} needs limits with lower below upper, not {lower:g} and"
+            f" {upper:g}. Give <limit lower upper effort velocity>, or make it continuous."
         )
     dynamics = joint.find("dynamics")
     for key in ("damping", "friction"):
         text = "0" if dynamics is None else dynamics.get(key, "0")
         values[key] = urdf_numbers(text, 1, f"{path}: joint {name!r}, dynamics {key}")[0]
     return values
+
+
+def _set_limits(joint: ET.Element, lower: float, upper: float) -> None:
+    limit = joint.find("limit")
+    limit = ET.SubElement(joint, "limit") if limit is None else limit
+    limit.set("lower", str(lower))
+    limit.set("upper", str(upper))
+    for key in ("effort", "velocity"):
+        limit.set(key, limit.get(key, "0"))
+
+
+def _needs_limits(joint: ET.Element) -> bool:
+    """Whether limits of position are not stated: none, or both zero as exporters leave them."""
+    limit = joint.find("limit")
+    if joint.get("type") == "fixed":
+        return False
+    return limit is None or float(limit.get("lower", 0)) == float(limit.get("upper", 0)) == 0.0
+
+
+def _free(joint: ET.Element, path: Path, limited: Collection[str] | None) -> None:
+    """Take the limits of a joint away that something else gives."""
+    name = joint.get("name", "")
+    if limited is not None and name not in limited:
+        raise RobotError(
+            f"{path}: joint {name!r} has no limits of position, or 0 and 0. Give <limit lower upper"
+            " effort velocity> in the URDF, or position_lower and position_upper in a robot file"
+            f" (`stiffopt init robot {path.name}` writes one)."
+        )
+    _set_limits(joint, -UNLIMITED, UNLIMITED)
+
+
+def _put_bodies(tree: ET.Element, bodies: Mapping[str, LinkBody], path: Path) -> None:
+    links = {link.get("name", ""): link for link in tree.findall("link")}
+    for name, body in bodies.items():
+        if name not in links:
+            raise RobotError(f"{path}: there is no link {name!r}. {nearest(name, links)}")
+        for found in links[name].findall("inertial"):
+            links[name].remove(found)
+        inertial = ET.SubElement(links[name], "inertial")
+        ET.SubElement(inertial, "origin", xyz=" ".join(repr(float(x)) for x in body.com))
+        ET.SubElement(inertial, "mass", value=repr(float(body.mass)))
+        rows = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2),
+                "izz": (2, 2)}  # fmt: skip
+        ET.SubElement(
+            inertial, "inertia", {k: repr(float(body.inertia[at])) for k, at in rows.items()}
+        )
 
 
 def _check_links(tree: ET.Element, path: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from stiffopt.errors import InputError
 from stiffopt.robot.robot import Robot
+from stiffopt.starter.tables import UNITS
 
 KINDS = ("velocity", "torque", "link_position", "position")
 # Words of each kind, the first that fits wins; a name is cut at what is neither letter nor digit.
@@ -28,12 +29,15 @@ _TIME = ("t", "time", "timestamp", "stamp", "zeit", "seconds", "clock")
 # Of several columns of one kind: measured before wanted.
 _WANTED = ("target", "cmd", "command", "desired", "des", "soll", "ref", "reference", "setpoint")
 _OTHER = ("temperature", "temp", "voltage", "acceleration", "accel", "acc", "qdd", "mode", "status")
-_UNITS = {
-    "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "grad": "deg", "rad": "",
-    "deg/s": "deg/s", "°/s": "deg/s", "rad/s": "", "nm": "", "n m": "", "n*m": "", "mnm": "mN*m",
-    "a": "A", "ma": "mA", "ms": "ms", "us": "us", "µs": "us", "ns": "ns", "s": "", "m": "",
-    "mm": "mm", "mm/s": "mm/s", "n": "",
-}  # fmt: skip
+# What only the user can turn into SI, and what to put there.
+FACTORS = {
+    "A": "a current: put N m per A at the joint (torque constant times gear ratio)",
+    "mA": "a current: put N m per mA at the joint (torque constant times gear ratio)",
+    "%": "a share: put N m per % (a hundredth of the rated torque)",
+    "counts": "counts of an encoder: put rad per count, one number a joint",
+}
+# A joint turns no farther [rad].
+_MOST_TURNS = 40.0 * np.pi
 _IN_NAME = re.compile(r"[\[(]\s*([^\])]+)\s*[\])]\s*$")
 _WORD = re.compile(r"[a-zµ°]+|\d+")
 
@@ -62,8 +66,17 @@ class GuessedColumns:
     rate: float = 0.0
 
 
-def guess(table: Mapping[str, np.ndarray], robot: Robot) -> GuessedColumns:
+def guess(
+    table: Mapping[str, np.ndarray], robot: Robot, rate: float | None = None
+) -> GuessedColumns:
     """GuessedColumns what is what.
+
+    Parameters
+    ----------
+    table : mapping of column name to array (K,)
+    robot : Robot
+    rate : float, optional
+        Of the samples [Hz], where no column is a time; `with_time` adds one.
 
     Raises
     ------
@@ -71,7 +84,7 @@ def guess(table: Mapping[str, np.ndarray], robot: Robot) -> GuessedColumns:
         No time, or not one position and some torque a joint, with the columns there are.
     """
     reasons: list[str] = []
-    time = _time(table)
+    time = _time(table) if rate is None else CLOCK
     columns: dict[str, tuple[str, ...]] = {}
     left = [name for name in table if name != time]
     for kind in KINDS:
@@ -87,6 +100,8 @@ def guess(table: Mapping[str, np.ndarray], robot: Robot) -> GuessedColumns:
                 " [signals] of recordings.toml by hand."
             )
     unit, why = _time_unit(table[time], time)
+    if rate is not None:
+        unit, why = "", f"time: counted, {rate:g} rows a second"
     units = {"time": unit}
     reasons.append(why)
     seconds = table[time] * _SECONDS[unit]
@@ -94,6 +109,8 @@ def guess(table: Mapping[str, np.ndarray], robot: Robot) -> GuessedColumns:
         if kind in columns:
             units[kind], why = _unit(kind, columns, table, robot, seconds, units)
             reasons.append(f"{kind}: {', '.join(c for c in columns[kind] if c)}; {why}")
+    if left:
+        reasons.append(f"not used: {', '.join(left[:20])}{', ...' if len(left) > 20 else ''}")
     step = float(np.median(np.diff(seconds)))
     return GuessedColumns(
         time=time, columns=columns, units=units, reasons=tuple(reasons), rate=1.0 / max(step, 1e-9)
@@ -118,22 +135,38 @@ def _stated_unit(name: str) -> str | None:
     """Unit in brackets, or as the last word: "q1 [deg]", "q1_deg"; None where none is there."""
     bracketed = _IN_NAME.search(name)
     if bracketed is not None:
-        return _UNITS.get(bracketed[1].strip().lower())
+        return UNITS.get(bracketed[1].strip().lower())
     last = re.split(r"[_\s]", name.strip().lower())[-1]
-    return _UNITS[last] if last in ("deg", "rad", "nm", "mnm", "ms", "us", "ns", "amps") else None
+    return UNITS[last] if last in _LAST else None
+
+
+_LAST = ("deg", "rad", "mrad", "nm", "mnm", "ms", "us", "ns", "rpm", "%", "counts", "percent")
+
+
+CLOCK = "counted_time"
+
+
+def with_time(table: Mapping[str, np.ndarray], rate: float) -> dict[str, np.ndarray]:
+    """Table with a column `CLOCK` of so many rows a second [Hz]."""
+    rows = len(next(iter(table.values())))
+    return {CLOCK: np.arange(rows) / rate, **table}
 
 
 def _time(table: Mapping[str, np.ndarray]) -> str:
-    rising = [
-        name
-        for name, values in table.items()
-        if np.isfinite(values).all() and len(values) > 2 and (np.diff(values) > 0.0).mean() > 0.99
-    ]
     named = [name for name in table if set(_words(name)) & set(_TIME)]
-    for name in (*[n for n in named if n in rising], *rising, *named):
-        return name
+    for name in named:
+        # Stamps may be repeated.
+        if np.isfinite(table[name]).any() and (np.diff(table[name]) >= 0.0).mean() > 0.95:
+            return name
+    for name, values in table.items():
+        steps = np.diff(values)
+        even = len(steps) > 1 and np.all(steps > 0.0) and np.std(steps) < 0.5 * np.mean(steps)
+        # What counts the rows is no time.
+        if even and not np.all(steps == 1.0):
+            return name
     raise InputError(
-        f"no column rises as a time does among {', '.join(list(table)[:40])}. Add one in seconds."
+        f"no column rises as a time does among {', '.join(list(table)[:40])}. Give --rate HZ, the"
+        " rows a second, or add a column of seconds."
     )
 
 
@@ -152,7 +185,9 @@ def _of_kind(names: Sequence[str], kind: str, joints: Sequence[str]) -> tuple[st
     """Columns of a kind, one a joint; None where there are not as many."""
     fitting = [name for name in names if _is_kind(name, kind)]
     measured = [n for n in fitting if not set(_words(n)) & set(_WANTED)]
-    for candidates in (measured, fitting):
+    # i1, i2, ... are currents where nothing is a torque.
+    short = [n for n in names if kind == "torque" and _words(n)[:1] == ["i"]]
+    for candidates in (measured, fitting, short):
         found = _by_joint(candidates, joints)
         if found is not None:
             return found
@@ -211,7 +246,8 @@ def _unit(
     stated = {_stated_unit(name) for name in names}
     if len(stated) == 1 and None not in stated:
         unit = str(stated.pop())
-        return unit, f"in {unit or 'SI'} by their names"
+        told = f"; {FACTORS[unit]} in [signals.scale]" if unit in FACTORS else ""
+        return unit, f"in {unit or 'SI'} by their names{told}"
     values = np.column_stack([table[name] for name in names])
     if kind in ("position", "link_position") and not robot.prismatic.any():
         return _angle_unit(values, robot)
@@ -227,7 +263,7 @@ def _unit(
         return "", "in rad/s, as the positions' change shows"
     if kind == "torque":
         if any(set(_words(name)) & set(_CURRENT) for name in names):
-            return "A", "a current: give N m/A in [signals.scale]"
+            return "A", f"{FACTORS['A']} in [signals.scale]"
         most, allowed = float(np.nanmax(np.abs(values))), float(np.nanmax(robot.torque_max))
         if most > 30.0 * allowed:
             return (
@@ -245,6 +281,8 @@ def _angle_unit(values: np.ndarray, robot: Robot) -> tuple[str, str]:
         np.any(np.nanmax(values, axis=0)[finite] > high[finite] + 0.1)
         or np.any(np.nanmin(values, axis=0)[finite] < low[finite] - 0.1)
     )
+    if most > np.degrees(_MOST_TURNS):
+        return "counts", f"they reach {most:.4g}, {FACTORS['counts']} in [signals.scale]"
     if most > 4.0 * np.pi or (beyond and most > np.pi):
         return "deg", f"in deg: they reach {most:.4g}, beyond what rad would be"
     return "", f"in rad: they reach {most:.3g}"

@@ -12,7 +12,7 @@ import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.robot.files import load_robot
-from stiffopt.starter.guessing import GuessedColumns, guess
+from stiffopt.starter.guessing import FACTORS, GuessedColumns, guess, with_time
 from stiffopt.starter.tables import read_any_table
 from stiffopt.starter.writing import listed, quoted, write_new
 
@@ -39,7 +39,9 @@ class StartedSet:
     notes: tuple[str, ...]
 
 
-def start_recording_set(data: Sequence[Path], urdf: Path, folder: Path) -> StartedSet:
+def start_recording_set(
+    data: Sequence[Path], urdf: Path, folder: Path, rate: float | None = None
+) -> StartedSet:
     """Write a recording set of tables: recordings.toml, a copy of the URDF, the runs as NPZ.
 
     Parameters
@@ -50,6 +52,8 @@ def start_recording_set(data: Sequence[Path], urdf: Path, folder: Path) -> Start
     urdf : Path
     folder : Path
         Of the set; recordings.toml must not be there yet.
+    rate : float, optional
+        Rows a second [Hz], where no column is a time.
 
     Raises
     ------
@@ -61,7 +65,11 @@ def start_recording_set(data: Sequence[Path], urdf: Path, folder: Path) -> Start
     robot = load_robot(urdf)
     files = _files(data)
     tables = {path: read_any_table(path) for path in files}
-    first = guess(tables[files[0]], robot)
+    if rate is not None:
+        if not 0.0 < rate < 1e6:
+            raise InputError(f"--rate {rate:g} must be above 0 and below 1e6 rows a second.")
+        tables = {path: with_time(table, rate) for path, table in tables.items()}
+    first = guess(tables[files[0]], robot, rate)
     wanted = [first.time, *(c for columns in first.columns.values() for c in columns if c)]
     notes = []
     for path, table in tables.items():
@@ -147,10 +155,10 @@ def _text(
         for kind, unit in scaled.items():
             if unit in ("A", "mA"):
                 factor = "1.0" if unit == "A" else "0.001"
-                lines.append(
-                    f"{kind} = {factor}  # a current in {unit}: put N m per {unit} at the joint"
-                    " (torque constant times gear ratio) here"
-                )
+                lines.append(f"{kind} = {factor}  # {FACTORS[unit]} here")
+            elif unit in FACTORS:
+                # Stops whoever reads it until a factor stands there.
+                lines.append(f"{kind} = {quoted(unit)}  # {FACTORS[unit]} here")
             else:
                 lines.append(f"{kind} = {quoted(unit)}")
     lines += [

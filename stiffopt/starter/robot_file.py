@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,18 +13,41 @@ from stiffopt.errors import InputFileError, RobotError, nearest
 from stiffopt.robot.body_tree import Body, body_tree
 from stiffopt.robot.files import last_link
 from stiffopt.robot.frames import link_frame, link_names
-from stiffopt.robot.urdf import UNLIMITED, LoadedUrdf, load_urdf
-from stiffopt.starter.writing import beside, key, number, quoted
+from stiffopt.robot.held_joints import arm_ends
+from stiffopt.robot.rigid_body import RigidBodies
+from stiffopt.robot.urdf import UNLIMITED, LinkBody, LoadedUrdf, load_urdf
+from stiffopt.robot.urdf_tree import read_tree
+from stiffopt.starter.masses import DENSITY, estimated_bodies
+from stiffopt.starter.writing import beside, key, listed, number, quoted
 
 # Of a joint whose limits nobody states: full speed within the first time, full acceleration within
 # the second [s].
 _TO_SPEED, _TO_ACCELERATION = 0.25, 0.05
-# Where the URDF is silent [N m], [rad/s].
-_TORQUE, _SPEED = 50.0, 2.0
+# Where the URDF is silent: at least [N m], times what weight and full acceleration take; [rad/s]
+# and the way of a slide [m].
+_TORQUE, _ROOM, _SPEED, _SLIDE = 5.0, 1.5, 2.0, 0.3
+_POSES = 200
 _SHOWN = 3
 
 
-def robot_text(urdf: Path, folder: Path, tip: str | None = None, name: str | None = None) -> str:
+@dataclass(frozen=True, kw_only=True)
+class StartedRobot:
+    """Text of a robot file, and what a person has to know of it.
+
+    Parameters
+    ----------
+    text : str
+    notes : tuple of str
+        What was guessed or left out.
+    """
+
+    text: str
+    notes: tuple[str, ...]
+
+
+def robot_text(
+    urdf: Path, folder: Path, tip: str | None = None, name: str | None = None
+) -> StartedRobot:
     """Text of a robot file for a URDF.
 
     Parameters
@@ -39,7 +63,7 @@ def robot_text(urdf: Path, folder: Path, tip: str | None = None, name: str | Non
     Raises
     ------
     InputFileError, RobotError
-        No URDF that can be read, or a tip that it lacks.
+        No URDF that can be read, a tip that it lacks, or several arms and no tip.
     """
     if urdf.suffix.lower() in (".sdf", ".mjcf", ".xacro") or urdf.name.endswith(".urdf.xacro"):
         raise InputFileError(
@@ -48,11 +72,20 @@ def robot_text(urdf: Path, folder: Path, tip: str | None = None, name: str | Non
             f"{urdf.suffix} is not read, only URDF. Convert it first: `xacro FILE > robot.urdf`,"
             " `sdf2urdf`, or the exporter of MuJoCo models.",
         )
-    arm = load_urdf(urdf, tip=tip)
+    ends = [] if tip else arm_ends(read_tree(urdf))
+    if len(ends) > 1:
+        raise RobotError(
+            f"{urdf}: holds {len(ends)} arms. Name the link at the end of one: --tip"
+            f" {' or --tip '.join(map(quoted, ends))}."
+        )
+    arm = load_urdf(urdf, tip=tip, limited=None, followers=True)
     names = link_names(arm.model)
     if tip is not None and tip not in names:
         raise RobotError(f"{urdf}: there is no link {tip!r}. {nearest(tip, names)}")
     tool = link_frame(arm.model, tip or last_link(arm.model))
+    bodies = estimated_bodies(arm, urdf, tool)
+    if bodies:
+        arm = load_urdf(urdf, tip=tip, limited=None, followers=True, bodies=bodies)
     lines = [
         f"# Robot file of {urdf.name}, written by `stiffopt init robot`. Position, velocity and"
         " torque",
@@ -67,28 +100,94 @@ def robot_text(urdf: Path, folder: Path, tip: str | None = None, name: str | Non
         held = ", ".join(f"{key(h.name)} = {number(h.value)}" for h in arm.held)
         lines.append(f"lock = {{ {held} }}  # held: {_whys(arm)}")
     lines.append(f"tool = {{ link = {quoted(tool.link)}, offset = [0.0, 0.0, 0.0] }}  # [m]")
-    for j, body in enumerate(body_tree(arm.model).bodies):
-        lines += ["", *_joint(arm, j, body)]
-    return "\n".join(lines) + "\n"
+    for link, body in bodies.items():
+        lines += ["", *_link(link, body)]
+    demands = _demands(arm)
+    for j, each in enumerate(body_tree(arm.model).bodies):
+        lines += ["", *_joint(arm, j, each, float(demands[j]))]
+    return StartedRobot(text="\n".join(lines) + "\n", notes=tuple(_notes(arm, bodies, tool.link)))
+
+
+def _notes(arm: LoadedUrdf, bodies: Mapping[str, LinkBody], tool: str) -> Iterator[str]:
+    """What was guessed or left out, a sentence each."""
+    yield f"The arm: {', '.join(arm.joints)}; its tool is fixed to {tool}."
+    if arm.held:
+        yield f"Held: {'; '.join(map(str, arm.held))}."
+    coupled = [h.name for h in arm.held if h.why.endswith("which moves")]
+    if coupled:
+        yield (
+            f"{', '.join(coupled)} cannot move with the joint that is followed: where that lies on"
+            " the way to the tool, the arm is not the real one."
+        )
+    if bodies:
+        total = sum(body.mass for body in bodies.values())
+        yield (
+            f"GUESSED: the URDF gives no mass to {', '.join(bodies)}; {total:.3g} kg together, by"
+            f" the volume of their shapes at {DENSITY:g} kg/m^3. Every torque rests on it: put in"
+            " your own."
+        )
+    if arm.unlimited:
+        yield f"GUESSED: limits of position of {', '.join(arm.unlimited)}."
+    for what in ("effort", "velocity"):
+        silent = [name for name, stated in arm.joints.items() if not stated[what]]
+        if silent:
+            yield f"GUESSED: the URDF has no {what} for {', '.join(silent)}."
+
+
+def _link(name: str, body: LinkBody) -> Iterator[str]:
+    yield "[[link]]"
+    yield f"name = {quoted(name)}"
+    yield f"mass = {number(body.mass, 3)}  # [kg], estimated: the URDF has none"
+    yield f"com = {listed(number(round(float(x), 4)) for x in body.com)}  # [m]"
+    yield f"inertia = {listed(number(float(x), 3) for x in np.diag(body.inertia))}  # [kg m^2]"
+    yield 'provenance = "estimated"'
+    yield f'source = "init robot: volume of its shapes times {DENSITY:g} kg/m^3"'
+
+
+def _demands(arm: LoadedUrdf) -> np.ndarray:
+    """Torque (n,) that full acceleration and the weight take, at most of random poses."""
+    low, high = (np.array(x) for x in (arm.model.lowerPositionLimit, arm.model.upperPositionLimit))
+    endless = (low <= -UNLIMITED) | (high >= UNLIMITED)
+    slides = body_tree(arm.model).prismatic
+    reach = np.where(slides, 0.5 * _SLIDE, np.pi)
+    low, high = np.where(endless, -reach, low), np.where(endless, reach, high)
+    speed = np.array([stated["velocity"] or _SPEED for stated in arm.joints.values()])
+    bodies, random = RigidBodies(arm.model), np.random.default_rng(1)
+    most = np.zeros(len(low))
+    for q in random.uniform(low, high, (_POSES, len(low))):
+        own = np.diag(bodies.inertia_matrix(q)) * speed / _TO_SPEED
+        most = np.maximum(most, np.abs(bodies.gravity_torque(q)) + own)
+    return most
 
 
 def _whys(arm: LoadedUrdf) -> str:
     return "; ".join(dict.fromkeys(h.why for h in arm.held))
 
 
-def _joint(arm: LoadedUrdf, j: int, body: Body) -> Iterator[str]:
+def _joint(arm: LoadedUrdf, j: int, body: Body, demand: float) -> Iterator[str]:
     stated = arm.joints[body.name]
     low, high = float(arm.model.lowerPositionLimit[j]), float(arm.model.upperPositionLimit[j])
     unit = ("m", "m/s", "N") if body.prismatic else ("rad", "rad/s", "N m")
-    speed, torque = stated["velocity"] or _SPEED, stated["effort"] or _TORQUE
+    speed = stated["velocity"] or _SPEED
+    # Rounded up to two digits.
+    torque = stated["effort"] or float(f"{max(_ROOM * demand, _TORQUE):.2g}")
     acceleration = speed / _TO_SPEED
     yield "[[joint]]"
-    yield f"name = {quoted(body.name)}  # {_range(low, high, body.prismatic)}, of the URDF"
+    if body.name in arm.unlimited:
+        # Angles as texts: what a person changes is in degrees.
+        ends = ("0.0", f"{_SLIDE}") if body.prismatic else ('"-170 deg"', '"170 deg"')
+        yield f"name = {quoted(body.name)}"
+        yield f"position_lower = {ends[0]}  # GUESSED: the URDF has no limits of position"
+        yield f"position_upper = {ends[1]}  # GUESSED"
+    else:
+        yield f"name = {quoted(body.name)}  # {_range(low, high, body.prismatic)}, of the URDF"
     for name, value, key_, per in (
         ("torque_max", torque, "effort", unit[2]),
         ("velocity_max", speed, "velocity", unit[1]),
     ):
         where = "URDF" if stated[key_] else f"GUESSED: the URDF has no {key_}"
+        if key_ == "effort" and not stated[key_]:
+            where += "; its weight and full acceleration with room"
         yield f"{name} = {number(value)}  # [{per}], {where}"
     yield f"acceleration_max = {number(acceleration, 3)}  # estimated: full speed in 0.25 s"
     yield f"jerk_max = {number(acceleration / _TO_ACCELERATION, 3)}  # estimated: that in 50 ms"

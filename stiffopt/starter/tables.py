@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import re
+from collections import Counter
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,21 @@ import numpy as np
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import check_file
 
+# Words for units as loggers write them, and what `[signals.scale]` calls them; "" is SI. What is no
+# unit of the kind there ("A", "%", "counts") needs a factor that only the user knows.
+UNITS = {
+    "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "grad": "deg", "rad": "",
+    "mrad": "mrad", "rev": "turn", "revs": "turn", "turn": "turn", "turns": "turn", "u": "turn",
+    "deg/s": "deg/s", "°/s": "deg/s", "rad/s": "", "mrad/s": "mrad/s", "rpm": "rpm",
+    "1/min": "rpm", "min-1": "rpm", "u/min": "rpm", "nm": "", "n m": "", "n*m": "", "n.m": "",
+    "n-m": "", "n·m": "", "mnm": "mN*m", "knm": "kN*m", "ncm": "N*cm", "a": "A", "ma": "mA",
+    "arms": "A", "%": "%", "percent": "%", "inc": "counts", "incs": "counts", "cts": "counts",
+    "counts": "counts", "ticks": "counts", "ms": "ms", "msec": "ms", "us": "us", "µs": "us",
+    "ns": "ns", "s": "", "sec": "", "m": "", "mm": "mm", "cm": "cm", "mm/s": "mm/s", "m/s": "",
+    "n": "", "kn": "kN", "-": "",
+}  # fmt: skip
 _MARKS = (";", "\t", ",", "|")
+_DAY_FIRST = re.compile(r"^\d{2}[./]\d{2}[./]\d{4}")
 _NUMBER = re.compile(r"^[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?$")
 # Far above what one recording holds.
 _LARGEST = 2**30
@@ -90,32 +106,67 @@ def _text(path: Path) -> dict[str, np.ndarray]:
         raise InputFileError(path, "", "holds no numbers.")
     mark = _separator(body)
     rows = [_cells(line, mark) for line in body]
-    names: list[str] = []
-    units: list[str] = []
-    while rows and not _is_data(rows[0]):
-        # A row of names, then perhaps one of units.
-        head = rows.pop(0)
-        if not names:
-            names = head
-        elif len(head) == len(names):
-            units = head
-    if not names and comments:
-        names = _cells(comments[-1].lstrip("#% "), mark)
-    if not rows:
+    width = Counter(len(row) for row in rows).most_common(1)[0][0]
+    first = next((k for k, row in enumerate(rows) if len(row) == width and _is_data(row)), None)
+    if first is None:
         raise InputFileError(path, "", f"holds no row of numbers. It begins: {body[0][:80]!r}.")
-    width = len(rows[0])
-    if len(names) != width:
+    names = _names(rows[:first], comments, width, mark)
+    if names is None:
         raise InputFileError(
             path,
             "",
-            f"has {width} columns but {len(names)} names. Give it one line of column names"
-            f" ({'none was found' if not names else ', '.join(names[:5]) + ', ...'}).",
+            f"has {width} columns without names. Give it one line of {width} column names, such as"
+            " t, q1, q2, tau1, tau2, above the numbers.",
         )
-    if units:
-        names = [f"{name} [{unit.strip('[]()')}]" for name, unit in zip(names, units, strict=True)]
-    table = np.array([_numbers(row, width, mark) for row in rows])
+    cells = rows[first:]
+    table = np.array([_numbers(row, width) for row in cells])
+    for k in np.flatnonzero(np.all(np.isnan(table), axis=0)):
+        stamps = _stamps([row[k] if k < len(row) else "" for row in cells])
+        if stamps is not None:
+            table[:, k] = stamps
     keep = ~np.all(np.isnan(table), axis=0)
     return _checked({name: table[:, k] for k, name in enumerate(names) if keep[k]}, path)
+
+
+def _names(head: list[list[str]], comments: list[str], width: int, mark: str) -> list[str] | None:
+    """Names of the columns: the last row of words, its units added where another row has them."""
+    words = [row for row in head if len(row) == width]
+    if not words and comments:
+        words = [row for row in [_cells(comments[-1].lstrip("#% "), mark)] if len(row) == width]
+    if not words:
+        return None
+    names = words[-1]
+    if len(words) > 1 and all(cell.strip("[]() ").lower() in UNITS or not cell for cell in names):
+        units = [unit.strip("[]() ") for unit in names]
+        names = [f"{n} [{u}]" if u else n for n, u in zip(words[-2], units, strict=True)]
+    return names
+
+
+def _stamps(cells: list[str]) -> np.ndarray | None:
+    """Seconds since the first of dates or times of day; None where the cells are neither."""
+    found = [_stamp(cell) for cell in cells]
+    known = [stamp for stamp in found if stamp is not None]
+    if len(known) < 0.9 * len(cells):
+        return None
+    seconds = np.array([np.nan if s is None else (s - known[0]).total_seconds() for s in found])
+    # Times of day begin anew at midnight.
+    days = np.cumsum(np.diff(seconds, prepend=seconds[0]) < -43200.0)
+    return np.asarray(seconds + 86400.0 * days)
+
+
+def _stamp(cell: str) -> datetime | None:
+    text = cell.strip().replace(",", ".")
+    if _DAY_FIRST.match(text):
+        day, month, year = re.split(r"[./]", text[:10])
+        text = f"{year}-{month}-{day}{text[10:]}"
+    # More digits than microseconds are cut.
+    text = re.sub(r"(\.\d{6})\d+", r"\1", text)
+    for form in (text, f"2000-01-01 {text}"):
+        try:
+            return datetime.fromisoformat(form).replace(tzinfo=None)
+        except ValueError:
+            continue
+    return None
 
 
 def _decoded(raw: bytes) -> str:
@@ -133,8 +184,8 @@ def _separator(body: list[str]) -> str:
     """The mark that cuts the lines into most cells alike; "" is white space."""
     probe = body[len(body) // 2 : len(body) // 2 + 20]
     for mark in _MARKS:
-        counts = {line.count(mark) for line in probe}
-        if len(counts) == 1 and counts != {0}:
+        counts = {len(next(csv.reader([line], delimiter=mark), [])) for line in probe}
+        if len(counts) == 1 and max(counts) > 1:
             return mark
     return ""
 
@@ -151,15 +202,13 @@ def _is_data(row: list[str]) -> bool:
     return numbers * 2 > len(row)
 
 
-def _numbers(row: list[str], width: int, mark: str) -> list[float]:
-    return [_number(row[k], mark) if k < len(row) else np.nan for k in range(width)]
+def _numbers(row: list[str], width: int) -> list[float]:
+    return [_number(row[k]) if k < len(row) else np.nan for k in range(width)]
 
 
-def _number(cell: str, mark: str) -> float:
-    if mark != ",":
-        cell = cell.replace(",", ".")
+def _number(cell: str) -> float:
     try:
-        return float(cell)
+        return float(cell.replace(",", "."))
     except ValueError:
         return float("nan")
 

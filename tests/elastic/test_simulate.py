@@ -222,3 +222,17 @@ def test_a_motion_that_does_not_end_at_rest_has_no_time_after_it(tmp_path):
     assert found.time[-1] == pytest.approx(0.2)
     assert found.peak < 1e-8
     assert found.peak_after is found.rms_after is found.settling_time is None
+
+
+def test_a_joint_that_swings_far_above_the_others_may_follow_its_motor(tmp_path):
+    """A light hand on a stiff wrist, 2 kHz: what the arm does otherwise is the same."""
+    springs = [CONSTANT.format(stiffness=k) for k in (STIFFNESS, 4e6)]
+    joints = [joint(name, s) for name, s in zip(("shoulder", "elbow"), springs, strict=True)]
+    whole = ElasticArm(load_robot(write_robot(tmp_path, "planar", joints=joints)), np.zeros(2))
+    assert modes(whole, np.zeros(2))[1].frequency > 1500.0
+    following = whole.with_fast_joints_following(np.zeros(2))
+    assert (following.following, whole.following) == ((2,), ())
+    motion = bang([20.0, 10.0], 0.05, [0.0, 0.0])
+    own, full = simulate(following, motion), simulate(whole, motion)
+    assert own.peak == pytest.approx(full.peak, rel=2e-3)
+    assert own.notes[0] == "elbow: alone above 1200 Hz, taken to follow the motor at once."

@@ -55,10 +55,13 @@ def _row(motion: ElasticMotion) -> list[str]:
 
 
 def simulation_notes(simulation: Simulation) -> list[str]:
-    """Assumed damping, slip and hysteresis."""
+    """Assumed damping, slip and hysteresis; what holds for all motions is said once."""
     notes = assumed_damping_note(simulation.assumed_damping)
+    told = [motion.simulated.notes for motion in simulation.motions]
+    shared = [note for note in told[0] if all(note in each for each in told)] if told else []
+    notes += shared
     for motion in simulation.motions:
-        notes += [f"{motion.name}: {note}" for note in motion.simulated.notes]
+        notes += [f"{motion.name}: {n}" for n in motion.simulated.notes if n not in shared]
     return notes
 
 

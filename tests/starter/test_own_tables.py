@@ -1,0 +1,134 @@
+"""Tables as loggers and spreadsheets write them: heads, clocks, units, and what has no factor."""
+
+from __future__ import annotations
+
+import tomllib
+from datetime import datetime, timedelta
+
+import numpy as np
+import pytest
+from small_arms import ROOT
+
+from stiffopt.cli import run
+from stiffopt.errors import InputError
+from stiffopt.recording.recording_set import load_recordings
+from stiffopt.robot.files import load_robot
+from stiffopt.starter.guessing import guess
+from stiffopt.starter.tables import read_any_table
+
+URDF = ROOT / "problems" / "recordings" / "two_link_friction" / "robot.urdf"
+NAMES = ["t", "q1", "q2", "tau1", "tau2"]
+TIME = np.arange(0.0, 4.0, 0.005)
+VALUES = [np.sin(TIME), 0.8 * np.cos(2.0 * TIME), 9.0 * np.sin(3.0 * TIME), 4.0 * np.cos(TIME)]
+
+
+def lines(names=NAMES, columns=None, mark=",", form="{:.9g}"):
+    rows = np.column_stack([TIME, *VALUES] if columns is None else columns)
+    body = [mark.join(form.format(value) for value in row) for row in rows]
+    return [mark.join(names), *body] if names else body
+
+
+def table(folder, text):
+    path = folder / "log.csv"
+    path.write_text("\n".join(text))
+    return read_any_table(path)
+
+
+def guessed(folder, text):
+    return guess(table(folder, text), load_robot(URDF))
+
+
+def comma(text):
+    return [line.replace(",", ";").replace(".", ",") for line in text]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ["sep=;", *comma(lines())],
+        ["Robot: KR6", "Date: 2024-05-01", "Operator: Meier, H.", "", *lines()],
+        ["t,q1,q2,tau1,tau2", "s,rad,rad,Nm,Nm", *lines(names=None)],
+        lines(names=['"t"', '"q1"', '"q2"', '"tau1"', '"tau2"']),
+        [lines()[0]]
+        + [",".join(f'"{c}"'.replace(".", ",") for c in row.split(",")) for row in lines(None)],
+        [*lines(), "3.99"],
+    ],
+    ids=["excel", "prose", "units", "quotes", "quoted decimal commas", "cut off"],
+)
+def test_heads(text, tmp_path):
+    found = guess(table(tmp_path, text), load_robot(URDF))
+    assert [found.columns["torque"][k][:4] for k in (0, 1)] == ["tau1", "tau2"]
+    assert found.rate == pytest.approx(200.0)
+    assert not any(found.units.values())
+
+
+@pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M:%S.%f", "%H:%M:%S.%f", "%d.%m.%Y %H:%M:%S.%f"])
+def test_clocks(form, tmp_path):
+    begin = datetime(2024, 5, 1, 23, 59, 58)
+    stamps = [(begin + timedelta(seconds=float(t))).strftime(form) for t in TIME]
+    text = [row.split(",", 1)[1] for row in lines(names=None)]
+    head = [
+        ";".join(NAMES),
+        *(f"{s};{r.replace(',', ';')}" for s, r in zip(stamps, text, strict=True)),
+    ]
+    found = table(tmp_path, head)
+    assert found["t"] == pytest.approx(TIME, abs=1e-6)
+
+
+def test_rows_that_are_counted_are_no_time(tmp_path, capsys):
+    text = lines(["sample", *NAMES[1:]], [np.arange(len(TIME)), *VALUES])
+    with pytest.raises(InputError, match="Give --rate HZ"):
+        guessed(tmp_path, text)
+    arguments = ["init", "recording", str(tmp_path / "log.csv"), "--urdf", str(URDF)]
+    assert run([*arguments, "--rate", "-1"]) == 2
+    assert run([*arguments, "--rate", "200"]) == 0
+    assert "200 rows a second" in capsys.readouterr().out
+    document = tomllib.loads((tmp_path / "log_set" / "recordings.toml").read_text())
+    assert document["signals"]["time"] == "counted_time"
+
+
+def test_units_in_names(tmp_path):
+    names = ["t", "q1 [mrad]", "q2 [mrad]", "tau1 [Ncm]", "tau2 [Ncm]"]
+    found = guessed(tmp_path, lines(names))
+    assert found.units["position"] == "mrad"
+    assert found.units["torque"] == "N*cm"
+
+
+def test_what_is_not_used_is_said(tmp_path):
+    found = guessed(tmp_path, lines([*NAMES, "q3", "temp"], [TIME, *VALUES, TIME, TIME]))
+    assert "not used: q3, temp" in found.reasons
+
+
+@pytest.mark.parametrize(
+    ("names", "factor", "kind", "said"),
+    [
+        (["t", "q1", "q2", "torque1 [%]", "torque2 [%]"], 1.0, "torque", "N m per %"),
+        (NAMES, 1e6, "position", "rad per count"),
+    ],
+)
+def test_what_only_the_user_can_scale_stops_until_it_is_scaled(
+    names, factor, kind, said, tmp_path, capsys
+):
+    columns = [TIME, *(factor * v for v in VALUES[:2]), *VALUES[2:]]
+    (tmp_path / "log.csv").write_text("\n".join(lines(names, columns)))
+    arguments = ["init", "recording", str(tmp_path / "log.csv"), "--urdf", str(URDF)]
+    assert run(arguments) == 0
+    assert said in capsys.readouterr().out
+    folder = tmp_path / "log_set"
+    assert run(["recording", "check", str(folder)]) == 2
+    assert f"signals.scale.{kind}" in capsys.readouterr().err
+    text = (folder / "recordings.toml").read_text()
+    unit = {"torque": '"%"', "position": '"counts"'}[kind]
+    (folder / "recordings.toml").write_text(text.replace(unit, "1e-6"))
+    assert load_recordings(folder).runs
+
+
+def test_motor_currents_by_their_letter(tmp_path):
+    found = guessed(tmp_path, lines(["t", "q1", "q2", "i1", "i2"]))
+    assert found.columns["torque"] == ("i1", "i2")
+    assert found.units["torque"] == "A"
+
+
+def test_a_table_without_names_is_told_what_to_write(tmp_path):
+    with pytest.raises(InputError, match=r"5 columns without names\. Give it one line of 5"):
+        table(tmp_path, lines(names=None))

@@ -1,0 +1,222 @@
+"""URDFs as they are found: several arms, followers, no masses, no limits, bodies without extent."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+
+import numpy as np
+import pytest
+from gripper_arm import write_gripper_urdf
+
+from stiffopt.cli import run
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.modes import modes
+from stiffopt.errors import InputError, NotSimulatedError, ProblemError, RobotError
+from stiffopt.problem.files import load_problem
+from stiffopt.problem.resolve import resolve
+from stiffopt.robot.files import load_robot
+
+MASS = (
+    '<inertial><origin xyz="0 0 0.1"/><mass value="3"/><inertia ixx="0.03" ixy="0" ixz="0"'
+    ' iyy="0.03" iyz="0" izz="0.01"/></inertial>'
+)
+LIMIT = '<limit lower="-2" upper="2" effort="80" velocity="2"/>'
+
+
+def joint(name, parent, child, inside=LIMIT, kind="revolute", axis="0 1 0", origin="0 0 0.3"):
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{origin}"/><axis xyz="{axis}"/>{inside}</joint>'
+        f'<link name="{child}">{MASS}</link>'
+    )
+
+
+def chain(count, *, prefix="", base="base", inside=LIMIT, mass=MASS):
+    """Joints `prefix`1 ... in a row, from a base link; links are named `prefix`link1 ..."""
+    found, parent = "", base
+    for k in range(1, count + 1):
+        child = f"{prefix}link{k}"
+        axis = "0 0 1" if k % 3 == 1 else "0 1 0"
+        found += joint(f"{prefix}{k}", parent, child, inside, axis=axis)
+        parent = child
+    return found.replace(MASS, mass)
+
+
+def written(folder, *parts):
+    path = folder / "arm.urdf"
+    path.write_text(f'<robot name="arm"><link name="base"/>{"".join(parts)}</robot>')
+    return path
+
+
+def test_a_cylinder_that_follows_is_no_branch(tmp_path):
+    """As of the counterbalance of an industrial arm."""
+    follows = LIMIT + '<mimic joint="2" multiplier="-0.25"/>'
+    urdf = written(tmp_path, chain(6), joint("cylinder", "link1", "cylinder_link", follows))
+    arm = load_robot(urdf)
+    assert arm.joint_names == tuple("123456")
+    assert [(h.name, h.why) for h in arm.held] == [("cylinder", "follows 2, which moves")]
+
+
+def test_jaws_that_follow_one_another_are_a_gripper(tmp_path):
+    follows = LIMIT + '<mimic joint="left_knuckle"/>'
+    urdf = written(
+        tmp_path,
+        chain(6),
+        joint("left_knuckle", "link6", "left"),
+        joint("right_knuckle", "link6", "right", follows),
+    )
+    assert load_robot(urdf).joint_names == tuple("123456")
+
+
+def test_a_joint_called_gripper_is_no_axis(tmp_path):
+    urdf = written(tmp_path, chain(5), joint("Gripper", "link5", "jaw"))
+    assert load_robot(urdf).joint_names == tuple("12345")
+    head = f'schema = 1\nkind = "robot"\nname = "a"\nurdf = "{urdf.name}"\n'
+    (tmp_path / "robot.toml").write_text(head + '[[joint]]\nname = "Gripper"\n')
+    assert load_robot(tmp_path / "robot.toml").joint_names == (*"12345", "Gripper")
+
+
+def test_a_head_beside_the_arm_is_held(tmp_path):
+    arm = load_robot(written(tmp_path, joint("head", "base", "head_link"), chain(6)))
+    assert arm.joint_names == tuple("123456")
+    assert [h.name for h in arm.held] == ["head"]
+
+
+def test_of_two_arms_one_has_to_be_named(tmp_path, capsys):
+    urdf = written(tmp_path, chain(6, prefix="left_"), chain(6, prefix="right_"))
+    assert run(["init", "robot", str(urdf)]) == 2
+    assert '--tip "left_link6" or --tip "right_link6"' in capsys.readouterr().err
+    assert run(["init", "robot", str(urdf), "--tip", "right_link6"]) == 0
+    arm = load_robot(tmp_path / "arm_robot.toml")
+    assert arm.joint_names == tuple(f"right_{k}" for k in range(1, 7))
+
+
+def test_a_follower_of_the_way_is_held_and_said(tmp_path, capsys):
+    """As in a hollow wrist; the message that names `init robot` is not met again there."""
+    urdf = written(tmp_path, chain(6))
+    axis = '<child link="link5"/>'
+    urdf.write_text(urdf.read_text().replace(axis, axis + '<mimic joint="4"/>'))
+    with pytest.raises(RobotError, match="'5' follows '4'"):
+        load_robot(urdf)
+    assert run(["init", "robot", str(urdf)]) == 0
+    assert "the arm is not the real one" in capsys.readouterr().out
+    assert load_robot(tmp_path / "arm_robot.toml").joint_names == tuple("12346")
+
+
+def test_an_arm_without_masses(tmp_path, capsys):
+    """As most URDFs of ROS-Industrial are: said, and guessed by `init robot` from the shapes."""
+    bar = (
+        '<collision><origin xyz="0 0 0.15"/><geometry><box size="0.1 0.2 0.3"/></geometry>'
+        "</collision>"
+    )
+    silent = '<limit lower="-2" upper="2" effort="0" velocity="2"/>'
+    urdf = written(tmp_path, chain(6, mass=bar, inside=silent).replace(bar, "", 1))
+    assert run(["init", "robot", str(urdf)]) == 0
+    said = capsys.readouterr().out
+    assert "gives no mass to link1, link2" in said
+    assert "no effort for 1, 2, 3, 4, 5, 6" in said
+    path = tmp_path / "arm_robot.toml"
+    links = {link["name"]: link for link in tomllib.loads(path.read_text())["link"]}
+    # 0.1 m x 0.2 m x 0.3 m at 1000 kg/m^3; link1 has no shape and is a rod.
+    assert links["link2"]["mass"] == pytest.approx(6.0)
+    assert links["link2"]["com"] == pytest.approx([0.0, 0.0, 0.15])
+    own = 6.0 / 12.0 * np.array([0.2**2 + 0.3**2, 0.1**2 + 0.3**2, 0.1**2 + 0.2**2])
+    assert links["link2"]["inertia"] == pytest.approx(own, rel=1e-2)
+    assert 0.1 < links["link1"]["mass"] < 30.0
+    arm = load_robot(path)
+    assert any("link link2" in str(row) for row in arm.estimated())
+    assert run(["init", "problem", str(path), "--out", str(tmp_path / "first.toml")]) == 0
+    motion = resolve(load_problem(tmp_path / "first.toml").problem)
+    bodies = arm.rigid_bodies()
+    for pose in motion.points:
+        assert np.all(np.abs(bodies.gravity_torque(pose)) < arm.torque_max)
+
+
+def test_without_any_mass_there_is_nothing_to_plan(tmp_path):
+    urdf = written(tmp_path, chain(3, mass=""))
+    text = (
+        'schema = 1\nkind = "trajectory"\nrobot = "arm.urdf"\n[motion]\nduration = "2 s"\n'
+        "start = { joints = [0.0, 0.0, 0.0] }\nend = { joints = [0.1, 0.1, 0.1] }\n"
+        '[[minimise]]\nobjective = "torque_squared"\n'
+    )
+    (tmp_path / "problem.toml").write_text(text)
+    with pytest.raises(ProblemError, match=r"no link of arm has a mass.*\[\[link\]\]"):
+        resolve(load_problem(tmp_path / "problem.toml").problem)
+    assert urdf.exists()
+
+
+def test_a_spring_without_inertia_is_named(tmp_path):
+    urdf = written(tmp_path, chain(3))
+    urdf.write_text(urdf.read_text().replace(MASS, "@", 2).replace(MASS, "").replace("@", MASS))
+    element = '[[joint.element]]\nname = "spring"\ntype = "constant"\nstiffness = 1e4\n'
+    sections = "".join(f'[[joint]]\nname = "{k}"\n{element}' for k in "123")
+    head = 'schema = 1\nkind = "robot"\nname = "arm"\nurdf = "arm.urdf"\n'
+    (tmp_path / "robot.toml").write_text(head + sections)
+    arm = load_robot(tmp_path / "robot.toml")
+    with pytest.raises(NotSimulatedError, match="links behind 3 have no inertia"):
+        modes(ElasticArm(arm, np.zeros(3)), np.zeros(3))
+
+
+@pytest.mark.parametrize("limit", ["", '<limit lower="0" upper="0" effort="0" velocity="0"/>'])
+def test_limits_that_the_urdf_does_not_state(limit, tmp_path, capsys):
+    """Zeros as exporters of CAD programs leave them."""
+    urdf = written(tmp_path, chain(3, inside=limit))
+    with pytest.raises(RobotError, match="'1' has no limits of position"):
+        load_robot(urdf)
+    assert run(["init", "robot", str(urdf)]) == 0
+    assert "GUESSED: limits of position of 1, 2, 3" in capsys.readouterr().out
+    arm = load_robot(tmp_path / "arm_robot.toml")
+    assert arm.position_upper == pytest.approx(np.radians(170.0))
+    # What holds the weight and full acceleration, of joint 2 with three links behind it.
+    assert arm.torque_max[1] > 3 * 3.0 * 9.81 * 0.3
+
+
+def test_shapes_without_extent_are_left_out(tmp_path):
+    nothing = '<visual><geometry><box size="0 0 0"/></geometry></visual>'
+    urdf = written(tmp_path, chain(3, mass=MASS + nothing))
+    assert load_robot(urdf).shapes == ()
+    urdf.write_text(urdf.read_text().replace("0 0 0", "1 1 -1"))
+    with pytest.raises(RobotError, match="allowed is 0 or above"):
+        load_robot(urdf)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('[[link]]\nname = "lnk1"\nmass = 1.0\n', "no link 'lnk1'. Did you mean 'link1'?"),
+        ('[[link]]\nname = "link1"\nmass = 1.0\n' * 2, "link[link1]: is given twice"),
+        ('[[link]]\nname = "link1"\nmass = -1.0\n', "mass"),
+        (
+            '[[link]]\nname = "link1"\nmass = 1.0\ninertia = [1.0, 0.1, 0.1]\n',
+            "belongs to no body",
+        ),
+    ],
+)
+def test_masses_that_cannot_be(text, said, tmp_path):
+    written(tmp_path, chain(3))
+    head = 'schema = 1\nkind = "robot"\nname = "arm"\nurdf = "arm.urdf"\n'
+    (tmp_path / "robot.toml").write_text(head + text)
+    with pytest.raises(InputError, match=re.escape(said)):
+        load_robot(tmp_path / "robot.toml")
+
+
+def test_a_first_problem_has_time_for_the_swing(tmp_path):
+    """The seven axes with a hand: shaped, within the joints' limits."""
+    urdf = write_gripper_urdf(tmp_path)
+    assert run(["init", "robot", str(urdf)]) == 0
+    assert run(["init", "problem", str(tmp_path / "seven_robot.toml")]) == 0
+    problem = load_problem(tmp_path / "seven_first.toml").problem
+    assert problem.is_shaped
+    pose = resolve(problem).start
+    lowest = modes(ElasticArm(problem.robot, pose), pose)[0].frequency
+    assert problem.duration[0] > 2.0 / lowest + 0.2
+
+
+def test_a_drive_that_cannot_hold_its_link_is_named(tmp_path, capsys):
+    weak = '<limit lower="-2" upper="2" effort="0.5" velocity="2"/>'
+    urdf = written(tmp_path, chain(3, inside=weak))
+    assert run(["init", "problem", str(urdf)]) == 2
+    assert re.search(
+        r"do its drives hold its weight: \d has 0.5 N m and needs", capsys.readouterr().err
+    )
