@@ -84,8 +84,14 @@ def solve_shaped(
         tightened = None if shaped is None else _tightened(problem, inner, shaped[1])
         if tightened is None or found.status is SolveStatus.INTERRUPTED:
             break
-        inner = tightened
-        found = solve(inner)
+        tried = solve(tightened)
+        if not tried.status.usable and tried.status is not SolveStatus.INTERRUPTED:
+            # Drawn too tight for any motion.
+            tightened = _halfway(inner, tightened)
+            tried = solve(tightened)
+        if not tried.status.usable:
+            break
+        inner, found = tightened, tried
         shaped = _shaped(problem, found, swing)
     told = f"Averaged over {1e3 * swing:.0f} ms, a swing of the arm's lowest mode."
     solution = replace(
@@ -192,6 +198,17 @@ def _tightened(
         less = own.tolerance - _MORE * excess.get(f"via_{number}", 0.0) * given.tolerance
         vias.append(replace(own, tolerance=max(less, _TIGHTEST * given.tolerance)))
     return replace(inner, vias=tuple(vias), limits=Limits(limits.values, **drawn))
+
+
+def _halfway(loose: TrajectoryProblem, tight: TrajectoryProblem) -> TrajectoryProblem:
+    """The tight problem with limits and tolerances in the middle between both."""
+    before, after = loose.active_limits, tight.active_limits
+    middle = {name: 0.5 * (getattr(before, name) + getattr(after, name)) for name in _DRAWN}
+    vias = tuple(
+        replace(own, tolerance=0.5 * (own.tolerance + given.tolerance))
+        for own, given in zip(tight.vias, loose.vias, strict=True)
+    )
+    return replace(tight, vias=vias, limits=Limits(after.values, **middle))
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from stiffopt.starter.writing import beside, listed, number, quoted
 # Share of each range that the motion covers, and of an endless joint [rad].
 _SHARE, _ENDLESS = 0.15, 0.6
 # Over the shortest time that the quintic motion needs.
-_ROOM = 1.5
+_ROOM = 2.0
 _TRIES = 200
 
 
