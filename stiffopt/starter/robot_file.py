@@ -11,13 +11,13 @@ import numpy as np
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputFileError, RobotError, nearest
 from stiffopt.robot.body_tree import Body, body_tree
+from stiffopt.robot.estimated_masses import DENSITY, estimated_bodies
 from stiffopt.robot.files import last_link
 from stiffopt.robot.frames import link_frame, link_names
 from stiffopt.robot.held_joints import arm_ends
 from stiffopt.robot.rigid_body import RigidBodies
 from stiffopt.robot.urdf import UNLIMITED, LinkBody, LoadedUrdf, load_urdf
 from stiffopt.robot.urdf_tree import read_tree
-from stiffopt.starter.masses import DENSITY, estimated_bodies
 from stiffopt.starter.writing import beside, key, listed, number, quoted
 
 # Of a joint whose limits nobody states: full speed within the first time, full acceleration within
