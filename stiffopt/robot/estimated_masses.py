@@ -72,10 +72,10 @@ def _of_shapes(link: str, shapes: tuple[LinkShape, ...]) -> LinkBody | None:
 def _parts(shape: LinkShape) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
     form: Any = coal_form(shape)
     if form is not None and 0.0 < form.computeVolume() < _LARGEST:
-        yield _placed(form, shape.rotation, shape.offset)
+        yield _mass_in_link(form, shape.rotation, shape.offset)
 
 
-def _placed(
+def _mass_in_link(
     form: Any, rotation: np.ndarray, offset: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Mass, centre (3,) and inertia about the centre (3, 3) in the frame of the link."""
@@ -89,10 +89,10 @@ def _of_rod(begin: np.ndarray, end: np.ndarray, radius: float) -> LinkBody:
     """Body of a rod with round ends; of a ball where it has no length."""
     length = float(np.linalg.norm(end - begin))
     if length == 0.0:
-        return _together([_placed(coal.Sphere(radius), np.eye(3), begin)])
+        return _together([_mass_in_link(coal.Sphere(radius), np.eye(3), begin)])
     up = np.array([0.0, 0.0, 1.0])
     turn = pin.Quaternion.FromTwoVectors(up, (end - begin) / length).matrix()
-    return _together([_placed(coal.Capsule(radius, length), turn, 0.5 * (begin + end))])
+    return _together([_mass_in_link(coal.Capsule(radius, length), turn, 0.5 * (begin + end))])
 
 
 def _together(parts: list[tuple[float, np.ndarray, np.ndarray]]) -> LinkBody:
