@@ -10,7 +10,7 @@ from stiffopt.connection.bolted_flange import BoltedFlange
 from stiffopt.connection.clamping_pins import ClampingPins
 from stiffopt.connection.connection import Connection, ContactConnection
 from stiffopt.connection.constant import Constant
-from stiffopt.connection.fastener import Bolt, SetScrew
+from stiffopt.connection.fastener import Bolt, FlangeRing, SetScrew
 from stiffopt.connection.gear_pair import GearPair
 from stiffopt.connection.key import Key
 from stiffopt.connection.linear import LinearConnection
@@ -25,6 +25,7 @@ __all__ = [
     "Connection",
     "Constant",
     "ContactConnection",
+    "FlangeRing",
     "GearPair",
     "Key",
     "LinearConnection",

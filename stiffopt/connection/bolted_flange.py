@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Annotated, ClassVar, Literal
 
 from stiffopt.connection.connection import ContactConnection
-from stiffopt.connection.fastener import Bolt
+from stiffopt.connection.fastener import Bolt, FlangeRing
 from stiffopt.contact.shear import ShearLaw, shear_softening, shear_travel
 from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
 from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
@@ -94,6 +94,10 @@ class BoltedFlange(ContactConnection):
             "n, how far from the face the load enters; default the unfavourable end of every "
             "check: 1 for the bolt, 0 for what it clamps."
         ),
+    ] = None
+    ring: Annotated[
+        FlangeRing | None,
+        Doc("Where the flange bends: bolts near the ribs bear more; default a rigid flange."),
     ] = None
     # How many such connections share the ring: with bolt_count 1 and as many sectors as there are
     # bolts this is the sector that one bolt presses. Sectors are parallel springs.

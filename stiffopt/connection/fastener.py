@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from stiffopt.declaration import POSITIVE, Doc, Length, Named, check_fields
+from stiffopt.declaration import POSITIVE, Bounds, Doc, Length, Named, check_fields
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +34,11 @@ class Bolt:
     washer: Annotated[
         bool, Doc("Whether a hardened washer lies under the head: ISO 7089, 300 HV.")
     ] = False
+    waist: Annotated[
+        Length | None,
+        POSITIVE,
+        Doc("Diameter d_T of a necked-down shank, usually 0.9 d3; default none, a full thread."),
+    ] = None
     rolled: Annotated[
         Literal["before", "after"],
         Doc("Thread rolled before or after heat treatment; after bears more alternating stress."),
@@ -47,6 +52,21 @@ class Bolt:
 
     def __post_init__(self) -> None:
         check_fields(self, f"bolt {self.size}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlangeRing:
+    """Flange that is not rigid: a ring, and how its link is joined to it."""
+
+    thickness: Annotated[Length, POSITIVE, Doc("Thickness of the flange, along the joint's axis.")]
+    supports: Annotated[
+        int,
+        Bounds(least=3),
+        Doc("Ribs or walls of the link, at even distances, that bring the load to the ring."),
+    ]
+
+    def __post_init__(self) -> None:
+        check_fields(self, "ring")
 
 
 @dataclass(frozen=True, kw_only=True)

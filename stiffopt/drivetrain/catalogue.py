@@ -29,6 +29,7 @@ from stiffopt.drivetrain.fasteners import set_screw as set_screw
 from stiffopt.drivetrain.fasteners import set_screw_sizes as set_screw_sizes
 from stiffopt.drivetrain.fasteners import shaft_proof_stress as shaft_proof_stress
 from stiffopt.drivetrain.fasteners import tensile_strength as tensile_strength
+from stiffopt.drivetrain.fasteners import waisted as waisted
 from stiffopt.drivetrain.fasteners import washer as washer
 from stiffopt.drivetrain.tables import Entry as Entry
 from stiffopt.drivetrain.tables import find, read_table, rows, source_text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from stiffopt.drivetrain.tables import Entry, find, read_table, rows, source_text
 from stiffopt.errors import InputError, nearest
@@ -28,6 +28,8 @@ class BoltData(Entry):
         d_w, of the flat under the head [m].
     hole : float
         d_h, of the clearance hole [m].
+    waist : float or None
+        d_T of a necked-down shank over the clamp length [m]; `waisted` makes such a bolt.
     """
 
     diameter: float
@@ -38,11 +40,24 @@ class BoltData(Entry):
     head_diameter: float
     bearing_diameter: float
     hole: float
+    waist: float | None = None
 
     @property
     def stress_diameter(self) -> float:
-        """d_S = (d2 + d3)/2, of the circle with the stress area [m]."""
+        """d_S = (d2 + d3)/2, of the circle with the stress area, or d_T of a waist [m]."""
+        if self.waist is not None:
+            return self.waist
         return (self.pitch_diameter + self.minor_diameter) / 2
+
+    @property
+    def core_diameter(self) -> float:
+        """d_3 of the thread, or d_T of a waist: what bends and shears between the ends [m]."""
+        return self.minor_diameter if self.waist is None else self.waist
+
+    @property
+    def core_area(self) -> float:
+        """Area of the core [m^2]."""
+        return math.pi / 4 * self.core_diameter**2
 
     @property
     def minor_area(self) -> float:
@@ -63,6 +78,11 @@ class BoltData(Entry):
     def friction_diameter(self) -> float:
         """D_Km = (d_w + d_h)/2, lever of the friction under the head [m]."""
         return (self.bearing_diameter + self.hole) / 2
+
+
+def waisted(bolt: BoltData, waist: float) -> BoltData:
+    """The same bolt with a necked-down shank, which then is the weakest section [m]."""
+    return replace(bolt, waist=waist, stress_area=math.pi / 4 * waist**2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,6 +116,8 @@ class ClampedMaterial(Entry):
         Length of thread where none is given, in bolt diameters.
     strength, yield_stress : float
         R_m and R_p0.2 [Pa].
+    shear_ratio : float
+        Shear over tensile strength.
     expansion : float
         Thermal, for 1 K.
     key_pressure : mapping
@@ -108,6 +130,7 @@ class ClampedMaterial(Entry):
     engagement: Mapping[str, float]
     engagement_assumed: float
     strength: float
+    shear_ratio: float
     yield_stress: float
     expansion: float
     key_pressure: Mapping[str, float] = field(default_factory=dict)

@@ -15,6 +15,7 @@ from stiffopt.fastening.embedding import flange_embedding
 from stiffopt.fastening.head_pressure import head_bearing
 from stiffopt.fastening.preload_limit import PreloadLimit
 from stiffopt.fastening.thermal import thermal_change
+from stiffopt.fastening.thread_engagement import stripping_length
 from stiffopt.fastening.tightening import Tightening, WorkshopTorque, tightening_torque
 from stiffopt.symbolic import Quantity
 
@@ -36,12 +37,26 @@ def flange_bolt(flange: BoltedFlange) -> Bolt:
     return flange.bolt
 
 
+def bolt_data(bolt: Bolt) -> BoltData:
+    """Sizes of a bolt; those of its core are of the waist where it has one (tables A3 and A4)."""
+    data = catalogue.bolt(bolt.size)
+    if bolt.waist is None:
+        return data
+    if not bolt.waist < data.minor_diameter:
+        raise InputError(
+            f"bolt {bolt.size}: waist = {1e3 * bolt.waist:g} mm is no less than the core of the "
+            f"thread, {1e3 * data.minor_diameter:g} mm. Give the diameter of the necked-down "
+            "shank, or leave it out."
+        )
+    return catalogue.waisted(data, bolt.waist)
+
+
 def permissible_preload(flange: BoltedFlange, tightening: Tightening) -> float:
     """Permissible assembly preload of one bolt, 90 % of yield while tightening [N]."""
     bolt = flange_bolt(flange)
     return float(
         permissible_assembly_preload(
-            catalogue.bolt(bolt.size),
+            bolt_data(bolt),
             catalogue.proof_stress(bolt.grade),
             tightening.thread_friction,
         )
@@ -51,7 +66,7 @@ def permissible_preload(flange: BoltedFlange, tightening: Tightening) -> float:
 def limits(flange: BoltedFlange, tightening: Tightening) -> tuple[PreloadLimit, ...]:
     """Bounds on the preload of one bolt; the first is the permissible preload of VDI 2230."""
     bolt = flange_bolt(flange)
-    data = catalogue.bolt(bolt.size)
+    data = bolt_data(bolt)
     bearing = head_bearing(bolt)
     return (
         PreloadLimit(
@@ -78,7 +93,9 @@ def limits(flange: BoltedFlange, tightening: Tightening) -> tuple[PreloadLimit, 
 
 def _engagement_limit(bolt: Bolt, data: catalogue.BoltData) -> PreloadLimit:
     thread = catalogue.clamped_material(bolt.thread_material)
-    needed, present = thread.engagement[bolt.grade], engagement(bolt) / data.diameter
+    strength = catalogue.tensile_strength(bolt.grade)
+    strips = stripping_length(catalogue.bolt(bolt.size), strength, thread) / data.diameter
+    needed, present = max(thread.engagement[bolt.grade], strips), engagement(bolt) / data.diameter
     how = "assumed" if bolt.engagement is None else "given"
     return PreloadLimit(
         name="thread engagement",
@@ -87,7 +104,7 @@ def _engagement_limit(bolt: Bolt, data: catalogue.BoltData) -> PreloadLimit:
         provenance=thread.provenance,
         source=(
             f"{needed:g} d needed in {thread.name} for {bolt.grade}, {thread.source}; "
-            f"{present:.3g} d {how}"
+            f"{present:.3g} d {how}; below {strips:.3g} d a thread strips before the bolt breaks"
         ),
         remedy="a deeper thread, a thread insert, a harder part or a lower grade",
     )
@@ -147,7 +164,7 @@ def assumed_lengths(flange: BoltedFlange) -> dict[str, float]:
 def joint_compliances(flange: BoltedFlange) -> tuple[float, float]:
     """delta_S and delta_P of one bolt and what it clamps [m/N] (R3)."""
     bolt = flange_bolt(flange)
-    data = catalogue.bolt(bolt.size)
+    data = bolt_data(bolt)
     length = clamp_length(bolt)
     head = catalogue.clamped_material(bolt.head_material)
     thread = catalogue.clamped_material(bolt.thread_material)
@@ -223,6 +240,8 @@ def permissible_assembly_preload(
     Returns
     -------
     scalar [N]
+
+    Necked-down bolts: A_0 and d_0 of the waist in place of A_S and d_S.
 
     References
     ----------

@@ -17,7 +17,7 @@ _HEAD, _ENGAGED, _TAPPED = 0.4, 0.5, 0.33
 def bolt_compliance(
     bolt: BoltData, clamp_length: float, bolt_modulus: float, thread_modulus: float
 ) -> float:
-    """delta_S of a bolt in a tapped hole, threaded over the whole clamp length [m/N].
+    """delta_S of a bolt in a tapped hole, threaded or waisted over the whole clamp length [m/N].
 
     Parameters
     ----------
@@ -32,7 +32,8 @@ def bolt_compliance(
     [VDI2230]_, resilience of the bolt.
     """
     d = bolt.diameter
-    core = (clamp_length + _ENGAGED * d) / (bolt_modulus * bolt.minor_area)
+    core = clamp_length / (bolt_modulus * bolt.core_area)
+    core += _ENGAGED * d / (bolt_modulus * bolt.minor_area)
     head = _HEAD * d / (bolt_modulus * bolt.nominal_area)
     tapped = _TAPPED * d / (thread_modulus * bolt.nominal_area)
     return core + head + tapped

@@ -30,5 +30,5 @@ def transverse_slip_limit(
     ----------
     [Junker1969]_, [VDI2230]_ on self-loosening.
     """
-    moment = math.pi / 64 * bolt.minor_diameter**4
+    moment = math.pi / 64 * bolt.core_diameter**4
     return head_friction * preload * length**3 / (12 * catalogue.bolt_modulus() * moment)

@@ -12,6 +12,7 @@ from stiffopt.connection import BoltedFlange
 from stiffopt.contact.fractal import FractalLaw
 from stiffopt.fastening import bolts
 from stiffopt.fastening.clamp_load import ring_section
+from stiffopt.symbolic import Quantity
 
 _PLACES = 180
 
@@ -63,6 +64,12 @@ class TiltingFlange:
         """Moment from which on the circle of springs lifts off, and the flange is softer [N m]."""
         return self.clamp / (self.face * self.radius) * self.closed_stiffness
 
+    def secant_compliance(self, moment: float) -> float:
+        """Angle over moment [rad/(N m)], at zero moment the compliance of the closed face."""
+        if abs(moment) <= self.lift_off_moment:
+            return 1.0 / self.closed_stiffness
+        return self.rotation(moment) / moment
+
     def rotation(self, moment: float) -> float:
         """Angle by which a moment tilts the flange [rad]; linear until it lifts off."""
         if abs(moment) <= self.lift_off_moment:
@@ -88,6 +95,23 @@ class TiltingFlange:
         lift = float(brentq(surplus, -pressed - reach, pressed + reach, xtol=1e-18, rtol=1e-13))
         face = -self.radius * float(forces(lift) @ cosine)
         return face + self.open_stiffness * angle
+
+
+def closed_compliance(flange: BoltedFlange, preload: Quantity) -> Quantity:
+    """Tilting compliance of a closed face by the smooth contact law [rad/(N m)].
+
+    Parameters
+    ----------
+    flange : BoltedFlange
+    preload : scalar
+        Of each bolt in service [N].
+    """
+    bolt, plates = bolts.joint_compliances(flange)
+    count = flange.bolt_count * flange.sectors
+    area, moment = ring_section(flange.inner_radius, flange.outer_radius, count, 1.0, 0.0)
+    rough = flange.law.stiffness(count * preload / area) * area
+    face = 1.0 / (plates / count + 1.0 / rough)
+    return 2.0 / (face * (2 * moment / area) + count / bolt * (flange.circle_diameter / 2) ** 2)
 
 
 def tilting_flange(flange: BoltedFlange, preload: float) -> TiltingFlange:

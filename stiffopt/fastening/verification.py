@@ -19,6 +19,7 @@ from stiffopt.errors import InputError
 from stiffopt.fastening import bolts
 from stiffopt.fastening.bolt_stress import largest_working_preload, working_stress
 from stiffopt.fastening.clamp_load import friction_clamp_load, ring_opening_load
+from stiffopt.fastening.elastic_ring import elastic_ring
 from stiffopt.fastening.endurance import SAFETY as ENDURANCE_SAFETY
 from stiffopt.fastening.endurance import endurance_limit
 from stiffopt.fastening.flange_load import FlangeLoads, axial_forces, transverse_forces
@@ -92,7 +93,7 @@ class Verification:
         self.flange, self.tightening = flange, tightening
         self.loads = loads if flange.bearing == "none" else loads.torque_alone()
         self.bolt = bolts.flange_bolt(flange)
-        self.data = catalogue.bolt(self.bolt.size)
+        self.data = bolts.bolt_data(self.bolt)
         self.count = flange.bolt_count * flange.sectors
         if self.count < 3 and self.loads.tilting.any():
             raise InputError(
@@ -111,16 +112,24 @@ class Verification:
         return 2 * math.pi / _PLACES * np.arange(_PLACES)
 
     @cached_property
+    def sharing(self) -> tuple[float, float]:
+        """What a bolt bears over its part on a rigid flange: of axial force, of tilting [-]."""
+        ring = elastic_ring(self.flange)
+        return (1.0, 1.0) if ring is None else ring.factors
+
+    @cached_property
     def axial(self) -> np.ndarray:
         """F_A (K, m) [N] with either sign of the axial force as it comes."""
         values = self.loads.values.copy()
-        values[:, 3:5] *= _BETWEEN
+        pull, tilt = self.sharing
+        values[:, 2] *= pull
+        values[:, 3:5] *= tilt * _BETWEEN
         return axial_forces(values, self.count, self.flange.circle_diameter, self.angles)
 
     @cached_property
     def opening(self) -> np.ndarray:
         """F_A (K, m) [N] with the axial force taken to pull."""
-        share = self.loads.values[:, 2:3] / self.count
+        share = self.sharing[0] * self.loads.values[:, 2:3] / self.count
         return np.asarray(self.axial - share + np.abs(share))
 
     @property
@@ -141,8 +150,8 @@ class Verification:
         """Clamp load of one bolt at which the rim opens (K,) [N] (R2/3)."""
         flange = self.flange
         return ring_opening_load(
-            self.loads.axial,
-            self.loads.tilting,
+            self.sharing[0] * self.loads.axial,
+            self.sharing[1] * self.loads.tilting,
             inner=flange.inner_radius,
             outer=flange.outer_radius,
             count=self.count,
@@ -346,7 +355,7 @@ class Verification:
         if most <= 0.0:
             return
         strength = _SHEAR_STRENGTH * catalogue.tensile_strength(self.bolt.grade)
-        stress = most / self.data.minor_area
+        stress = most / self.data.core_area
         yield VdiCheck(
             name="bolt shear",
             equation="R12",

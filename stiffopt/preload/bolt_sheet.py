@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.connection import BoltedFlange
+from stiffopt.fastening.elastic_ring import elastic_ring
 from stiffopt.fastening.flange_load import (
     FlangeLoads,
     axial_forces,
@@ -14,6 +15,7 @@ from stiffopt.fastening.flange_load import (
     transverse_forces,
 )
 from stiffopt.fastening.tilting import tilting_flange
+from stiffopt.fastening.verification import Verification
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.tightening_draws import SlipProbability, slip_probability
 
@@ -48,7 +50,7 @@ class BoltSheet:
     angles : array (n,)
         Places of the bolts, the first on the x axis [rad].
     axial : array (n,)
-        F_A of each bolt in that case.
+        F_A of each bolt in that case; of a ring that bends with its ribs where they do most.
     transverse : array (n, 2)
         F_Q of each bolt in that case.
     tilting_stiffness, opening_moment : float
@@ -117,7 +119,7 @@ def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, .
                 additional=steps.additional,
                 case=steps.loads.names[worst],
                 angles=angles,
-                axial=axial_forces(load, steps.count, steps.flange.circle_diameter, angles),
+                axial=_axial(steps, load, angles),
                 transverse=transverse_forces(
                     load, steps.count, steps.flange.circle_diameter / 2, angles
                 ),
@@ -129,3 +131,11 @@ def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, .
             )
         )
     return tuple(found)
+
+
+def _axial(steps: Verification, load: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """F_A of each bolt where it stands (n,) [N]."""
+    ring = elastic_ring(steps.flange)
+    if ring is not None:
+        return ring.bolt_forces(load)
+    return axial_forces(load, steps.count, steps.flange.circle_diameter, angles)

@@ -21,6 +21,7 @@ from stiffopt.preload.catalogue_designs import CatalogueDesign
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import Levels
+from stiffopt.preload.tilted_tool import tilted_tool
 
 # Sums of the same designs in another order are equal.
 ROUNDING = 1e-12
@@ -299,16 +300,19 @@ def _deflection_rows(
             _net(case, j, lambda at, j=j: model.rest_windup(j, at)[None, :])[0]  # type: ignore[misc]
             for j in range(1, model.problem.robot.n + 1)
         ]
-        rest[k] = -case.jacobian @ np.array(fixed)
+        rest[k] = -(case.jacobian @ np.array(fixed) + model.fixed_tilt(case))
         for element, own, site, vectors in zip(model.elements, designs, sites, added, strict=True):
             windups = _net(
                 case,
                 element.joint,
                 lambda at, own=own, site=site: _distinct(  # type: ignore[misc]
-                    own, lambda d: exact_windup(_chain(d, site), at)
+                    own, lambda each: exact_windup(_chain(each, site), at)
                 ),
             )
             vectors[:, k] = -np.outer(windups, case.jacobian[:, element.joint - 1])
+            vectors[:, k] -= [
+                tilted_tool(d.stage, element.joint, case, d.least_preload) for d in own
+            ]
     return _Rows(
         names=[f"tool deflection, {case.name}" for case in cases],
         joints=[None for _ in cases],

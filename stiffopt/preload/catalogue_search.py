@@ -157,14 +157,19 @@ class CombinationSearch:
 
     def conflicting_rows(self) -> tuple[str, ...]:
         """Rows to relax where no combination keeps all: those that the least excess is in."""
-        programme = self.programme
+        programme, picks = self.programme, None
         while True:
             result = self._solve(None)
-            if result.picks is None:
-                return ()
-            if not self._cut(result.picks) or time.monotonic() > self._until:
+            # The solver fails now and then on rows that nearly coincide; what it found before
+            # breaks rows as well.
+            picks = picks if result.picks is None else result.picks
+            if result.picks is None or not self._cut(result.picks):
                 break
-        excess = programme.amounts(result.picks) / programme.ends
+            if time.monotonic() > self._until:
+                break
+        if picks is None:
+            return ()
+        excess = programme.amounts(picks) / programme.ends
         order = np.argsort(-excess)
         return tuple(programme.names[i] for i in order if excess[i] > 1.0)
 

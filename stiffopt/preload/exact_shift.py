@@ -39,12 +39,16 @@ class ExactShift:
         Beyond the reference torque [rad]; of all joints of the robot.
     windup_slope : array (size, cases)
         [rad per N]
+    tilt, tilt_slope : array (elements,)
+        Of the tilting compliances [rad/(N m)] and over the mean preload of an element [.. per N].
     """
 
     compliance: np.ndarray
     compliance_slope: np.ndarray
     windup: np.ndarray
     windup_slope: np.ndarray
+    tilt: np.ndarray
+    tilt_slope: np.ndarray
 
 
 def exact_shift(
@@ -65,6 +69,8 @@ def exact_shift(
         np.zeros((model.size, cases)),
         np.zeros((n, cases)),
         np.zeros((model.size, cases)),
+        np.zeros(len(model.elements)),
+        np.zeros(len(model.elements)),
     )
     for row, joint in enumerate(joints) if compliances else ():
         found = _linear(model, joint, preloads, partial(_compliances, model, joint))
@@ -77,7 +83,24 @@ def exact_shift(
         found = _linear(model, joint, preloads, partial(_windups, model, joint))
         shift.windup[joint - 1] = found[0]
         _spread(model, joint, found[1], shift.windup_slope)
+    for index in np.flatnonzero(model.tilt_vectors.any(axis=(1, 2))) if windups else ():
+        shift.tilt[index], shift.tilt_slope[index] = _tilt(model, preloads, int(index))
     return shift
+
+
+def _tilt(model: PreloadModel, preloads: np.ndarray, index: int) -> tuple[float, float]:
+    """Constant and slope of exact minus smooth tilting compliance of an element."""
+    part = model.slices[index]
+    mean = float(np.mean(preloads[part]))
+
+    def missing(factor: float) -> float:
+        scaled = preloads.copy()
+        scaled[part] *= factor
+        smooth = float(model.tilt_compliance(scaled, index))
+        return model.exact_tilt_compliance(scaled, index) - smooth
+
+    slope = (missing(1.0 + _STEP) - missing(1.0 - _STEP)) / (2.0 * _STEP * mean)
+    return missing(1.0) - slope * mean, slope
 
 
 def _compliances(

@@ -12,6 +12,8 @@ from stiffopt.errors import ProblemError
 
 # Share of the largest torque of a joint below which one is zero but for rounding, and no reversal.
 _NO_TORQUE = 1e-9
+# What a load may have at each instant besides its torques.
+_OPTIONAL = ("reference_torque", "jacobian", "wrench", "reference_wrench", "frames", "arm")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,6 +33,13 @@ class LoadCase:
     wrench : array (n, 6), optional
         Force and moment in every joint, about its origin, the third axis along the joint's [N],
         [N m]; see `stiffopt.robot.joint_load`. Without it the torque is all that is known.
+    reference_wrench : array (n, 6), optional
+        What of it does not count in the tool deflection, as `reference_torque` of the torque.
+    frames : array (n, 3, 3), optional
+        Axes of the joints as columns, base axes.
+    arm : array (n, 3), optional
+        From each joint's origin to the tool point, base axes [m]; 0 where the joint does not move
+        it. Without frames and arm flanges do not tilt the tool.
     reversing : array (n,) of bool, optional
         Joints whose torque changes its sign in the motion that the case is of.
     time : float, optional
@@ -44,6 +53,9 @@ class LoadCase:
     reference_torque: np.ndarray | None = None
     jacobian: np.ndarray | None = None
     wrench: np.ndarray | None = None
+    reference_wrench: np.ndarray | None = None
+    frames: np.ndarray | None = None
+    arm: np.ndarray | None = None
     reversing: np.ndarray | None = None
     time: float | None = None
     source: str = "given"
@@ -63,7 +75,9 @@ class LoadHistory:
     torque : array (K, n) [N m]
     reference_torque : array (K, n), optional [N m]
     jacobian : array (K, 3, n), optional
-    wrench : array (K, n, 6), optional
+    wrench, reference_wrench : array (K, n, 6), optional
+    frames : array (K, n, 3, 3), optional
+    arm : array (K, n, 3), optional
         As of a `LoadCase`.
     source : str
     """
@@ -74,6 +88,9 @@ class LoadHistory:
     reference_torque: np.ndarray | None = None
     jacobian: np.ndarray | None = None
     wrench: np.ndarray | None = None
+    reference_wrench: np.ndarray | None = None
+    frames: np.ndarray | None = None
+    arm: np.ndarray | None = None
     source: str = "given"
 
     def __post_init__(self) -> None:
@@ -92,13 +109,13 @@ class LoadHistory:
 
     def at(self, index: int) -> LoadCase:
         """Load case at an instant, named after the motion and the time."""
-        reference, jacobian = self.reference_torque, self.jacobian
         return LoadCase(
             name=f"{self.name} at {self.time[index]:.3f} s",
             torque=self.torque[index],
-            reference_torque=None if reference is None else reference[index],
-            jacobian=None if jacobian is None else jacobian[index],
-            wrench=None if self.wrench is None else self.wrench[index],
+            **{
+                key: None if (values := getattr(self, key)) is None else values[index]
+                for key in _OPTIONAL
+            },
             reversing=self.reversing,
             time=float(self.time[index]),
             source=self.source,
@@ -110,6 +127,7 @@ class LoadHistory:
         compliance: Callable[[int, np.ndarray], np.ndarray],
         windup: Callable[[int, np.ndarray], np.ndarray],
         critical: Callable[[LoadHistory], set[int]] | None = None,
+        tilted: Callable[[LoadHistory], np.ndarray] | None = None,
     ) -> tuple[LoadCase, ...]:
         """Instants that matter: the worst for slip, for stiffness and for the tool.
 
@@ -121,6 +139,8 @@ class LoadHistory:
             (joint, torques (K,)) -> (K,) with the preloads in question [rad/(N m)], [rad].
         critical : callable, optional
             Further instants, by index: the worst for each check of the bolts.
+        tilted : callable, optional
+            What flanges that tilt add to the tool's deflection (K, 3) [m].
 
         Returns
         -------
@@ -133,10 +153,14 @@ class LoadHistory:
             found.add(int(np.argmax(np.abs(torque))))
             found.add(int(np.argmax(compliance(joint, torque))))
         if self.jacobian is not None:
-            found.add(int(np.argmax(self._deflection(windup))))
+            found.add(int(np.argmax(self._deflection(windup, tilted))))
         return tuple(self.at(index) for index in sorted(found))
 
-    def _deflection(self, windup: Callable[[int, np.ndarray], np.ndarray]) -> np.ndarray:
+    def _deflection(
+        self,
+        windup: Callable[[int, np.ndarray], np.ndarray],
+        tilted: Callable[[LoadHistory], np.ndarray] | None,
+    ) -> np.ndarray:
         """Size of the tool's deflection (K,) [m]."""
         assert self.jacobian is not None
         angles = np.zeros_like(self.torque)
@@ -147,14 +171,16 @@ class LoadHistory:
                 # What slips under the reference torque does not hold at all.
                 lost = np.isinf(angles[:, j]) | np.isinf(reference)
                 angles[:, j] = np.where(lost, np.inf, angles[:, j] - np.where(lost, 0.0, reference))
-        held = np.isfinite(angles).all(axis=1)
+        turned = np.zeros((len(self.torque), 3)) if tilted is None else tilted(self)
+        held = np.isfinite(angles).all(axis=1) & np.isfinite(turned).all(axis=1)
         vectors = np.einsum("kin,kn->ki", self.jacobian, np.where(held[:, None], angles, 0.0))
+        vectors = vectors + np.where(held[:, None], turned, 0.0)
         return np.where(held, np.linalg.norm(vectors, axis=1), np.inf)
 
 
 def _require_finite(loads: LoadCase | LoadHistory, owner: str) -> None:
     """Turn the array fields into arrays and refuse what is not a finite number."""
-    for key in ("time", "torque", "reference_torque", "jacobian", "wrench"):
+    for key in ("time", "torque", *_OPTIONAL):
         value = getattr(loads, key)
         if value is None or isinstance(value, float):
             continue

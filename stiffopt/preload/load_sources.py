@@ -16,7 +16,7 @@ from stiffopt.certificate.rigid_body import RigidBodyHistory, rigid_body_history
 from stiffopt.errors import InputFileError, ProblemError
 from stiffopt.files import read_table
 from stiffopt.preload.load_case import LoadCase, LoadHistory
-from stiffopt.robot.joint_load import joint_wrenches
+from stiffopt.robot.joint_load import joint_frames, joint_wrenches
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -55,12 +55,20 @@ def pose_case(
     pose = np.asarray(angles, dtype=float)[None]
     body = rigid_body_history(robot, pose, rest, rest)
     gravity, jacobian = body.gravity_torque[0], body.jacobian[0]
+    frames, arm = joint_frames(robot, pose)
     return LoadCase(
         name=name,
         torque=gravity - jacobian.T @ force,
         reference_torque=gravity if deflection == "process" else None,
         jacobian=None if deflection == "dynamic" else jacobian,
         wrench=joint_wrenches(robot, pose, rest, rest, np.asarray(force, dtype=float))[0],
+        reference_wrench=(
+            joint_wrenches(robot, pose, rest, rest, np.zeros(3))[0]
+            if deflection == "process"
+            else None
+        ),
+        frames=frames[0],
+        arm=arm[0],
         source="pose",
     )
 
@@ -103,7 +111,7 @@ def trajectory_history(
     table = _Table(path, robot.n)
     source = f"trajectory {path.name}"
     velocity, acceleration = table.get("qd"), table.get("qdd")
-    wrench = None
+    wrench = frames = arm = None
     if whole:
         if velocity is None or acceleration is None:
             raise InputFileError(
@@ -116,6 +124,7 @@ def trajectory_history(
         wrench = joint_wrenches(
             robot, table.position, velocity, acceleration, np.asarray(force, dtype=float)
         )
+        frames, arm = joint_frames(robot, table.position)
         revolute = ~robot.prismatic
         _check_torque(path, robot, table.spring[:, revolute], wrench[:, revolute, 5])
     if deflection is None:
@@ -144,6 +153,13 @@ def trajectory_history(
         reference_torque=reference,
         jacobian=body.jacobian,
         wrench=wrench,
+        reference_wrench=(
+            None
+            if wrench is None
+            else _reference_wrench(deflection, robot, table.position, velocity, acceleration)
+        ),
+        frames=frames,
+        arm=arm,
         source=source,
     )
 
@@ -174,6 +190,7 @@ def motion_histories(
         "process_deflection": (motion.spring_torque, body.link_torque),
         "total_deflection": (motion.spring_torque, None),
     }[objective]
+    frames, arm = joint_frames(problem.robot, motion.position)
     found = [
         LoadHistory(
             name="motion",
@@ -182,6 +199,15 @@ def motion_histories(
             reference_torque=reference,
             jacobian=body.jacobian,
             wrench=_wrench(problem, motion, torque is motion.spring_torque),
+            reference_wrench=_reference_wrench(
+                objective.removesuffix("_deflection"),
+                problem.robot,
+                motion.position,
+                motion.velocity,
+                motion.acceleration,
+            ),
+            frames=frames,
+            arm=arm,
             source="motion of this study",
         )
     ]
@@ -228,6 +254,24 @@ def _reference(
             "has. Set deflection to 'total' or 'process', or drop the force."
         )
     return body.gravity_torque
+
+
+def _reference_wrench(
+    deflection: str,
+    robot: Robot,
+    position: np.ndarray,
+    velocity: np.ndarray | None,
+    acceleration: np.ndarray | None,
+) -> np.ndarray | None:
+    """Loads of the joints that do not count in the deflection (K, n, 6), as `_reference`."""
+    rest = np.zeros_like(position)
+    if deflection == "dynamic":
+        return joint_wrenches(robot, position, rest, rest, np.zeros(3))
+    if deflection == "process":
+        assert velocity is not None
+        assert acceleration is not None
+        return joint_wrenches(robot, position, velocity, acceleration, np.zeros(3))
+    return None
 
 
 class _Table:

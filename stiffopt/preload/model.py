@@ -19,10 +19,12 @@ from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import ProblemError
 from stiffopt.exact.chain import exact_compliance, exact_windup, stage_windup
+from stiffopt.fastening.tilting import closed_compliance, tilting_flange
 from stiffopt.fastening.verification import VdiCheck, Verification
 from stiffopt.preload.flange_loads import slip_safety, verification
-from stiffopt.preload.load_case import LoadCase
+from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.problem import FreeElement, PreloadProblem
+from stiffopt.preload.tilted_tool import tilt_vector, tilted_tool, tilts
 from stiffopt.symbolic import Quantity
 
 
@@ -160,9 +162,7 @@ class PreloadModel:
     def slip_torque(self, preloads: Quantity, index: int) -> Quantity:
         """Joint torque at which an element slips [N m]; linear in its preloads."""
         element = self.elements[index]
-        own = self.of_element(preloads, index)
-        mean = sum(own[1:], own[0]) / len(own)
-        least = element.least(mean)
+        least = self._mean_least(preloads, index)
         return element.stage.element.slip_torque(least) * element.stage.reduction
 
     # ---- exact law
@@ -228,9 +228,67 @@ class PreloadModel:
             angles = np.array([self.net_windups(preloads, joint) for joint in joints])
             for k, case in enumerate(self.cases):
                 if case.jacobian is not None:
-                    held = bool(np.isfinite(angles[:, k]).all())
-                    found[k] = -case.jacobian @ angles[:, k] if held else np.inf
+                    turned = self.tilted_tool(case, preloads)
+                    held = bool(np.isfinite(angles[:, k]).all() and np.isfinite(turned).all())
+                    found[k] = -(case.jacobian @ angles[:, k] + turned) if held else np.inf
         return found
+
+    # ---- flanges that tilt
+
+    @cached_property
+    def fixed_flanges(self) -> tuple[tuple[int, Stage], ...]:
+        """Flanges that tilt and are not of the study, with their joints."""
+        free = {(element.joint, element.name) for element in self.elements}
+        return tuple(
+            (joint, stage)
+            for joint, chain in enumerate(self.problem.robot.chains, start=1)
+            if chain is not None
+            for stage in chain.stages
+            if tilts(stage) and (joint, stage.element.name) not in free
+        )
+
+    def fixed_tilt(self, load: LoadCase | LoadHistory) -> np.ndarray:
+        """What the flanges outside the study add to the tool's deflection (..., 3) [m]."""
+        total = np.zeros((*load.torque.shape[:-1], 3))
+        for joint, stage in self.fixed_flanges:
+            preload = stage.element.preload
+            assert preload is not None
+            total = total + tilted_tool(stage, joint, load, preload)
+        return total
+
+    def tilted_tool(self, load: LoadCase | LoadHistory, preloads: np.ndarray) -> np.ndarray:
+        """What all flanges add to the tool's deflection by the exact law (..., 3) [m]."""
+        total = self.fixed_tilt(load)
+        for index, element in enumerate(self.elements):
+            left = float(self._mean_least(preloads, index))
+            total = total + tilted_tool(element.stage, element.joint, load, left)
+        return total
+
+    def tilt_compliance(self, preloads: Quantity, index: int) -> Quantity:
+        """Smooth tilting compliance of an element's closed face [rad/(N m)]."""
+        flange = self.elements[index].stage.element
+        assert isinstance(flange, BoltedFlange)
+        return closed_compliance(flange, self._mean_least(preloads, index))
+
+    def exact_tilt_compliance(self, preloads: np.ndarray, index: int) -> float:
+        """The same by the exact law."""
+        flange = self.elements[index].stage.element
+        assert isinstance(flange, BoltedFlange)
+        return (
+            1.0 / tilting_flange(flange, float(self._mean_least(preloads, index))).closed_stiffness
+        )
+
+    @cached_property
+    def tilt_vectors(self) -> np.ndarray:
+        """Movement of the tool per tilting compliance of each element (elements, cases, 3)."""
+        return np.array(
+            [[tilt_vector(e.stage, e.joint, case) for case in self.cases] for e in self.elements]
+        ).reshape(len(self.elements), len(self.cases), 3)
+
+    def _mean_least(self, preloads: Quantity, index: int) -> Quantity:
+        """Mean of what an element's fasteners are left with [N]."""
+        own = self.of_element(preloads, index)
+        return self.elements[index].least(sum(own[1:], own[0]) / len(own))
 
     def net_windups(self, preloads: np.ndarray, joint: int) -> np.ndarray:
         """Exact wind-up of a joint beyond that of the reference torque (cases,) [rad]."""

@@ -84,6 +84,8 @@ class PreloadNlp:
         self._compliance_slope = ca.SX.sym("compliance slope", model.size, cases)
         self._rest_windup = ca.SX.sym("windup", self.n, cases)
         self._windup_slope = ca.SX.sym("windup slope", model.size, cases)
+        self._tilt = ca.SX.sym("tilt", len(model.elements))
+        self._tilt_slope = ca.SX.sym("tilt slope", len(model.elements))
         self._preloads = self._x * ca.DM(self.scale)
         # A requirement and an objective share the compliances of their joint.
         self._built: dict[int, list[Quantity]] = {}
@@ -127,6 +129,8 @@ class PreloadNlp:
                 ca.vec(self._compliance_slope),
                 ca.vec(self._rest_windup),
                 ca.vec(self._windup_slope),
+                self._tilt,
+                self._tilt_slope,
             ),
             f=self._objective(),
             g=ca.SX(ca.vertcat(*values)) if values else ca.SX.zeros(0, 1),
@@ -242,9 +246,21 @@ class PreloadNlp:
                     angle = angle + self.model.net_windup(self._preloads, j + 1, case)
                     angle = angle + self._times_own(self._windup_slope, j + 1, k)
                 angles.append(angle)
-            vector = ca.mtimes(ca.DM(case.jacobian), ca.vertcat(*angles))
+            vector = ca.mtimes(ca.DM(case.jacobian), ca.vertcat(*angles)) + self._turned(k)
             found.append((case.name, ca.sumsqr(vector)))
         return found
+
+    def _turned(self, k: int) -> Quantity:
+        """What flanges that tilt add to the deflection in a load case [m]."""
+        model = self.model
+        total = ca.SX(ca.DM(model.fixed_tilt(model.cases[k])))
+        for index, vectors in enumerate(model.tilt_vectors):
+            if vectors[k].any():
+                own = model.of_element(self._preloads, index)
+                compliance = model.tilt_compliance(self._preloads, index) + self._tilt[index]
+                compliance = compliance + self._tilt_slope[index] * sum(own[1:], own[0]) / len(own)
+                total = total + compliance * ca.DM(vectors[k])
+        return total
 
     def _times_own(self, slope: Quantity, joint: int, index: int) -> Quantity:
         """Linear term of a joint in one load case, over the joint's own preloads."""
@@ -302,6 +318,8 @@ class PreloadNlp:
             shift.compliance_slope,
             shift.windup,
             shift.windup_slope,
+            shift.tilt,
+            shift.tilt_slope,
         )
         return np.concatenate([part.ravel(order="F") for part in parts])
 

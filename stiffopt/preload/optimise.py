@@ -120,6 +120,7 @@ def with_worst_instants(
             lambda joint, torques: model.exact_compliance(preloads, joint, torques),
             lambda joint, torques: model.exact_windup(preloads, joint, torques),
             lambda motion: _critical(model, motion),
+            lambda motion: model.tilted_tool(motion, preloads),
         )
         for case in worst:
             found.setdefault(case.name, case)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.drivetrain import catalogue
 from stiffopt.fastening.tightening import preload_at_torque, tightening_torque
 from stiffopt.fastening.verification import Verification
 
@@ -71,7 +70,7 @@ def slip_probability(
     frictions: M - F lever is normal, so the closed form is exact. A flange holds by the sum of its
     bolts, so that it slips less often than one bolt is too loose.
     """
-    tightening, bolt = steps.tightening, catalogue.bolt(steps.bolt.size)
+    tightening, bolt = steps.tightening, steps.data
     lowest = (tightening.thread_friction, tightening.head_friction)
     setting = float(tightening_torque(bolt, preload, *lowest))
     pitch = float(tightening_torque(bolt, 1.0, 0.0, 0.0))

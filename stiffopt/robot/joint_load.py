@@ -54,6 +54,35 @@ def joint_wrenches(
     return found
 
 
+def joint_frames(robot: Robot, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Axes of the joints in which `joint_wrenches` are, and where the tool is from each joint.
+
+    Parameters
+    ----------
+    robot : Robot
+    position : array (K, n)
+
+    Returns
+    -------
+    (axes (K, n, 3, 3) as columns, arm (K, n, 3) [m])
+        In base axes; the arm is 0 for joints that do not move the tool.
+    """
+    data = robot.model.createData()
+    own = [_axes(body.axis) for body in robot.tree.bodies]
+    loaded = _supports(robot.model, robot.tool.joint)
+    axes, arm = np.empty((*position.shape, 3, 3)), np.zeros((*position.shape, 3))
+    for k, pose in enumerate(position):
+        pin.forwardKinematics(robot.model, data, pose)
+        place = data.oMi[robot.tool.joint]
+        tool = place.translation + place.rotation @ robot.tool.offset
+        for i in range(robot.model.nv):
+            at = data.oMi[i + 1]
+            axes[k, i] = at.rotation @ own[i]
+            if i + 1 in loaded:
+                arm[k, i] = tool - at.translation
+    return axes, arm
+
+
 def at_face(wrench: np.ndarray, position: float) -> np.ndarray:
     """The same load about a point on the joint's axis.
 

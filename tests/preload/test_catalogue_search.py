@@ -90,6 +90,16 @@ def test_finds_the_best_of_all(seed, sizes, rows, vectors, tightness, peak):
     assert second.value == tie
 
 
+def test_rows_are_named_where_the_solver_fails_on_the_way():
+    # HiGHS ends without an answer once this instance has its first cut.
+    programme = instance(2012, [5, 5, 5], 2, 0.015625, 2)
+    search = CombinationSearch(programme)
+    assert search.minimise(goal(programme, False)).picks is None
+    named = search.conflicting_rows()
+    assert named
+    assert set(named) <= set(programme.names)
+
+
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10**6), st.floats(0.0, 0.5))
 def test_designs_that_break_a_row_alone_are_in_no_combination(seed, tightness):

@@ -9,6 +9,7 @@ from small_studies import write_study
 
 from stiffopt import load_robot
 from stiffopt.certificate.rigid_body import rigid_body_history
+from stiffopt.connection import FlangeRing
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputFileError
 from stiffopt.fastening.flange_load import FlangeLoads
@@ -113,6 +114,27 @@ def test_sheet_of_a_tilted_flange():
     # What is not tight holds nothing.
     (loose,) = bolt_sheets(model, np.array([300.0]))
     assert (loose.tilting_stiffness, loose.tilt) == (0.0, np.inf)
+
+
+def test_a_sheet_of_a_flange_that_bends_is_in_balance():
+    wrench = np.zeros((6, 6))
+    wrench[1] = [40.0, 0, 200.0, 30.0, -12.0, 20.0]
+    load = LoadCase(name="tilt", torque=wrench[:, 5], wrench=wrench)
+    thin = {"ring": FlangeRing(thickness=4e-3, supports=4)}
+    sheets = []
+    for changes in ({}, thin):
+        robot = open_flange(2, **changes)
+        model = PreloadModel(study(load, robot=robot, free=("flexspline_flange",)))
+        (sheet,) = bolt_sheets(model, np.array([9e3]))
+        radius = sheet.flange.circle_diameter / 2
+        assert sheet.axial.sum() == pytest.approx(200.0)
+        assert radius * sheet.axial @ np.sin(sheet.angles) == pytest.approx(30.0)
+        assert radius * sheet.axial @ np.cos(sheet.angles) == pytest.approx(12.0)
+        sheets.append(sheet)
+    rigid, bent = sheets
+    assert bent.axial.max() > 1.005 * rigid.axial.max()
+    assert bent.working_load >= bent.axial.max() * (1 - 1e-3)
+    assert bent.clamp_needed > rigid.clamp_needed
 
 
 def test_a_load_too_large_names_the_step_that_stops_it():
