@@ -94,14 +94,24 @@ def _by_belief(problem: TrajectoryProblem, outcome: Outcome, found: Verdict) -> 
             f"wrong: it differs in {listed}. The motion is not the optimum; please report the "
             "robot and the problem.",
         )
-    advice = "Please report the robot and the problem."
-    if _contact_laws(problem) - {"log_cubic"}:
-        advice = "contact_law = 'log_cubic' follows the true law most closely."
     return Verdict(
         SolveStatus.ACCEPTABLE,
         "Solved and certified: every limit holds on the fine grid. But the optimiser's smooth "
-        f"model of this motion differs in {listed}, so it is only near the optimum. {advice}",
+        f"model of this motion differs in {listed}, so it is only near the optimum. "
+        f"{closer_model(problem)}",
     )
+
+
+def closer_model(problem: TrajectoryProblem) -> str:
+    """What makes the optimiser's smooth model come closer to the exact one, as a sentence."""
+    if _contact_laws(problem) - {"log_cubic"}:
+        return "contact_law = 'log_cubic' follows the true law most closely."
+    if problem.plans_links:
+        return (
+            f"More than {problem.method.intervals} method.intervals let it follow the bends of the "
+            "joints' laws more closely."
+        )
+    return "Please report the robot and the problem."
 
 
 def _disagreements(problem: TrajectoryProblem, outcome: Outcome) -> list[Disagreement]:

@@ -142,8 +142,14 @@ def workers(count: int | None, scheduler: str | None) -> Workers:
     """Workers as the command line asks for them: None counts the cores."""
     if scheduler is not None:
         return Cluster(scheduler)
-    count = len(os.sched_getaffinity(0)) if count is None else count
+    count = _cores() if count is None else count
     return InProcess() if count == 1 else Processes(count)
+
+
+def _cores() -> int:
+    """Cores that this process may use; macOS tells only how many there are."""
+    allowed = getattr(os, "sched_getaffinity", None)
+    return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
 
 
 def _begin() -> None:

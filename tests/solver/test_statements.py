@@ -11,7 +11,7 @@ from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import improvement
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.verdict import named_conflicts
+from stiffopt.solver.verdict import closer_model, named_conflicts
 
 
 def cubic(problem, duration):
@@ -52,6 +52,13 @@ def test_objectives_that_nothing_can_change_are_refused(tmp_path):
         replace(problem, objectives=(Objective(name="process_deflection", measure="rms"),))
     with pytest.raises(ProblemError, match="is fixed at"):
         replace(problem, objectives=(Objective(name="duration"),))
+
+
+def test_a_plan_of_the_links_comes_closer_with_more_intervals(tmp_path):
+    problem = load(tmp_path, "planar")
+    swinging = replace(problem, objectives=(Objective(name="tool_deviation", measure="peak"),))
+    assert "report the robot" in closer_model(problem)
+    assert f"More than {problem.method.intervals} method.intervals" in closer_model(swinging)
 
 
 def test_python_arguments_are_checked_like_files(tmp_path):
