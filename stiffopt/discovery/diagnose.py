@@ -23,6 +23,7 @@ from stiffopt.discovery.experiment.design import ExperimentPlan, leading_pair, p
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.discovery.judging.bursts import bursts
+from stiffopt.discovery.judging.closing import closed
 from stiffopt.discovery.judging.detection import detection_limits
 from stiffopt.discovery.judging.modes import mode_shifts
 from stiffopt.discovery.judging.next_recording import next_recording
@@ -135,10 +136,13 @@ def diagnose(
     say("estimate parameters")
     located = tuple(s.located for s in selected)
     parameters = estimate(result.comparison, located)
+    start = () if base is None else (base.extension,)
+    if training.free_bodies and not training.robot.swings:
+        say("take friction from all moving samples where that predicts better")
+        parameters = closed(training, settings, start, parameters)
     findings = _findings(result.comparison, selected, parameters, training, result.after)
     limits = detection_limits(Scorer(result.comparison, located), asked, result.effects)
     found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
-    start = () if base is None else (base.extension,)
     if unexplained is None and not findings:
         say("look for bursts above the filter's band")
         unexplained = bursts(training, (*start, found), settings)

@@ -47,6 +47,10 @@ BORNE_OUT_SHARE = 0.5
 # in which it helps.
 LEFT_OUT_SHARE, LEFT_OUT_FOLDS = 0.01, 0.6
 
+# A finding that adds more than this to its channel, over what the nominal model leaves there (root
+# mean squares), only balances another.
+BALANCING_RATIO = 1.5
+
 # ---- What is a rival [0020]
 
 # Log evidences are too sure where formulas differ from nature: a difference counts over this share

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.catalogue import CATALOGUE, effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.search.left_out import _excess, borne_out
+from stiffopt.discovery.judging.closing import closed
+from stiffopt.discovery.search.left_out import _excess, borne_out, without_balancing
+from stiffopt.discovery.search.search import _restored
+from stiffopt.discovery.search.uncertainty import estimate
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.thresholds import LEFT_OUT_SHARE
 from stiffopt.discovery.training import train
@@ -42,3 +47,51 @@ def test_a_finding_helps_in_most_parts(falls: list[float], borne: bool) -> None:
     assert (excess >= 0.0) == borne
     if borne:
         assert excess == pytest.approx(0.03 - LEFT_OUT_SHARE)
+
+
+def test_two_that_only_balance_each_other_are_none() -> None:
+    """Nine times as much as there is to explain, less nearly as much again: neither is there."""
+    time = np.linspace(0.0, 1.0, 200)
+    shapes = {"viscous": time, "coulomb": 1.0 + 0.0 * time, "torque_offset": 1.0 + 0.01 * time}
+    amplitudes = {"viscous": 1.0, "coulomb": -9.0, "torque_offset": 9.0}
+    found = [LocatedEffect(effect=effect(name), joint=0) for name in shapes]
+    comparison: Any = SimpleNamespace(
+        target=time,
+        rows=SimpleNamespace(channel=np.zeros(200, dtype=int)),
+        effect_columns=lambda e: shapes[e.effect.name][:, None],
+        fit=lambda effects: SimpleNamespace(
+            amplitudes=lambda: np.array(
+                [amplitudes[e.effect.name] if len(effects) == 3 else 0.5 for e in effects]
+            )
+        ),
+    )
+    kept = [e.effect.name for e in without_balancing(comparison, found)]
+    assert "viscous" in kept
+    assert len(kept) == 2  # alone, the other adds no more than there is
+
+
+def test_what_every_joint_has_comes_back() -> None:
+    """Dry friction that was lost on the way is found again where it is, and only there."""
+    comparison = train(load_recordings(SET), Settings()).comparison()
+    lost = [LocatedEffect(effect=effect("coulomb"), joint=j) for j in range(2)]
+    _, ranked = _restored(comparison, comparison, [], lost, CATALOGUE, lambda _: None)
+    assert [r.selected.located for r in ranked] == lost[1:]
+
+
+def test_friction_is_taken_from_all_moving_samples() -> None:
+    """A level that is off comes back to what the runs bear out, and is no surer for it."""
+    training = train(load_recordings(SET), Settings())
+    there = LocatedEffect(effect=effect("coulomb"), joint=1)
+    first = estimate(training.comparison(), [there])
+    size = there.sizes(training.constants)[0]
+    off = first.moved(np.array([0.5]))
+    assert off.effects[0].amplitudes[0] == pytest.approx(
+        first.effects[0].amplitudes[0] + 0.5 * size
+    )
+    again = closed(training, training.settings, (), off)
+    value, sd = again.parameters(0, there.constants(training.constants))["dFc"]
+    known, exact = first.parameters(0, there.constants(training.constants))["dFc"]
+    assert value == pytest.approx(known, rel=0.05)
+    assert sd > 0.4 * size > exact
+    same = closed(training, training.settings, (), first)
+    assert same.effects == first.effects

@@ -41,6 +41,16 @@ def test_a_drive_gives_no_more_than_its_limit(share: float, possible: bool) -> N
 
 
 @pytest.mark.parametrize(
+    ("place", "width", "possible"), [(0.5, 0.3, True), (4.0, 0.3, False), (0.0, 1.5, False)]
+)
+def test_a_tight_place_is_a_place_of_the_stroke(place: float, width: float, possible: bool) -> None:
+    """Of a stroke of 2 rad: one beyond it is never met, one as wide is Coulomb friction."""
+    joint = replace(JOINT, stroke=(-1.0, 1.0))
+    bump = LocatedEffect(effect=effect("position_friction"), joint=0, shapes=(place, width))
+    assert bump.possible(replace(ROBOT, joints=(joint,))) == possible
+
+
+@pytest.mark.parametrize(
     ("name", "least"), [("coulomb", -4.0), ("viscous", 0.0), ("rotor_inertia", 0.0)]
 )
 def test_nothing_falls_below_none(name: str, least: float) -> None:

@@ -100,6 +100,13 @@ def _slow_speeds(constants: JointConstants) -> tuple[float, ...]:
     return tuple(float(v) for v in np.geomspace(0.02, highest, 5))
 
 
+def _in_stroke(shapes: Sequence[float], constants: JointConstants) -> bool:
+    """Whether it is a place of the stroke: what is never met or everywhere is no tight place."""
+    low, high = constants.stroke
+    place, width = shapes
+    return bool(low <= place <= high and width <= 0.5 * (high - low))
+
+
 def _places(constants: JointConstants) -> tuple[float, ...]:
     return along_stroke(constants, 10)
 
@@ -222,6 +229,7 @@ POSITION_FRICTION = Effect(
         Shape(name="q0", unit="rad", starts=_places, lower=-20.0, upper=20.0),
         Shape(name="width", unit="rad", starts=(0.12, 0.3, 0.7), lower=0.05, upper=1.5),
     ),
+    possible=_in_stroke,
     separate="Sweep the whole stroke slowly both ways: a gravity error keeps its sign, friction"
     " turns with the direction.",
 )

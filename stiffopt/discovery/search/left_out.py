@@ -16,7 +16,7 @@ from stiffopt.discovery.comparison.columns import FEW_RUNS
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepare import PreparedRun
-from stiffopt.discovery.thresholds import LEFT_OUT_FOLDS, LEFT_OUT_SHARE
+from stiffopt.discovery.thresholds import BALANCING_RATIO, LEFT_OUT_FOLDS, LEFT_OUT_SHARE
 
 # Parts of all runs that are left out one after another where runs are few.
 _PARTS = 6
@@ -57,9 +57,11 @@ def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[
 
     Notes
     -----
-    The one that helps least is taken away first and all others are judged anew, each by a fit
-    without it. An effect of one run cannot be seen in others and stays.
+    Those that only balance others go first; then the one that helps least is taken away and all
+    others are judged anew, each by a fit without it. An effect of one run cannot be seen in others
+    and stays.
     """
+    effects = without_balancing(comparison, effects)
     if not effects:
         return []
     sums, owner = _summed(comparison, effects)
@@ -81,6 +83,39 @@ def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[
         if poorest is None or excess[poorest] >= 0.0:
             return [e for k, e in enumerate(effects) if k in kept]
         kept.remove(poorest)
+
+
+def without_balancing(
+    comparison: Comparison, effects: Sequence[LocatedEffect]
+) -> list[LocatedEffect]:
+    """Effects without those that add far more to a channel than there is to explain in it.
+
+    Two formulas that are nearly alike along the training runs fit best as a difference of large
+    values, which means nothing and goes anywhere on another motion.
+    """
+    kept = list(effects)
+    while kept:
+        ratio = _balancing(comparison, kept)
+        worst = int(np.argmax(ratio))
+        if ratio[worst] <= BALANCING_RATIO:
+            break
+        kept.pop(worst)
+    return kept
+
+
+def _balancing(comparison: Comparison, effects: Sequence[LocatedEffect]) -> np.ndarray:
+    """What each effect adds to its channel, over what the nominal model leaves there (e,)."""
+    amplitudes, channel = comparison.fit(effects).amplitudes(), comparison.rows.channel
+    left = np.bincount(channel, comparison.target**2)
+    found, begin = [], 0
+    for located in effects:
+        columns = comparison.effect_columns(located)
+        added = columns @ amplitudes[begin : begin + columns.shape[1]]
+        begin += columns.shape[1]
+        square = np.bincount(channel, added**2)
+        own = int(np.argmax(square))
+        found.append(float(np.sqrt(square[own] / left[own])) if left[own] > 0.0 else 0.0)
+    return np.array(found)
 
 
 def shares_left_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[float, ...]:
@@ -145,10 +180,15 @@ def _sums(comparison: Comparison, columns: np.ndarray, prior: np.ndarray) -> _Su
     return _Sums(gram, moment, square, prior)
 
 
+def parts_a_run(runs: int) -> int:
+    """Parts that each of so many runs is cut into, to leave them out one after another."""
+    return 1 if runs >= 2 * FEW_RUNS else -(-_PARTS // runs)
+
+
 def _folds(comparison: Comparison) -> np.ndarray:
     """Number of the fold of every row (m,): its run, or one of a few parts of the runs in time."""
     runs = comparison.runs
-    parts = 1 if len(runs) >= 2 * FEW_RUNS else -(-_PARTS // len(runs))
+    parts = parts_a_run(len(runs))
 
     def number(run: PreparedRun) -> np.ndarray:
         share = (run.time - run.time[0]) / float(run.time[-1] - run.time[0])

@@ -116,7 +116,10 @@ def search(
     if free_bodies:
         confirmed = borne_out(current, confirmed)
     if len(confirmed) < len(effects):
+        lost = [e for e in effects if e not in confirmed]
         current, effects = _fitted_jointly(comparison, confirmed)
+        if free_bodies:
+            current, effects = _added_again(comparison, current, effects, lost)
     current, ranked = _exchanged(comparison, current, effects, catalogue, tell)
     for _ in range(EXCHANGES if free_bodies else 0):
         effects = [r.selected.located for r in ranked]
@@ -125,6 +128,10 @@ def search(
             break
         current, kept = _fitted_jointly(comparison, kept)
         current, ranked = _exchanged(comparison, current, kept, catalogue, tell, ranked)
+    if free_bodies:
+        effects = [r.selected.located for r in ranked]
+        lost = [e for e in start if not any(e.same_place(other) for other in effects)]
+        current, ranked = _restored(comparison, current, ranked, lost, catalogue, tell)
     selected = sorted((r.selected for r in ranked), key=lambda s: -s.loss)
     fit = current.fit(tuple(s.located for s in selected))
     return SearchResult(
@@ -162,6 +169,69 @@ def _not_stated(
     say(f"fit what the nominal model does not state ({len(start)} values)")
     current, effects = _fitted_jointly(comparison, start)
     return _fitted_jointly(comparison, _pruned(current, effects))
+
+
+def _added_again(
+    comparison: Comparison,
+    current: Comparison,
+    effects: list[LocatedEffect],
+    lost: list[LocatedEffect],
+) -> tuple[Comparison, list[LocatedEffect]]:
+    """Effects with those of the lost that are borne out one by one, the likeliest first.
+
+    Of two that stand in for each other neither is missed, until the other has gone.
+    """
+    waiting = list(lost)
+    while waiting:
+        scorer = Scorer(current, effects)
+        scored = [(c, e) for e in waiting if (c := scorer.score(e)) is not None]
+        passing = [(c, e) for c, e in scored if _passes(c, scorer)]
+        if not passing:
+            break
+        best = max(passing, key=lambda pair: pair[0].evidence)[1]
+        waiting = [e for _, e in passing if e is not best]
+        wider, tried = _fitted_jointly(comparison, [*effects, best])
+        judged = borne_out(wider, _confirmed(wider, tried, strict=True))
+        if any(best.same_place(other) for other in judged):
+            current, effects = wider, tried
+    return current, effects
+
+
+def _restored(
+    comparison: Comparison,
+    current: Comparison,
+    ranked: list[Ranked],
+    lost: list[LocatedEffect],
+    catalogue: Sequence[Effect],
+    tell: Callable[[str], object],
+) -> tuple[Comparison, list[Ranked]]:
+    """Effects with what every joint has, where what stood in its place has gone meanwhile.
+
+    What comes to nothing beside it stood in its place still.
+    """
+    effects = [r.selected.located for r in ranked]
+    while lost:
+        wider, found = _fitted_jointly(comparison, [*effects, *lost])
+        found = borne_out(wider, _pruned(wider, found))
+        found = _confirmed(wider, found, strict=True)
+        kept = [e for e in lost if any(e.same_place(other) for other in found)]
+        if len(kept) == len(lost):
+            scorer = Scorer(wider, found)
+            for each in effects:
+                if not any(each.same_place(other) for other in found):
+                    beside = scorer.score(each)
+                    if beside is not None and beside.evidence > NAMED_EVIDENCE:
+                        found.append(each)
+            wider, found = _fitted_jointly(comparison, found)
+            weighed = _ranked(wider, found, catalogue, tell, ranked)
+            unlikely = [
+                r.selected.located for r in weighed if r.likeliest is not r.selected.located
+            ]
+            kept = [e for e in lost if not any(e.same_place(other) for other in unlikely)]
+            if len(kept) == len(lost):
+                return wider, weighed
+        lost = kept
+    return current, ranked
 
 
 def _forward(

@@ -92,6 +92,30 @@ class Estimate:
             name: (float(v), float(s)) for name, v, s in zip(names, report(inputs), sd, strict=True)
         }
 
+    def moved(self, steps: np.ndarray) -> Estimate:
+        """The estimate with first amplitudes moved by steps (e,) over their sizes.
+
+        Every step counts as one standard deviation more: two ways to count disagree by it.
+        """
+        if not steps.any():
+            return self
+        first = len(self.nuisance) + np.cumsum([0, *(len(s) for s in self.sizes[:-1])])
+        change = np.zeros(len(self.covariance))
+        change[first] = steps
+        effects = tuple(
+            replace(each, amplitudes=(each.amplitudes[0] + step * size[0], *each.amplitudes[1:]))
+            for each, step, size in zip(self.effects, steps, self.sizes, strict=True)
+        )
+        more = np.diag(change**2)
+        return replace(
+            self,
+            values=self.values + change[: len(self.values)],
+            effects=effects,
+            covariance=self.covariance + more,
+            spread=self.spread + more,
+            between=self.between + more,
+        )
+
     def _places(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Where the amplitudes and shapes of an effect stand, and the units they have there."""
         lengths = [len(s) for s in self.sizes]

@@ -1,0 +1,142 @@
+"""Friction as all samples of the training runs bear it out, those about reversals too.
+
+A fit leaves out what lies within its filter's reach of a standstill, where friction has no definite
+value. Predictions are made there as well, and where a law is not quite right the level that fits
+the one is not the best for the other. Dry and viscous friction and offsets of a joint are therefore
+taken anew from all moving samples, unfiltered, where stretches left out are predicted better so;
+the step counts as uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
+from stiffopt.discovery.proof.predict import Predictor
+from stiffopt.discovery.proof.proof import used_samples
+from stiffopt.discovery.search.left_out import parts_a_run
+from stiffopt.discovery.search.uncertainty import Estimate
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import Training
+
+# Of a joint's squares in stretches left out, what it must gain.
+_LEAST = 0.05
+
+
+def closed(
+    training: Training, settings: Settings, start: Sequence[Extension], parameters: Estimate
+) -> Estimate:
+    """The estimate with friction and offsets of joints taken from all moving samples.
+
+    Parameters
+    ----------
+    training : Training
+    settings : Settings
+    start : sequence of Extension
+        Of the model that the diagnosis started from.
+    parameters : Estimate
+    """
+    effects = parameters.effects
+    plain = [k for k, each in enumerate(effects) if _plain(each)]
+    if not plain:
+        return parameters
+    names = sorted({effects[k].located.effect.name for k in plain})
+    rows = _Rows(training, settings, start, parameters, names)
+    steps = np.zeros(len(effects))
+    for joint in {effects[k].located.joint for k in plain}:
+        own = [k for k in plain if effects[k].located.joint == joint]
+        assert joint is not None
+        columns = [names.index(effects[k].located.effect.name) for k in own]
+        found = rows.step(joint, columns)
+        if found is not None and _possible(parameters, own, found, training):
+            steps[own] = found
+    return parameters.moved(steps)
+
+
+def _plain(each: EstimatedEffect) -> bool:
+    """Whether it acts on the drive of its joint alone, in proportion to one amplitude."""
+    effect = each.located.effect
+    usual = effect.usual and effect.family == "sensor"
+    friction = bool(effect.nominal) and effect.family == "friction"
+    return (usual or friction) and len(each.amplitudes) == 1 and each.located.joint is not None
+
+
+def _possible(
+    parameters: Estimate, own: Sequence[int], steps: np.ndarray, training: Training
+) -> bool:
+    """Whether all stay within their bounds."""
+    for k, step in zip(own, steps, strict=True):
+        located = parameters.effects[k].located
+        size = located.sizes(training.constants)[0]
+        value = parameters.effects[k].amplitudes[0] / size + step
+        lower, upper = located.bounds(training.constants)[0]
+        if not lower <= value <= upper:
+            return False
+    return True
+
+
+class _Rows:
+    """What the training runs leave, and what a unit step of each kind of value adds there."""
+
+    def __init__(
+        self,
+        training: Training,
+        settings: Settings,
+        start: Sequence[Extension],
+        parameters: Estimate,
+        names: Sequence[str],
+    ) -> None:
+        found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
+        parts = parts_a_run(len(training.recorded))
+        rows: list[list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = [
+            [] for _ in range(training.robot.n)
+        ]
+        for number, run in enumerate(training.recorded):
+            predictor = Predictor(training.robot, run, training.constants, settings)
+            now = predictor.predict(*start, found).torque
+            added = [
+                predictor.predict(*start, _raised(found, name, training)).torque - now
+                for name in names
+            ]
+            places = np.searchsorted(run.stamps, run.time)
+            share = (run.time - run.time[0]) / float(run.time[-1] - run.time[0])
+            fold = number * parts + np.minimum((share * parts).astype(int), parts - 1)
+            for kind, joint, used in used_samples(run, predictor.velocity):
+                if kind != "torque" or used is None:
+                    continue
+                left = run.torque[used, joint] - now[places[used], joint]
+                columns = np.column_stack([each[places[used], joint] for each in added])
+                rows[joint].append((columns, left, fold[used]))
+        self._rows = rows
+
+    def step(self, joint: int, columns: Sequence[int]) -> np.ndarray | None:
+        """Best steps of a joint's values over their sizes; None where they gain too little."""
+        if not self._rows[joint]:
+            return None
+        matrix = np.vstack([part[0] for part in self._rows[joint]])[:, columns]
+        left = np.concatenate([part[1] for part in self._rows[joint]])
+        fold = np.concatenate([part[2] for part in self._rows[joint]])
+        gram, moment = matrix.T @ matrix, matrix.T @ left
+        without = 0.0
+        for number in np.unique(fold):
+            own = fold == number
+            part = matrix[own]
+            steps = np.linalg.lstsq(gram - part.T @ part, moment - part.T @ left[own])[0]
+            without += float(np.sum((left[own] - part @ steps) ** 2))
+        if without > (1.0 - _LEAST) * float(left @ left):
+            return None
+        return np.asarray(np.linalg.lstsq(gram, moment)[0])
+
+
+def _raised(found: Extension, name: str, training: Training) -> Extension:
+    """The extension with every effect of a name larger by its size."""
+    effects = []
+    for each in found.effects:
+        if each.located.effect.name == name:
+            size = each.located.sizes(training.constants)[0]
+            each = replace(each, amplitudes=(each.amplitudes[0] + size,))
+        effects.append(each)
+    return replace(found, effects=tuple(effects))
