@@ -1,4 +1,4 @@
-"""The steps of VDI 2230 for one flange under its loads: each with value, limit and utilisation.
+"""One flange under its loads by VDI 2230: what comes to a bolt, and which preloads hold.
 
 Every check takes the worst load case and the worst place on the bolt circle, since how the bolts
 stand to the load changes as the joint turns.
@@ -7,8 +7,6 @@ stand to the load changes as the joint turns.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +15,7 @@ from stiffopt.connection import BoltedFlange
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
 from stiffopt.fastening import bolts
-from stiffopt.fastening.bolt_stress import largest_working_preload, working_stress
+from stiffopt.fastening.bolt_stress import largest_working_preload
 from stiffopt.fastening.clamp_load import friction_clamp_load, ring_opening_load
 from stiffopt.fastening.elastic_ring import elastic_ring
 from stiffopt.fastening.endurance import SAFETY as ENDURANCE_SAFETY
@@ -25,48 +23,13 @@ from stiffopt.fastening.endurance import endurance_limit
 from stiffopt.fastening.flange_load import FlangeLoads, axial_forces, transverse_forces
 from stiffopt.fastening.head_pressure import head_bearing
 from stiffopt.fastening.load_factor import LoadFactor, load_factor
-from stiffopt.fastening.self_loosening import transverse_slip_limit
 from stiffopt.fastening.tightening import Tightening
 
 # Places on the bolt circle that are looked at; between two of them a cosine is off by this much.
 _PLACES = 360
 _BETWEEN = 1.0 / math.cos(math.pi / _PLACES)
-# Safety against slip (VDI 2230 R12) and against shear and bearing after it.
-SLIP_STATIC, SLIP_ALTERNATING, SHEAR = 1.2, 1.8, 1.1
-# Shear over tensile strength of bolts, and the extent of a face over the head's for which its
-# pressure still is even (limit G'' of a tapped hole: 1.5 to 2, the near end).
-_SHEAR_STRENGTH, _EXTENT = 0.6, 1.5
-
-
-@dataclass(frozen=True, kw_only=True)
-class VdiCheck:
-    """One step of VDI 2230 at one design.
-
-    Parameters
-    ----------
-    name, equation : str
-        Such as "slip under the whole load", "R12/4".
-    value, limit : float
-        In `unit`.
-    utilisation : float
-        1 at the limit.
-    case : str
-        Load case, or instant of a motion, that is worst.
-    warning : bool
-        Tells, but stops no design.
-    """
-
-    name: str
-    equation: str
-    value: float
-    limit: float
-    unit: str
-    utilisation: float
-    case: str = ""
-    source: str = ""
-    remedy: str = ""
-    provenance: str = "catalogue"
-    warning: bool = False
+# Safety against slip (VDI 2230 R12).
+SLIP_STATIC, SLIP_ALTERNATING = 1.2, 1.8
 
 
 class Verification:
@@ -223,201 +186,3 @@ class Verification:
             share = 2.0 - needed / before
             ends.append(share * self.proof_stress * self.data.stress_area if share > 0.3 else 0.0)
         return max(min(ends), 0.0)
-
-    # ---- the checks
-
-    def checks(
-        self, preload: float, shift: float = math.nan, least: float | None = None
-    ) -> tuple[VdiCheck, ...]:
-        """Every step at a largest assembly preload.
-
-        Parameters
-        ----------
-        preload : float
-            F_M [N].
-        shift : float
-            Transverse movement of the bolts by the elasticity of the face [m]; nan leaves the
-            check of self-loosening out.
-        least : float, optional
-            F_V that is left in service [N]; default after scatter and losses.
-        """
-        if least is None:
-            least = preload / self.scatter - self.loss
-        return (
-            *self._clamp(least),
-            *self._stress(preload, least),
-            *self._after_slip(),
-            *self._warnings(least, shift),
-        )
-
-    def _worst(self, values: np.ndarray) -> tuple[int, str]:
-        index = int(np.argmax(values))
-        return index, self.loads.names[index]
-
-    def _clamp(self, least: float) -> Iterator[VdiCheck]:
-        unloaded = (1.0 - self.factor.least) * np.maximum(self.opening, 0.0)
-        needed = self.slip_safety * self.clamp_against_slip + unloaded
-        index, case = self._worst(needed.max(axis=1))
-        place = int(np.argmax(needed[index]))
-        left = least - float(unloaded[index, place])
-        friction = float(self.clamp_against_slip[index, place])
-        most = float(needed[index, place])
-        kind = "alternating" if self.slip_safety == SLIP_ALTERNATING else "static"
-        if not self.loads.more_than_torque:
-            # The torque alone: the slip safety of the connection says the same.
-            return
-        extra = 100 * (self.friction_radius / (self.flange.circle_diameter / 2) - 1)
-        yield VdiCheck(
-            name="slip under the whole load",
-            equation="R12/4",
-            value=left / friction if friction > 0.0 else math.inf,
-            limit=self.slip_safety,
-            unit="",
-            utilisation=_share(most, least),
-            case=case,
-            source=(
-                f"{kind}: shear and torque as vectors, tension of the bolt taken off; friction at "
-                f"the mean radius of the ring, {extra:.1f} % outside the bolt circle"
-            ),
-            remedy="more friction, more or larger bolts, a larger circle, or less scatter",
-        )
-        index, case = self._worst(self.clamp_against_opening)
-        opens = float(self.clamp_against_opening[index])
-        if opens > 0.0:
-            yield VdiCheck(
-                name="one-sided opening",
-                equation="R2/3",
-                value=least,
-                limit=opens,
-                unit="N",
-                utilisation=_share(opens, least),
-                case=case,
-                source="pressure at the rim of the ring less its holes, axial force and tilting",
-                remedy="more or larger bolts, a larger circle, or less scatter",
-            )
-
-    def _stress(self, preload: float, least: float) -> Iterator[VdiCheck]:
-        _, case = self._worst(self.opening.max(axis=1))
-        friction = self.tightening.thread_friction
-        stress = float(working_stress(self.data, preload, self.additional, friction))
-        yield VdiCheck(
-            name="working stress",
-            equation="R8/5",
-            value=stress,
-            limit=self.proof_stress,
-            unit="Pa",
-            utilisation=stress / self.proof_stress,
-            case=case,
-            source=f"R_p0.2 of {self.bolt.grade}, half of the torsion of tightening, safety 1.0",
-            remedy="a larger bolt, a higher grade or less load",
-        )
-        bearing = head_bearing(self.bolt)
-        force = preload + self.additional
-        yield VdiCheck(
-            name="head pressure in service",
-            equation="R10/2",
-            value=force,
-            limit=bearing.capacity,
-            unit="N",
-            utilisation=force / bearing.capacity,
-            case=case,
-            source=bearing.source,
-            provenance=bearing.provenance,
-            remedy="a harder part or a hard washer under the head, or a larger bolt",
-        )
-        if self.swing > 0.0:
-            mean = preload + self.swing / 2
-            limit = float(endurance_limit(self.data, self.bolt.rolled, mean, self.proof_stress))
-            amplitude = self.swing / (2 * self.data.stress_area)
-            yield VdiCheck(
-                name="alternating stress",
-                equation="R9/4",
-                value=amplitude,
-                limit=limit / ENDURANCE_SAFETY,
-                unit="Pa",
-                utilisation=ENDURANCE_SAFETY * amplitude / limit,
-                case=case,
-                source=(
-                    f"thread rolled {self.bolt.rolled} heat treatment, endurance limit over "
-                    f"{ENDURANCE_SAFETY:g}; load on and off among what alternates"
-                ),
-                remedy="a larger bolt, a longer one, more bolts, or threads rolled at the end",
-            )
-
-    def _after_slip(self) -> Iterator[VdiCheck]:
-        """What the bolts bear should the face slip all the same."""
-        force = transverse_forces(
-            self.loads.values, self.count, self.flange.circle_diameter / 2, self.angles
-        )
-        sizes = np.linalg.norm(force, axis=-1)
-        index, case = self._worst(sizes.max(axis=1))
-        most = float(sizes[index].max())
-        if most <= 0.0:
-            return
-        strength = _SHEAR_STRENGTH * catalogue.tensile_strength(self.bolt.grade)
-        stress = most / self.data.core_area
-        yield VdiCheck(
-            name="bolt shear",
-            equation="R12",
-            value=stress,
-            limit=strength / SHEAR,
-            unit="Pa",
-            utilisation=SHEAR * stress / strength,
-            case=case,
-            source="after slip, thread in the face: core area, 0.6 R_m, safety 1.1",
-            remedy="more or larger bolts, or a larger circle",
-        )
-        part = catalogue.clamped_material(self.bolt.head_material)
-        pressure = most / (self.data.diameter * bolts.clamp_length(self.bolt))
-        yield VdiCheck(
-            name="hole bearing",
-            equation="R12",
-            value=pressure,
-            limit=part.yield_stress,
-            unit="Pa",
-            utilisation=pressure / part.yield_stress,
-            case=case,
-            source=f"after slip, on the length of the clamped part; R_p0.2 of {part.name}",
-            provenance=part.provenance,
-            remedy="a thicker or harder part, or more bolts",
-        )
-
-    def _warnings(self, least: float, shift: float) -> Iterator[VdiCheck]:
-        extent = self.flange.outer_radius - self.flange.inner_radius
-        spread = _EXTENT * self.data.bearing_diameter
-        yield VdiCheck(
-            name="validity of even pressure",
-            equation="R0, limit G",
-            value=extent,
-            limit=spread,
-            unit="m",
-            utilisation=extent / spread,
-            source="width of the ring against G'' = 1.5 d_w: wider faces open and slip otherwise",
-            remedy="a narrower ring, larger heads, washers, or a finite-element model",
-            warning=True,
-        )
-        if math.isfinite(shift):
-            limit = transverse_slip_limit(
-                self.data,
-                bolts.clamp_length(self.bolt),
-                max(least, 0.0),
-                self.tightening.head_friction,
-            )
-            yield VdiCheck(
-                name="self-loosening",
-                equation="Junker",
-                value=shift,
-                limit=limit,
-                unit="m",
-                utilisation=shift / limit if limit > 0.0 else math.inf,
-                source="movement of the parts at a bolt against that at which its head slips",
-                remedy="longer or more slender bolts, more preload, or a locking feature",
-                warning=True,
-            )
-
-
-def _share(needed: float, present: float) -> float:
-    """Utilisation of a need that what is present has to cover."""
-    if needed <= 0.0:
-        return 0.0
-    return needed / present if present > 0.0 else math.inf

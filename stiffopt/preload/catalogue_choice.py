@@ -34,6 +34,7 @@ from stiffopt.preload.optimise import (
 )
 from stiffopt.preload.problem import Choice, PreloadProblem
 from stiffopt.preload.solution import PreloadSolution, evaluate_design
+from stiffopt.preload.step_cost import way_cost
 from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
@@ -89,13 +90,14 @@ class SearchProof:
 
 @dataclass(frozen=True, kw_only=True)
 class TighteningWay:
-    """Best objective for one method and coating; friction is the lowest and the highest [-]."""
+    """Best for one method and coating; lowest and highest friction [-], cost in steps."""
 
     method: str
     friction: float
     friction_highest: float | None
     status: SolveStatus
     objective: float
+    cost: float = float("nan")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -113,6 +115,8 @@ class CatalogueChoice:
         Empty where the catalogue has nothing.
     objective : float
         Of the study, in its unit; nan where there is no design.
+    cost : float
+        In steps, the way to tighten among it; nan where there is no design.
     solution : PreloadSolution or None
         The chosen design by the exact law: rows, stiffness, deflection.
     continuous : PreloadSolution or None
@@ -146,6 +150,7 @@ class CatalogueChoice:
     tie_proofs: tuple[SearchProof, ...] = ()
     stoppers: tuple[Stopper, ...] = ()
     ways: tuple[TighteningWay, ...] = ()
+    cost: float = float("nan")
 
 
 def choose_design(problem: PreloadProblem, progress: Report | None = None) -> CatalogueChoice:
@@ -153,7 +158,8 @@ def choose_design(problem: PreloadProblem, progress: Report | None = None) -> Ca
 
     Every bolted flange takes each size, grade and count of `problem.choose` in its present ring;
     set screws stay. All are tightened with standard torques. The result is the best by the
-    study's objective of all combinations that keep every limit and requirement by the exact law;
+    study's objective, or the best of the cheapest where steps have a cost, of all combinations
+    that keep every limit and requirement by the exact law;
     of equals the one with fewer bolts, then smaller sizes, then lower grades. Where the objective
     is the stiffness of several joints, each joint is the stiffest that leaves the worst as good.
 
@@ -174,32 +180,37 @@ def choose_design(problem: PreloadProblem, progress: Report | None = None) -> Ca
     if choose is None:
         raise ProblemError("No catalogue to choose from. Add [choose] with sizes or counts.")
     problem = replace(problem, individual=False)
-    found = [
-        (way, _choose(replace(problem, tightening=way), progress))
-        for way in _ways(problem.tightening, choose)
-    ]
+    found = []
+    for way, cost in _ways(problem.tightening, choose):
+        own = _choose(replace(problem, tightening=way), progress)
+        found.append((way, replace(own, cost=own.cost + cost)))
     if len(found) == 1:
         return found[0][1]
     return _best_way(problem, found)
 
 
-def _ways(tightening: Tightening, choose: Choice) -> list[Tightening]:
-    """Every method with every coating that the study names."""
+def _ways(tightening: Tightening, choose: Choice) -> list[tuple[Tightening, float]]:
+    """Every method with every coating that the study names, and what it costs in steps."""
     methods = [
         replace(tightening, method=method, scatter=None)  # type: ignore[arg-type]
         for method in choose.methods
     ] or [tightening]
     coatings = [catalogue.coating(name) for name in choose.coatings]
+    if not coatings:
+        return [(method, way_cost(choose, i, 0)) for i, method in enumerate(methods)]
     return [
-        replace(
-            method,
-            thread_friction=coating.least,
-            head_friction=coating.least,
-            friction_highest=coating.largest,
+        (
+            replace(
+                method,
+                thread_friction=coating.least,
+                head_friction=coating.least,
+                friction_highest=coating.largest,
+            ),
+            way_cost(choose, i, k),
         )
-        for method in methods
-        for coating in coatings
-    ] or methods
+        for i, method in enumerate(methods)
+        for k, coating in enumerate(coatings)
+    ]
 
 
 def _best_way(
@@ -215,12 +226,16 @@ def _best_way(
             friction_highest=way.friction_highest,
             status=choice.status,
             objective=choice.objective,
+            cost=choice.cost,
         )
         for way, choice in found
     )
     if not able:
         return replace(found[-1][1], ways=ways)
-    way, best = min(able, key=lambda each: sign * each[1].objective)
+    priced = problem.choose is not None and problem.choose.cost is not None
+    way, best = min(
+        able, key=lambda each: (each[1].cost if priced else 0.0, sign * each[1].objective)
+    )
     text = f"Tightened by {way.method.replace('_', ' ')} at friction {way.thread_friction:g}. "
     return replace(best, ways=ways, message=text + best.message)
 
@@ -323,6 +338,7 @@ class _Choosing:
             message=_account(proof, chosen, solution),
             designs={d.key: d for d in chosen},
             objective=solution.objective,
+            cost=sum(d.cost for d in chosen),
             solution=solution,
             continuous=None,
             gap=float("nan"),
@@ -363,6 +379,9 @@ class _Choosing:
 def _goals(problem: PreloadProblem, programme: ChoiceProgramme) -> list[Goal]:
     """The objective, then what decides between combinations that are equal in it."""
     cost, tie = Goal(cost=programme.cost), Goal(cost=programme.tie)
+    if problem.choose is not None and problem.choose.cost is not None:
+        unpriced = replace(problem, choose=replace(problem.choose, cost=None))
+        return [Goal(cost=programme.price), *_goals(unpriced, programme)]
     if problem.objective == "total_preload":
         return [cost, tie]
     weights = [programme.weight]

@@ -24,9 +24,11 @@ from stiffopt.fastening.limits import (
     workshop_torque,
 )
 from stiffopt.fastening.tightening import standard_torques
+from stiffopt.fastening.vdi_rows import vdi_rows
 from stiffopt.preload.flange_loads import slip_safety, verification
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.problem import Choice, FreeElement, PreloadProblem
+from stiffopt.preload.step_cost import design_cost
 
 # Room for rounding in limits that a design may touch.
 _TOUCH = 1.0 + 1e-9
@@ -66,6 +68,10 @@ class CatalogueDesign:
     stage : Stage
         The connection with these bolts and `preload`.
     limits : tuple of PreloadLimit
+    cost : float
+        In steps (`Choice.cost`).
+    circle : float or None
+        Pitch circle [m] where the study lets choose it.
     utilisations : mapping of str to float
         Of every limit that concerns this connection alone, by name; above 1 where exceeded.
     """
@@ -81,6 +87,8 @@ class CatalogueDesign:
     stage: Stage
     limits: tuple[PreloadLimit, ...]
     utilisations: Mapping[str, float]
+    cost: float = 0.0
+    circle: float | None = None
 
     @property
     def label(self) -> str:
@@ -92,7 +100,12 @@ class CatalogueDesign:
         """Such as "9 x M5 12.9", "9 x M5 12.9 with washers"."""
         held = self.stage.element
         washer = isinstance(held, BoltedFlange) and held.bolt is not None and held.bolt.washer
-        parts = (f"{self.count} x {self.size}", self.grade, "with washers" if washer else "")
+        parts = (
+            f"{self.count} x {self.size}",
+            self.grade,
+            "with washers" if washer else "",
+            "" if self.circle is None else f"on {1e3 * self.circle:g} mm",
+        )
         return " ".join(part for part in parts if part)
 
     @property
@@ -144,7 +157,7 @@ def catalogue_designs(
     Returns
     -------
     tuple of CatalogueDesign
-        By size, grade, count and torque, each from small to large.
+        By size, grade, count, circle and torque, each from small to large.
 
     Notes
     -----
@@ -173,10 +186,13 @@ def _variants(stage: Stage, choose: Choice) -> Iterator[Stage]:
     )
     grades = sorted(set(choose.grades or (bolt.grade,)), key=catalogue.proof_stress)
     counts = sorted(set((choose.counts if free else ()) or (flange.bolt_count,)))
+    circles = sorted(set((choose.circles if free else ()) or (flange.circle_diameter,)))
     washers = (False, True) if choose.washers else (bolt.washer,)
-    for size, grade, count, washer in product(sizes, grades, counts, washers):
-        held = replace(bolt, size=size, grade=grade, washer=washer)
-        changed = replace(flange, bolt=held, bolt_count=count)
+    for size, grade, count, circle, washer in product(sizes, grades, counts, circles, washers):
+        # A waist belongs to a size.
+        waist = bolt.waist if size == bolt.size else None
+        held = replace(bolt, size=size, grade=grade, washer=washer, waist=waist)
+        changed = replace(flange, bolt=held, bolt_count=count, circle_diameter=circle)
         yield replace(stage, element=changed)
 
 
@@ -201,6 +217,11 @@ def _tightened(
     given = problem.choose.torques if problem.choose and fastened.kind == "bolted_flange" else ()
     torques = sorted(set(given)) or standard_torques(floor * lever, max(ends) * lever)
     size, grade = _screw(fastened)
+    choose = problem.choose or Choice()
+    cost = design_cost(choose, stage, element.stage)
+    circle = None
+    if choose.circles and isinstance(fastened, BoltedFlange):
+        circle = fastened.circle_diameter
     for torque in torques:
         preload = float(torque) / lever
         least = preload / alpha - loss
@@ -211,8 +232,8 @@ def _tightened(
         utilisations[EMBEDDING] = loss * alpha / preload
         utilisations[SLIP] = _slip(problem, element, stage, least, cases)
         utilisations[LEAST] = floor / preload
-        checks = steps.checks(preload) if steps is not None else ()
-        utilisations |= {c.name: c.utilisation for c in checks if not c.warning}
+        rows = vdi_rows(steps, preload) if steps is not None else ()
+        utilisations |= {row.kind: row.utilisation for row in rows if row.binding}
         yield CatalogueDesign(
             key=element.key,
             joint=element.joint,
@@ -225,6 +246,8 @@ def _tightened(
             stage=replace(stage, element=fastened.with_preload(preload)),
             limits=limits,
             utilisations=utilisations,
+            cost=cost,
+            circle=circle,
         )
 
 

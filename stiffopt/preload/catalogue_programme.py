@@ -38,9 +38,9 @@ class ChoiceProgramme:
         whose amount is the size of a vector (tool deflection [m]).
     joints : tuple of int or None
         Joint of each row; None for rows of no single joint.
-    cost, tie : tuple of array (m,)
-        Of an element's designs: the total preload [N], and what decides between combinations of
-        equal objective. Both add up.
+    cost, price, tie : tuple of array (m,)
+        Of an element's designs: the total preload [N], what they cost in steps, and what decides
+        between combinations of equal objective. All add up.
     use : tuple of array (m, r)
         What an element's designs add to the linear rows.
     vectors : tuple of array (m, k, 3)
@@ -58,6 +58,7 @@ class ChoiceProgramme:
     names: tuple[str, ...]
     joints: tuple[int | None, ...]
     cost: tuple[np.ndarray, ...]
+    price: tuple[np.ndarray, ...]
     tie: tuple[np.ndarray, ...]
     use: tuple[np.ndarray, ...]
     vectors: tuple[np.ndarray, ...]
@@ -138,6 +139,7 @@ def choice_programme(
         names=(*compliance.names, *utilisation.names, *deflection.names),
         joints=(*compliance.joints, *utilisation.joints, *deflection.joints),
         cost=tuple(np.array([d.total_preload for d in own]) for own in designs),
+        price=tuple(np.array([d.cost for d in own]) for own in designs),
         tie=_ties(designs),
         use=tuple(np.hstack([rows.added[i] for rows in linear]) for i in range(len(designs))),
         vectors=deflection.added,

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.connection import BoltedFlange
+from stiffopt.fastening.utilisation_row import UtilisationRow
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import PreloadNlp
 from stiffopt.preload.problem import FreeElement
-from stiffopt.preload.utilisation import UtilisationRow, utilisation_rows, vdi_rows
+from stiffopt.preload.utilisation import utilisation_rows
 
 
 @dataclass(frozen=True)
@@ -181,7 +182,7 @@ def _in_service(model: PreloadModel, upper: np.ndarray, index: int) -> list[Stop
             against=limiting(element, bound),
             remedy=row.remedy,
         )
-        for row in vdi_rows(model, upper, index)
+        for row in model.vdi_rows(upper, index)
         if row.binding and not row.kept
     ]
 

@@ -20,7 +20,9 @@ from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import ProblemError
 from stiffopt.exact.chain import exact_compliance, exact_windup, stage_windup
 from stiffopt.fastening.tilting import closed_compliance, tilting_flange
-from stiffopt.fastening.verification import VdiCheck, Verification
+from stiffopt.fastening.utilisation_row import UtilisationRow
+from stiffopt.fastening.vdi_rows import vdi_rows
+from stiffopt.fastening.verification import Verification
 from stiffopt.preload.flange_loads import slip_safety, verification
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.problem import FreeElement, PreloadProblem
@@ -121,7 +123,7 @@ class PreloadModel:
             for element in self.elements
         )
 
-    def checks(self, preloads: np.ndarray, index: int) -> tuple[VdiCheck, ...]:
+    def vdi_rows(self, preloads: np.ndarray, index: int) -> tuple[UtilisationRow, ...]:
         """Steps of VDI 2230 of an element at a design; none for pins."""
         steps, element = self.verifications[index], self.elements[index]
         if steps is None:
@@ -136,7 +138,8 @@ class PreloadModel:
             torque = np.array([float(steps.loads.torque.max()) * stage.reduction])
             windup = float(stage_windup(stage, torque, {element.name: least})[0]) / stage.counts
             shift = windup * flange.circle_diameter / 2
-        return steps.checks(largest, shift, least)
+        rows = vdi_rows(steps, largest, shift, least)
+        return tuple(replace(row, joint=element.joint, element=element.key) for row in rows)
 
     # ---- smooth law: arrays, SX, MX
 

@@ -34,6 +34,7 @@ from stiffopt.fastening.limits import (
 )
 from stiffopt.fastening.tightening import SCATTER, Tightening
 from stiffopt.preload.load_case import LoadCase, LoadHistory
+from stiffopt.preload.step_cost import StepCost
 from stiffopt.symbolic import Quantity
 
 if TYPE_CHECKING:
@@ -105,6 +106,11 @@ class Choice:
         tuple[Annotated[str, Named("bolt grade")], ...], Doc("Strength classes, such as 12.9.")
     ] = ()
     counts: Annotated[tuple[int, ...], Bounds(least=1), Doc("Numbers of bolts in the ring.")] = ()
+    circles: Annotated[
+        tuple[Length, ...],
+        POSITIVE,
+        Doc("Pitch circles of the bolts, in the present ring."),
+    ] = ()
     methods: Annotated[
         tuple[str, ...],
         Doc("Tightening methods, as in [tightening], for the whole study; cheapest first."),
@@ -121,13 +127,19 @@ class Choice:
     ] = False
     redrill: Annotated[
         bool,
-        Doc("Whether sizes and counts are also for purchased parts, whose pattern is fixed."),
+        Doc(
+            "Whether sizes, counts and circles are also for purchased parts, whose holes are there."
+        ),
     ] = False
     torques: Annotated[
         tuple[Torque, ...],
         POSITIVE,
         Doc("Tightening torques of the workshop; default the preferred numbers R20 of ISO 3."),
     ] = ()
+    cost: Annotated[
+        StepCost | None,
+        Doc("Where it is given, the cheapest designs are sought, and the best of these."),
+    ] = None
 
     def __post_init__(self) -> None:
         check_fields(self, "choose")

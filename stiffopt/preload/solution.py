@@ -10,11 +10,12 @@ import numpy as np
 from stiffopt.connection import ClampingPins
 from stiffopt.fastening.limits import WorkshopTorque, workshop_torque
 from stiffopt.fastening.tightening import Tightening
+from stiffopt.fastening.utilisation_row import UtilisationRow
 from stiffopt.preload.infeasibility import Stopper
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.problem import FreeElement
-from stiffopt.preload.utilisation import UtilisationRow, utilisation_rows
+from stiffopt.preload.utilisation import utilisation_rows
 from stiffopt.result.status import SolveStatus
 
 _SENTENCES = {

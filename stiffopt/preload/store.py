@@ -166,6 +166,7 @@ def _choice(choice: CatalogueChoice) -> dict[str, Any]:
         "status": choice.status,
         "message": choice.message,
         "objective": choice.objective,
+        "cost": choice.cost,
         "gap": choice.gap,
         "designs": {key: _design(design) for key, design in choice.designs.items()},
         "table": [{**vars(row), "design": _design(row.design)} for row in choice.table],

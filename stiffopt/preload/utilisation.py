@@ -3,78 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from stiffopt.connection import Key
 from stiffopt.fastening.limits import key_pressure_limit
+from stiffopt.fastening.utilisation_row import UtilisationRow
 from stiffopt.preload.model import PreloadModel
 
-# A row this close to its limit is called active: less than reports show of a utilisation, more than
-# the optimiser leaves.
-ACTIVE = 1e-4
 # Share of the largest torque of a joint below which one is zero but for rounding, and no reversal.
 _NO_TORQUE = 1e-9
-
-
-@dataclass(frozen=True, kw_only=True)
-class UtilisationRow:
-    """One requirement and how far it is used.
-
-    Parameters
-    ----------
-    kind : str
-        "slip safety", "bolt utilisation", "joint stiffness", ...
-    joint : int or None
-        1-based.
-    element : str
-        Key of the element, "" where the row is of no single one.
-    case : str
-        Load case, "" where it does not matter.
-    value, limit : float
-        In `unit`.
-    utilisation : float
-        1 at the limit, above where it is exceeded.
-    provenance, source : str
-        Of the limit.
-    remedy : str
-        What to change where this row stops a study.
-    equation : str
-        Step of VDI 2230, where it is one.
-    binding : bool
-        False: tells, but stops no design.
-    """
-
-    kind: str
-    joint: int | None
-    element: str
-    case: str
-    value: float
-    limit: float
-    unit: str
-    utilisation: float
-    provenance: str = "given"
-    source: str = ""
-    remedy: str = ""
-    equation: str = ""
-    binding: bool = True
-
-    @property
-    def name(self) -> str:
-        """Kind, element or joint, and load case."""
-        owner = self.element or (f"joint {self.joint}" if self.joint else "")
-        return ", ".join(part for part in (self.kind, owner, self.case) if part)
-
-    @property
-    def active(self) -> bool:
-        """Whether the design lies at this limit."""
-        return self.binding and self.utilisation >= 1.0 - ACTIVE
-
-    @property
-    def kept(self) -> bool:
-        """Whether the limit holds, but for rounding; a warning is always kept."""
-        return not self.binding or self.utilisation <= 1.0 + 1e-6
 
 
 def utilisation_rows(model: PreloadModel, preloads: np.ndarray) -> tuple[UtilisationRow, ...]:
@@ -89,7 +27,7 @@ def utilisation_rows(model: PreloadModel, preloads: np.ndarray) -> tuple[Utilisa
     return (
         *_slip(model, preloads),
         *_fasteners(model, preloads),
-        *(row for index in range(len(model.elements)) for row in vdi_rows(model, preloads, index)),
+        *(row for index in range(len(model.elements)) for row in model.vdi_rows(preloads, index)),
         *_keys(model),
         *_stiffness(model, preloads),
         *_deflection(model, preloads),
@@ -114,27 +52,6 @@ def _slip(model: PreloadModel, preloads: np.ndarray) -> Iterator[UtilisationRow]
                 equation="R12/4",
                 remedy="more friction, more or larger bolts, a larger circle, or less scatter",
             )
-
-
-def vdi_rows(model: PreloadModel, preloads: np.ndarray, index: int) -> Iterator[UtilisationRow]:
-    """Steps of VDI 2230 of one element under all load cases."""
-    element = model.elements[index]
-    for check in model.checks(preloads, index):
-        yield UtilisationRow(
-            kind=check.name,
-            joint=element.joint,
-            element=element.key,
-            case=check.case,
-            value=check.value,
-            limit=check.limit,
-            unit=check.unit,
-            utilisation=check.utilisation,
-            provenance=check.provenance,
-            source=check.source,
-            remedy=check.remedy,
-            equation=check.equation,
-            binding=not check.warning,
-        )
 
 
 # Steps of VDI 2230 that bound the preload at assembly.

@@ -25,6 +25,7 @@ def instance(seed, sizes, rows, tightness, vectors=0):
         axis = rng.uniform(-1, 1, (vectors, 3))
         turns.append(rng.uniform(0.5, 1.5, (size, vectors, 1)) / cost[:, None, None] * axis)
     programme = ChoiceProgramme(
+        price=tuple(np.zeros(m) for m in sizes),
         names=tuple(f"row {r}" for r in range(rows + vectors)),
         joints=(None,) * (rows + vectors),
         cost=tuple(costs),

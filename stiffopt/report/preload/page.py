@@ -116,6 +116,7 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
         "references": preload_references(study),
         "objective_words": OBJECTIVE_WORDS,
         "method_words": METHOD_WORDS,
+        "priced": problem.choose is not None and problem.choose.cost is not None,
     }
     filters: Filters = {
         "readable": readable,

@@ -13,11 +13,11 @@ from stiffopt.connection import BoltedFlange, ClampingPins
 from stiffopt.report.common.text import UNCHANGED, change, listed, percent, si, words
 
 if TYPE_CHECKING:
+    from stiffopt.fastening.utilisation_row import UtilisationRow
     from stiffopt.preload.pareto import ParetoFront
     from stiffopt.preload.problem import FreeElement, PreloadProblem
     from stiffopt.preload.sensitivity import WindupShare
     from stiffopt.preload.solution import PreloadSolution
-    from stiffopt.preload.utilisation import UtilisationRow
 
 # Below this relative change of stiffness the preload is set by something else.
 _SMALL = 0.02

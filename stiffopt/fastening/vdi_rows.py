@@ -1,0 +1,235 @@
+"""The steps of VDI 2230 for one flange at one preload: each with value, limit and utilisation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from stiffopt.drivetrain import catalogue
+from stiffopt.fastening import bolts
+from stiffopt.fastening.bolt_stress import working_stress
+from stiffopt.fastening.endurance import SAFETY as ENDURANCE_SAFETY
+from stiffopt.fastening.endurance import endurance_limit
+from stiffopt.fastening.flange_load import transverse_forces
+from stiffopt.fastening.head_pressure import head_bearing
+from stiffopt.fastening.self_loosening import transverse_slip_limit
+from stiffopt.fastening.utilisation_row import UtilisationRow
+from stiffopt.fastening.verification import SLIP_ALTERNATING, Verification
+
+# Safety against shear and bearing after slip (VDI 2230 R12).
+SHEAR = 1.1
+# Shear over tensile strength of bolts, and the extent of a face over the head's for which its
+# pressure still is even (limit G'' of a tapped hole: 1.5 to 2, the near end).
+_SHEAR_STRENGTH, _EXTENT = 0.6, 1.5
+
+
+def vdi_rows(
+    steps: Verification, preload: float, shift: float = math.nan, least: float | None = None
+) -> tuple[UtilisationRow, ...]:
+    """Every step at a largest assembly preload.
+
+    Parameters
+    ----------
+    steps : Verification
+    preload : float
+        F_M [N].
+    shift : float
+        Transverse movement of the bolts by the elasticity of the face [m]; nan leaves the
+        check of self-loosening out.
+    least : float, optional
+        F_V that is left in service [N]; default after scatter and losses.
+    """
+    if least is None:
+        least = preload / steps.scatter - steps.loss
+    return (
+        *_clamp(steps, least),
+        *_stress(steps, preload, least),
+        *_after_slip(steps),
+        *_warnings(steps, least, shift),
+    )
+
+
+def _worst(steps: Verification, values: np.ndarray) -> tuple[int, str]:
+    index = int(np.argmax(values))
+    return index, steps.loads.names[index]
+
+
+def _clamp(steps: Verification, least: float) -> Iterator[UtilisationRow]:
+    unloaded = (1.0 - steps.factor.least) * np.maximum(steps.opening, 0.0)
+    needed = steps.slip_safety * steps.clamp_against_slip + unloaded
+    index, case = _worst(steps, needed.max(axis=1))
+    place = int(np.argmax(needed[index]))
+    left = least - float(unloaded[index, place])
+    friction = float(steps.clamp_against_slip[index, place])
+    most = float(needed[index, place])
+    kind = "alternating" if steps.slip_safety == SLIP_ALTERNATING else "static"
+    if not steps.loads.more_than_torque:
+        # The torque alone: the slip safety of the connection says the same.
+        return
+    extra = 100 * (steps.friction_radius / (steps.flange.circle_diameter / 2) - 1)
+    yield UtilisationRow(
+        kind="slip under the whole load",
+        equation="R12/4",
+        value=left / friction if friction > 0.0 else math.inf,
+        limit=steps.slip_safety,
+        unit="",
+        utilisation=_share(most, least),
+        case=case,
+        source=(
+            f"{kind}: shear and torque as vectors, tension of the bolt taken off; friction at "
+            f"the mean radius of the ring, {extra:.1f} % outside the bolt circle"
+        ),
+        provenance="catalogue",
+        remedy="more friction, more or larger bolts, a larger circle, or less scatter",
+    )
+    index, case = _worst(steps, steps.clamp_against_opening)
+    opens = float(steps.clamp_against_opening[index])
+    if opens > 0.0:
+        yield UtilisationRow(
+            kind="one-sided opening",
+            equation="R2/3",
+            value=least,
+            limit=opens,
+            unit="N",
+            utilisation=_share(opens, least),
+            case=case,
+            source="pressure at the rim of the ring less its holes, axial force and tilting",
+            provenance="catalogue",
+            remedy="more or larger bolts, a larger circle, or less scatter",
+        )
+
+
+def _stress(steps: Verification, preload: float, least: float) -> Iterator[UtilisationRow]:
+    _, case = _worst(steps, steps.opening.max(axis=1))
+    friction = steps.tightening.thread_friction
+    stress = float(working_stress(steps.data, preload, steps.additional, friction))
+    yield UtilisationRow(
+        kind="working stress",
+        equation="R8/5",
+        value=stress,
+        limit=steps.proof_stress,
+        unit="Pa",
+        utilisation=stress / steps.proof_stress,
+        case=case,
+        source=f"R_p0.2 of {steps.bolt.grade}, half of the torsion of tightening, safety 1.0",
+        provenance="catalogue",
+        remedy="a larger bolt, a higher grade or less load",
+    )
+    bearing = head_bearing(steps.bolt)
+    force = preload + steps.additional
+    yield UtilisationRow(
+        kind="head pressure in service",
+        equation="R10/2",
+        value=force,
+        limit=bearing.capacity,
+        unit="N",
+        utilisation=force / bearing.capacity,
+        case=case,
+        source=bearing.source,
+        provenance=bearing.provenance,
+        remedy="a harder part or a hard washer under the head, or a larger bolt",
+    )
+    if steps.swing > 0.0:
+        mean = preload + steps.swing / 2
+        limit = float(endurance_limit(steps.data, steps.bolt.rolled, mean, steps.proof_stress))
+        amplitude = steps.swing / (2 * steps.data.stress_area)
+        yield UtilisationRow(
+            kind="alternating stress",
+            equation="R9/4",
+            value=amplitude,
+            limit=limit / ENDURANCE_SAFETY,
+            unit="Pa",
+            utilisation=ENDURANCE_SAFETY * amplitude / limit,
+            case=case,
+            source=(
+                f"thread rolled {steps.bolt.rolled} heat treatment, endurance limit over "
+                f"{ENDURANCE_SAFETY:g}; load on and off among what alternates"
+            ),
+            provenance="catalogue",
+            remedy="a larger bolt, a longer one, more bolts, or threads rolled at the end",
+        )
+
+
+def _after_slip(steps: Verification) -> Iterator[UtilisationRow]:
+    """What the bolts bear should the face slip all the same."""
+    force = transverse_forces(
+        steps.loads.values, steps.count, steps.flange.circle_diameter / 2, steps.angles
+    )
+    sizes = np.linalg.norm(force, axis=-1)
+    index, case = _worst(steps, sizes.max(axis=1))
+    most = float(sizes[index].max())
+    if most <= 0.0:
+        return
+    strength = _SHEAR_STRENGTH * catalogue.tensile_strength(steps.bolt.grade)
+    stress = most / steps.data.core_area
+    yield UtilisationRow(
+        kind="bolt shear",
+        equation="R12",
+        value=stress,
+        limit=strength / SHEAR,
+        unit="Pa",
+        utilisation=SHEAR * stress / strength,
+        case=case,
+        source="after slip, thread in the face: core area, 0.6 R_m, safety 1.1",
+        provenance="catalogue",
+        remedy="more or larger bolts, or a larger circle",
+    )
+    part = catalogue.clamped_material(steps.bolt.head_material)
+    pressure = most / (steps.data.diameter * bolts.clamp_length(steps.bolt))
+    yield UtilisationRow(
+        kind="hole bearing",
+        equation="R12",
+        value=pressure,
+        limit=part.yield_stress,
+        unit="Pa",
+        utilisation=pressure / part.yield_stress,
+        case=case,
+        source=f"after slip, on the length of the clamped part; R_p0.2 of {part.name}",
+        provenance=part.provenance,
+        remedy="a thicker or harder part, or more bolts",
+    )
+
+
+def _warnings(steps: Verification, least: float, shift: float) -> Iterator[UtilisationRow]:
+    extent = steps.flange.outer_radius - steps.flange.inner_radius
+    spread = _EXTENT * steps.data.bearing_diameter
+    yield UtilisationRow(
+        kind="validity of even pressure",
+        equation="R0, limit G",
+        value=extent,
+        limit=spread,
+        unit="m",
+        utilisation=extent / spread,
+        source="width of the ring against G'' = 1.5 d_w: wider faces open and slip otherwise",
+        provenance="catalogue",
+        remedy="a narrower ring, larger heads, washers, or a finite-element model",
+        binding=False,
+    )
+    if math.isfinite(shift):
+        limit = transverse_slip_limit(
+            steps.data,
+            bolts.clamp_length(steps.bolt),
+            max(least, 0.0),
+            steps.tightening.head_friction,
+        )
+        yield UtilisationRow(
+            kind="self-loosening",
+            equation="Junker",
+            value=shift,
+            limit=limit,
+            unit="m",
+            utilisation=shift / limit if limit > 0.0 else math.inf,
+            source="movement of the parts at a bolt against that at which its head slips",
+            provenance="catalogue",
+            remedy="longer or more slender bolts, more preload, or a locking feature",
+            binding=False,
+        )
+
+
+def _share(needed: float, present: float) -> float:
+    """Utilisation of a need that what is present has to cover."""
+    if needed <= 0.0:
+        return 0.0
+    return needed / present if present > 0.0 else math.inf
