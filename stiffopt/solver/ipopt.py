@@ -173,7 +173,7 @@ class IpoptSolver:
             Overrides the option.
         """
         nlp = self.nlp
-        p = np.zeros(nlp.p.numel()) if parameters is None else np.asarray(parameters, dtype=float)
+        p = nlp.parameters(parameters)
         inputs: dict[str, np.ndarray] = {
             "x0": np.asarray(x0, dtype=float),
             "p": p,
@@ -328,7 +328,7 @@ def kkt_residual(nlp: Nlp, raw: RawSolution, parameters: np.ndarray | None = Non
     Computed from fresh derivatives, not taken from the solver's word. For a convex problem a
     residual of zero proves the global optimum.
     """
-    p = np.zeros(nlp.p.numel()) if parameters is None else np.asarray(parameters, dtype=float)
+    p = nlp.parameters(parameters)
     lagrangian = type(nlp.x).sym("lam", nlp.g.numel())
     gradient = ca.gradient(nlp.f, nlp.x) + ca.mtimes(ca.jacobian(nlp.g, nlp.x).T, lagrangian)
     function = ca.Function("kkt", [nlp.x, nlp.p, lagrangian], [gradient, nlp.g])

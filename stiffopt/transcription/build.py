@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -13,11 +15,13 @@ from stiffopt.transcription.integrator_chain import IntegratorChain
 from stiffopt.transcription.mesh import Mesh, checked_mesh
 from stiffopt.transcription.nlp import Block, Blocks, Nlp, Places
 from stiffopt.transcription.nlp_derivatives import composed
+from stiffopt.transcription.node_derivatives import numbered
 from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
 from stiffopt.transcription.piecewise_linear import PiecewiseLinear
 from stiffopt.transcription.radau import Radau
 from stiffopt.transcription.scheme import Intervals, Scheme, StagePoints, Symbols
 from stiffopt.transcription.stage_function import StageFunction
+from stiffopt.transcription.structure import scaled_like, structure_of
 from stiffopt.transcription.transcription import Transcription
 
 METHODS = ("piecewise_linear", "hermite_simpson", "radau")
@@ -46,6 +50,7 @@ def transcribe(
     method: str = "piecewise_linear",
     mesh: Sequence[np.ndarray] = (),
     degree: int = 3,
+    like: Transcription | None = None,
 ) -> Transcription:
     """Turn an optimal-control problem into an NLP.
 
@@ -61,28 +66,55 @@ def transcribe(
         Interval fractions of each phase; see `uniform_mesh`.
     degree : int
         Points in each interval of "radau".
+    like : Transcription, optional
+        Whose programme is taken with other bounds and numbers, where it differs in nothing else;
+        it is on the same mesh then, and has the same scales.
     """
     integrators = len(ocp.chains[0]) - 1 if ocp.chains else 2
     scheme = scheme_of(method, degree, integrators)
+    if like is not None:
+        with suppress(_AnotherStructure):
+            return _Builder(ocp, scheme, like.mesh, like).build()
     return _Builder(ocp, scheme, checked_mesh(mesh, ocp.phases)).build()
+
+
+class _AnotherStructure(Exception):
+    """A problem has another programme than the one that was to be taken."""
 
 
 class _Builder:
     """Collects variables and rows of one NLP."""
 
-    def __init__(self, ocp: OptimalControlProblem, scheme: Scheme, mesh: Mesh) -> None:
+    def __init__(
+        self,
+        ocp: OptimalControlProblem,
+        scheme: Scheme,
+        mesh: Mesh,
+        like: Transcription | None = None,
+    ) -> None:
+        self.own_stage = numbered(ocp.stage, ocp.intermediate)
+        self.structure = structure_of(ocp, self.own_stage, scheme, mesh)
+        if like is not None:
+            if like.structure != self.structure:
+                raise _AnotherStructure
+            ocp = scaled_like(ocp, like.ocp)
+        self.like = like
         self.ocp, self.scheme, self.mesh = ocp, scheme, mesh
         self.intervals = Intervals.of(mesh)
         self.variables, self.rows = Blocks(), Blocks()
         self.expressions: list[ca.MX] = []
         self._declare()
         self.x = ca.MX.sym("x", self.variables.size)
-        self.p = ca.MX.sym("p", len(ocp.parameters))
+        fixed = [ocp.duration[0]] if self.durations is None else []
+        self.numbers = np.append(fixed, self.own_stage.numbers)
+        count = len(ocp.parameters)
+        self.p = ca.MX.sym("p", count + len(self.numbers))
+        self.parameters = self.p[:count]
 
     def build(self) -> Transcription:
         ocp = self.ocp
         durations = (
-            ca.MX(ocp.duration[0]) if self.durations is None else self._symbol(self.durations)
+            self.p[len(ocp.parameters)] if self.durations is None else self._symbol(self.durations)
         )
         symbols = Symbols(
             ocp=ocp,
@@ -90,7 +122,7 @@ class _Builder:
             states=self._symbol(self.states),
             controls=self._symbol(self.controls),
             steps=(ca.DM(self.intervals.shares) @ durations).T,
-            parameters=self.p,
+            parameters=self.parameters,
         )
         statics = self._symbol(self.statics)
         for name, index, expression, places in self.scheme.defects(symbols):
@@ -107,10 +139,10 @@ class _Builder:
         if ocp.phases > 1:
             self._row(Rows.make("duration", [""], *ocp.duration, unit="s"), total, None)
         if ocp.integral_function is not None:
-            values = ocp.integral_function(integrals, total, statics, self.p)
+            values = ocp.integral_function(integrals, total, statics, self.parameters)
             self._blocks(ocp.integral_rows, values)
         x = symbols.states
-        objective = ocp.objective(integrals, total, statics, x[:, 0], x[:, -1], self.p)
+        objective = ocp.objective(integrals, total, statics, x[:, 0], x[:, -1], self.parameters)
         return self._finish(integrals, objective)
 
     def _finish(self, integrals: ca.MX, objective: ca.MX) -> Transcription:
@@ -122,6 +154,26 @@ class _Builder:
             raise ProblemError(
                 f"{self.ocp.name}: {entry} must be at least {low:g} and at most {high:g}. Move "
                 "the boundary value inside the limits, or widen the limits."
+            )
+        if self.like is not None:
+            return replace(
+                self.like,
+                ocp=self.ocp,
+                nlp=replace(
+                    self.like.nlp,
+                    variables=self.variables,
+                    rows=self.rows,
+                    lower_x=lower_x,
+                    upper_x=upper_x,
+                    lower_g=lower_g,
+                    upper_g=upper_g,
+                    numbers=self.numbers,
+                ),
+                states=self.states,
+                controls=self.controls,
+                statics=self.statics,
+                durations=self.durations,
+                path_blocks=tuple(self.path_blocks),
             )
         f, g, derivatives = composed(
             self.stage,
@@ -143,6 +195,7 @@ class _Builder:
             lower_g=lower_g,
             upper_g=upper_g,
             objective_scale=self.ocp.objective_scale,
+            numbers=self.numbers,
         )
         return Transcription(
             ocp=self.ocp,
@@ -155,6 +208,7 @@ class _Builder:
             durations=self.durations,
             path_blocks=tuple(self.path_blocks),
             outputs=self._outputs(integrals, objective),
+            structure=self.structure,
         )
 
     def _outputs(self, integrals: ca.MX, objective: ca.MX) -> ca.Function:
@@ -235,6 +289,9 @@ class _Builder:
     def _row(
         self, rows: Rows, expression: ca.MX, places: Places | None, structural: bool = False
     ) -> Block:
+        if self.like is not None:
+            first = self.like.nlp.rows.items[len(self.rows.items)].rows
+            rows = replace(rows, scale=first.scale)
         block = self.rows.add(rows, places, structural=structural)
         column = ca.vec(ca.densify(expression))
         if not np.all(rows.scale == 1.0):
@@ -270,12 +327,14 @@ class _Builder:
 
     def _stage(self, s: Symbols, points: StagePoints, statics: ca.MX) -> ca.MX:
         count = len(points.places)
-        self.stage = StageFunction(self.ocp, count)
+        values = self.own_stage.function.size1_out(1)
+        if self.like is None:
+            self.stage = StageFunction(self.own_stage, count, len(self.ocp.parameters))
         self.variables_of_stage = ca.vertcat(
             points.states, points.controls, ca.repmat(statics, 1, count)
         )
         # Stand for the stage's values, so that derivatives can be put together from its own.
-        self.values = ca.MX.sym("values", self.stage.size, count)
+        self.values = ca.MX.sym("values", values, count)
         first = self.ocp.stage.size1_out(0)
         self.path_blocks = self._blocks(
             self.ocp.path_rows, self.values[first:, :], points.places, points.main

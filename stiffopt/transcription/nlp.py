@@ -191,7 +191,8 @@ class Nlp:
 
     All vectors are scaled: value = scale * entry. `objective_scale` times f is the objective.
     `derivatives` are functions that `casadi.nlpsol` takes in place of its own: grad_f, jac_g,
-    hess_lag.
+    hess_lag. `numbers` are the values of the last parameters: what may differ between problems of
+    one graph.
     """
 
     x: Symbols
@@ -206,6 +207,13 @@ class Nlp:
     upper_g: np.ndarray
     objective_scale: float = 1.0
     derivatives: Mapping[str, Any] = field(default_factory=dict)
+    numbers: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def parameters(self, own: np.ndarray | None = None) -> np.ndarray:
+        """All parameters: the problem's own (zeros where left out), then the numbers."""
+        if own is None:
+            own = np.zeros(self.p.numel() - len(self.numbers))
+        return np.append(np.asarray(own, dtype=float), self.numbers)
 
     @property
     def casadi(self) -> dict[str, Symbols]:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import casadi as ca
-import numpy as np
 
 from stiffopt.transcription import compiled
-from stiffopt.transcription.node_derivatives import NAMES, numbered, with_derivatives
-from stiffopt.transcription.ocp import OptimalControlProblem
+from stiffopt.transcription.node_derivatives import NAMES, NumberedStage, with_derivatives
 
 
 class StageFunction:
@@ -15,18 +13,18 @@ class StageFunction:
 
     Parameters
     ----------
-    ocp : OptimalControlProblem
-        Its stage is made of SX.
+    stage : NumberedStage
     count : int
+    parameters : int
+        How many of the programme's parameters are the stage's own; its numbers are the last.
 
     Notes
     -----
     The variables of all points are one matrix (n, count), so are the values (m, count); as vectors
-    their columns follow one another.
+    their columns follow one another. `parameters` of the methods are all of the programme's.
     """
 
-    def __init__(self, ocp: OptimalControlProblem, count: int) -> None:
-        stage = numbered(ocp.stage, ocp.intermediate)
+    def __init__(self, stage: NumberedStage, count: int, parameters: int) -> None:
         library = compiled.library(stage.function)
         functions = (
             with_derivatives(stage.function)
@@ -34,7 +32,7 @@ class StageFunction:
             else tuple(ca.external(name, str(library)) for name in NAMES)
         )
         self._values, self._jacobian, self._hessian = (each.map(count) for each in functions)
-        self._numbers = ca.DM(np.tile(stage.numbers[:, None], (1, count)))
+        self._own, self._numbers = parameters, len(stage.numbers)
         self._count = count
         self.size = int(functions[0].size1_out(0))
         self._jacobian_pattern = _block_diagonal(functions[1], count)
@@ -60,8 +58,9 @@ class StageFunction:
         found = self._hessian(variables, *self._same(parameters), weights)
         return ca.sparsity_cast(found, self._hessian_pattern)
 
-    def _same(self, parameters: ca.MX) -> tuple[ca.MX, ca.DM]:
-        return ca.repmat(parameters, 1, self._count), self._numbers
+    def _same(self, parameters: ca.MX) -> tuple[ca.MX, ca.MX]:
+        own, numbers = parameters[: self._own], parameters[parameters.numel() - self._numbers :]
+        return ca.repmat(own, 1, self._count), ca.repmat(numbers, 1, self._count)
 
 
 def _block_diagonal(function: ca.Function, count: int) -> ca.Sparsity:

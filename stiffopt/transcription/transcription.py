@@ -68,6 +68,8 @@ class Transcription:
         Where these variables stand in the NLP vector; `durations` is None when fixed.
     path_blocks : tuple of (Block, array)
         Where the path rows stand in the NLP's rows, and which entries of the stage's they are.
+    structure : str
+        Equal for problems whose programmes differ in bounds and `Nlp.numbers` only.
     """
 
     ocp: OptimalControlProblem
@@ -80,6 +82,7 @@ class Transcription:
     durations: Block | None
     path_blocks: tuple[tuple[Block, np.ndarray], ...]
     outputs: ca.Function
+    structure: str
 
     @property
     def intervals(self) -> Intervals:
@@ -128,7 +131,7 @@ class Transcription:
         x = np.asarray(x, dtype=float).ravel()
         p = self.ocp.parameters if parameters is None else parameters
         durations = self.phase_durations(x)
-        integrals, objective = self.outputs(x, p)
+        integrals, objective = self.outputs(x, self.nlp.parameters(p))
         steps = self.intervals.shares @ durations
         return Unpacked(
             times=_times(self.scheme.state_places(self.intervals), durations),

@@ -349,7 +349,7 @@ def test_a_chain_of_five_integrators_is_exact():
     start = Guess(states=of(range(5)), controls=of([5]), duration=1.5)
     packed = made.pack(start)
     residuals = np.asarray(
-        ca.Function("g", [made.nlp.x, made.nlp.p], [made.nlp.g])(packed, [])
+        ca.Function("g", [made.nlp.x, made.nlp.p], [made.nlp.g])(packed, made.nlp.parameters())
     ).ravel()
     midway = 1.5 * np.array([0.1, 0.45, 0.85])
     nodes = 1.5 * np.array([0.0, 0.2, 0.7, 1.0])

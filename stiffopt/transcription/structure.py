@@ -1,0 +1,78 @@
+"""What makes two optimal-control problems one programme that differs in bounds and numbers only."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+
+from stiffopt.transcription.mesh import Mesh
+from stiffopt.transcription.node_derivatives import NumberedStage
+from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
+from stiffopt.transcription.scheme import Scheme
+
+
+def structure_of(
+    ocp: OptimalControlProblem, stage: NumberedStage, scheme: Scheme, mesh: Mesh
+) -> str:
+    """Hash of all that the graph of a programme is made of.
+
+    Not in it: bounds (as far as the same exist), scales (those of the first programme stay), a
+    fixed duration and the numbers of the stage, among them payload, tool, force and drivetrain.
+    """
+    functions = [stage.function, ocp.dynamics, ocp.objective]
+    functions += [] if ocp.integral_function is None else [ocp.integral_function]
+    points = [ocp.start, *ocp.vias, ocp.end]
+    functions += [point.function for point in points if point is not None]
+    blocks = [*ocp.path_rows, *ocp.integral_rows, *(r for w in points if w for r in w.rows)]
+    facts: list[object] = [
+        (scheme.name, scheme.state_nodes.tolist(), scheme.control_nodes.tolist()),
+        [share.tolist() for share in mesh],
+        (ocp.states, ocp.controls, ocp.statics, ocp.chains, ocp.objective_scale),
+        [point is None for point in points],
+        ocp.fixed_duration,
+        len(ocp.parameters),
+        [(rows.name, rows.labels, rows.midpoints, _bounded(rows)) for rows in blocks],
+        [_finite(ocp.control_rate_lower), _finite(ocp.control_rate_upper)],
+        [_finite(ocp.state_lower), _finite(ocp.state_upper)],
+        [_finite(ocp.control_lower), _finite(ocp.control_upper)],
+        *(function.serialize() for function in functions),
+    ]
+    return hashlib.sha256("\0".join(map(repr, facts)).encode()).hexdigest()
+
+
+def scaled_like(ocp: OptimalControlProblem, first: OptimalControlProblem) -> OptimalControlProblem:
+    """The problem with the scales of another one of its structure, which are in the graph."""
+    return replace(
+        ocp,
+        state_scale=first.state_scale,
+        control_scale=first.control_scale,
+        static_scale=first.static_scale,
+        path_rows=_scaled(ocp.path_rows, first.path_rows),
+        integral_rows=_scaled(ocp.integral_rows, first.integral_rows),
+        start=_waypoint(ocp.start, first.start),
+        end=_waypoint(ocp.end, first.end),
+        vias=tuple(
+            replace(own, rows=_scaled(own.rows, other.rows))
+            for own, other in zip(ocp.vias, first.vias, strict=True)
+        ),
+    )
+
+
+def _waypoint(own: Waypoint | None, first: Waypoint | None) -> Waypoint | None:
+    if own is None or first is None:
+        return own
+    return replace(own, rows=_scaled(own.rows, first.rows))
+
+
+def _scaled(own: tuple[Rows, ...], first: tuple[Rows, ...]) -> tuple[Rows, ...]:
+    return tuple(replace(a, scale=b.scale) for a, b in zip(own, first, strict=True))
+
+
+def _bounded(rows: Rows) -> list[bool]:
+    return [bool(each) for each in np.isfinite(rows.lower) | np.isfinite(rows.upper)]
+
+
+def _finite(bounds: np.ndarray | None) -> list[bool] | None:
+    return None if bounds is None else [bool(each) for each in np.isfinite(bounds)]
