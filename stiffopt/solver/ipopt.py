@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -72,6 +72,18 @@ class IpoptOptions:
             "sb": "yes",
             **self.extra,
         }
+
+
+class Multipliers(Protocol):
+    """Whatever holds the multipliers of a programme at its end."""
+
+    @property
+    def multipliers_x(self) -> np.ndarray:
+        """Of the bounds."""
+
+    @property
+    def multipliers_g(self) -> np.ndarray:
+        """Of the rows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,7 +165,7 @@ class IpoptSolver:
         x0: np.ndarray,
         parameters: np.ndarray | None = None,
         *,
-        warm: RawSolution | None = None,
+        warm: Multipliers | None = None,
         report: Callable[[Progress], object] | None = None,
         max_seconds: float | None = None,
     ) -> RawSolution:
@@ -165,8 +177,8 @@ class IpoptSolver:
             Scaled variables, see `Transcription.pack`.
         parameters : array (np,), optional
             Zeros when absent.
-        warm : RawSolution, optional
-            Solution of the same NLP (with other parameters) whose multipliers to start from.
+        warm : Multipliers, optional
+            Such as the solution of the same NLP with other parameters: what to start from.
         report : callable, optional
             Called with a `Progress` in each iteration.
         max_seconds : float, optional
@@ -251,7 +263,7 @@ class IpoptSolver:
         if self._warm is None:
             self._warm = self._make(
                 {
-                    "mu_strategy": "monotone",
+                    "mu_strategy": "adaptive",
                     "warm_start_init_point": "yes",
                     "warm_start_bound_push": 1e-8,
                     "warm_start_bound_frac": 1e-8,

@@ -25,7 +25,7 @@ from stiffopt.errors import NoSolutionFound
 from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.files import LoadedProblem
 from stiffopt.problem.formulation import Scales
-from stiffopt.problem.resolve import resolve
+from stiffopt.problem.resolve import ResolvedMotion, resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.provenance import inputs_hash, versions
@@ -88,16 +88,41 @@ def solve(
     """
     if isinstance(problem, LoadedProblem):
         problem = problem.problem
+    solution, _ = solve_keeping(
+        problem, progress=progress, guess=guess, simulate=simulate, start=start
+    )
+    if throw and not (solution.status.usable or solution.status is SolveStatus.INTERRUPTED):
+        raise NoSolutionFound(solution.message, solution)
+    return solution
+
+
+def solve_keeping(
+    problem: TrajectoryProblem,
+    *,
+    progress: ProgressCallback | None = None,
+    guess: Guess | None = None,
+    simulate: bool = False,
+    start: int = 0,
+    compare: bool = True,
+) -> tuple[Solution, tuple[SolveRun, Outcome] | None]:
+    """As `solve`, and what was built for it: None where there was no programme of its own.
+
+    Parameters
+    ----------
+    problem, progress, guess, simulate, start : as of `solve`
+    compare : bool
+        Look for the baseline that keeps every limit as well.
+    """
     motion = resolve(problem)
     # Meshes of the cell that cannot be read are told before the solve.
     _ = problem.clearance_model
     if simulate:
         check_simulation(problem, motion)
-    chosen = (problem.chosen,) if problem.chosen else ()
-    notes = (*chosen, *problem.remarks, *_held(problem), *check_bounds(problem, motion))
+    notes = notes_before(problem, motion)
     beside = baselines(problem, motion)
     run = SolveRun(problem, motion, _scales(problem, beside), progress)
     needed, why = shortest_duration(problem, motion)
+    kept = None
     if problem.duration[1] < needed:
         solution = _hopeless(run, beside, notes, why)
     elif problem.is_shaped:
@@ -111,14 +136,19 @@ def solve(
                 random = np.random.default_rng([problem.method.seed, start])
                 begin = _perturbed(begin, problem, random)
             outcome = _best_of_starts(run, begin, rival)
-            solution = _solution(run, outcome, beside, notes)
+            kept = (run, outcome)
+            solution = solution_of(run, outcome, beside, notes, compare=compare)
         except KeyboardInterrupt:
             solution = _only_baseline(run, beside, notes)
     if simulate:
         solution = with_simulation(problem, solution, progress, motion)
-    if throw and not (solution.status.usable or solution.status is SolveStatus.INTERRUPTED):
-        raise NoSolutionFound(solution.message, solution)
-    return solution
+    return solution, kept
+
+
+def notes_before(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[str, ...]:
+    """What can be said of a problem before it is solved; refuses those that are degenerate."""
+    chosen = (problem.chosen,) if problem.chosen else ()
+    return (*chosen, *problem.remarks, *_held(problem), *check_bounds(problem, motion))
 
 
 def _held(problem: TrajectoryProblem) -> tuple[str, ...]:
@@ -184,9 +214,15 @@ def _perturbed(guess: Guess, problem: TrajectoryProblem, random: np.random.Gener
     return replace(guess, states=moved)
 
 
-def _solution(
-    run: SolveRun, outcome: Outcome, beside: dict[str, Baseline], notes: tuple[str, ...]
+def solution_of(
+    run: SolveRun,
+    outcome: Outcome,
+    beside: dict[str, Baseline],
+    notes: tuple[str, ...],
+    *,
+    compare: bool = True,
 ) -> Solution:
+    """The solution of an outcome; `compare` looks for the baseline that keeps every limit."""
     problem, assessment = run.problem, with_collisions(run.problem, outcome.assessment)
     end = beyond_limits(problem, assessment, verdict(problem, outcome, beside))
     value = objective_value(problem, assessment)
@@ -198,7 +234,9 @@ def _solution(
         and end.status is not SolveStatus.INFEASIBLE
     ):
         ratio = improvement(problem, value.value, rival.objective)
-    strict = None if end.status is SolveStatus.INFEASIBLE else _strict(run, beside)
+    strict = None
+    if compare and end.status is not SolveStatus.INFEASIBLE:
+        strict = _strict(run, beside)
     return Solution(
         status=end.status,
         message=end.message,

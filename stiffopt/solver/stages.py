@@ -19,7 +19,7 @@ from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver, RawSolution
+from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver, Multipliers, RawSolution
 from stiffopt.solver.monitor import Progress
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import Mesh, uniform_mesh
@@ -195,7 +195,7 @@ def run_stages(
     KeyboardInterrupt
         Ctrl-C before the first stage has begun; later the outcome so far is kept.
     """
-    done: tuple[_Made, SolveStage, RawSolution] | None = None
+    done: tuple[Programme, SolveStage, RawSolution] | None = None
     try:
         for each in _solved(run, plan, guess, margins, mesh):
             done = each
@@ -206,16 +206,16 @@ def run_stages(
         done = *done[:2], replace(done[2], status="interrupted", reason="Ctrl-C")
     assert done is not None
     made, stage, raw = done
-    return _outcome(run, made, raw, stage.smoothing)
+    return outcome_of(run, made, raw, stage.smoothing)
 
 
 def solve_again(run: SolveRun, before: Outcome, nlp: Nlp, smoothing: float) -> Outcome:
     """Solve the last stage again from where it ended, with other bounds or smoothing."""
     before.solver.rebound(nlp)
-    made = _Made(before.transcription, before.solver)
+    made = Programme(before.transcription, before.solver)
     stage = SolveStage(len(before.transcription.intervals), smoothing)
-    raw = _solved_stage(run, made, stage, before.raw.x, before.raw, "correction")
-    return _outcome(run, made, raw, smoothing)
+    raw = solve_stage(run, made, stage, before.raw.x, before.raw, "correction")
+    return outcome_of(run, made, raw, smoothing)
 
 
 def motors_of(problem: TrajectoryProblem, outcome: Outcome, share: float) -> Trajectory:
@@ -232,7 +232,7 @@ def _solved(
     guess: Guess,
     margins: dict[str, float],
     mesh: Mesh | None,
-) -> Iterator[tuple[_Made, SolveStage, RawSolution]]:
+) -> Iterator[tuple[Programme, SolveStage, RawSolution]]:
     """Every stage with its solution, each from the last."""
     ocp = formulate(run.problem, run.motion, run.scales, margins)
     last = len(plan) - 1
@@ -241,15 +241,17 @@ def _solved(
     while index <= last:
         stage = plan[index]
         if made is None or raw is None:
-            made = _make(run, ocp, mesh or _uniform(ocp, stage, guess))
+            made = build_programme(run, ocp, mesh or _uniform(ocp, stage, guess))
             x = made.transcription.pack(guess)
         elif stage.new_mesh:
             guess = made.transcription.guess_from(raw.x)
-            made = _make(run, ocp, refine_mesh(made.transcription, raw.x, stage.intervals))
+            made = build_programme(
+                run, ocp, refine_mesh(made.transcription, raw.x, stage.intervals)
+            )
             x, warm = made.transcription.pack(guess), None
         else:
             x, warm = raw.x, raw if raw.converged else None
-        raw = _solved_stage(run, made, stage, x, warm, f"stage {index + 1} of {len(plan)}")
+        raw = solve_stage(run, made, stage, x, warm, f"stage {index + 1} of {len(plan)}")
         yield made, stage, raw
         if raw.status in ("interrupted", "time_limit"):
             break
@@ -257,14 +259,15 @@ def _solved(
         index = last if raw.status == "infeasible" and index < last else index + 1
 
 
-def _solved_stage(
+def solve_stage(
     run: SolveRun,
-    made: _Made,
+    made: Programme,
     stage: SolveStage,
     x: np.ndarray,
-    warm: RawSolution | None,
+    warm: Multipliers | None,
     text: str,
 ) -> RawSolution:
+    """Solve one stage; where it stalls, once more from the best point without multipliers."""
     report = _reporter(run, f"{text}, {stage.intervals} intervals, smoothing {stage.smoothing:g}")
     for start in (warm, None):
         raw = made.solver.solve(
@@ -282,7 +285,8 @@ def _solved_stage(
     return raw
 
 
-def _outcome(run: SolveRun, made: _Made, raw: RawSolution, smoothing: float) -> Outcome:
+def outcome_of(run: SolveRun, made: Programme, raw: RawSolution, smoothing: float) -> Outcome:
+    """The motion of a solved stage, with its certificate."""
     trajectory = _trajectory(run.problem, made.transcription, raw.x, smoothing)
     assessment = assess(run.problem, trajectory)
     return Outcome(
@@ -305,23 +309,34 @@ def _objective_gap(run: SolveRun, raw: RawSolution, assessment: Assessment) -> f
 
 
 @dataclass(frozen=True)
-class _Made:
-    """A transcribed problem with its solver."""
+class Programme:
+    """A transcribed problem with its solver.
+
+    Parameters
+    ----------
+    transcription : Transcription
+    solver : IpoptSolver
+    """
 
     transcription: Transcription
     solver: IpoptSolver
 
 
-def _make(run: SolveRun, ocp: OptimalControlProblem, mesh: Mesh) -> _Made:
+def build_programme(run: SolveRun, ocp: OptimalControlProblem, mesh: Mesh) -> Programme:
+    """Transcribe a problem on a mesh and set up its solver."""
     begin = time.perf_counter()
-    method = run.problem.method
-    transcription = transcribe(ocp, method.transcription, mesh)
-    # Long chains take fewer and steadier iterations with a barrier that adapts.
-    extra = {"mu_strategy": "adaptive"} if run.problem.plans_links else {}
-    options = IpoptOptions(tol=method.tolerance, max_iterations=method.max_iterations, extra=extra)
-    made = _Made(transcription, IpoptSolver(transcription.nlp, options))
+    transcription = transcribe(ocp, run.problem.method.transcription, mesh)
+    made = Programme(transcription, IpoptSolver(transcription.nlp, solver_options(run.problem)))
     run.build_s += time.perf_counter() - begin
     return made
+
+
+def solver_options(problem: TrajectoryProblem) -> IpoptOptions:
+    """What IPOPT is told for a problem."""
+    method = problem.method
+    # Long chains take fewer and steadier iterations with a barrier that adapts.
+    extra = {"mu_strategy": "adaptive"} if problem.plans_links else {}
+    return IpoptOptions(tol=method.tolerance, max_iterations=method.max_iterations, extra=extra)
 
 
 def _uniform(ocp: OptimalControlProblem, stage: SolveStage, guess: Guess) -> Mesh:

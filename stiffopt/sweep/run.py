@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,10 +16,13 @@ from typing import Any
 from stiffopt.errors import InputFileError
 from stiffopt.files import atomic_write, load_json
 from stiffopt.sweep.cases import Case, Sweep
+from stiffopt.sweep.order import ordered, predecessors
 from stiffopt.sweep.solve_case import CaseResult, document, solve_case
 from stiffopt.sweep.workers import Workers
 
 CASES = "cases"
+# Where cases ended; kept until the sweep is done.
+_WARM = "warm"
 # Deaths of a worker that had nothing else to do, after which the case is to blame.
 _DEATHS = 2
 
@@ -70,11 +74,15 @@ def run_sweep(
     own = {case.key: case for case in sweep.cases}
     results = {key: found for key in own if (found := _read(folder, key)) is not None}
     watch = _Watch(len(own), results, progress)
-    todo = [case for key, case in own.items() if key not in results]
+    queue = _Queue(list(own.values()), set(results), folder)
     try:
-        for found in _solved(todo, pool):
+        for found, end in _solved(queue, pool):
+            # In this order: a case that is done has left what others start from.
+            if end is not None:
+                atomic_write(queue.file(found["key"]), end)
             _write(folder, found)
             results[found["key"]] = found
+            queue.done.add(found["key"])
             watch.tell()
     except KeyboardInterrupt:
         pool.close(now=True)
@@ -83,25 +91,72 @@ def run_sweep(
         pool.close(now=True)
         raise
     pool.close(now=False)
+    shutil.rmtree(folder / CASES / _WARM, ignore_errors=True)
     return [results.get(case.key) for case in sweep.cases], False
 
 
-def _solved(todo: Iterable[Case], pool: Workers) -> Iterable[dict[str, Any]]:
+class _Queue:
+    """Cases that are still to be solved, each with the one that it starts from.
+
+    Parameters
+    ----------
+    cases : list of Case
+    done : set of str
+        Keys of those that have a result.
+    folder : Path
+    """
+
+    def __init__(self, cases: list[Case], done: set[str], folder: Path) -> None:
+        self.done, self._folder = done, folder
+        self._before = predecessors(cases)
+        self._waiting = deque(case for case in ordered(cases) if case.key not in done)
+
+    def __bool__(self) -> bool:
+        return bool(self._waiting)
+
+    def take(self) -> Case | None:
+        """The next case whose predecessor is done; None where there is none yet."""
+        for case in self._waiting:
+            before = self._before[case.key]
+            if before is None or before in self.done:
+                self._waiting.remove(case)
+                return case
+        return None
+
+    def warm(self, case: Case) -> bytes | None:
+        """Where the predecessor ended, or what that began from where it led nowhere."""
+        before = self._before[case.key]
+        while before is not None:
+            with suppress(OSError):
+                return self.file(before).read_bytes()
+            before = self._before[before]
+        return None
+
+    def file(self, key: str) -> Path:
+        """Where a case ended."""
+        return self._folder / CASES / _WARM / f"{key}.npz"
+
+
+_Solved = tuple[dict[str, Any], bytes | None]
+
+
+def _solved(queue: _Queue, pool: Workers) -> Iterator[_Solved]:
     """Results as they come; a case whose worker dies is tried again."""
-    waiting, alone = deque(todo), deque[Case]()
+    alone = deque[Case]()
     deaths: dict[str, int] = {}
-    busy: dict[Future[dict[str, Any]], Case] = {}
+    busy: dict[Future[_Solved], Case] = {}
     lonely = False
-    while waiting or alone or busy:
+    while queue or alone or busy:
         if alone and not busy:
             # Whose fault a death was shows with nobody beside.
             case = alone.popleft()
-            busy[pool.submit(solve_case, case)] = case
+            busy[pool.submit(solve_case, case, queue.warm(case))] = case
             lonely = True
-        elif not alone and not lonely:
-            while waiting and len(busy) < pool.slots:
-                case = waiting.popleft()
-                busy[pool.submit(solve_case, case)] = case
+        while not (alone or lonely) and len(busy) < pool.slots:
+            following = queue.take()
+            if following is None:
+                break
+            busy[pool.submit(solve_case, following, queue.warm(following))] = following
         done, _ = wait(busy, return_when=FIRST_COMPLETED)
         for future in done:
             case = busy.pop(future)
@@ -113,7 +168,7 @@ def _solved(todo: Iterable[Case], pool: Workers) -> Iterable[dict[str, Any]]:
                     alone.append(case)
                 else:
                     text = "Its worker process died each time, as one without memory does."
-                    yield document(case, CaseResult("failed", text, {}, {}), 0.0)
+                    yield document(case, CaseResult("failed", text, {}, {}), 0.0), None
         lonely = lonely and bool(busy)
 
 

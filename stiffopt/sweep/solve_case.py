@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import numpy as np
 
 from stiffopt.errors import InputError
 from stiffopt.files import plain
+from stiffopt.result.status import SolveStatus
 from stiffopt.sweep.cases import Case
 
 SCHEMA = 1
@@ -41,27 +43,38 @@ class CaseResult:
     maximised: bool = False
 
 
-def solve_case(case: Case) -> dict[str, Any]:
+_End = tuple[CaseResult, bytes | None]
+
+# What a worker has built stays with it; Dask's have threads.
+_own = threading.local()
+
+
+def solve_case(case: Case, warm: bytes | None = None) -> tuple[dict[str, Any], bytes | None]:
     """Content of a case's file; no error of the case leaves this function.
 
     Parameters
     ----------
     case : Case
+    warm : bytes, optional
+        Where another case ended.
 
     Returns
     -------
     dict
         Plain numbers, strings, lists and dicts.
+    bytes or None
+        Where this one ended, for others to start from.
     """
     begin = time.perf_counter()
+    end = None
     try:
-        found = _SOLVERS[case.kind](case)
+        found, end = _SOLVERS[case.kind](case, warm)
     except InputError as error:
         found = CaseResult("invalid", str(error), {}, {})
     except Exception as error:
         # One case's trouble must not cost the others.
         found = CaseResult("failed", f"{type(error).__name__}: {error}", {}, {})
-    return document(case, found, time.perf_counter() - begin)
+    return document(case, found, time.perf_counter() - begin), end
 
 
 def document(case: Case, found: CaseResult, seconds: float) -> dict[str, Any]:
@@ -86,14 +99,22 @@ def document(case: Case, found: CaseResult, seconds: float) -> dict[str, Any]:
     return content
 
 
-def _trajectory(case: Case) -> CaseResult:
+def _trajectory(case: Case, warm: bytes | None) -> _End:
     from stiffopt.certificate.objective_value import is_maximised
     from stiffopt.problem.files import load_problem
     from stiffopt.result.store import result_document
-    from stiffopt.solver.solve import solve
+    from stiffopt.solver.family import ProblemFamily, WarmStart
 
     problem = load_problem(case.base, case.settings).problem
-    solution = solve(problem, throw=False, start=case.start)
+    family: ProblemFamily = _own.__dict__.setdefault("family", ProblemFamily())
+    solution, end = family.solve(
+        problem,
+        None if warm is None else WarmStart.from_bytes(warm),
+        compare=case.baselines,
+        start=case.start,
+    )
+    if solution.status is SolveStatus.INTERRUPTED:
+        raise KeyboardInterrupt
     values: dict[str, tuple[float | int | str | None, str]] = {}
     if solution.objective is not None:
         values["objective"] = (solution.objective.value, solution.objective.unit)
@@ -108,16 +129,17 @@ def _trajectory(case: Case) -> CaseResult:
     if case.baselines:
         values["ratio_to_better_baseline"] = (solution.ratio_to_better_baseline, "")
     values["iterations"] = (solution.solver.iterations, "")
-    return CaseResult(
+    found = CaseResult(
         str(solution.status),
         solution.message,
         values,
         result_document(solution),
         is_maximised(problem),
     )
+    return found, None if end is None else end.to_bytes()
 
 
-def _preload(case: Case) -> CaseResult:
+def _preload(case: Case, _: bytes | None) -> _End:
     from stiffopt.preload.files import load_study
     from stiffopt.preload.store import study_document
     from stiffopt.preload.study import named_values, preload_study
@@ -126,26 +148,31 @@ def _preload(case: Case) -> CaseResult:
     study = preload_study(
         loaded.problem, motion=loaded.motion, rounds=loaded.rounds, front_points=0
     )
+    if study.status is SolveStatus.INTERRUPTED:
+        raise KeyboardInterrupt
     values: dict[str, tuple[float | int | str | None, str]] = {
         name: (value if np.isfinite(value) else None, unit)
         for name, (value, unit) in named_values(study).items()
         if name != "kkt_residual"
     }
-    return CaseResult(
+    found = CaseResult(
         str(study.status),
         study.solution.message,
         values,
         study_document(study),
         loaded.problem.objective == "joint_stiffness",
     )
+    return found, None
 
 
-def _recordings(case: Case) -> CaseResult:
+def _recordings(case: Case, _: bytes | None) -> _End:
     from stiffopt.discovery.diagnose import diagnose
     from stiffopt.discovery.store import answer
     from stiffopt.recording.recording_set import load_recordings
 
     found = diagnose(load_recordings(case.base, case.settings), experiment=False)
+    if found.stopped:
+        raise KeyboardInterrupt
     named = [f"{f.effect.name} of {f.link or f.joint or 'robot'}" for f in found.findings]
     values: dict[str, tuple[float | int | str | None, str]] = {
         "findings": ("; ".join(named), ""),
@@ -154,10 +181,11 @@ def _recordings(case: Case) -> CaseResult:
     if found.proofs("test"):
         before, after = found.nrmse("test")
         values |= {"residual_before": (before, ""), "residual_after": (after, "")}
-    return CaseResult(str(found.verdict), "; ".join(found.assumptions), values, answer(found))
+    text = "; ".join(found.assumptions)
+    return CaseResult(str(found.verdict), text, values, answer(found)), None
 
 
-_SOLVERS: dict[str, Callable[[Case], CaseResult]] = {
+_SOLVERS: dict[str, Callable[[Case, bytes | None], _End]] = {
     "trajectory": _trajectory,
     "preload": _preload,
     "recordings": _recordings,

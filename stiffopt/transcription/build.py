@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 
 import casadi as ca
@@ -15,7 +14,7 @@ from stiffopt.transcription.integrator_chain import IntegratorChain
 from stiffopt.transcription.mesh import Mesh, checked_mesh
 from stiffopt.transcription.nlp import Block, Blocks, Nlp, Places
 from stiffopt.transcription.nlp_derivatives import composed
-from stiffopt.transcription.node_derivatives import numbered
+from stiffopt.transcription.node_derivatives import NumberedStage, numbered
 from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
 from stiffopt.transcription.piecewise_linear import PiecewiseLinear
 from stiffopt.transcription.radau import Radau
@@ -50,7 +49,6 @@ def transcribe(
     method: str = "piecewise_linear",
     mesh: Sequence[np.ndarray] = (),
     degree: int = 3,
-    like: Transcription | None = None,
 ) -> Transcription:
     """Turn an optimal-control problem into an NLP.
 
@@ -66,20 +64,22 @@ def transcribe(
         Interval fractions of each phase; see `uniform_mesh`.
     degree : int
         Points in each interval of "radau".
-    like : Transcription, optional
-        Whose programme is taken with other bounds and numbers, where it differs in nothing else;
-        it is on the same mesh then, and has the same scales.
     """
     integrators = len(ocp.chains[0]) - 1 if ocp.chains else 2
     scheme = scheme_of(method, degree, integrators)
-    if like is not None:
-        with suppress(_AnotherStructure):
-            return _Builder(ocp, scheme, like.mesh, like).build()
-    return _Builder(ocp, scheme, checked_mesh(mesh, ocp.phases)).build()
+    stage = numbered(ocp.stage, ocp.intermediate)
+    return _Builder(ocp, scheme, checked_mesh(mesh, ocp.phases), stage).build()
 
 
-class _AnotherStructure(Exception):
-    """A problem has another programme than the one that was to be taken."""
+def adapted(first: Transcription, ocp: OptimalControlProblem) -> Transcription | None:
+    """The same programme with the bounds and numbers of another problem; None where more differs.
+
+    Mesh and scales stay.
+    """
+    stage = numbered(ocp.stage, ocp.intermediate)
+    if structure_of(ocp, stage, first.scheme, first.mesh) != first.structure:
+        return None
+    return _Builder(scaled_like(ocp, first.ocp), first.scheme, first.mesh, stage, first).build()
 
 
 class _Builder:
@@ -90,14 +90,10 @@ class _Builder:
         ocp: OptimalControlProblem,
         scheme: Scheme,
         mesh: Mesh,
+        stage: NumberedStage,
         like: Transcription | None = None,
     ) -> None:
-        self.own_stage = numbered(ocp.stage, ocp.intermediate)
-        self.structure = structure_of(ocp, self.own_stage, scheme, mesh)
-        if like is not None:
-            if like.structure != self.structure:
-                raise _AnotherStructure
-            ocp = scaled_like(ocp, like.ocp)
+        self.own_stage = stage
         self.like = like
         self.ocp, self.scheme, self.mesh = ocp, scheme, mesh
         self.intervals = Intervals.of(mesh)
@@ -208,7 +204,7 @@ class _Builder:
             durations=self.durations,
             path_blocks=tuple(self.path_blocks),
             outputs=self._outputs(integrals, objective),
-            structure=self.structure,
+            structure=structure_of(self.ocp, self.own_stage, self.scheme, self.mesh),
         )
 
     def _outputs(self, integrals: ca.MX, objective: ca.MX) -> ca.Function:

@@ -124,26 +124,32 @@ def _replayed(
         Of SX, with dense outputs.
     inputs : list of SX
     number : callable
-        What stands for a number.
+        What stands for a number, asked for at each of its uses: whether two numbers happen to be
+        equal is no part of a formula.
     intermediate : SX, optional
         Stands for the first output in all that is computed from it.
     """
-    work: dict[int, ca.SX] = {}
+    work: dict[int, ca.SX | float] = {}
+
+    def used(place: int) -> ca.SX:
+        held = work[place]
+        return number(held) if isinstance(held, float) else held
+
     given = [ca.vertsplit(each) for each in inputs]
     outputs = [[ca.SX(0)] * function.nnz_out(k) for k in range(function.n_out())]
     for k in range(function.n_instructions()):
         operation = function.instruction_id(k)
         read, written = function.instruction_input(k), function.instruction_output(k)
         if operation == ca.OP_CONST:
-            work[written[0]] = number(function.instruction_constant(k))
+            work[written[0]] = function.instruction_constant(k)
         elif operation == ca.OP_INPUT:
             work[written[0]] = given[read[0]][read[1]]
         elif operation == ca.OP_OUTPUT:
-            outputs[written[0]][written[1]] = work[read[0]]
+            outputs[written[0]][written[1]] = used(read[0])
             if intermediate is not None and written[0] == 0:
                 work[read[0]] = intermediate[written[1]]
         elif len(read) == 2:
-            work[written[0]] = ca.SX.binary(operation, work[read[0]], work[read[1]])
+            work[written[0]] = ca.SX.binary(operation, used(read[0]), used(read[1]))
         else:
-            work[written[0]] = ca.SX.unary(operation, work[read[0]])
+            work[written[0]] = ca.SX.unary(operation, used(read[0]))
     return [ca.vertcat(ca.SX(0, 1), *each) for each in outputs]

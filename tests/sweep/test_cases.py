@@ -5,6 +5,7 @@ from small_arms import ROOT
 
 from stiffopt.errors import InputFileError
 from stiffopt.sweep.cases import load_sweep
+from stiffopt.sweep.order import ordered, predecessors
 from stiffopt.sweep.solve_case import solve_case
 
 BASE = ROOT / "problems" / "two_link.toml"
@@ -68,7 +69,7 @@ def test_a_case_is_named_by_all_that_its_result_depends_on(tmp_path):
     path = sweep_file(tmp_path, '[grid]\n"payload.mass" = [0.1]', base.name)
     (before,) = load_sweep(path).cases
     assert load_sweep(path).cases[0].key == before.key
-    assert solve_case(before)["status"] == "optimal"
+    assert solve_case(before)[0]["status"] == "optimal"
     robot.write_text(robot.read_text() + "\n# another\n")
     assert load_sweep(path).cases[0].key != before.key
 
@@ -96,3 +97,30 @@ def test_what_cannot_be_a_sweep_is_refused(tmp_path, text, named):
 def test_a_base_of_another_kind_is_refused(tmp_path):
     with pytest.raises(InputFileError, match="is of kind 'robot'"):
         load_sweep(sweep_file(tmp_path, "", ROOT / "problems" / "two_link_robot.toml"))
+
+
+def test_each_case_starts_from_the_nearest_of_the_rounds_before(tmp_path):
+    values = ", ".join(f"{0.5 + 0.1 * k:.1f}" for k in range(16))
+    sweep = load_sweep(sweep_file(tmp_path, f'[grid]\n"payload.mass" = [{values}]'))
+    cases, before = list(sweep.cases), predecessors(list(sweep.cases))
+    masses = {case.key: dict(case.changes)["payload.mass"] for case in cases}
+    first, *others = ordered(cases)
+    assert before[first.key] is None
+    steps = [abs(masses[case.key] - masses[before[case.key]]) for case in others]
+    # Half of them start from a neighbour.
+    assert sorted(steps)[:8] == pytest.approx(8 * [0.1])
+    # Rounds of 1, 1, 2, 4 and 8 cases: none waits for more than four others.
+    depth = 0
+    for case in cases:
+        chain, key = 0, case.key
+        while before[key] is not None:
+            chain, key = chain + 1, before[key]
+        depth = max(depth, chain)
+    assert depth <= 4
+
+
+def test_diagnoses_and_further_starts_begin_anew(tmp_path):
+    sweep = load_sweep(sweep_file(tmp_path, 'starts = 3\n[grid]\n"payload.mass" = [0.1, 0.2]'))
+    before = predecessors(list(sweep.cases))
+    begun = [case.start for case in sweep.cases if before[case.key] is not None]
+    assert begun == [0]

@@ -61,13 +61,14 @@ def test_what_is_done_is_not_done_again(tmp_path):
 
     results, interrupted = run_sweep(sweep, tmp_path, InProcess(), stop_after_two)
     assert interrupted
-    assert [each is not None for each in results] == [True, True, False, False, False, False]
-    files = {path: path.stat().st_mtime_ns for path in (tmp_path / "cases").iterdir()}
+    assert sum(each is not None for each in results) == 2
+    files = {path: path.stat().st_mtime_ns for path in (tmp_path / "cases").glob("*.json")}
     again: list[SweepProgress] = []
     results, interrupted = run_sweep(sweep, tmp_path, InProcess(), again.append)
     assert not interrupted
     assert None not in results
     assert [event.done for event in again] == [2, 3, 4, 5, 6]
+    assert {path.suffix for path in (tmp_path / "cases").iterdir()} == {".json"}
     assert again[1].left > 0.0
     assert again[-1].left == 0.0
     assert all(path.stat().st_mtime_ns == then for path, then in files.items())
@@ -92,13 +93,13 @@ class Dying:
     def __init__(self, number, times):
         self.number, self.times, self.calls = number, times, []
 
-    def submit(self, function, case):
+    def submit(self, function, case, warm):
         self.calls.append(case.number)
         future = Future()
         if case.number == self.number and self.calls.count(case.number) <= self.times:
             future.set_exception(BrokenProcessPool("gone"))
         else:
-            future.set_result(function(case))
+            future.set_result(function(case, warm))
         return future
 
     def close(self, *, now):

@@ -1,0 +1,215 @@
+"""Problems that differ in numbers: their programme is built once and solved many times.
+
+Start, end, fixed duration, payload, tool, process force, drivetrain and limits are numbers; number
+of intervals, objectives, vias and which limits there are make another programme, which is built
+anew.
+"""
+
+from __future__ import annotations
+
+import io
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.baseline.baselines import baselines
+from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.problem.bounds import shortest_duration
+from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.resolve import resolve
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.solution import Solution
+from stiffopt.solver.solve import notes_before, solution_of, solve_keeping
+from stiffopt.solver.stages import (
+    Outcome,
+    Programme,
+    ProgressCallback,
+    SolveRun,
+    SolveStage,
+    build_programme,
+    outcome_of,
+    solve_stage,
+    solver_options,
+)
+from stiffopt.solver.verdict import TRUE_OBJECTIVE
+from stiffopt.transcription.build import adapted
+from stiffopt.transcription.mesh import Mesh
+
+# Programmes that are kept; those used last stay.
+_KEPT = 4
+
+
+@dataclass(frozen=True, eq=False)
+class WarmStart:
+    """Where a solve ended, for the solve of another problem to start from.
+
+    Parameters
+    ----------
+    x, multipliers_x, multipliers_g : array
+        Of the last programme, in its own scaling.
+    mesh : list of array
+    smoothing : float
+    scales : mapping of objective name to float
+        Its programme was scaled by.
+    method : str
+        Transcription and intervals that its problem asked for.
+    """
+
+    x: np.ndarray
+    multipliers_x: np.ndarray
+    multipliers_g: np.ndarray
+    mesh: Mesh
+    smoothing: float
+    scales: Mapping[str, float]
+    method: str
+
+    def to_bytes(self) -> bytes:
+        """As a NumPy archive."""
+        stream = io.BytesIO()
+        arrays = {f"mesh{k}": share for k, share in enumerate(self.mesh)}
+        arrays |= {f"scale_{name}": np.array(value) for name, value in self.scales.items()}
+        np.savez(
+            stream,
+            x=self.x,
+            multipliers_x=self.multipliers_x,
+            multipliers_g=self.multipliers_g,
+            smoothing=np.array(self.smoothing),
+            method=np.array(self.method),
+            **arrays,  # type: ignore[arg-type]
+        )
+        return stream.getvalue()
+
+    @classmethod
+    def from_bytes(cls, content: bytes) -> WarmStart:
+        """Read what `to_bytes` wrote."""
+        with np.load(io.BytesIO(content)) as held:
+            phases = sum(name.startswith("mesh") for name in held.files)
+            return cls(
+                held["x"],
+                held["multipliers_x"],
+                held["multipliers_g"],
+                [held[f"mesh{k}"] for k in range(phases)],
+                float(held["smoothing"]),
+                {n[6:]: float(held[n]) for n in held.files if n.startswith("scale_")},
+                str(held["method"]),
+            )
+
+
+class ProblemFamily:
+    """Solves problems one after another, each from where another one ended, if that is given.
+
+    Examples
+    --------
+    >>> family = ProblemFamily()
+    >>> light, end = family.solve(problem)  # doctest: +SKIP
+    >>> heavy, _ = family.solve(heavier, end)  # doctest: +SKIP
+    """
+
+    def __init__(self) -> None:
+        self._programmes: OrderedDict[str, Programme] = OrderedDict()
+
+    def solve(
+        self,
+        problem: TrajectoryProblem,
+        warm: WarmStart | None = None,
+        *,
+        compare: bool = True,
+        start: int = 0,
+        progress: ProgressCallback | None = None,
+    ) -> tuple[Solution, WarmStart | None]:
+        """Solve and certify a problem; from the beginning where the warm start does not lead there.
+
+        Parameters
+        ----------
+        problem : TrajectoryProblem
+        warm : WarmStart, optional
+            Of a near problem.
+        compare : bool
+            With baselines; without, `Solution.baselines` is empty after a warm solve.
+        start : int
+            As of `solve`.
+        progress : callable, optional
+
+        Returns
+        -------
+        Solution
+            Of any status.
+        WarmStart or None
+            None where it cannot be started from.
+        """
+        if warm is not None and warm.method == _method(problem) and not start:
+            run, outcome = self._warm(problem, warm, progress)
+            if outcome is not None:
+                beside = baselines(problem, run.motion) if compare else {}
+                notes = notes_before(problem, run.motion)
+                solution = solution_of(run, outcome, beside, notes, compare=compare)
+                return solution, _end(run, outcome)
+        solution, kept = solve_keeping(problem, progress=progress, start=start, compare=compare)
+        if kept is None or problem.plans_links or start or not solution.status.usable:
+            return solution, None
+        run, outcome = kept
+        self._keep(Programme(outcome.transcription, outcome.solver))
+        return solution, _end(run, outcome)
+
+    def _warm(
+        self, problem: TrajectoryProblem, warm: WarmStart, progress: ProgressCallback | None
+    ) -> tuple[SolveRun, Outcome | None]:
+        """The outcome from a warm start; None where it is none to rely on."""
+        motion = resolve(problem)
+        _ = problem.clearance_model
+        run = SolveRun(problem, motion, Scales(warm.scales), progress)
+        if problem.duration[1] < shortest_duration(problem, motion)[0]:
+            return run, None
+        made = self._programme(run, warm)
+        nlp = made.transcription.nlp
+        if (len(warm.x), len(warm.multipliers_g)) != (len(nlp.lower_x), len(nlp.lower_g)):
+            return run, None
+        stage = SolveStage(sum(map(len, warm.mesh)), warm.smoothing)
+        x = np.clip(warm.x, nlp.lower_x, nlp.upper_x)
+        raw = solve_stage(run, made, stage, x, warm, "warm")
+        if not raw.converged:
+            return run, None
+        outcome = outcome_of(run, made, raw, warm.smoothing)
+        sound = outcome.assessment.feasible(CERTIFIED) and outcome.objective_gap <= TRUE_OBJECTIVE
+        return run, outcome if sound else None
+
+    def _programme(self, run: SolveRun, warm: WarmStart) -> Programme:
+        """The programme on the mesh of a warm start, with the bounds and numbers of a problem."""
+        ocp = formulate(run.problem, run.motion, run.scales)
+        options = solver_options(run.problem)
+        for made in reversed(self._programmes.values()):
+            found = adapted(made.transcription, ocp) if made.solver.options == options else None
+            if found is not None and _equal(found.mesh, warm.mesh):
+                made.solver.rebound(found.nlp)
+                return self._keep(Programme(found, made.solver))
+        return self._keep(build_programme(run, ocp, warm.mesh))
+
+    def _keep(self, made: Programme) -> Programme:
+        self._programmes[made.transcription.structure] = made
+        self._programmes.move_to_end(made.transcription.structure)
+        while len(self._programmes) > _KEPT:
+            self._programmes.popitem(last=False)
+        return made
+
+
+def _end(run: SolveRun, outcome: Outcome) -> WarmStart:
+    return WarmStart(
+        x=outcome.raw.x,
+        multipliers_x=outcome.raw.multipliers_x,
+        multipliers_g=outcome.raw.multipliers_g,
+        mesh=outcome.transcription.mesh,
+        smoothing=outcome.smoothing,
+        scales=run.scales.values,
+        method=_method(run.problem),
+    )
+
+
+def _method(problem: TrajectoryProblem) -> str:
+    method = problem.method
+    return f"{method.transcription} {method.intervals} {len(problem.vias)} {problem.is_shaped}"
+
+
+def _equal(one: Mesh, other: Mesh) -> bool:
+    return len(one) == len(other) and all(map(np.array_equal, one, other))

@@ -1,0 +1,89 @@
+"""Problems of one programme: solved from one another, with the answer of a solve of their own."""
+
+import numpy as np
+import pytest
+from small_arms import ROOT
+
+from stiffopt import solve
+from stiffopt.problem.files import load_problem
+from stiffopt.solver.family import ProblemFamily, WarmStart
+
+BASE = ROOT / "problems" / "two_link.toml"
+# Torque limits that bind make a start with multipliers worth something.
+TIGHT = ("motion.duration=0.75 s", "method.intervals=40")
+
+
+def problem(*changes):
+    return load_problem(BASE, [*TIGHT, *changes]).problem
+
+
+@pytest.fixture(scope="module")
+def first():
+    family = ProblemFamily()
+    solution, end = family.solve(problem("payload.mass=0.3"))
+    assert solution.status.usable
+    return family, solution, end
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "payload.mass=0.33",
+        "motion.duration=0.8 s",
+        "motion.end.joints=[1.2, -0.4]",
+        "motion.start.joints=[0.1, 0.0]",
+        "limits.scale={ torque = 0.95 }",
+        "tool.offset=[0.45, 0.0, 0.0]",
+    ],
+)
+def test_a_near_problem_is_solved_without_building(first, change):
+    family, before, end = first
+    near = problem("payload.mass=0.3", change)
+    warm, _ = family.solve(near, end, compare=False)
+    cold = solve(near)
+    assert warm.status is cold.status
+    assert warm.solver.build_s == 0.0
+    assert warm.solver.iterations <= cold.solver.iterations
+    assert warm.objective.value == pytest.approx(cold.objective.value, rel=2e-5)
+    assert warm.objective.value != pytest.approx(before.objective.value, rel=1e-6) or (
+        "scale" in change or "offset" in change
+    )
+    assert warm.baselines == {}
+
+
+def test_another_programme_is_built(first):
+    family, _, end = first
+    finer = problem("payload.mass=0.3", "method.intervals=50")
+    solution, _ = family.solve(finer, end)
+    assert solution.solver.build_s > 0.0
+    assert solution.solver.intervals == 50
+    assert set(solution.baselines) == {"toppra", "quintic"}
+
+
+def test_an_end_goes_through_a_file(first):
+    _, _, end = first
+    again = WarmStart.from_bytes(end.to_bytes())
+    assert again.x.tobytes() == end.x.tobytes()
+    assert [share.tolist() for share in again.mesh] == [share.tolist() for share in end.mesh]
+    assert (again.smoothing, again.scales, again.method) == (end.smoothing, end.scales, end.method)
+    solution, _ = ProblemFamily().solve(problem("payload.mass=0.33"), again, compare=False)
+    assert solution.status.usable
+    assert solution.solver.build_s > 0.0
+
+
+def test_a_start_that_leads_nowhere_is_left(first):
+    family, _, end = first
+    x = np.full_like(end.x, np.nan)
+    wrong = WarmStart(
+        x, end.multipliers_x, end.multipliers_g, end.mesh, end.smoothing, end.scales, end.method
+    )
+    solution, _ = family.solve(problem("payload.mass=0.33"), wrong)
+    assert solution.status.usable
+    assert solution.solver.intervals == 40
+
+
+def test_what_cannot_be_is_told_from_a_warm_start_as_well(first):
+    family, _, end = first
+    solution, following = family.solve(problem("motion.duration=0.2 s"), end)
+    assert str(solution.status) == "infeasible"
+    assert following is None
