@@ -168,7 +168,7 @@ class ProblemFamily:
             return run, None
         stage = SolveStage(sum(map(len, warm.mesh)), warm.smoothing)
         x = np.clip(warm.x, nlp.lower_x, nlp.upper_x)
-        raw = solve_stage(run, made, stage, x, warm, "warm")
+        raw = solve_stage(run, made, stage, x, warm, "warm", "adaptive")
         if not raw.converged:
             return run, None
         outcome = outcome_of(run, made, raw, warm.smoothing)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -266,6 +266,7 @@ def solve_stage(
     x: np.ndarray,
     warm: Multipliers | None,
     text: str,
+    barrier: Literal["monotone", "adaptive"] = "monotone",
 ) -> RawSolution:
     """Solve one stage; where it stalls, once more from the best point without multipliers."""
     report = _reporter(run, f"{text}, {stage.intervals} intervals, smoothing {stage.smoothing:g}")
@@ -274,6 +275,7 @@ def solve_stage(
             x,
             np.array([stage.smoothing]),
             warm=start,
+            barrier=barrier,
             report=report,
             max_seconds=run.remaining,
         )

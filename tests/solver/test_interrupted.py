@@ -21,14 +21,14 @@ def stated(tmp_path_factory):
 
 def interrupted_at(monkeypatch, number):
     """Ctrl-C while the programme of that number is built, from 1."""
-    plain, count = stages._make, iter(range(1, 100))
+    plain, count = stages.build_programme, iter(range(1, 100))
 
     def make(*arguments):
         if next(count) == number:
             raise KeyboardInterrupt
         return plain(*arguments)
 
-    monkeypatch.setattr(stages, "_make", make)
+    monkeypatch.setattr(stages, "build_programme", make)
 
 
 def test_before_the_first_stage_the_better_baseline_is_kept(stated, monkeypatch):
