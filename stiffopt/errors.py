@@ -108,4 +108,11 @@ def nearest(name: str, allowed: Iterable[str]) -> str:
     names = sorted(str(a) for a in allowed)
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     guess = f"Did you mean {close[0]!r}? " if close else ""
+    if len(names) > _LISTED:
+        near = sorted(names, key=lambda n: -difflib.SequenceMatcher(None, name, n).ratio())
+        return f"{guess}Allowed are {len(names)}, such as {', '.join(near[:_NEAR])}."
     return f"{guess}Allowed: {', '.join(names)}."
+
+
+# Names that a message lists, and how many of more.
+_LISTED, _NEAR = 40, 12

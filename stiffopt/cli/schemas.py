@@ -11,7 +11,14 @@ from stiffopt.cli.base import app, print_json
 @app.command
 def schema(
     kind: Literal[
-        "trajectory", "robot", "preload", "sweep", "recordings", "static", "extended"
+        "trajectory",
+        "robot",
+        "catalogue",
+        "preload",
+        "sweep",
+        "recordings",
+        "static",
+        "extended",
     ] = "trajectory",
 ) -> int:
     """Print the JSON Schema of a file kind, for editors.
@@ -47,6 +54,8 @@ def explain(key: str) -> int:
 def catalogue(
     kind: Literal["reducers", "bolts", "keys", "belts", "surfaces", "robots", "effects"]
     | None = None,
+    *,
+    own: Path | None = None,
 ) -> int:
     """List what the package brings along, with where each number comes from.
 
@@ -54,14 +63,21 @@ def catalogue(
     ----------
     kind
         Which table; without it, the kinds there are.
+    own
+        One's own catalogue file, which is read and shown beside.
     """
+    from contextlib import nullcontext
+
+    from stiffopt.drivetrain.catalogue import with_own
     from stiffopt.report.catalogue_tables import catalogue_table, kinds
     from stiffopt.report.common.terminal import print_table
+    from stiffopt.robot.own_catalogue import read_own_catalogue
 
-    if kind is None:
-        print_table(("stiffopt catalogue", "entries", "named in files as"), kinds())
-    else:
-        print_table(*catalogue_table(kind))
+    with nullcontext() if own is None else with_own(read_own_catalogue(own)):
+        if kind is None:
+            print_table(("stiffopt catalogue", "entries", "named in files as"), kinds())
+        else:
+            print_table(*catalogue_table(kind))
     return 0
 
 

@@ -17,7 +17,9 @@ File = Annotated[Path | None, Parameter(name="--out", help="File to write; never
 
 
 @init.command
-def robot(urdf: Path, *, tip: str | None = None, out: File = None) -> int:
+def robot(
+    urdf: Path, *, tip: str | None = None, catalogue: Path | None = None, out: File = None
+) -> int:
     """Write the robot file of a URDF: limits, candidates of reducers, what is estimated marked.
 
     Parameters
@@ -26,12 +28,14 @@ def robot(urdf: Path, *, tip: str | None = None, out: File = None) -> int:
         URDF of the arm; fingers and joints that do not lead to the tip are held.
     tip
         Link at the end of the arm; default where fingers branch off.
+    catalogue
+        One's own catalogue file, whose reducers are candidates too.
     """
     from stiffopt.starter.robot_file import robot_text
     from stiffopt.starter.writing import write_new
 
     path = out or urdf.with_name(f"{urdf.stem}_robot.toml")
-    started = robot_text(urdf, path.parent, tip)
+    started = robot_text(urdf, path.parent, tip, catalogue=catalogue)
     written = write_new(path, started.text)
     print_lines(
         (

@@ -8,8 +8,12 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from stiffopt.contact.surface import Material, SurfacePair
 from stiffopt.declaration import Named
@@ -38,7 +42,7 @@ from stiffopt.errors import InputError, nearest
 
 @dataclass(frozen=True, kw_only=True)
 class ReducerData(Entry):
-    """Strain-wave reducer: three stiffness ranges and, where known, ratings.
+    """Strain-wave or cycloidal reducer: three stiffness ranges and, where known, ratings.
 
     Parameters
     ----------
@@ -130,6 +134,7 @@ class FlangeData(Entry):
     transmissible_torque: float
 
 
+_ARCMIN = math.pi / 10800.0
 # Ratios that the makers list; the stiffness class of each is 30, 50 or 80.
 _RATIOS = (30, 50, 80, 100, 120, 160)
 
@@ -139,34 +144,81 @@ def _stiffness_class(ratio: int) -> str:
 
 
 def reducer_names() -> list[str]:
-    """Return the names of the packaged reducers: harmonic_SIZE_RATIO."""
-    sizes = sorted({row["size"] for row in read_table("reducers")["reducer"]})
-    return [f"harmonic_{size}_{ratio}" for size in sizes for ratio in _RATIOS]
+    """Names of the reducers: one's own, harmonic_SIZE_RATIO and rv_SIZE_RATIO."""
+    return [*_OWN.get(), *_packaged_reducers()]
 
 
 def reducer(name: str) -> ReducerData:
-    """Look up a reducer by name, for example "harmonic_25_100"."""
-    if name not in reducer_names():
+    """Look up a reducer by name, for example "harmonic_25_100"; one's own come first."""
+    own, packaged = _OWN.get(), _packaged_reducers()
+    if name not in own and name not in packaged:
         raise InputError(f"no reducer {name!r} in the catalogue. {nearest(name, reducer_names())}")
-    size, ratio = (int(part) for part in name.split("_")[1:])
+    return own[name] if name in own else packaged[name]
+
+
+@contextmanager
+def with_own(reducers: Iterable[ReducerData]) -> Iterator[None]:
+    """Within it, one's own reducers stand before those of the package."""
+    token = _OWN.set({each.name: each for each in reducers})
+    try:
+        yield
+    finally:
+        _OWN.reset(token)
+
+
+_OWN: ContextVar[Mapping[str, ReducerData]] = ContextVar(
+    "own reducers",
+    default=MappingProxyType({}),
+)
+
+
+@functools.cache
+def _packaged_reducers() -> dict[str, ReducerData]:
+    return {each.name: each for each in (*_strain_wave(), *_cycloidal())}
+
+
+def _strain_wave() -> Iterator[ReducerData]:
     table = read_table("reducers")
+    for row in sorted(table["reducer"], key=lambda row: int(row["size"])):
+        for ratio in _RATIOS:
+            if _stiffness_class(ratio) != row["class"]:
+                continue
+            name = f"harmonic_{row['size']}_{ratio}"
+            ratings = table["ratings"].get(name)
+            yield ReducerData(
+                name=name,
+                provenance=row["provenance"],
+                source=source_text(table, row["source"]),
+                estimated=tuple(row.get("estimated", ())),
+                ratio=ratio,
+                K1=row["K"][0],
+                K2=row["K"][1],
+                K3=row["K"][2],
+                T1=row["T1"],
+                T2=row["T2"],
+                ratings=tuple(ratings["torque"]) if ratings else None,
+            )
+
+
+def _cycloidal() -> Iterator[ReducerData]:
+    """Rigidity above 3 % of the rated torque, below it the slope of the lost motion."""
+    table = read_table("cycloidal")
     for row in table["reducer"]:
-        if row["size"] == size and row["class"] == _stiffness_class(ratio):
-            break
-    ratings = table["ratings"].get(name)
-    return ReducerData(
-        name=name,
-        provenance=row["provenance"],
-        source=source_text(table, row["source"]),
-        estimated=tuple(row.get("estimated", ())),
-        ratio=ratio,
-        K1=row["K"][0],
-        K2=row["K"][1],
-        K3=row["K"][2],
-        T1=row["T1"],
-        T2=row["T2"],
-        ratings=tuple(ratings["torque"]) if ratings else None,
-    )
+        rated = row["torque"][0]
+        corner, slope = 0.03 * rated, row["rigidity"] / _ARCMIN
+        for ratio in row["ratios"]:
+            yield ReducerData(
+                name=f"{row['name']}_{ratio}",
+                provenance=row["provenance"],
+                source=source_text(table, row["source"]),
+                ratio=ratio,
+                K1=corner / (0.5 * row["lost_motion"] * _ARCMIN),
+                K2=slope,
+                K3=slope,
+                T1=corner,
+                T2=rated,
+                ratings=tuple(row["torque"]),
+            )
 
 
 def key(width: float, height: float) -> KeyData:

@@ -14,6 +14,7 @@ from stiffopt.files import Section
 from stiffopt.preload.schema import PreloadFile
 from stiffopt.problem.schema import problem_file
 from stiffopt.recording.schema import RecordingsFile, StaticFile
+from stiffopt.robot.own_catalogue import CatalogueFile
 from stiffopt.robot.schema import robot_file
 from stiffopt.sweep.schema import SweepFile
 
@@ -33,6 +34,7 @@ _TITLES = {
     "preload": "Preload study",
     "sweep": "Sweep",
     "robot": "Robot",
+    "catalogue": "One's own catalogue of reducers",
     "recordings": "Recording set (`recordings.toml`)",
     "static": "Static deflections (`static.toml`)",
     "extended": "Extended model (`extended.toml`, written by `stiffopt diagnose`)",
@@ -46,6 +48,7 @@ def file_models() -> dict[str, type[Section]]:
         "preload": PreloadFile,
         "sweep": SweepFile,
         "robot": robot_file(),
+        "catalogue": CatalogueFile,
         "recordings": RecordingsFile,
         "static": StaticFile,
         "extended": ExtendedFile,

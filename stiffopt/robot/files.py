@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from stiffopt.robot.element_sections import Cited
 from stiffopt.robot.elements import ElementBuilder, located
 from stiffopt.robot.frames import LinkFrame, link_frame, link_names
 from stiffopt.robot.link_shapes import read_link_shapes
+from stiffopt.robot.own_catalogue import read_own_catalogue
 from stiffopt.robot.robot import Robot, Source
 from stiffopt.robot.schema import JointSection, PlaceSection, RobotFile, robot_file
 from stiffopt.robot.urdf import UNLIMITED, LinkBody, load_urdf
@@ -74,19 +76,29 @@ def load_robot(
             f"no robot {str(source)!r}: neither a shipped robot nor a file. "
             f"{nearest(str(source), shipped_robots())} Or give the path of a robot TOML or URDF."
         )
-    if path.suffix.lower() in (".urdf", ".xml"):
-        if drivetrain is None:
-            document = RobotFile(schema=1, kind="robot", name=path.stem)
-            return _assemble(document, path, path, keep)
-        return _assemble(_document(Path(drivetrain)), Path(drivetrain), path, keep)
-    document = _document(path)
-    if document.urdf is None:
-        raise InputFileError(path, "urdf", "this key is required and missing: path of the URDF.")
-    return _assemble(document, path, path.parent / document.urdf, keep)
+    bare = path.suffix.lower() in (".urdf", ".xml")
+    if bare and drivetrain is None:
+        document = RobotFile(schema=1, kind="robot", name=path.stem)
+        return _assemble(document, path, path, keep)
+    own = Path(drivetrain) if bare and drivetrain is not None else path
+    data = load_toml(own)
+    with _own_catalogue(data, own):
+        document = _document(data, own)
+        if not bare and document.urdf is None:
+            raise InputFileError(own, "urdf", "this key is required and missing: path of the URDF.")
+        urdf = path if bare else own.parent / str(document.urdf)
+        return _assemble(document, own, urdf, keep)
 
 
-def _document(path: Path) -> RobotFile:
-    data = load_toml(path)
+def _own_catalogue(data: Mapping[str, Any], path: Path) -> AbstractContextManager[None]:
+    """Names of the user's own catalogue, where the file has one: they are checked with the rest."""
+    named = data.get("catalogue")
+    if not isinstance(named, str):
+        return nullcontext()
+    return catalogue.with_own(read_own_catalogue(path.parent / named))
+
+
+def _document(data: Mapping[str, Any], path: Path) -> RobotFile:
     check_header(data, path, "robot")
     return validate(robot_file(), data, path)
 

@@ -134,6 +134,10 @@ class RobotFile(Section):
     urdf: Annotated[
         str | None, Doc("Path of the URDF, relative to this file; needed unless it is given.")
     ] = None
+    catalogue: Annotated[
+        str | None,
+        Doc("Path of one's own catalogue file, relative to this one; its reducers come first."),
+    ] = None
     lock: Annotated[
         dict[str, JointPosition],
         Doc(

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from stiffopt.drivetrain import catalogue
+from stiffopt.drivetrain.catalogue import reducer, reducer_names, with_own
 from stiffopt.errors import InputFileError, RobotError, nearest
 from stiffopt.robot.body_tree import Body, body_tree
 from stiffopt.robot.estimated_masses import DENSITY, estimated_bodies
 from stiffopt.robot.files import last_link
 from stiffopt.robot.frames import link_frame, link_names
 from stiffopt.robot.held_joints import arm_ends
+from stiffopt.robot.own_catalogue import read_own_catalogue
 from stiffopt.robot.rigid_body import RigidBodies
 from stiffopt.robot.urdf import UNLIMITED, LinkBody, LoadedUrdf, load_urdf
 from stiffopt.robot.urdf_tree import read_tree
@@ -27,6 +28,8 @@ _TO_SPEED, _TO_ACCELERATION = 0.25, 0.05
 # and the way of a slide [m].
 _TORQUE, _ROOM, _SPEED, _SLIDE = 5.0, 1.5, 2.0, 0.3
 _POSES = 200
+# Up to this torque strain-wave reducers are usual [N m].
+_LARGE = 350.0
 _SHOWN = 3
 
 
@@ -46,7 +49,11 @@ class StartedRobot:
 
 
 def robot_text(
-    urdf: Path, folder: Path, tip: str | None = None, name: str | None = None
+    urdf: Path,
+    folder: Path,
+    tip: str | None = None,
+    name: str | None = None,
+    catalogue: Path | None = None,
 ) -> StartedRobot:
     """Text of a robot file for a URDF.
 
@@ -59,6 +66,8 @@ def robot_text(
         Link at the end of the arm, which the tool is fixed to; default where fingers branch off.
     name : str, optional
         Default the name of the URDF's file.
+    catalogue : Path, optional
+        One's own, whose reducers are candidates too.
 
     Raises
     ------
@@ -100,11 +109,14 @@ def robot_text(
         held = ", ".join(f"{key(h.name)} = {number(h.value)}" for h in arm.held)
         lines.append(f"lock = {{ {held} }}  # held: {_whys(arm)}")
     lines.append(f"tool = {{ link = {quoted(tool.link)}, offset = [0.0, 0.0, 0.0] }}  # [m]")
+    if catalogue is not None:
+        lines.append(f"catalogue = {quoted(beside(catalogue, folder))}")
     for link, body in bodies.items():
         lines += ["", *_link(link, body)]
     demands = _demands(arm)
-    for j, each in enumerate(body_tree(arm.model).bodies):
-        lines += ["", *_joint(arm, j, each, float(demands[j]))]
+    with with_own(() if catalogue is None else read_own_catalogue(catalogue)):
+        for j, each in enumerate(body_tree(arm.model).bodies):
+            lines += ["", *_joint(arm, j, each, float(demands[j]))]
     return StartedRobot(text="\n".join(lines) + "\n", notes=tuple(_notes(arm, bodies, tool.link)))
 
 
@@ -229,13 +241,19 @@ def _reducer(torque: float) -> Iterator[str]:
 
 def reducers_for(torque: float) -> list[tuple[str, float]]:
     """Packaged reducers of ratio 80 or more with a repeated peak torque above this [N m]."""
-    entries = [catalogue.reducer(name) for name in catalogue.reducer_names()]
+    entries = [reducer(name) for name in reducer_names()]
     found = [
         (entry.name, entry.ratings[1], entry.ratio)
         for entry in entries
         if entry.ratings is not None and entry.ratio >= 80 and entry.ratings[1] >= torque
     ]
-    return [(name, peak) for name, peak, _ in sorted(found, key=lambda e: (e[1], -e[2]))]
+
+    def order(entry: tuple[str, float, float]) -> tuple[bool, float, float]:
+        # Cycloidal ones belong to the large joints.
+        name, peak, ratio = entry
+        return name.startswith("rv_") == (torque <= _LARGE), peak, -ratio
+
+    return [(name, peak) for name, peak, _ in sorted(found, key=order)]
 
 
 def _range(low: float, high: float, slides: bool) -> str:

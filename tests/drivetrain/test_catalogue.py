@@ -35,6 +35,20 @@ def test_stiffer_with_size_and_ratio():
         assert stiffness == sorted(stiffness)
 
 
+def test_large_reducers():
+    """Strain-wave sizes by the cube of the size, within a sixth; cycloidal ones by rigidity."""
+    for ratio in (50, 100):
+        own = [catalogue.reducer(f"harmonic_{s}_{ratio}").K3 / s**3 for s in (32, 40, 50, 58, 65)]
+        assert max(own) < 1.35 * min(own)
+    assert "harmonic_40_30" not in catalogue.reducer_names()
+    rv = catalogue.reducer("rv_20e_121")
+    arcmin = math.pi / 180.0 / 60.0
+    assert pytest.approx(49.0 / arcmin) == rv.K3
+    # The loop at 3 % of the rated torque to both sides is the lost motion, one arc minute.
+    assert pytest.approx(1.0 * arcmin) == 2.0 * 0.03 * 167.0 / rv.K1
+    assert catalogue.reducer("rv_450e_171").ratings == (4410.0, 11025.0, 22050.0)
+
+
 def test_bolts():
     assert catalogue.bolt_sizes() == [
         *("M3", "M4", "M5", "M6", "M8", "M10", "M12", "M16", "M20", "M24")

@@ -63,7 +63,8 @@ def test_the_reducer_bears_the_torque():
 
     assert reducers_for(87.0)[0][0] == "harmonic_25_80"
     assert all(peak >= 87.0 for _, peak in reducers_for(87.0))
-    assert reducers_for(1e4) == []
+    assert reducers_for(2e4) == []
+    assert reducers_for(3000.0)[0][0] == "rv_160e_171"
 
 
 @pytest.mark.parametrize("source", ["er3a_c60", "ur10", "two_link"])
