@@ -57,8 +57,8 @@ def folder(tmp_path):
 def test_a_robot_takes_its_reducers_from_there(folder):
     arm = load_robot(folder / "robot.toml")
     [chain] = [chain for chain in arm.chains if chain is not None and chain.stages]
-    assert chain.stages[0].connection.K3 == 9e3
-    assert pytest.approx(2.0 / (np.pi / 10800.0)) == chain.stages[0].connection.K1
+    assert chain.stages[0].element.K3 == 9e3
+    assert pytest.approx(2.0 / (np.pi / 10800.0)) == chain.stages[0].element.K1
     [source] = [row for row in arm.sources if row.element == "reducer"]
     assert source.source == "data sheet of the maker"
     # Nowhere else.
