@@ -29,16 +29,16 @@ Changes = Annotated[
     ),
 ]
 Open = Annotated[
-    bool, Parameter(name="--open", negative=(), help="Show report.html in the browser when done.")
+    bool, Parameter(name="--open", negative=(), help="Show the page in the browser when done.")
 ]
 
 
-def show_report(folder: Path, wanted: bool) -> None:
-    """Open the report of a folder in the browser, where it is wanted."""
-    if wanted and (folder / "report.html").is_file():
+def show_report(folder: Path, wanted: bool, name: str = "report.html") -> None:
+    """Open a page of a folder in the browser, where it is wanted."""
+    if wanted and (folder / name).is_file():
         import webbrowser
 
-        webbrowser.open((folder / "report.html").resolve().as_uri())
+        webbrowser.open((folder / name).resolve().as_uri())
 
 
 def print_json(document: object) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from stiffopt.cli.base import Out, app, number_or_text
+from stiffopt.cli.base import Open, Out, app, number_or_text, show_report
 from stiffopt.errors import InputError
 from stiffopt.folders import output_folder
 
@@ -27,10 +27,12 @@ def simulate(
     bandwidth: float | None = None,
     feed_forward: float = 1.0,
     delay: str = "0 s",
+    open_report: Open = False,
 ) -> int:
     """Simulate a solved motion and its baselines on the elastic arm.
 
-    Writes simulation.json and simulation.csv (the optimised motion every 0.5 ms).
+    Writes simulation.json, simulation.csv (the optimised motion every 0.5 ms) and simulation.html,
+    where the arm can be seen swinging.
 
     Parameters
     ----------
@@ -51,6 +53,7 @@ def simulate(
     """
     from stiffopt.elastic.arm import rigid_arm
     from stiffopt.elastic.motor import Servo
+    from stiffopt.report.solve.simulation_page import write_simulation_report
     from stiffopt.report.solve.terminal import print_simulation
     from stiffopt.result.store import write_simulation
     from stiffopt.solver.simulation import elastic_arm, is_elastic, simulate_motions
@@ -72,8 +75,42 @@ def simulate(
         arm = elastic_arm(stored.problem, stored.optimised.position[0])
         found = simulate_motions(stored.problem, arm, stored.motions(), servo=servo, band=settled)
         path = folder / write_simulation(found, stage).name
+        page = write_simulation_report(stored.problem, arm, found, stage)
     print_simulation(found)
-    print(f"Wrote {path} and {path.with_suffix('.csv')}")
+    print(f"Wrote {path}, {path.with_suffix('.csv').name} and {page.name}")
+    show_report(folder, open_report, page.name)
+    return 0
+
+
+@app.command
+def view(result: Path, *, problem: Path | None = None, port: int = 8080) -> int:
+    """Show a solved motion live in the browser, until Ctrl-C; needs the extra `view`.
+
+    Parameters
+    ----------
+    result
+        Folder of a solve.
+    problem
+        Problem file, where the result does not name it or it has moved.
+    port
+        Of the page, on this machine alone; a port that is taken gives the next one.
+    """
+    from stiffopt.report.scene.live import LiveScene
+    from stiffopt.report.scene.poses import stored_poses
+    from stiffopt.solver.stored import read_result
+
+    stored = read_result(result, problem)
+    own, *others = stored.motions()
+    ghost = next((each for each in others if each.name == "toppra"), None)
+    robot = stored.problem.robot
+    scene = LiveScene(
+        robot,
+        stored_poses(robot, own.time, own.position, stored.windup),
+        None if ghost is None else stored_poses(robot, ghost.time, ghost.position),
+        port=port,
+    )
+    print(f"{scene.address} shows {result}; Ctrl-C ends.", flush=True)
+    scene.run()
     return 0
 
 

@@ -29,11 +29,14 @@ class StoredResult:
     problem : TrajectoryProblem
     motion : ResolvedMotion
     optimised : PlannedMotion
+    windup : array (K, n)
+        Of the joints along the stored motion [rad].
     """
 
     problem: TrajectoryProblem
     motion: ResolvedMotion
     optimised: PlannedMotion
+    windup: np.ndarray
 
     def motions(self) -> list[PlannedMotion]:
         """The stored motion, then the baselines made anew."""
@@ -88,7 +91,7 @@ def read_result(folder: Path, problem: Path | None = None) -> StoredResult:
         worst = float(certificate["worst_violation"]["value"])
     except (KeyError, TypeError) as error:
         raise InputFileError(path, "certificate", f"has no usable {error}.") from error
-    time, position, velocity = _trajectory(folder / TRAJECTORY_FILE, stated.joints)
+    time, position, velocity, windup = _trajectory(folder / TRAJECTORY_FILE, stated.joints)
     own = PlannedMotion(
         name="optimised",
         time=time,
@@ -97,15 +100,14 @@ def read_result(folder: Path, problem: Path | None = None) -> StoredResult:
         parts=parts,
         counted=worst <= CERTIFIED,
     )
-    return StoredResult(problem=stated, motion=resolve(stated), optimised=own)
+    return StoredResult(problem=stated, motion=resolve(stated), optimised=own, windup=windup)
 
 
-def _trajectory(path: Path, joints: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (K,), positions and velocities (K, n) of a trajectory.csv."""
-    names = [[f"{quantity}{j}" for j in range(1, joints + 1)] for quantity in ("q", "qd")]
-    table = read_table(path, ["t", *names[0], *names[1]])
+def _trajectory(path: Path, joints: int) -> tuple[np.ndarray, ...]:
+    """Times (K,), positions, velocities and wind-ups (K, n) of a trajectory.csv."""
+    names = [[f"{quantity}{j}" for j in range(1, joints + 1)] for quantity in ("q", "qd", "windup")]
+    table = read_table(path, ["t", *(name for own in names for name in own)])
     time = np.array(table["t"])
     if time[0] != 0.0 or not np.all(np.diff(time) > 0.0):
         raise InputFileError(path, "t", "the times must begin at 0 and increase.")
-    position, velocity = (np.array([table[name] for name in own]).T for own in names)
-    return time, position, velocity
+    return time, *(np.array([table[name] for name in own]).T for own in names)

@@ -48,6 +48,10 @@ def test_simulate_reads_a_solve_and_finds_what_the_solve_found(solved, capsys):
     peak = max(np.linalg.norm([float(row[f"deviation_{axis}"]) for axis in "xyz"]) for row in rows
                if float(row["t"]) <= 0.5)  # fmt: skip
     assert peak == pytest.approx(anew["motions"]["optimised"]["in_flight"]["peak"], rel=1e-3)
+    page = (out / "simulation.html").read_text()
+    assert "The tool swings by up to" in page
+    assert 'id="scene-document"' in page
+    assert len(page) < 3e6
 
 
 def test_report_of_the_solve_shows_the_swing_beside_the_certificate(solved):

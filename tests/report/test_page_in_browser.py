@@ -1,6 +1,7 @@
 """The page of a solve in a real browser: no complaint, a scene that moves, no page too wide."""
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +13,10 @@ from synthetic_solution import solution
 from stiffopt.certificate.assess import assess
 from stiffopt.problem.files import load_problem
 from stiffopt.report.solve.page import write_solve_report
+from stiffopt.report.solve.simulation_page import write_simulation_report
 from stiffopt.result.solution import Baseline
 from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.simulation import PlannedMotion, elastic_arm, simulate_motions
 
 pytestmark = [
     pytest.mark.slow,
@@ -145,6 +148,28 @@ def test_sliders_move_the_arm_and_the_cursors(shown, page):
     third = pixels(browser.picture("#scene canvas"))
     assert (np.abs(third - second).max(axis=2) > 0.1).mean() > 0.0005
     assert browser.console == []
+
+
+def test_the_page_of_a_simulation_shows_the_arm_swinging(browser, page):
+    problem = load_problem(page.parent / "problem.toml").problem
+    assessment = swing(problem)
+    arm = elastic_arm(problem, assessment.position[0])
+    motion = PlannedMotion.of("optimised", assessment, counted=True)
+    simulation = simulate_motions(problem, arm, [motion, replace(motion, name="toppra")])
+    own = write_simulation_report(problem, arm, simulation, page.parent)
+    for size in SIZES:
+        browser.console.clear()
+        browser.size(*size, dark=False)
+        browser.open(own, "#time=0&factor=0")
+        browser.until("document.getElementById('scene').dataset.tool !== undefined")
+        wide, window = browser.value("[document.documentElement.scrollWidth, window.innerWidth]")
+        assert wide <= window == size[0]
+        rest = tool(browser)
+        slide(browser, "time", 500)
+        assert np.linalg.norm(tool(browser) - rest) > 0.1
+        said = browser.value("document.querySelector('[data-role=deflection]').value")
+        assert said.startswith("swing deflection of the tool")
+        assert browser.console == []
 
 
 def test_a_click_in_a_plot_sets_the_time(shown):

@@ -15,6 +15,7 @@ from stiffopt.robot.frames import LinkFrame
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Assessment
+    from stiffopt.robot.robot import Robot
 
 FRAMES = 121
 
@@ -69,12 +70,47 @@ def poses_along(problem: TrajectoryProblem, motion: Assessment, frames: int = FR
         time=motion.time[at],
         position=position,
         bend={part: bends[part] for part in parts},
-        share={part: _shares(jacobian, bends[part]) for part in parts},
+        share={part: joint_shares(jacobian, bends[part]) for part in parts},
         deflection={part: sizes[part][at] for part in parts},
     )
 
 
-def _shares(jacobian: np.ndarray, bend: np.ndarray) -> np.ndarray:
+def stored_poses(
+    robot: Robot,
+    time: np.ndarray,
+    position: np.ndarray,
+    windup: np.ndarray | None = None,
+    frames: int = FRAMES,
+) -> Poses:
+    """Poses of a motion as its table has it, at equal steps of time.
+
+    Parameters
+    ----------
+    robot : Robot
+    time : array (K,) [s]
+    position, windup : array (K, n)
+        [rad]; without wind-ups no part of a deflection.
+    frames : int
+    """
+    at = np.unique(np.searchsorted(time, np.linspace(0.0, time[-1], frames)))
+    at = at[at < len(time)]
+    q = position[at]
+    bends: dict[str, np.ndarray] = {}
+    if windup is not None and np.any(windup):
+        weight = np.array([robot.rigid_bodies().gravity_torque(each) for each in q])
+        bends = {"dynamic": windup[at] - joint_windup(robot, weight), "total": windup[at]}
+    jacobian = tool_jacobian(robot.tree, robot.tool, q)
+    moved = {part: np.einsum("kin,kn->ki", jacobian, bend) for part, bend in bends.items()}
+    return Poses(
+        time=time[at],
+        position=q,
+        bend=bends,
+        share={part: joint_shares(jacobian, bend) for part, bend in bends.items()},
+        deflection={part: np.linalg.norm(each, axis=1) for part, each in moved.items()},
+    )
+
+
+def joint_shares(jacobian: np.ndarray, bend: np.ndarray) -> np.ndarray:
     """What each joint (K, n) adds along the deflection that all make, over that deflection."""
     each = jacobian * bend[:, None, :]
     whole = each.sum(axis=2)

@@ -1,0 +1,222 @@
+"""A solved motion in the browser, live: `stiffopt view`, drawn by viser (extra `view`)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from stiffopt.errors import InputError, InputFileError
+from stiffopt.report.scene.poses import Poses, joint_frames, tool_positions
+from stiffopt.robot.link_shapes import JointShape, triangles
+from stiffopt.robot.skeleton import Capsule, capsules
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
+
+_BENT, _PLANNED, _GHOST = (196, 64, 56), (58, 108, 178), (150, 150, 150)
+_STEP = 1.0 / 30.0
+
+
+class LiveScene:
+    """A server whose page shows an arm along a motion: sliders of time and enlargement, a ghost.
+
+    Parameters
+    ----------
+    robot : Robot
+    poses : Poses
+        Of the motion, with one part of the deflection or more.
+    ghost : Poses or None
+        Of a motion to compare with.
+    host, port : str, int
+        Where the page is served; a port that is taken gives the next one.
+
+    Raises
+    ------
+    InputError
+        viser is not installed.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        poses: Poses,
+        ghost: Poses | None = None,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+    ) -> None:
+        try:
+            import viser
+        except ModuleNotFoundError as error:
+            raise InputError(
+                "viewing needs viser. Install it: pip install 'stiffopt[view]'"
+            ) from error
+        self.robot, self.poses, self._ghost = robot, poses, ghost
+        self.server = viser.ViserServer(host=host, port=port, verbose=False)
+        self.server.scene.set_up_direction("+z")
+        self.server.scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.1)
+        self._arms = {
+            "/bent": _Arm(self.server, robot, "/bent", _BENT, None),
+            "/planned": _Arm(self.server, robot, "/planned", _PLANNED, 0.35),
+        }
+        if ghost is not None:
+            self._arms["/ghost"] = _Arm(self.server, robot, "/ghost", _GHOST, 0.25)
+        path = tool_positions(robot.tree, robot.tool, poses.position)
+        self.server.scene.add_line_segments(
+            "/path",
+            np.stack([path[:-1], path[1:]], axis=1),
+            _PLANNED,
+            thickness=2.0,
+            thickness_units="screen",
+        )
+        gui, end = self.server.gui, float(poses.time[-1])
+        self.time: Any = gui.add_slider("time [s]", 0.0, end, end / 1000.0, 0.0)
+        self.factor = gui.add_slider("enlarged", 0.0, 1000.0, 1.0, 100.0 if poses.bend else 0.0)
+        self.part = gui.add_dropdown("part", tuple(poses.bend) or ("none",))
+        self.playing = gui.add_checkbox("play", False)
+        for each in (self.time, self.factor, self.part):
+            each.on_update(lambda _: self.draw())
+        self.draw()
+
+    @property
+    def address(self) -> str:
+        """Of the page."""
+        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    def draw(self) -> None:
+        """Show the arm at the slider's time."""
+        poses, at = self.poses, float(self.time.value)
+        planned = _at(poses.time, poses.position, at)
+        bend = poses.bend.get(self.part.value)
+        bent = planned
+        if bend is not None:
+            bent = planned - float(self.factor.value) * _at(poses.time, bend, at)
+        shown = {"/bent": bent, "/planned": planned}
+        if self._ghost is not None:
+            shown["/ghost"] = _at(self._ghost.time, self._ghost.position, at)
+        with self.server.atomic():
+            for name, q in shown.items():
+                self._arms[name].move(q)
+
+    def tool(self) -> np.ndarray:
+        """Where the bent arm's tool is shown (3,) [m]."""
+        return self._arms["/bent"].tool()
+
+    def run(self) -> None:
+        """Play while the box is ticked, until interrupted."""
+        try:
+            while True:
+                time.sleep(_STEP)
+                if self.playing.value:
+                    end = float(self.poses.time[-1])
+                    self.time.value = (float(self.time.value) + _STEP) % end
+        except KeyboardInterrupt:
+            pass
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Stop serving."""
+        self.server.stop()
+
+
+class _Arm:
+    """Frames of the joints, with the shapes that hang on them."""
+
+    def __init__(
+        self,
+        server: Any,
+        robot: Robot,
+        name: str,
+        color: tuple[int, int, int],
+        opacity: float | None,
+    ) -> None:
+        self._robot = robot
+        self._frames = [
+            server.scene.add_frame(f"{name}/J{j}", show_axes=False) for j in range(1, robot.n + 1)
+        ]
+        placed = [each for each in robot.joint_shapes("visual") if each.shape.known]
+        placed = placed or [each for each in robot.joint_shapes("collision") if each.shape.known]
+        shown = set()
+        for number, each in enumerate(placed):
+            place = f"{name}/J{each.joint}" if each.joint else name
+            if _add_shape(server.scene, f"{place}/shape{number}", each, color, opacity):
+                shown.add(each.joint)
+        for number, rod in enumerate(capsules(robot.tree, robot.tool)):
+            # What carries shapes needs no rod; the base is shown where the rest is not.
+            if rod.joint in shown or (rod.joint == 0 and shown):
+                continue
+            place = f"{name}/J{rod.joint}" if rod.joint else name
+            _add_rod(server.scene, f"{place}/rod{number}", rod, color, opacity)
+
+    def move(self, q: np.ndarray) -> None:
+        """Put the joints at positions (n,)."""
+        rotations, origins = joint_frames(self._robot.tree, q[None])
+        turns = Rotation.from_matrix(rotations[0]).as_quat(scalar_first=True)
+        for frame, turn, origin in zip(self._frames, turns, origins[0], strict=True):
+            frame.wxyz, frame.position = turn, origin
+
+    def tool(self) -> np.ndarray:
+        frame = self._frames[self._robot.tool.joint - 1]
+        turn = Rotation.from_quat(np.asarray(frame.wxyz), scalar_first=True).as_matrix()
+        return np.asarray(frame.position + turn @ self._robot.tool.offset)
+
+
+def _add_shape(
+    scene: Any,
+    name: str,
+    placed: JointShape,
+    color: tuple[int, int, int],
+    opacity: float | None,
+) -> bool:
+    """Add a shape to its joint; False for a mesh that cannot be read."""
+    shape, looks = placed.shape, dict[str, Any](color=color, opacity=opacity)
+    looks["wxyz"] = Rotation.from_matrix(placed.rotation).as_quat(scalar_first=True)
+    looks["position"] = placed.offset
+    if shape.kind == "box":
+        scene.add_box(name, dimensions=shape.size, **looks)
+    elif shape.kind == "sphere":
+        scene.add_icosphere(name, radius=shape.size[0], **looks)
+    elif shape.kind == "cylinder":
+        scene.add_cylinder(name, radius=shape.size[0], height=shape.size[1], **looks)
+    else:
+        try:
+            vertices, corners = triangles(shape)
+        except InputFileError:
+            return False
+        scene.add_mesh_simple(name, vertices, corners, side="double", **looks)
+    return True
+
+
+def _add_rod(
+    scene: Any,
+    name: str,
+    rod: Capsule,
+    color: tuple[int, int, int],
+    opacity: float | None,
+) -> None:
+    along = rod.end - rod.begin
+    turn = Rotation.align_vectors([along], [[0.0, 0.0, 1.0]])[0]
+    scene.add_cylinder(
+        name,
+        radius=rod.radius,
+        height=float(np.linalg.norm(along)),
+        color=color,
+        opacity=opacity,
+        wxyz=turn.as_quat(scalar_first=True),
+        position=0.5 * (rod.begin + rod.end),
+    )
+    for number, end in enumerate((rod.begin, rod.end)):
+        scene.add_icosphere(
+            f"{name}_{number}", radius=rod.radius, color=color, opacity=opacity, position=end
+        )
+
+
+def _at(times: np.ndarray, values: np.ndarray, t: float) -> np.ndarray:
+    """Row of values (K, n) at a time, held beyond the end."""
+    columns: Sequence[float] = [np.interp(t, times, column) for column in values.T]
+    return np.array(columns)

@@ -1,0 +1,72 @@
+"""`stiffopt view`: the arm of a solve live in the browser."""
+
+from __future__ import annotations
+
+import http.client
+import json
+
+import numpy as np
+import pytest
+from small_arms import write_problem, write_robot
+
+from stiffopt.cli import run
+from stiffopt.report.scene.poses import stored_poses, tool_positions
+from stiffopt.robot.files import load_robot
+
+viser = pytest.importorskip("viser")
+
+
+@pytest.fixture
+def scene(tmp_path):
+    from stiffopt.report.scene.live import LiveScene
+
+    robot = load_robot(write_robot(tmp_path, "planar"))
+    time = np.linspace(0.0, 1.0, 101)
+    position = np.outer(time, np.full(robot.n, 0.8))
+    poses = stored_poses(robot, time, position, np.full((101, robot.n), 1e-3))
+    ghost = stored_poses(robot, time, 0.5 * position)
+    opened = LiveScene(robot, poses, ghost, port=18080)
+    yield opened
+    opened.close()
+
+
+def test_the_page_is_served_to_this_machine(scene):
+    connection = http.client.HTTPConnection("127.0.0.1", scene.server.get_port(), timeout=10)
+    connection.request("GET", "/")
+    with connection.getresponse() as response:
+        assert response.status == 200
+        assert b"<html" in response.read()
+    connection.close()
+    assert scene.address.startswith("http://127.0.0.1:")
+
+
+def test_sliders_move_the_arm(scene):
+    robot = scene.robot
+    scene.factor.value = 0.0
+    scene.time.value = 0.5
+    scene.draw()
+    where = tool_positions(robot.tree, robot.tool, np.full((1, robot.n), 0.4))[0]
+    assert scene.tool() == pytest.approx(where, abs=1e-9)
+    scene.factor.value, scene.part.value = 100.0, "total"
+    scene.draw()
+    bent = tool_positions(robot.tree, robot.tool, np.full((1, robot.n), 0.4 - 0.1))[0]
+    assert scene.tool() == pytest.approx(bent, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_view_of_a_folder(tmp_path, capsys, monkeypatch):
+    from stiffopt.report.scene.live import LiveScene
+
+    path = write_problem(tmp_path, minimise='objective = "dynamic_deflection"')
+    out = tmp_path / "out"
+    assert run(["solve", str(path), "--out", str(out), "--quiet"]) == 0
+    shown = []
+    monkeypatch.setattr(LiveScene, "run", lambda self: (shown.append(self.poses), self.close()))
+    capsys.readouterr()
+    assert run(["view", str(out), "--port", "18090"]) == 0
+    assert "http://127.0.0.1:18" in capsys.readouterr().out
+    # The largest deflection is that of the certificate.
+    certificate = json.loads((out / "result.json").read_text())["certificate"]
+    largest = shown[0].deflection["total"].max()
+    assert largest == pytest.approx(certificate["deflection"]["total"]["peak"], rel=0.02)
+    assert run(["view", str(tmp_path)]) == 2
