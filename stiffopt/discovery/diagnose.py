@@ -56,7 +56,6 @@ from stiffopt.discovery.training import Training, train, training_runs
 from stiffopt.discovery.user_effects import load_effects
 from stiffopt.recording.facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
-from stiffopt.recording.run import RecordedRun
 
 Say = Callable[[str], object]
 
@@ -123,14 +122,14 @@ def diagnose(
     doubted = doubts(recordings, runs)
     if doubted and not despite_doubts:
         raise DoubtfulRecordings(recordings.path, doubted)
-    training, asked, result = _searched(recordings, settings, base, say, runs, catalogue)
-    swings = training.runs[0].swing is not None and not result.stopped
-    if swings and _residual(result) > SWING_MISFIT:
-        # Steps about the nominal swing do not reach a mode that lies far off.
-        say("the swing of the links is not that of the model: compare them in balance")
-        still = _searched(recordings, settings, base, say, runs, catalogue, swinging=False)
-        if _residual(still[2]) < _residual(result):
-            training, asked, result = still
+    training = train(recordings, settings, base, say, runs)
+    facts = joint_facts(recordings, training.recorded)
+    checks = effect_checks(recordings, facts, len(training.recorded), catalogue)
+    asked = identifiable_effects(catalogue, checks)
+    say("compare with the nominal model" if base is None else f"compare with {base.source}")
+    result = _searched(recordings, training, asked, base, say)
+    if training.runs[0].swing is not None and not result.stopped:
+        training, result = _better_swinging(recordings, training, asked, base, say, result)
     settings = training.settings
     selected, unexplained = assess_findings(result)
     say("estimate parameters")
@@ -189,23 +188,42 @@ def diagnose(
     )
 
 
-def _searched(
+def _better_swinging(
     recordings: RecordingSet,
-    settings: Settings,
+    training: Training,
+    asked: Sequence[Effect],
     base: ExtendedModel | None,
     say: Say,
-    runs: Sequence[RecordedRun],
-    catalogue: Sequence[Effect],
-    *,
-    swinging: bool = True,
-) -> tuple[Training, tuple[Effect, ...], SearchResult]:
-    """Training runs with what is asked of them, and what was found in them."""
-    training = train(recordings, settings, base, say, runs, swinging=swinging)
-    facts = joint_facts(recordings, training.recorded)
-    checks = effect_checks(recordings, facts, len(training.recorded), catalogue)
-    asked = identifiable_effects(catalogue, checks)
-    say("compare with the nominal model" if base is None else f"compare with {base.source}")
-    result = search(
+    result: SearchResult,
+) -> tuple[Training, SearchResult]:
+    """The answer, or a better one where links swing otherwise than the model's by far.
+
+    Slopes about the nominal swing do not reach a mode that lies far off; a comparison of slow
+    motion, links in balance, does, and what it finds is a motion to go on from.
+    """
+    if _residual(result) <= SWING_MISFIT:
+        return training, result
+    say("the swing of the links is not that of the model: compare them in balance")
+    balanced = train(recordings, training.settings, base, say, training.recorded, swinging=False)
+    still = _searched(recordings, balanced, asked, base, say)
+    answers = [(training, result), (balanced, still)]
+    if still.effects and not still.stopped:
+        say("let the links swing with what was found in balance")
+        about = still.comparison.found(still.fit)
+        answers.append((training, _searched(recordings, training, asked, base, say, about)))
+    return min(answers, key=lambda answer: _residual(answer[1]))
+
+
+def _searched(
+    recordings: RecordingSet,
+    training: Training,
+    asked: Sequence[Effect],
+    base: ExtendedModel | None,
+    say: Say,
+    about: Extension | None = None,
+) -> SearchResult:
+    """What was found in training runs, from another answer on where one is given."""
+    return search(
         training.comparison(),
         without_bounds(asked, recordings),
         start=(
@@ -217,9 +235,9 @@ def _searched(
         ),
         most=training.most,
         free_bodies=training.free_bodies,
+        about=about,
         report=say,
     )
-    return training, asked, result
 
 
 def _residual(result: SearchResult) -> float:
@@ -311,15 +329,26 @@ def _proofs(
 def _predicted_swinging(
     training: Training, settings: Settings, extensions: tuple[Extension, ...]
 ) -> bool:
-    """Whether links swing in predictions: as the training runs are predicted better."""
+    """Whether links swing in predictions: as the training runs are predicted better.
+
+    Where nothing was found they do: nominal values alone move no joint beyond its law.
+    """
     if not training.robot.swings:
         return False
+    if not any(extension.effects for extension in extensions):
+        return training.runs[0].swing is not None
     left = {}
     for swinging in (True, False):
         proofs = []
-        for run in training.recorded:
+        for run, prepared in zip(training.recorded, training.runs, strict=True):
+            # Where links swing it is the motion that was fitted.
             predictor = Predictor(
-                training.robot, run, training.constants, settings, swinging=swinging
+                training.robot,
+                run,
+                training.constants,
+                settings,
+                prepared if swinging else None,
+                swinging=swinging,
             )
             after = predictor.predict(*extensions)
             proofs.append(prove(run, predictor.velocity, after, after, training.noise))

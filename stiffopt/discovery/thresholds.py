@@ -72,6 +72,10 @@ MISFIT_RATIO, MISFIT_ODDS = 2.0, 0.5
 # Residual over noise of a fit with swinging links from which one in balance is tried as well [0037]
 SWING_MISFIT = 1.5
 
+# A fit is taken about itself until links move by less than this, rms over noise, or amplitudes by
+# less than so many of their standard deviations, so many times at most [0037]
+SETTLED, SETTLED_DEVIATIONS, SETTLING_ROUNDS = 0.02, 0.1, 4
+
 # ---- When something is outside the catalogue [0023]
 
 # Residual over noise from which a channel counts as not explained, beyond what formulas that differ

@@ -8,10 +8,16 @@ to the next and f is linear there; both steps are then exact, however fast a mod
 from __future__ import annotations
 
 from functools import cached_property
+from math import factorial
 
 import numpy as np
-from scipy.linalg import eigh, expm
+from scipy.linalg import eigh
 from scipy.linalg.lapack import dtbtrs
+
+# Matrices whose exponentials are taken at once: few enough to stay in the processor's cache.
+_AT_ONCE = 96
+# Terms of the exponential's series, and the norm up to which they give it to machine precision.
+_TERMS, _SMALL = 12, 0.5
 
 
 class SwingResponse:
@@ -45,7 +51,7 @@ class SwingResponse:
         slope[:, :n, n:] = self._unit * np.eye(n)
         slope[:, n:, :n] = -mobility @ springs / self._unit
         slope[:, n:, n:] = -mobility @ damping
-        self._step = expm(dt * slope)
+        self._step = exponentials(dt * slope)
         self._soft = np.linalg.inv(springs)
         self._lag = self._soft @ damping @ self._soft
 
@@ -72,6 +78,19 @@ class SwingResponse:
         z, velocity = state[:, : self.n], self._unit * state[:, self.n :]
         pulled = self._pulled(many, z, velocity)
         return z[..., 0], velocity[..., 0], pulled[..., 0]
+
+    def moved(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Swing and its velocity under torques (K, n) of many calls, mostly on one link.
+
+        The same as a call gives; what a step does with a torque is kept from call to call.
+        """
+        added = np.zeros((len(torque), 2 * self.n, 1))
+        begin, end = self._gains
+        for j in np.flatnonzero(np.any(torque, axis=0)):
+            own = torque[:, j, None]
+            added[1:, :, 0] += begin[j] * own[:-1] + end[j] * own[1:]
+        state = self._march(added)[..., 0]
+        return state[:, : self.n], self._unit * state[:, self.n :]
 
     def free(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Swing (K, n, m) that is left alone after it begins at displacements and velocities.
@@ -110,6 +129,19 @@ class SwingResponse:
         added[1:] = end - self._step @ begin
         return added
 
+    @cached_property
+    def _gains(self) -> tuple[np.ndarray, np.ndarray]:
+        """What a step adds to the state for its torque at the begin, and at the end.
+
+        (n, K - 1, 2 n) each: of a torque on every link.
+        """
+        held = np.concatenate([self._soft, np.zeros_like(self._soft)], axis=1)
+        ramp = np.concatenate([-self._lag, self._soft / self._unit], axis=1) / self.dt
+        late = ramp - self._step @ ramp
+        begin, end = -late - self._step @ held, late + held
+        of_link = [np.ascontiguousarray(np.moveaxis(x, 2, 0)) for x in (begin, end)]
+        return of_link[0], of_link[1]
+
     def _pulled(self, torque: np.ndarray, z: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         left = torque - self._rate @ velocity - self._stiffness @ z
         return np.asarray(self._mobility @ left)
@@ -133,3 +165,35 @@ class SwingResponse:
         found, failed = dtbtrs(self._band, added.reshape(count * size, many), uplo="L", diag="U")
         assert not failed
         return np.asarray(found).reshape(added.shape)
+
+
+def exponentials(matrices: np.ndarray) -> np.ndarray:
+    """Exponentials of many small matrices (K, p, p), to machine precision.
+
+    Series of the scaled matrices, squared again; scipy's takes them one by one.
+    """
+    out = np.empty_like(matrices)
+    for first in range(0, len(matrices), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        out[part] = _series(matrices[part])
+    return out
+
+
+def _series(matrices: np.ndarray) -> np.ndarray:
+    largest = float(np.abs(matrices).sum(axis=1).max())
+    halvings = max(0, int(np.ceil(np.log2(max(largest, 1e-300) / _SMALL))))
+    once = matrices / 2.0**halvings
+    twice = once @ once
+    thrice = twice @ once
+    own = np.eye(matrices.shape[1])
+
+    def three(first: int) -> np.ndarray:
+        c = [1.0 / factorial(first + k) for k in range(3)]
+        return np.asarray(c[0] * own + c[1] * once + c[2] * twice)
+
+    found = three(_TERMS - 3)
+    for first in range(_TERMS - 6, -1, -3):
+        found = found @ thrice + three(first)
+    for _ in range(halvings):
+        found = found @ found
+    return np.asarray(found)

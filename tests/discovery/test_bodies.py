@@ -63,7 +63,7 @@ def test_a_few_more_columns_cost_only_themselves() -> None:
     prior = rng.uniform(0.1, 2.0, 6)
     sums = BlockSums(base, target, block, 4)
     kept = np.array([0, 2])
-    short = Beside(sums.own, prior).added(sums.extended(added), kept)
+    short = Beside(sums.own, prior).added(sums.beside(added), kept)
     columns = np.column_stack([base, added[:, kept]])
     whole = posterior(BlockSums(columns, target, block, 4).own, np.concatenate([prior, np.ones(2)]))
     np.testing.assert_allclose(short.mean, whole.mean[6:])

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
-from stiffopt.elastic.response import SwingResponse
+from stiffopt.elastic.response import SwingResponse, exponentials
 
 STEP, COUNT = 0.004, 500
 TIME = STEP * np.arange(COUNT)
@@ -77,3 +78,28 @@ def test_modes_at_the_start_are_those_of_the_first_matrices():
     frequencies, shapes = _one(2.0, 0.0, 2.0 * (2.0 * np.pi * 9.0) ** 2).modes(0)
     assert frequencies[0] == pytest.approx(9.0)
     assert abs(shapes[0, 0]) == pytest.approx(2.0**-0.5)
+
+
+def test_swing_of_many_calls_is_that_of_one():
+    random = np.random.default_rng(2)
+    grown = 1.0 + 0.3 * np.sin(3.0 * TIME)[:, None, None]
+    response = SwingResponse(
+        grown * np.array([[8.0, 1.5], [1.5, 2.0]]),
+        grown * np.array([[14.0, 2.0], [-2.0, 5.0]]),
+        grown * np.diag([4e4, 3e4]),
+        STEP,
+    )
+    for torque in (random.normal(size=(COUNT, 2)), random.normal(size=(COUNT, 2)) * [0.0, 1.0]):
+        z, velocity, _ = response(torque)
+        again, rate = response.moved(torque)
+        np.testing.assert_allclose(again, z, atol=1e-12 * np.max(np.abs(z)))
+        np.testing.assert_allclose(rate, velocity, atol=1e-12 * np.max(np.abs(velocity)))
+
+
+@pytest.mark.parametrize("size", [0.0, 0.3, 4.0, 60.0])
+def test_exponentials_are_those_of_scipy(size):
+    matrices = size * np.random.default_rng(3).normal(size=(200, 4, 4))
+    matrices -= 2.0 * size * np.eye(4)
+    expected = expm(matrices)
+    largest = np.max(np.abs(expected), axis=(1, 2), keepdims=True)
+    np.testing.assert_allclose(exponentials(matrices) / largest, expected / largest, atol=1e-11)

@@ -19,14 +19,15 @@ from stiffopt.recording.nominal import Tolerance
 FEW_RUNS = 3
 _BLOCK_SECONDS = 2.0
 _MOST_BLOCKS = 8
-# Columns that are kept for the next time they are asked for.
-_KEPT = 64
+# Columns that are kept for the next time they are asked for: those of shapes that every search
+# starts from as far as memory goes [bytes], and the latest of others.
+_KEPT_BYTES, _KEPT_LATEST = 2**28, 64
 # Of modes that a run may begin to swing in, over the filter's cutoff.
 _BEYOND_CUTOFF = 1.5
 # Earlier extensions that columns are kept about.
 _FAMILY = 4
 # Root mean square, over noise, of what links may do otherwise before they are followed anew.
-_NEAR = 0.3
+NEAR = 0.3
 
 
 class Columns:
@@ -61,6 +62,7 @@ class Columns:
         self._back = [(torque, deflection) for _, torque, deflection in about]
         self.rows = ChannelRows(self.runs, noise, self._blocks())
         self._kept: dict[tuple[object, ...], np.ndarray] = {}
+        self._latest: dict[tuple[object, ...], np.ndarray] = {}
         self._family = [self]
         self.bodies: np.ndarray | None = None
 
@@ -70,14 +72,16 @@ class Columns:
         seconds = min(float(run.time[-1] - run.time[0]) for run in self.runs)
         return int(np.clip(seconds / _BLOCK_SECONDS, 2, _MOST_BLOCKS))
 
-    def about(self, found: Extension) -> Columns:
+    def about(self, found: Extension, near: float = NEAR) -> Columns:
         """Columns about another extension; earlier ones where they are near enough."""
         found = self._that_moves(found)
         for earlier in reversed(self._family):
-            if earlier._near(found):
+            if earlier._distance(found) < near:
                 return earlier
         new = Columns(self.robot, self.nominal_runs, self.noise, self.tolerance, self.start, found)
         new.bodies, new._family = self.bodies, self._family
+        for other in self._family:
+            other._kept.clear()
         self._family.append(new)
         del self._family[1:-_FAMILY]
         return new
@@ -96,18 +100,18 @@ class Columns:
             list(nuisance_columns(run, self.robot, self.tolerance, self.bodies))
             for run in self.runs
         ]
-        # A run whose links could not be followed swinging has no damping: then none has.
-        shared = set.intersection(*({c.name for c in own} for own in per_run))
-        per_run = [[c for c in own if c.name in shared] for own in per_run]
+        # A joint at rest in one run, or links that could not be followed there, have no column.
+        order = {c.name: c for own in per_run for c in own}
+        by_name = [{c.name: c for c in own} for own in per_run]
         columns = []
-        for each in zip(*per_run, strict=True):
+        for name in order:
             channels = [
-                c.added.channels(run, self.robot) for c, run in zip(each, self.runs, strict=True)
+                own[name].added.channels(run, self.robot) if name in own else (None, None)
+                for own, run in zip(by_name, self.runs, strict=True)
             ]
             columns.append(self.rows.flatten([c[0] for c in channels], [c[1] for c in channels]))
-        first = per_run[0]
         matrix = np.column_stack(columns) if columns else np.zeros((self.rows.size, 0))
-        return [c.name for c in first], np.array([c.sd for c in first]), matrix
+        return list(order), np.array([c.sd for c in order.values()]), matrix
 
     @cached_property
     def target(self) -> np.ndarray:
@@ -142,20 +146,28 @@ class Columns:
     def of_effect(self, located: LocatedEffect) -> np.ndarray:
         """Columns (m, k) of an effect's amplitudes over their sizes."""
         key = located.key
-        if key not in self._kept:
-            per_run = [list(located.columns(run, self.robot)) for run in self.runs]
-            sizes = located.sizes(self.runs[0].signals.constants)
-            columns = [
+        for kept in (self._kept, self._latest):
+            if key in kept:
+                return kept[key]
+        per_run = [list(located.columns(run, self.robot)) for run in self.runs]
+        sizes = located.sizes(self.runs[0].signals.constants)
+        columns = np.column_stack(
+            [
                 size * self.rows.flatten([c[0] for c in each], [c[1] for c in each])
                 for size, each in zip(sizes, zip(*per_run, strict=True), strict=True)
             ]
-            self._kept[key] = np.column_stack(columns)
-            if len(self._kept) > _KEPT:
-                self._kept.pop(next(iter(self._kept)))
-        return self._kept[key]
+        )
+        full = (len(self._kept) + 1) * columns.nbytes > _KEPT_BYTES
+        if not full and located.at_start(self.runs[0].signals.constants):
+            self._kept[key] = columns
+            return columns
+        self._latest[key] = columns
+        if len(self._latest) > _KEPT_LATEST:
+            self._latest.pop(next(iter(self._latest)))
+        return columns
 
-    def _near(self, found: Extension) -> bool:
-        """Whether links would move as they do here."""
+    def _distance(self, found: Extension) -> float:
+        """Rms over noise of what links would do otherwise than here."""
         names, _, matrix = self.nuisance
         change = found.less(self.found)
         values = np.array([change.calibration.get(name, 0.0) for name in names])
@@ -163,7 +175,7 @@ class Columns:
         for each in change.effects:
             sizes = each.located.sizes(self.runs[0].signals.constants)
             rows = rows + self.of_effect(each.located) @ (np.array(each.amplitudes) / sizes)
-        return float(np.sqrt(np.mean(rows**2))) < _NEAR
+        return float(np.sqrt(np.mean(rows**2)))
 
     def _that_moves(self, found: Extension) -> Extension:
         """The part of an extension that moves the links, or bends them where they do not swing."""

@@ -16,7 +16,7 @@ from stiffopt.discovery.comparison.bodies import (
     nearest_bodies,
     nominal_bodies,
 )
-from stiffopt.discovery.comparison.columns import FEW_RUNS, Columns
+from stiffopt.discovery.comparison.columns import FEW_RUNS, NEAR, Columns
 from stiffopt.discovery.comparison.evidence import BlockSums, Posterior, Sums, posterior
 from stiffopt.discovery.comparison.extension import Extension, with_amplitudes
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
@@ -103,7 +103,6 @@ class Comparison:
         self.runs, self.rows = self.columns.runs, self.columns.rows
         self.constants = self.runs[0].signals.constants
         self.blocks = int(self.rows.block.max()) + 1
-        self._kept: dict[tuple[object, ...], np.ndarray] = {}
         self.inflation = np.ones(2 * robot.n) if inflation is None else inflation
 
     @cached_property
@@ -111,24 +110,40 @@ class Comparison:
         """Weight of every row beside the stated noise."""
         return np.asarray(1.0 / self.inflation[self.rows.channel])
 
-    def about(self, fit: Fit) -> Comparison:
-        """The comparison about a fit: links that move as found, the noise left in each channel."""
+    def about(self, fit: Fit, near: float = NEAR) -> Comparison:
+        """The comparison about a fit: links that move as found, the noise left in each channel.
+
+        Parameters
+        ----------
+        fit : Fit
+        near : float
+            Rms over noise of what links may do otherwise before they are followed anew.
+        """
         left = np.nan_to_num(self.channel_ratio(fit.residual), nan=1.0)
+        return self.moved(self.found(fit), np.maximum(1.0, left), near)
+
+    def found(self, fit: Fit) -> Extension:
+        """Values and effects of a fit."""
         names = self.nuisance[0]
         sizes = [located.sizes(self.constants) for located in fit.effects]
-        found = Extension(
+        return Extension(
             calibration=dict(zip(names, fit.posterior.mean[: len(names)].tolist(), strict=True)),
             effects=with_amplitudes(fit.effects, fit.amplitudes(), sizes),
         )
+
+    def moved(
+        self, found: Extension, inflation: np.ndarray | None = None, near: float = NEAR
+    ) -> Comparison:
+        """The comparison about an extension, with another factor on the noise (2 n,)."""
         return Comparison(
             self.robot,
             self.nominal_runs,
             self.noise,
             self.tolerance,
             start=self.start,
-            inflation=np.maximum(1.0, left),
+            inflation=inflation,
             box=self.box,
-            columns=self.columns.about(found),
+            columns=self.columns.about(found, near),
         )
 
     @property

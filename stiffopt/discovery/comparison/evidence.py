@@ -7,6 +7,7 @@ cross-validation over whole recordings needs no fit beyond the sums of squares o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -56,23 +57,26 @@ class BlockSums:
     def __init__(
         self, columns: np.ndarray, target: np.ndarray, block: np.ndarray, blocks: int
     ) -> None:
-        self._places = [np.flatnonzero(block == b) for b in range(blocks)]
-        self._columns = [columns[p] for p in self._places]
-        self._target = [target[p] for p in self._places]
-        self.gram = np.array([c.T @ c for c in self._columns])
-        self.moment = np.array([c.T @ y for c, y in zip(self._columns, self._target, strict=True)])
+        order = np.argsort(block, kind="stable")
+        edges = np.searchsorted(block[order], np.arange(blocks + 1))
+        self._order = order
+        self._parts = [slice(first, last) for first, last in pairwise(edges)]
+        ordered, left = columns[order], target[order]
+        self._transposed = [ordered[part].T.copy() for part in self._parts]
+        self._target = [left[part] for part in self._parts]
+        self.gram = np.array([c @ c.T for c in self._transposed])
+        self.moment = np.array([c @ y for c, y in zip(self._transposed, self._target, strict=True)])
         self.square = np.array([float(y @ y) for y in self._target])
 
-    def extended(self, added: np.ndarray) -> Sums:
-        """Sums with further columns (m, k) beside those they were made of."""
-        grams, moments = [], []
-        parts = zip(self._places, self._columns, self._target, strict=True)
-        for b, (places, columns, target) in enumerate(parts):
-            new = added[places]
-            cross = columns.T @ new
-            grams.append(np.block([[self.gram[b], cross], [cross.T, new.T @ new]]))
-            moments.append(np.concatenate([self.moment[b], new.T @ target]))
-        return Sums(np.array(grams), np.array(moments), self.square)
+    def beside(self, added: np.ndarray) -> AddedSums:
+        """Sums that further columns (m, k) make with those they were made of."""
+        ordered = added[self._order]
+        new = [ordered[part] for part in self._parts]
+        return AddedSums(
+            np.array([c @ own for c, own in zip(self._transposed, new, strict=True)]),
+            np.array([own.T @ own for own in new]),
+            np.array([own.T @ y for own, y in zip(new, self._target, strict=True)]),
+        )
 
     @property
     def own(self) -> Sums:
@@ -87,6 +91,24 @@ class Sums:
     gram: np.ndarray
     moment: np.ndarray
     square: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class AddedSums:
+    """Sums of squares of further columns.
+
+    Parameters
+    ----------
+    cross : array (b, p, k)
+        With the columns that they stand beside.
+    inner : array (b, k, k)
+    moment : array (b, k)
+        With the target.
+    """
+
+    cross: np.ndarray
+    inner: np.ndarray
+    moment: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,13 +154,11 @@ class Beside:
         square = np.sum(self._half**2, axis=1) - _left_out(sums.square)
         self._evidence = 0.5 * square - log_size
 
-    def added(self, whole: Sums, kept: np.ndarray) -> Added:
-        """Posterior with some of the columns that `whole` holds after the base's own."""
-        p = len(self._prior)
-        own = p + kept
-        cross = _left_out(whole.gram[:, :p][:, :, own]) * self._prior[:, None]
-        inner = _left_out(whole.gram[:, own][:, :, own])
-        moment = _left_out(whole.moment[:, own])
+    def added(self, sums: AddedSums, kept: np.ndarray) -> Added:
+        """Posterior with some of the further columns."""
+        cross = _left_out(sums.cross[:, :, kept]) * self._prior[:, None]
+        inner = _left_out(sums.inner[:, kept][:, :, kept])
+        moment = _left_out(sums.moment[:, kept])
         half = self._inverse @ cross
         left = inner + np.eye(len(kept)) - half.swapaxes(1, 2) @ half
         goal = moment - np.einsum("bpk,bp->bk", half, self._half)

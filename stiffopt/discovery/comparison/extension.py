@@ -11,9 +11,13 @@ from stiffopt.discovery.comparison.bodies import body_torque
 from stiffopt.discovery.comparison.filtering import derivative
 from stiffopt.discovery.comparison.located_effect import Contribution, LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.nuisance import nuisance_columns
+from stiffopt.discovery.comparison.nuisance import (
+    OF_SPRINGS,
+    nuisance_columns,
+    spring_columns,
+)
 from stiffopt.discovery.comparison.prepare import PreparedRun, with_link_torque
-from stiffopt.discovery.comparison.swing import LinkMotion, Swing, slow_filter
+from stiffopt.discovery.comparison.swing import LinkMotion, Swing, damping_of, slow_filter
 from stiffopt.recording.nominal import Tolerance
 
 # Of the slope of a spring's law, over the rated torque.
@@ -138,6 +142,8 @@ def extended(run: PreparedRun, robot: RobotModel, *extensions: Extension) -> Pre
     whole = Extension()
     for extension in extensions:
         whole = whole.followed_by(extension)
+    if whole.empty:
+        return run
     moved = swung(run, robot, whole)
     change = _change(moved, robot, whole)
     drive = moved.signals.drive_torque + change.torque
@@ -185,7 +191,8 @@ def around(
     moved = swung(run, robot, whole)
     softer = _softer(moved, robot, whole)
     heavier = _heavier(moved, robot, whole)
-    own = moved.springs(robot).swing(moved.links, softer, heavier, moved.swing)
+    springs = moved.springs(robot, _damping(robot, whole))
+    own = springs.swing(moved.links, softer, heavier, moved.swing)
     moved = replace(moved, swing=own)
     change = _change(moved, robot, found)
     torque, deflection = moved.answer(robot, change.link_torque, change.deflection)
@@ -214,35 +221,56 @@ def swung(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prepared
 
     Notes
     -----
-    Nominal values are taken about the motion with the effects; regressors about the one before,
-    what else the bodies need goes with their inertia. The swing of the result is one near by.
+    Where no such motion is found, nominal values stand in for what is missing yet, further than
+    springs can follow: they count to first order then, and effects too where that is not enough.
+    """
+    found = _followed(run, robot, extension)
+    if found is not None:
+        return found
+    values = replace(extension, effects=())
+    if extension.effects and not values.empty:
+        found = _followed(run, robot, replace(extension, calibration={}))
+        if found is not None:
+            return _nearly(found, robot, values)
+    return _nearly(run, robot, extension)
+
+
+def _followed(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun | None:
+    """Run whose links swing with an extension; None where no motion of such an arm is found.
+
+    Springs and damping are those of the motion that is looked for; regressors are taken about the
+    one before, what else the bodies need goes with their inertia. The swing of the result is one
+    near by.
     """
     assert run.swing is not None
-    springs = run.springs(robot)
-    values = replace(extension, effects=())
-    effects = replace(extension, calibration={})
+    springs = run.springs(robot, _damping(robot, extension))
+    bodies = _values(extension, ("mass", "com", "body"))
+    sprung = replace(
+        extension,
+        calibration=_values(extension, OF_SPRINGS).calibration,
+        effects=tuple(e for e in extension.effects if not _damps(e)),
+    )
+    effects = replace(sprung, calibration={})
     heavier = _heavier(run, robot, effects)
-    nominal = _softer(run, robot, values)
+    nominal = _softer(run, robot, replace(sprung, effects=()))
     swing = springs.swing(run.links, nominal * _softer(run, robot, effects), heavier, run.swing)
     begin = _slowly(run, robot, extension, swing)
     moved = run
     for again in range(_PASSES if effects.effects else 1):
-        known = _change(moved, robot, values)
+        weight = _change(moved, robot, bodies).link_torque
 
         def softer(links: LinkMotion, moved: PreparedRun = moved) -> np.ndarray:
             now = _softer(_with_links(moved, robot, links), robot, effects)
             return np.asarray(nominal * now)
 
         def added(
-            links: LinkMotion, moved: PreparedRun = moved, known: _Change = known
+            links: LinkMotion, moved: PreparedRun = moved, weight: np.ndarray = weight
         ) -> tuple[np.ndarray, np.ndarray]:
-            if not effects.effects:
-                return known.link_torque, known.deflection
-            change = _change(_with_links(moved, robot, links), robot, effects)
+            change = _change(_with_links(moved, robot, links), robot, sprung)
             if isinstance(heavier, np.ndarray):
                 away = (links.acceleration - moved.signals.link_acceleration)[..., None]
                 change.link_torque[:] += (heavier @ away)[..., 0]
-            return change.link_torque + known.link_torque, change.deflection + known.deflection
+            return change.link_torque + weight, change.deflection
 
         links = (
             springs.follow(moved.links, swing, added, softer)
@@ -250,7 +278,7 @@ def swung(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prepared
             else springs.started(begin, swing, added, softer)
         )
         if links is None:
-            return _nearly(run, robot, extension)
+            return None
         moved = _with_links(moved, robot, links)
         if isinstance(heavier, np.ndarray):
             moved = _with_regressor(moved, robot)
@@ -259,6 +287,27 @@ def swung(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prepared
         swing=swing,
         beside=springs.motor - moved.signals.link_position - moved.signals.windup,
     )
+
+
+def _values(extension: Extension, words: tuple[str, ...]) -> Extension:
+    """Those nominal values whose names begin with some words."""
+    values = extension.calibration.items()
+    return Extension(calibration={n: v for n, v in values if n.split()[0] in words})
+
+
+def _damps(each: EstimatedEffect) -> bool:
+    return each.located.effect.nominal == "joint_damping"
+
+
+def _damping(robot: RobotModel, extension: Extension) -> np.ndarray:
+    """Damping of the joints (n,) with an extension, none of it below zero [N m s/rad]."""
+    damping = damping_of(robot)
+    factors = [extension.calibration.get(f"joint_damping {j + 1}", 0.0) for j in range(robot.n)]
+    added = np.zeros(robot.n)
+    for each in extension.effects:
+        if _damps(each) and each.located.joint is not None:
+            added[each.located.joint] += each.amplitudes[0]
+    return np.asarray(np.maximum(damping * (1.0 + np.array(factors)) + added, 0.0))
 
 
 def _slowly(run: PreparedRun, robot: RobotModel, extension: Extension, swing: Swing) -> LinkMotion:
@@ -276,7 +325,7 @@ def _slowly(run: PreparedRun, robot: RobotModel, extension: Extension, swing: Sw
 
 
 def _nearly(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun:
-    """The run with an extension to first order, where no motion of such an arm is found."""
+    """The run with an extension to first order."""
     assert run.swing is not None
     change = _change(run, robot, extension)
     torque, deflection = run.swing.answer(change.link_torque, change.deflection)
@@ -388,7 +437,9 @@ def added_inertia(
 def _change(run: PreparedRun, robot: RobotModel, extension: Extension) -> _Change:
     change = _Change(*(np.zeros_like(run.signals.spring_torque) for _ in range(4)))
     if extension.calibration:
-        for column in nuisance_columns(run, robot, _EVERY):
+        springs = all(name.split()[0] in OF_SPRINGS for name in extension.calibration)
+        columns = spring_columns(run, _EVERY) if springs else nuisance_columns(run, robot, _EVERY)
+        for column in columns:
             value = extension.calibration.get(column.name, 0.0)
             if value:
                 change.add(column.added, value)

@@ -65,13 +65,20 @@ class ZeroPhaseFilter:
         kernel = self._kernel.reshape(-1, *(1,) * (padded.ndim - 1))
         return np.asarray(fftconvolve(padded, kernel, mode="valid", axes=0))
 
-    def at(self, samples: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Filtered values (k,) at some samples of a channel (K,), the ends left out.
+    def thinned(self, samples: np.ndarray) -> np.ndarray:
+        """Filtered values (g, c) of channels (K, c) at every `step`-th sample, without the ends.
 
-        The places lie `settling` samples or more inside.
+        The first is that of sample `step * first_whole`.
         """
-        windows = np.lib.stride_tricks.sliding_window_view(samples, len(self._kernel))
-        return np.asarray(windows[places - self.settling] @ self._kernel)
+        step, length = self.step, len(self._kernel)
+        begin = step * self.first_whole - self.settling
+        windows = np.lib.stride_tricks.sliding_window_view(samples, length, axis=0)
+        return np.asarray(windows[begin::step] @ self._kernel)
+
+    @property
+    def first_whole(self) -> int:
+        """Number of the first of every `step`-th samples that the filter has not made up."""
+        return -(-self.settling // self.step)
 
     @cached_property
     def noise_gain(self) -> float:

@@ -101,6 +101,12 @@ class LocatedEffect:
         slides = self.joint is not None and robot.joints[self.joint].prismatic
         return joint_unit(unit, slides)
 
+    def at_start(self, robot: RobotConstants) -> bool:
+        """Whether its shapes are some that a search starts from."""
+        own = self.constants(robot)
+        grids = (shape.grid(own) for shape in self.effect.shapes)
+        return all(value in grid for value, grid in zip(self.shapes, grids, strict=True))
+
     def sizes(self, robot: RobotConstants) -> np.ndarray:
         """Typical size of every amplitude."""
         own = self.constants(robot)

@@ -56,6 +56,7 @@ class RobotModel:
         torque_max = np.where((torque_max > 0.0) & np.isfinite(torque_max), torque_max, np.nan)
         rated = filled(nominal.torque_rated, torque_max / 3.0)
         ratio = filled(nominal.gear_ratio, np.ones(self.n))
+        damping = filled(nominal.joint_damping, np.zeros(self.n))
         joints = tuple(
             JointConstants(
                 joint=j + 1,
@@ -65,6 +66,7 @@ class RobotModel:
                 torque_rated=float(rated[j]),
                 torque_max=float(torque_max[j]),
                 rotor_inertia=float(self.rotor_inertia[j]),
+                joint_damping=float(damping[j]),
                 chain=self.arm.chains[self.order[j]],
                 pole_pairs=nominal.pole_pairs,
                 prismatic=bool(self.recordings.prismatic[j]),

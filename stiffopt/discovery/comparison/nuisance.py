@@ -18,7 +18,8 @@ from stiffopt.recording.nominal import Tolerance
 # which it does.
 _KNEE = 0.08
 # Values that move links, by the first word of their names.
-MOVES_LINKS = ("stiffness", "T1", "T2", "rounding", "joint_damping", "mass", "com", "body")
+OF_SPRINGS = ("stiffness", "T1", "T2", "rounding")
+MOVES_LINKS = (*OF_SPRINGS, "joint_damping", "mass", "com", "body")
 
 
 @dataclass(frozen=True)
@@ -82,20 +83,44 @@ def nuisance_columns(
             sd = getattr(tolerance, name)
             if sd and np.any(values):
                 yield NuisanceColumn(f"{name} {j + 1}", sd, Contribution(single(j, values)))
-        if tolerance.stiffness and np.any(signals.windup[:, j]):
-            values = signals.windup[:, j]
-            added = Contribution(deflection=single(j, values))
-            yield NuisanceColumn(f"stiffness {j + 1}", tolerance.stiffness, added)
-            yield from _knees(run, j, single)
+        if tolerance.stiffness:
+            yield from _of_spring(run, j, tolerance.stiffness)
         if tolerance.joint_damping and run.swing is not None:
             # Of a spring that takes more of the torque where its damping takes less.
-            taken = run.swing.damping[j] * (signals.motor_velocity - signals.link_velocity)[:, j]
+            nominal = signals.constants.joints[j].joint_damping
+            taken = nominal * (signals.motor_velocity - signals.link_velocity)[:, j]
             added = Contribution(deflection=single(j, -taken / run.swing.stiffness[:, j]))
             yield NuisanceColumn(f"joint_damping {j + 1}", tolerance.joint_damping, added)
         if tolerance.encoder_zero:
             values = np.ones(len(signals.time))
             added = Contribution(reading=single(j, values))
             yield NuisanceColumn(f"encoder_zero {j + 1}", tolerance.encoder_zero, added)
+
+
+def spring_columns(run: PreparedRun, tolerance: Tolerance) -> Iterator[NuisanceColumn]:
+    """Columns of the springs alone, stiffness and corners of every joint."""
+    for j in range(len(run.signals.constants.joints)):
+        if tolerance.stiffness:
+            yield from _of_spring(run, j, tolerance.stiffness)
+
+
+def _of_spring(run: PreparedRun, j: int, sd: float) -> Iterator[NuisanceColumn]:
+    signals = run.signals
+    if not np.any(signals.windup[:, j]):
+        return
+    # Relative to the joint as it is: of all its deflection where the links swing.
+    values = signals.windup[:, j]
+    if run.swing is not None:
+        values = (signals.motor_position - signals.link_position)[:, j]
+
+    def single(j: int, values: np.ndarray) -> np.ndarray:
+        column = np.zeros_like(signals.spring_torque)
+        column[:, j] = values
+        return np.asarray(column)
+
+    added = Contribution(deflection=single(j, values))
+    yield NuisanceColumn(f"stiffness {j + 1}", sd, added)
+    yield from _knees(run, j, single)
 
 
 def _knees(

@@ -75,11 +75,10 @@ class PreparedRun:
             s.spring_torque,
         )
 
-    def springs(self, robot: RobotModel) -> Springs:
-        """Springs between the motors and the links of this run."""
-        return Springs(
-            robot, self.signals.motor_position, self.signals.motor_velocity, self.signals.dt
-        )
+    def springs(self, robot: RobotModel, damping: np.ndarray | None = None) -> Springs:
+        """Springs between the motors and the links of this run, as damped as given or nominal."""
+        s = self.signals
+        return Springs(robot, s.motor_position, s.motor_velocity, s.dt, damping)
 
     def answer(
         self, robot: RobotModel, link_torque: np.ndarray | None, deflection: np.ndarray | None

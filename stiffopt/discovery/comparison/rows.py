@@ -76,8 +76,10 @@ class ChannelRows:
                 samples.append(grid[kept])
                 channels.append(np.full(sizes[-1], kind * self.n + j))
                 block_ids.append(own[kept])
+        first = run.low_pass.first_whole
         return _Places(
             samples=tuple(samples),
+            rows=tuple(where // step - first for where in samples),
             channel=np.concatenate(channels),
             block=np.concatenate(block_ids),
         )
@@ -86,31 +88,29 @@ class ChannelRows:
         self,
         torque: Sequence[np.ndarray | None],
         deflection: Sequence[np.ndarray | None],
-        *,
-        filtered: bool = False,
     ) -> np.ndarray:
         """One column of rows from what it adds to the channels of every run.
 
         Parameters
         ----------
         torque, deflection : sequence of array (K, n) or None, one a run
-        filtered : bool
-            Already passed the filter.
         """
         out = np.zeros(self.size)
         begin = 0
         for run, places, *both in zip(self.runs, self._places, torque, deflection, strict=True):
             for kind, values in enumerate(both):
-                scale = (self.noise.torque, self.noise.deflection)[kind]
-                for j in range(self.n):
-                    where = places.samples[kind * self.n + j]
-                    end = begin + len(where)
-                    if values is not None and len(where):
-                        column = values[:, j]
-                        if np.any(column):
-                            passed = column[where] if filtered else run.low_pass.at(column, where)
-                            out[begin:end] = passed / (scale[j] * run.low_pass.noise_gain)
-                    begin = end
+                own = places.samples[kind * self.n : (kind + 1) * self.n]
+                ends = begin + np.cumsum([len(where) for where in own])
+                if values is not None and ends[-1] > begin:
+                    scale = (self.noise.torque, self.noise.deflection)[kind]
+                    acted = np.flatnonzero(np.any(values, axis=0))
+                    passed = run.low_pass.thinned(np.ascontiguousarray(values[:, acted]))
+                    for j, column in zip(acted, passed.T, strict=True):
+                        where = places.rows[kind * self.n + j]
+                        out[ends[j] - len(where) : ends[j]] = column[where] / (
+                            scale[j] * run.low_pass.noise_gain
+                        )
+                begin = int(ends[-1])
         return out
 
     def sampled(self, signal: Callable[[PreparedRun], np.ndarray]) -> np.ndarray:
@@ -125,5 +125,6 @@ class ChannelRows:
 @dataclass(frozen=True, eq=False)
 class _Places:
     samples: tuple[np.ndarray, ...]
+    rows: tuple[np.ndarray, ...]
     channel: np.ndarray
     block: np.ndarray

@@ -37,6 +37,8 @@ class JointConstants:
         [N m]
     rotor_inertia : float
         At the output side [kg m^2].
+    joint_damping : float
+        Between motor and link [N m s/rad]; 0 where unknown.
     chain : Chain or None
         Nominal drivetrain; None where rigid or unknown.
     pole_pairs : float or None
@@ -60,6 +62,7 @@ class JointConstants:
     torque_rated: float
     torque_max: float
     rotor_inertia: float
+    joint_damping: float = 0.0
     chain: Chain | None = None
     pole_pairs: float | None = None
     stroke: tuple[float, float] = (-np.pi, np.pi)

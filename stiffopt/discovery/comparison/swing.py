@@ -23,11 +23,15 @@ MOTOR_CUTOFF = 60.0
 SLOW_CUTOFF = 20.0
 # Spring and link motion agree within this [rad]; far below any encoder's noise.
 _SETTLED = 3e-8
-_ROUNDS = 30
+_ROUNDS = 100
+# Within so many rounds it must agree so many samples further.
+_PATIENCE, _FURTHER = 16, 40
 # No link accelerates like this [rad/s^2].
 _ABSURD = 1e9
 # Samples that are followed at once, at least.
 _FEWEST = 25
+# Rounds in which the gap grows in spite of all of these: there is no such motion then.
+_GROWING = 4
 # Gap of a round over that of the round before from which springs are taken anew.
 _SLOW = 0.4
 # Behind the settling of the filter, over which links begin without swing as far as can be [s].
@@ -117,7 +121,7 @@ class Swing:
         """
         pushed = 0.0 if deflection is None else self.stiffness * deflection
         needed = pushed if link_torque is None else pushed + link_torque
-        z, velocity, _ = self.response(-np.asarray(needed))
+        z, velocity = self.response.moved(-np.asarray(needed))
         return -self.stiffness * z - pushed - self.damping * velocity, -z
 
     def begun_near(self, links: LinkMotion, near: LinkMotion, window: slice) -> LinkMotion:
@@ -191,11 +195,20 @@ class Springs:
         Position and speed of the motors [rad], [rad/s].
     dt : float
         [s]
+    damping : array (n,), optional
+        Of the joints, in place of the nominal one [N m s/rad].
     """
 
-    def __init__(self, robot: RobotModel, motor: np.ndarray, speed: np.ndarray, dt: float) -> None:
+    def __init__(
+        self,
+        robot: RobotModel,
+        motor: np.ndarray,
+        speed: np.ndarray,
+        dt: float,
+        damping: np.ndarray | None = None,
+    ) -> None:
         self.robot, self.motor, self.speed, self.dt = robot, motor, speed, dt
-        self.damping = damping_of(robot)
+        self.damping = damping_of(robot) if damping is None else damping
 
     def motion(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, link_torque: np.ndarray | float = 0.0
@@ -286,7 +299,8 @@ class Springs:
         softer : callable, optional
             What it makes of the springs.
         """
-        before, end = np.inf, len(self.motor)
+        before, end, growing = np.inf, len(self.motor), 0
+        reached = [0]
         torque: np.ndarray | float = 0.0
         displaced: np.ndarray | float = 0.0
         for _ in range(_ROUNDS):
@@ -304,6 +318,9 @@ class Springs:
             if np.all(sizes < _SETTLED):
                 return links
             first = int(np.argmax(sizes >= _SETTLED))
+            reached.append(first)
+            if len(reached) > _PATIENCE and first < reached[-_PATIENCE] + _FURTHER:
+                return None
             if first >= end:
                 before, end = np.inf, min(len(sizes), 2 * end)
             worst = float(np.max(sizes[:end]))
@@ -312,6 +329,9 @@ class Springs:
                 ratio = swing.softer if softer is None else softer(links)
                 swing = self.swing(links, ratio, swing.heavier, swing)
             if worst > before:
+                growing += end - first <= _FEWEST
+                if growing > _GROWING:
+                    return None
                 # What comes late hangs on all before it: so far, then further.
                 end = first + max(_FEWEST, (end - first) // 4)
             before = worst

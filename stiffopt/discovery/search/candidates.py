@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import minimize
@@ -36,10 +37,9 @@ class Candidate:
         Log evidence over that without it, less the price of the shapes tried.
     deviations : float
         Square root of the amplitudes' chi-square: how many standard deviations from nothing.
-    explained : float
-        Share of the squared residual that it takes away in the channel that it changes most.
-    channel : int
-        That channel.
+    change : callable
+        -> the channel that it changes most, and the share of the squared residual that it takes
+        away there.
     """
 
     located: LocatedEffect
@@ -48,8 +48,21 @@ class Candidate:
     gain: float
     evidence: float
     deviations: float
-    explained: float
-    channel: int
+    change: Callable[[], tuple[int, float]]
+
+    @property
+    def explained(self) -> float:
+        """Share of the squared residual that it takes away in the channel that it changes most."""
+        return self._change[1]
+
+    @property
+    def channel(self) -> int:
+        """The channel that it changes most."""
+        return self._change[0]
+
+    @cached_property
+    def _change(self) -> tuple[int, float]:
+        return self.change()
 
 
 class Scorer:
@@ -87,7 +100,7 @@ class Scorer:
         if not located.possible(self.comparison.constants):
             return None
         added = self.comparison.effect_columns(located)
-        size = np.sum(added**2, axis=0)
+        size = np.einsum("mk,mk->k", added, added)
         if not np.isfinite(size).all() or not np.any(size > 1e-12):
             return None
         found, kept = self._bounded(located, added)
@@ -96,8 +109,6 @@ class Scorer:
         mean = np.zeros(added.shape[1])
         covariance = np.zeros((added.shape[1],) * 2)
         mean[kept], covariance[np.ix_(kept, kept)] = found.mean, found.covariance
-        residual = self.comparison.target - self._columns @ found.base_mean - added @ mean
-        channel, explained = self._explained(residual, np.sum(added**2, axis=1))
         inner = covariance[np.ix_(kept, kept)]
         return Candidate(
             located=located,
@@ -106,8 +117,7 @@ class Scorer:
             gain=found.log_predictive - self.start.log_predictive,
             evidence=found.log_evidence - self.start.log_evidence - price,
             deviations=float(np.sqrt(max(mean[kept] @ np.linalg.solve(inner, mean[kept]), 0.0))),
-            explained=explained,
-            channel=channel,
+            change=lambda: self._changed(located, found.base_mean, mean),
         )
 
     def deviation(self, located: LocatedEffect) -> float | None:
@@ -132,9 +142,9 @@ class Scorer:
         """Posterior with amplitudes outside their bounds left out one after another."""
         kept = np.arange(added.shape[1])
         bounds = located.bounds(self.comparison.constants)
-        whole = self._sums.extended(added)
+        sums = self._sums.beside(added)
         while kept.size:
-            found = self._beside.added(whole, kept)
+            found = self._beside.added(sums, kept)
             mean = found.mean
             spread = np.sqrt(np.diag(found.covariance))
             lower, upper = bounds[kept].T
@@ -145,11 +155,16 @@ class Scorer:
             kept = np.delete(kept, worst)
         return None, kept
 
-    def _explained(self, residual: np.ndarray, acted_on: np.ndarray) -> tuple[int, float]:
+    def _changed(
+        self, located: LocatedEffect, base_mean: np.ndarray, mean: np.ndarray
+    ) -> tuple[int, float]:
         """Channel of those acted on whose squares fall most, and the share that falls.
 
         Other channels fall as well, where nominal values no longer stand in for the effect.
         """
+        added = self.comparison.effect_columns(located)
+        residual = self.comparison.target - self._columns @ base_mean - added @ mean
+        acted_on = np.sum(added**2, axis=1)
         rows = self.comparison.rows
         size = 2 * self.comparison.robot.n
         before = np.bincount(rows.channel, self._residual**2, minlength=size)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
+from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
@@ -25,6 +26,9 @@ from stiffopt.discovery.thresholds import (
     NAMED_EVIDENCE,
     NAMED_SHARE,
     RELIEF_SHARE,
+    SETTLED,
+    SETTLED_DEVIATIONS,
+    SETTLING_ROUNDS,
     STRICT_DEVIATIONS,
 )
 
@@ -74,6 +78,7 @@ def search(
     start: Sequence[LocatedEffect] = (),
     most: int = 3,
     free_bodies: bool = False,
+    about: Extension | None = None,
     report: Callable[[str], object] | None = None,
 ) -> SearchResult:
     """Name what is missing.
@@ -89,6 +94,8 @@ def search(
         Effects at most beside those.
     free_bodies : bool
         Whether nobody vouches for the nominal masses: the rigid model is re-identified then.
+    about : Extension, optional
+        Found otherwise: links move with it at first, and its effects are judged before others.
     report : callable, optional
         Called with a sentence at every step.
     """
@@ -106,6 +113,11 @@ def search(
         # All of it again: what a wrong mass had hidden is seen now.
         single = () if rigid.single is None else (rigid.single.located,)
         current, effects = _not_stated(comparison, [*start, *single], say)
+    if about is not None:
+        # Slopes about the nominal motion lead away from it.
+        comparison = comparison.moved(about)
+        current, effects = _fitted_jointly(comparison, [each.located for each in about.effects])
+        effects = _pruned(current, effects)
     together = AT_ONCE if free_bodies else 1
     current, effects, stopped = _forward(
         comparison, current, effects, catalogue, most, together, say, tell
@@ -133,7 +145,7 @@ def search(
         lost = [e for e in start if not any(e.same_place(other) for other in effects)]
         current, ranked = _restored(comparison, current, ranked, lost, catalogue, tell)
     selected = sorted((r.selected for r in ranked), key=lambda s: -s.loss)
-    fit = current.fit(tuple(s.located for s in selected))
+    current, fit = _relinearised(comparison, current, tuple(s.located for s in selected))
     return SearchResult(
         tuple(selected),
         current,
@@ -145,6 +157,23 @@ def search(
         target,
         stopped,
     )
+
+
+def _relinearised(
+    start: Comparison, current: Comparison, effects: Sequence[LocatedEffect]
+) -> tuple[Comparison, Fit]:
+    """Fit taken about itself until it stays: slopes about another motion bias what is found."""
+    fit = current.fit(effects)
+    for _ in range(SETTLING_ROUNDS if effects else 0):
+        again = start.about(fit, SETTLED)
+        if again.columns is current.columns:
+            break
+        before, fit, current = fit, again.fit(effects), again
+        moved = (fit.amplitudes() - before.amplitudes()) ** 2
+        own = np.diag(fit.posterior.covariance)[fit.nuisance :]
+        if np.all(moved < SETTLED_DEVIATIONS**2 * own):
+            break
+    return current, fit
 
 
 def paced(say: Callable[[str], object], seconds: float = 5.0) -> Callable[[str], object]:

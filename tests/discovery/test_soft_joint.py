@@ -1,0 +1,28 @@
+"""A joint so soft that its mode lies far from the nominal one, in sharp motion."""
+
+import pytest
+from simulated_sets import diagnosed, said, simulated
+
+from benchmarks.simulator import CaseSpec
+
+SOFT = CaseSpec(
+    robot="big6", seed=11, train=3, test=1, extrapolate=0, seconds=5.0, rate=250.0, substeps=8,
+    payload=10.0, smoothing=0.2, effects=(("stiffness_linear", 2, 1.5),),
+)  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_soft_joint_is_named_with_its_stiffness_and_its_mode():
+    found = diagnosed(SOFT)
+    assert [f.located.label for f in found.findings] == ["stiffness_linear of joint 2"], said(found)
+    factor = found.findings[0].parameters[0]
+    truth = simulated(SOFT).truth
+    stiffness = truth["effects"][0]["params"]["factor"] * truth["true_tolerances"]["k"][1]
+    # Which share of it is tolerance cannot be told: that is in the standard deviation.
+    assert abs(factor.value - stiffness) < 2.0 * factor.sd
+    assert factor.sd < 0.02 * stiffness
+    assert found.nrmse("test")[1] < 1.1
+    moved = [mode for mode in found.modes if mode.elsewhere]
+    assert moved
+    assert moved[0].found < moved[0].nominal
+    assert str(moved[0]).startswith(f"The mode of joint {moved[0].joint} lies at")
