@@ -47,28 +47,113 @@ def check_bounds(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[st
 def shortest_duration(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[float, str]:
     """A duration [s] that no motion can undercut, and the sentence why; (0, "") where none is seen.
 
-    Each joint on its own, from rest to rest: its way, its velocity and its acceleration limit.
+    Each joint on its own, from rest to rest: its way with turns at vias, its velocity, acceleration
+    and jerk limit; and the straight way of the tool at its speed limit.
     """
     if not (motion.start_fixed and motion.end_fixed) or problem.boundary_velocity is not None:
         return 0.0, ""
     limits = problem.active_limits
-    way = np.abs(motion.end - motion.start)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ramp = np.where(np.isinf(limits.acceleration), 0.0, limits.velocity / limits.acceleration)
-        needed = np.where(
-            way <= limits.velocity * ramp,
-            2.0 * np.sqrt(way / limits.acceleration),
-            way / limits.velocity + ramp,
+    # From an acceleration of its own a joint starts without any jerk.
+    still = problem.boundary_acceleration == "zero" and problem.path is None
+    still = still and not problem.plans_links
+    jerk = limits.jerk if still else np.full(problem.joints, np.inf)
+    needed, ways = np.zeros(problem.joints), np.zeros(problem.joints)
+    for j in range(problem.joints):
+        own = (float(limits.velocity[j]), float(limits.acceleration[j]))
+        pieces = _pieces(problem, motion, j)
+        ways[j] = sum(pieces)
+        straight = abs(float(motion.end[j] - motion.start[j]))
+        needed[j] = max(
+            rest_to_rest(straight, *own, float(jerk[j])),
+            # Where it turns at a via it stands, but need not be without acceleration.
+            sum(rest_to_rest(piece, *own, np.inf) for piece in pieces),
         )
-    needed = np.nan_to_num(needed, nan=0.0)
     j = int(np.argmax(needed))
+    length, speed = _tool_way(problem, motion), float(getattr(limits, "tool_speed", np.inf))
+    if length / speed > needed[j]:
+        return length / speed, (
+            f"The tool has to move by {1e3 * length:.4g} mm and needs {length / speed:.4g} s or "
+            f"more for that within its speed limit {speed:.4g} m/s; the duration allows "
+            f"{problem.duration[1]:.4g} s."
+        )
     unit = "m" if problem.robot.prismatic[j] else "rad"
+    by_jerk = f" and its jerk limit {jerk[j]:.4g} {unit}/s^3" if np.isfinite(jerk[j]) else ""
     return float(needed[j]), (
-        f"Joint {j + 1} has to move by {way[j]:.4g} {unit} and needs {needed[j]:.4g} s or more for "
-        f"that within its velocity limit {limits.velocity[j]:.4g} {unit}/s and its acceleration "
-        f"limit {limits.acceleration[j]:.4g} {unit}/s^2; the duration allows "
+        f"Joint {j + 1} has to move by {ways[j]:.4g} {unit} and needs {needed[j]:.4g} s or more "
+        f"for that within its velocity limit {limits.velocity[j]:.4g} {unit}/s and its "
+        f"acceleration limit {limits.acceleration[j]:.4g} {unit}/s^2{by_jerk}; the duration allows "
         f"{problem.duration[1]:.4g} s."
     )
+
+
+def rest_to_rest(way: float, velocity: float, acceleration: float, jerk: float) -> float:
+    """Shortest time [s] of one joint over a way [rad] between two rests; 0 without any limit.
+
+    >>> rest_to_rest(2.0, 1.0, np.inf, np.inf), rest_to_rest(1.0, np.inf, 4.0, np.inf)
+    (2.0, 1.0)
+    >>> rest_to_rest(2.0, np.inf, np.inf, 32.0), rest_to_rest(3.0, 1.0, 2.0, 4.0)
+    (1.2599..., 4.0)
+    """
+
+    def rise(speed: float) -> float:
+        """Time from rest to a speed and to no acceleration."""
+        if np.isinf(jerk):
+            return speed / acceleration
+        if speed * jerk <= acceleration * acceleration:
+            return float(2.0 * np.sqrt(speed / jerk))
+        return speed / acceleration + acceleration / jerk
+
+    if way <= 0.0:
+        return 0.0
+    if np.isfinite(velocity) and velocity * rise(velocity) <= way:
+        return way / velocity + rise(velocity)
+    # Rises to a speed s and falls at once: the way is s rise(s), which grows with s.
+    if np.isinf(jerk):
+        return 0.0 if np.isinf(acceleration) else float(2.0 * np.sqrt(way / acceleration))
+    by_jerk = float(np.cbrt(way * way * jerk / 4.0))
+    if by_jerk * jerk <= acceleration * acceleration:
+        return 2.0 * rise(by_jerk)
+    # s^2 / a + s a / j = way
+    ramp = acceleration * acceleration / jerk
+    speed = 0.5 * (np.sqrt(ramp * ramp + 4.0 * acceleration * way) - ramp)
+    return float(2.0 * rise(float(speed)))
+
+
+def _pieces(problem: TrajectoryProblem, motion: ResolvedMotion, joint: int) -> list[float]:
+    """Ways of a joint between its turns, at least: vias may be missed by their tolerance."""
+    low = high = float(motion.start[joint])
+    places = [(low, high)]
+    for via in () if problem.path is not None or problem.plans_links else problem.vias:
+        if via.joints is not None:
+            middle = float(via.joints[joint])
+            places.append((middle - via.tolerance, middle + via.tolerance))
+    places.append((float(motion.end[joint]),) * 2)
+    # The least way through all intervals in order: move no further than each asks for.
+    at, pieces, direction = places[0][0], [0.0], 0
+    for low, high in places[1:]:
+        step = min(max(at, low), high) - at
+        if step and direction and np.sign(step) != direction:
+            pieces.append(0.0)
+        if step:
+            direction = int(np.sign(step))
+            pieces[-1] += abs(step)
+        at += step
+    return pieces
+
+
+def _tool_way(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
+    """Straight way [m] of the tool through what is given of its positions, at least."""
+    if problem.plans_links or not np.isfinite(problem.active_limits.tool_speed):
+        return 0.0
+    poses = [motion.start, motion.end]
+    bodies = problem.robot.rigid_bodies()
+    ends = [bodies.pose(problem.robot.tool, angles)[0] for angles in poses]
+    way, at, missed = 0.0, ends[0], 0.0
+    for via in problem.vias:
+        if via.position is not None:
+            way += max(float(np.linalg.norm(via.position - at)) - missed - via.tolerance, 0.0)
+            at, missed = via.position, via.tolerance
+    return way + max(float(np.linalg.norm(ends[1] - at)) - missed, 0.0)
 
 
 def _endless(objective: Objective) -> Bound:

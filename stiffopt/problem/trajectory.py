@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 # Outside these a number is a slip, and it would overflow on the way.
 _FAR = 1e3
 _DURATIONS = (1e-3, 600.0)
+_NO_JERK = (
+    "The robot's own jerk limit is not kept: along a fixed path the acceleration jumps. Give poses "
+    "instead of motion.path to have it kept."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,6 +183,7 @@ class TrajectoryProblem:
         _check_duration(self.duration)
         if self.path is not None:
             object.__setattr__(self, "path", np.asarray(self.path, dtype=float))
+            self._let_go_of_jerk()
         object.__setattr__(self, "process_force", np.asarray(self.process_force, dtype=float))
         _check_vector("process_force", self.process_force)
         if self.boundary_acceleration not in ("zero", "free"):
@@ -191,6 +196,16 @@ class TrajectoryProblem:
             self._choose_objective()
         for number, objective in enumerate(self.objectives, start=1):
             self._check_objective(objective, f"minimise[{number}]")
+
+    def _let_go_of_jerk(self) -> None:
+        """On a fixed path the robot's own jerk limit is left out, where none was asked for."""
+        own = Limits.of(self.robot)
+        jerk = self.active_limits.jerk
+        if np.any(np.isfinite(jerk)) and np.array_equal(jerk, own.jerk):
+            free = np.full(self.joints, np.inf)
+            limits = Limits({**self.active_limits.values, "jerk": free})
+            object.__setattr__(self, "limits", limits)
+            object.__setattr__(self, "remarks", (*self.remarks, _NO_JERK))
 
     def _choose_objective(self) -> None:
         """What a deflection problem minimises where nothing is said."""

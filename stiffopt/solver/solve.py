@@ -27,9 +27,8 @@ from stiffopt.problem.files import LoadedProblem
 from stiffopt.problem.formulation import Scales
 from stiffopt.problem.resolve import ResolvedMotion, resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
-from stiffopt.result.assessment import Assessment
 from stiffopt.result.provenance import inputs_hash, versions
-from stiffopt.result.solution import Baseline, Solution, SolverRecord
+from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.guess import initial_guess
 from stiffopt.solver.refinement import refined, stopped
@@ -42,11 +41,16 @@ from stiffopt.solver.stages import (
     run_stages,
     stages,
 )
+from stiffopt.solver.unsolved import (
+    as_good_as_can_be,
+    below_the_base,
+    hopeless,
+    only_baseline,
+    pinned_by_a_bound,
+    solver_record,
+)
 from stiffopt.solver.verdict import beyond_limits, verdict
 from stiffopt.transcription.ocp import Guess
-
-# A tool this far below the base's origin is told [m].
-_BELOW = 0.01
 
 
 def solve(
@@ -124,10 +128,12 @@ def solve_keeping(
     needed, why = shortest_duration(problem, motion)
     kept = None
     if problem.duration[1] < needed:
-        solution = _hopeless(run, beside, notes, why)
+        solution = hopeless(run, beside, notes, why)
     elif problem.is_shaped:
         inner = functools.partial(solve, progress=progress, throw=False)
         solution = solve_shaped(problem, motion, beside, notes, inner)
+    elif (pinned := pinned_by_a_bound(run, beside)) is not None and not start:
+        solution = as_good_as_can_be(run, beside, notes, *pinned)
     else:
         rival = better_baseline(problem, beside)
         try:
@@ -139,7 +145,7 @@ def solve_keeping(
             kept = (run, outcome)
             solution = solution_of(run, outcome, beside, notes, compare=compare)
         except KeyboardInterrupt:
-            solution = _only_baseline(run, beside, notes)
+            solution = only_baseline(run, beside, notes)
     if simulate:
         solution = with_simulation(problem, solution, progress, motion)
     return solution, kept
@@ -245,8 +251,8 @@ def solution_of(
         objective=value,
         baselines=beside,
         ratio_to_better_baseline=ratio,
-        solver=_record(run, len(outcome.transcription.intervals)),
-        notes=(*notes, *run.notes, *_below_the_base(problem, assessment)),
+        solver=solver_record(run, len(outcome.transcription.intervals)),
+        notes=(*notes, *run.notes, *below_the_base(problem, assessment)),
         inputs_hash=inputs_hash(problem),
         versions=versions(),
         strict_baseline=strict,
@@ -258,76 +264,9 @@ def solution_of(
     )
 
 
-def _below_the_base(problem: TrajectoryProblem, assessment: Assessment) -> tuple[str, ...]:
-    """A warning where the tool goes lower than the base stands, along the base's z."""
-    lowest = float(assessment.tool[:, 2].min())
-    if lowest > -_BELOW or problem.stated_cell.floor is not None:
-        return ()
-    return (
-        f"The tool goes to {-1e3 * lowest:.0f} mm below the origin of the base (along its z axis)."
-        " Whether there is a floor or a table is not known: state cell.floor to have it checked.",
-    )
-
-
 def _strict(run: SolveRun, beside: dict[str, Baseline]) -> Baseline | None:
     """The baseline that keeps every limit; not looked for any more after Ctrl-C."""
     try:
         return strict_baseline(run.problem, run.motion, beside)
     except KeyboardInterrupt:
         return None
-
-
-def _hopeless(
-    run: SolveRun, beside: dict[str, Baseline], notes: tuple[str, ...], why: str
-) -> Solution:
-    """No solve where the kinematics of one joint already rule every motion out."""
-    return Solution(
-        status=SolveStatus.INFEASIBLE,
-        message=f"No motion can be that fast. {why} Give a longer duration or raise that limit.",
-        trajectory=None,
-        assessment=None,
-        objective=None,
-        baselines=beside,
-        ratio_to_better_baseline=None,
-        solver=_record(run, 0),
-        notes=notes,
-        inputs_hash=inputs_hash(run.problem),
-        versions=versions(),
-    )
-
-
-def _only_baseline(run: SolveRun, beside: dict[str, Baseline], notes: tuple[str, ...]) -> Solution:
-    """The better baseline, where Ctrl-C came before the optimiser had a motion of its own."""
-    problem = run.problem
-    made = [b for b in beside.values() if b.trajectory is not None]
-    kept = better_baseline(problem, beside) or next(iter(made), None)
-    if kept is None or kept.trajectory is None or kept.assessment is None:
-        raise KeyboardInterrupt
-    worst = kept.assessment.worst_violation
-    keeps = kept.assessment.feasible(CERTIFIED)
-    state = "It keeps all limits." if keeps else f"It exceeds {worst.describe()}."
-    return Solution(
-        status=SolveStatus.INTERRUPTED,
-        message="Stopped by the user before the optimiser had a motion of its own. What was kept "
-        f"is the {kept.name} motion, with which it would have been compared. {state}",
-        trajectory=kept.trajectory,
-        assessment=kept.assessment,
-        objective=objective_value(problem, kept.assessment),
-        baselines=beside,
-        ratio_to_better_baseline=None,
-        solver=_record(run, 0),
-        notes=(*notes, *run.notes),
-        inputs_hash=inputs_hash(problem),
-        versions=versions(),
-    )
-
-
-def _record(run: SolveRun, intervals: int) -> SolverRecord:
-    return SolverRecord(
-        iterations=run.iterations,
-        build_s=run.build_s,
-        solve_s=run.solve_s,
-        transcription=run.problem.method.transcription,
-        intervals=intervals,
-        homotopy=tuple(run.homotopy),
-    )

@@ -174,3 +174,17 @@ def test_values_are_those_of_the_exact_law(torque, tmp_path):
 
     slope = K1 if abs(torque) < 7 else 1.2e4 if abs(torque) < 25 else 1.6e4
     assert stiffness_at(load(tmp_path, "pendulum"), 1, torque) == pytest.approx(slope, rel=1e-12)
+
+
+def test_stiffness_that_a_given_pose_pins_is_told_before_a_solve(tmp_path):
+    """At rest both poses are on the reducer's first slope, and so is the whole slow motion."""
+    goal = 'objective = "joint_stiffness"'
+    start, end = "{ joints = [-1.0] }", "{ joints = [-0.9] }"
+    problem = load(tmp_path, "pendulum", start=start, end=end, duration="2.0", minimise=goal)
+    solution = solve(problem)
+    assert solution.status is SolveStatus.OPTIMAL
+    assert solution.solver.iterations == 0
+    assert "no motion is better by more than 0.1%" in solution.message
+    assert f"cannot exceed {K1:.4g} N m/rad" in solution.message
+    assert solution.objective.value == pytest.approx(K1, rel=1e-3)
+    assert solution.ratio_to_better_baseline == 1.0

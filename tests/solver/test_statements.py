@@ -118,3 +118,13 @@ def test_a_jerk_limit_on_a_fixed_path_names_the_way_out(tmp_path):
         solve(replace(problem, path=path), simulate=False)
     without = load(tmp_path, "planar", limits='jerk = "none"')
     assert solve(replace(without, path=path), simulate=False).status is SolveStatus.OPTIMAL
+
+
+def test_a_robots_own_jerk_limit_is_let_go_on_a_fixed_path(tmp_path):
+    problem = load(tmp_path, "planar", limits='jerk = "none"')
+    robot = replace(problem.robot, jerk_max=np.array([400.0, 400.0]))
+    path = np.linspace(problem.start.joints, problem.end.joints, 5)
+    own = replace(problem, robot=robot, limits=None, path=path)
+    solution = solve(own, simulate=False)
+    assert solution.status is SolveStatus.OPTIMAL
+    assert any("own jerk limit is not kept" in note for note in solution.notes)

@@ -1,0 +1,142 @@
+"""Solutions that need no optimum: nothing can be that fast, nothing can be better, Ctrl-C."""
+
+from __future__ import annotations
+
+from stiffopt.baseline.baselines import better_baseline
+from stiffopt.certificate.objective_value import is_maximised, objective_value
+from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.problem.bounds import find_bounds
+from stiffopt.problem.objective import Bound
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import Assessment
+from stiffopt.result.provenance import inputs_hash, versions
+from stiffopt.result.solution import Baseline, Solution, SolverRecord
+from stiffopt.result.status import SolveStatus
+from stiffopt.solver.stages import SolveRun
+from stiffopt.solver.verdict import Verdict, beyond_limits
+
+# Distance from a bound at which an objective is at it.
+_AT = 1e-3
+# A tool this far below the base's origin is told [m].
+_BELOW = 0.01
+
+
+def hopeless(
+    run: SolveRun, beside: dict[str, Baseline], notes: tuple[str, ...], why: str
+) -> Solution:
+    """No solve where the kinematics of one joint already rule every motion out."""
+    return Solution(
+        status=SolveStatus.INFEASIBLE,
+        message=f"No motion can be that fast. {why} Give a longer duration or raise that limit.",
+        trajectory=None,
+        assessment=None,
+        objective=None,
+        baselines=beside,
+        ratio_to_better_baseline=None,
+        solver=solver_record(run, 0),
+        notes=notes,
+        inputs_hash=inputs_hash(run.problem),
+        versions=versions(),
+    )
+
+
+def pinned_by_a_bound(run: SolveRun, beside: dict[str, Baseline]) -> tuple[Baseline, Bound] | None:
+    """A baseline that keeps all limits and reaches what no motion can get past, and that bound."""
+    problem = run.problem
+    bounds = find_bounds(problem, run.motion) if len(problem.objectives) == 1 else ()
+    if not bounds or any(bound.degenerate for bound in bounds):
+        return None
+    sign = -1.0 if is_maximised(problem) else 1.0
+    bound = max(bounds, key=lambda each: sign * each.value)
+    for baseline in beside.values():
+        motion, value = baseline.assessment, baseline.objective
+        kept = baseline.feasible and motion is not None and motion.feasible(CERTIFIED)
+        if kept and value is not None and sign * (value - bound.value) <= _AT * abs(bound.value):
+            return baseline, bound
+    return None
+
+
+def as_good_as_can_be(
+    run: SolveRun,
+    beside: dict[str, Baseline],
+    notes: tuple[str, ...],
+    best: Baseline,
+    bound: Bound,
+) -> Solution:
+    """No solve where a given pose pins the objective to what a baseline has already."""
+    problem, motion = run.problem, best.assessment
+    assert motion is not None
+    end = beyond_limits(
+        problem,
+        motion,
+        Verdict(
+            SolveStatus.OPTIMAL,
+            f"The {best.name} motion is the answer: it keeps every limit, and no motion is better "
+            f"by more than {_AT:.1%}. {bound.text} To gain anything, choose other poses or another "
+            "objective.",
+        ),
+    )
+    return Solution(
+        status=end.status,
+        message=end.message,
+        trajectory=best.trajectory,
+        assessment=motion,
+        objective=objective_value(problem, motion),
+        baselines=beside,
+        ratio_to_better_baseline=1.0,
+        solver=solver_record(run, 0),
+        notes=(*notes, *below_the_base(problem, motion)),
+        inputs_hash=inputs_hash(problem),
+        versions=versions(),
+        strict_baseline=best,
+        ratio_to_strict_baseline=1.0,
+    )
+
+
+def only_baseline(run: SolveRun, beside: dict[str, Baseline], notes: tuple[str, ...]) -> Solution:
+    """The better baseline, where Ctrl-C came before the optimiser had a motion of its own."""
+    problem = run.problem
+    made = [b for b in beside.values() if b.trajectory is not None]
+    kept = better_baseline(problem, beside) or next(iter(made), None)
+    if kept is None or kept.trajectory is None or kept.assessment is None:
+        raise KeyboardInterrupt
+    worst = kept.assessment.worst_violation
+    keeps = kept.assessment.feasible(CERTIFIED)
+    state = "It keeps all limits." if keeps else f"It exceeds {worst.describe()}."
+    return Solution(
+        status=SolveStatus.INTERRUPTED,
+        message="Stopped by the user before the optimiser had a motion of its own. What was kept "
+        f"is the {kept.name} motion, with which it would have been compared. {state}",
+        trajectory=kept.trajectory,
+        assessment=kept.assessment,
+        objective=objective_value(problem, kept.assessment),
+        baselines=beside,
+        ratio_to_better_baseline=None,
+        solver=solver_record(run, 0),
+        notes=(*notes, *run.notes),
+        inputs_hash=inputs_hash(problem),
+        versions=versions(),
+    )
+
+
+def below_the_base(problem: TrajectoryProblem, assessment: Assessment) -> tuple[str, ...]:
+    """A warning where the tool goes lower than the base stands, along the base's z."""
+    lowest = float(assessment.tool[:, 2].min())
+    if lowest > -_BELOW or problem.stated_cell.floor is not None:
+        return ()
+    return (
+        f"The tool goes to {-1e3 * lowest:.0f} mm below the origin of the base (along its z axis)."
+        " Whether there is a floor or a table is not known: state cell.floor to have it checked.",
+    )
+
+
+def solver_record(run: SolveRun, intervals: int) -> SolverRecord:
+    """What the solver did in a run."""
+    return SolverRecord(
+        iterations=run.iterations,
+        build_s=run.build_s,
+        solve_s=run.solve_s,
+        transcription=run.problem.method.transcription,
+        intervals=intervals,
+        homotopy=tuple(run.homotopy),
+    )
