@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 import pytest
-from small_arms import write_problem, write_robot
+from small_arms import ROOT, write_problem, write_robot
 
 from stiffopt.cli import run
 from stiffopt.result.store import trajectory_columns
@@ -221,3 +221,21 @@ def test_interrupt_keeps_the_best_motion(tmp_path):
     assert {len(row) for row in rows} == {len(trajectory_columns(3))}
     assert (out / "report.html").read_text().rstrip().endswith("</html>")
     assert sorted(p.name for p in out.iterdir()) == RESULT
+
+
+def test_entries_can_be_changed_on_every_command_that_reads_a_file(tmp_path, capsys):
+    """Beside solve, preload and diagnose."""
+    shipped = ROOT / "problems" / "recordings" / "two_link_friction"
+    assert run(["recording", "check", str(shipped), "--set", "runs[1].role='test'"]) == 0
+    assert "train_1.npz (test)" in capsys.readouterr().out
+    robot = str(ROOT / "problems" / "two_link_robot.toml")
+    assert run(["modes", robot, "--at", "0.1 0.2", "--set", "joint[1].damping=3.0"]) == 0
+    assert "damping of joint 2 is assumed" in capsys.readouterr().out
+    change = "joint[1].torque_max=1000.0"
+    assert run(["stiffness", robot, "--out", str(tmp_path / "s"), "--set", change]) == 0
+    capsys.readouterr()
+    assert run(["modes", str(shipped / "robot.urdf"), "--at", "0 0", "--set", "a=1"]) == 2
+    assert "a URDF has no entries" in capsys.readouterr().err
+    (tmp_path / "static.toml").write_text('schema = 1\nkind = "static"\n')
+    assert run(["identify-stiffness", str(tmp_path), "--set", "nonsense"]) == 2
+    assert "needs KEY=VALUE" in capsys.readouterr().err

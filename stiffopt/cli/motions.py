@@ -25,6 +25,7 @@ def solve(
     out: Out | None = None,
     model: Path | None = None,
     effects: Path | None = None,
+    guess: Path | None = None,
     changes: Changes = (),
     open_report: Open = False,
     quiet: bool = False,
@@ -46,6 +47,8 @@ def solve(
         compare.
     effects
         Python file of the effects in it that are not of the catalogue.
+    guess
+        Folder of an earlier solve of the same arm, whose motion is begun from.
     quiet
         No progress display.
     """
@@ -62,6 +65,7 @@ def solve(
     )
     from stiffopt.solver.simulation import with_simulation
     from stiffopt.solver.solve import solve as optimise
+    from stiffopt.solver.stored import read_guess
 
     loaded = load_problem(problem, changes)
     stated = loaded.problem
@@ -70,11 +74,16 @@ def solve(
         from stiffopt.discovery.extended.planner_solve import read_model, solve_extended
 
         found = read_model(model, effects)
+    if guess is not None and found is not None:
+        raise InputError("--guess is of a solve without --model: leave one of them out.")
+    begin = None if guess is None else read_guess(guess, stated)
     folder = out or Path("out") / problem.stem
     with output_folder(folder, "solve", maybe=(TRAJECTORY_FILE,)) as stage:
         with _progress(stated, quiet) as progress, _about(problem):
             if found is None:
-                solution = optimise(stated, progress=progress, throw=False, simulate=True)
+                solution = optimise(
+                    stated, progress=progress, guess=begin, throw=False, simulate=True
+                )
             else:
                 loop = solve_extended(stated, found, progress=progress)
                 stated = loop.problem
@@ -178,7 +187,13 @@ def verify(problems: Path, *, quiet: bool = False) -> int:
 
 
 @app.command
-def stiffness(robot: str, *, out: Out | None = None, drivetrain: Path | None = None) -> int:
+def stiffness(
+    robot: str,
+    *,
+    out: Out | None = None,
+    drivetrain: Path | None = None,
+    changes: Changes = (),
+) -> int:
     """Joint stiffness against torque, with and without contacts: stiffness.csv, plots and a page.
 
     Parameters
@@ -194,7 +209,7 @@ def stiffness(robot: str, *, out: Out | None = None, drivetrain: Path | None = N
     from stiffopt.robot.files import load_robot
     from stiffopt.robot.stiffness_study import stiffness_study, write_stiffness_csv
 
-    arm = load_robot(robot, drivetrain)
+    arm = load_robot(robot, drivetrain, changes=changes)
     folder = out or Path("out") / f"stiffness_{arm.name}"
     with output_folder(folder, "stiffness") as stage:
         rows = stiffness_study(arm)

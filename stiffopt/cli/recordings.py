@@ -93,7 +93,13 @@ def diagnose(
 
 
 @recording.command
-def check(recordings: Path, *, effects: Path | None = None, json: bool = False) -> int:
+def check(
+    recordings: Path,
+    *,
+    effects: Path | None = None,
+    json: bool = False,
+    changes: Changes = (),
+) -> int:
     """Say what a recording set holds, what it lacks and what can be identified with it.
 
     Ends with 2 where `stiffopt diagnose` (of a static set: `identify-stiffness`) cannot use it, and
@@ -120,13 +126,13 @@ def check(recordings: Path, *, effects: Path | None = None, json: bool = False) 
     from stiffopt.report import recording_check as terminal
 
     if is_static(recordings):
-        facts = terminal.static_facts(load_static_set(recordings))
+        facts = terminal.static_facts(load_static_set(recordings, changes))
         if json:
             print_json(facts)
         else:
             terminal.print_static_check(facts)
         return 0
-    loaded = load_recordings(recordings)
+    loaded = load_recordings(recordings, changes)
     report = check_recordings(loaded)
     every = (*CATALOGUE, *(load_effects(effects) if effects else ()))
     found = effect_checks(loaded, report.facts, report.training_runs, every)
@@ -148,7 +154,7 @@ def check(recordings: Path, *, effects: Path | None = None, json: bool = False) 
 
 
 @app.command(name="identify-stiffness")
-def identify_stiffness(recordings: Path, *, out: Out | None = None) -> int:
+def identify_stiffness(recordings: Path, *, out: Out | None = None, changes: Changes = ()) -> int:
     """Find the joint stiffness of an arm from deflections measured under known forces.
 
     Writes stiffness.json, stiffness.csv, residuals.csv and report.html.
@@ -166,7 +172,7 @@ def identify_stiffness(recordings: Path, *, out: Out | None = None) -> int:
     from stiffopt.report.identification.page import write_static_report
     from stiffopt.report.identification.terminal import print_static
 
-    recorded = load_static_set(recordings)
+    recorded = load_static_set(recordings, changes)
     folder = out or Path("out") / recorded.path.resolve().parent.name
     with output_folder(folder, "identify-stiffness") as stage:
         result = identify(recorded)

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from stiffopt.cli.base import Open, Out, app, number_or_text, show_report
+from stiffopt.cli.base import Changes, Open, Out, app, number_or_text, show_report
 from stiffopt.errors import InputError
 from stiffopt.folders import output_folder
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
 
     from stiffopt.robot.robot import Robot
@@ -122,6 +124,7 @@ def modes(
         None
     ),
     out: Out | None = None,
+    changes: Changes = (),
 ) -> int:
     """Frequencies, damping and shapes of an arm's small swings about poses at rest.
 
@@ -141,6 +144,8 @@ def modes(
     if path.is_dir():
         if at is not None:
             raise InputError("a folder of a solve has its own poses: leave --at out.")
+        if changes:
+            raise InputError("a folder of a solve is what was solved: --set is of files.")
         stored = read_result(path)
         rows = modes_along(stored.problem.robot, stored.optimised.time, stored.optimised.position)
         folder = out or path
@@ -150,12 +155,14 @@ def modes(
         print_modes([rows[0], rows[len(rows) // 2], rows[-1]])
         print(f"Wrote {folder / 'modes.csv'} and {folder / figure.name}")
         return 0
-    robot, poses = _poses(source, at)
+    robot, poses = _poses(source, at, changes)
     print_modes(modes_at(robot, poses))
     return 0
 
 
-def _poses(source: str, at: str | None) -> tuple[Robot, dict[str, np.ndarray]]:
+def _poses(
+    source: str, at: str | None, changes: Sequence[str]
+) -> tuple[Robot, dict[str, np.ndarray]]:
     """Robot and named joint angles: of a problem file, or of a robot at --at."""
     from stiffopt.files import load_toml
     from stiffopt.problem.files import load_problem
@@ -164,13 +171,13 @@ def _poses(source: str, at: str | None) -> tuple[Robot, dict[str, np.ndarray]]:
 
     path = Path(source)
     if path.suffix == ".toml" and path.is_file() and load_toml(path).get("kind") == "trajectory":
-        problem = load_problem(path).problem
+        problem = load_problem(path, changes).problem
         if at is not None:
             return problem.robot, {at: _pose(at, problem.robot)}
         motion = resolve(problem)
         vias = {f"via {k}": angles for k, angles in enumerate(motion.vias, start=1)}
         return problem.robot, {"start": motion.start, **vias, "end": motion.end}
-    robot = load_robot(source)
+    robot = load_robot(source, changes=changes)
     if at is None:
         names = ", ".join(robot.joint_names)
         raise InputError(f"modes belong to a pose: give --at with an angle for each of {names}.")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from stiffopt.errors import InputFileError
-from stiffopt.files import check_header, load_toml, read_table, validate
+from stiffopt.files import check_header, load_toml, read_table, validate, with_changes
 from stiffopt.recording.nominal_files import inside, load_arm, per_joint
 from stiffopt.recording.recorded_arm import RecordedArm
 from stiffopt.recording.schema import StaticFile
@@ -52,8 +53,8 @@ def is_static(path: str | os.PathLike[str]) -> bool:
     return path.name == FILE or (path.is_file() and load_toml(path).get("kind") == "static")
 
 
-def load_static_set(path: str | os.PathLike[str]) -> StaticSet:
-    """Static set of a folder or of its static.toml.
+def load_static_set(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> StaticSet:
+    """Static set of a folder or of its static.toml, entries changed as `--set` says.
 
     Raises
     ------
@@ -63,7 +64,7 @@ def load_static_set(path: str | os.PathLike[str]) -> StaticSet:
     path = Path(path)
     if path.is_dir():
         path = path / FILE
-    data = load_toml(path)
+    data = with_changes(load_toml(path), changes, path)
     check_header(data, path, "static")
     document = validate(StaticFile, data, path)
     n = len(document.joints)

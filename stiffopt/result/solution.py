@@ -107,6 +107,19 @@ class Solution(Shown):
     simulation: Simulation | None = None
     compensation: Compensation | None = None
 
+    @property
+    def guess(self) -> Assessment:
+        """Motion that another solve can begin from: `solve(problem, guess=solution.guess)`.
+
+        Raises
+        ------
+        ValueError
+            No motion was found.
+        """
+        if self.assessment is None:
+            raise ValueError("no motion was found that another solve could begin from.")
+        return self.assessment
+
     def facts(self) -> dict[str, str]:
         """Status, objective, duration and ratio in a few words."""
         found = {"status": str(self.status)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from importlib import resources
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 from stiffopt.declaration import bounds, unit
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError, InputFileError, nearest
-from stiffopt.files import check_header, load_toml, validate
+from stiffopt.files import check_header, load_toml, validate, with_changes
 from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.element_sections import Cited
 from stiffopt.robot.elements import ElementBuilder, located
@@ -44,6 +44,7 @@ def load_robot(
     drivetrain: str | os.PathLike[str] | None = None,
     *,
     keep: Collection[str] = (),
+    changes: Sequence[str] = (),
 ) -> Robot:
     """Robot by name or from files.
 
@@ -56,6 +57,8 @@ def load_robot(
         it, the joints of a URDF are rigid and its limits are the only ones.
     keep : collection of str
         Joints that move also where they do not lead to the tool.
+    changes : sequence of str
+        Entries of the TOML to be changed, such as "joint[1].damping=3".
 
     Returns
     -------
@@ -78,10 +81,12 @@ def load_robot(
         )
     bare = path.suffix.lower() in (".urdf", ".xml")
     if bare and drivetrain is None:
+        if changes:
+            raise InputFileError(path, "--set", "a URDF has no entries to change: give a TOML.")
         document = RobotFile(schema=1, kind="robot", name=path.stem)
         return _assemble(document, path, path, keep)
     own = Path(drivetrain) if bare and drivetrain is not None else path
-    data = load_toml(own)
+    data = with_changes(load_toml(own), changes, own)
     with _own_catalogue(data, own):
         document = _document(data, own)
         if not bare and document.urdf is None:

@@ -21,7 +21,7 @@ from stiffopt.certificate.objective_value import (
     objective_value,
 )
 from stiffopt.certificate.violations import CERTIFIED
-from stiffopt.errors import NoSolutionFound
+from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.files import LoadedProblem
 from stiffopt.problem.formulation import Scales
@@ -30,7 +30,7 @@ from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver.guess import initial_guess
+from stiffopt.solver.guess import guess_along, initial_guess
 from stiffopt.solver.refinement import refined, stopped
 from stiffopt.solver.shaping import solve_shaped
 from stiffopt.solver.simulation import check_simulation, with_simulation
@@ -57,7 +57,7 @@ def solve(
     problem: TrajectoryProblem | LoadedProblem,
     *,
     progress: ProgressCallback | None = None,
-    guess: Guess | None = None,
+    guess: Guess | Assessment | None = None,
     throw: bool = True,
     simulate: bool = False,
     start: int = 0,
@@ -70,8 +70,8 @@ def solve(
         The second as `load_problem` returns it.
     progress : callable, optional
         Called with a `SolveProgress` in every iteration.
-    guess : Guess, optional
-        Where to start; toppra's motion if left out.
+    guess : Guess or Assessment, optional
+        Where to start, such as `guess` of an earlier solution; toppra's motion if left out.
     throw : bool
         Raise `NoSolutionFound` unless the status is optimal, acceptable or interrupted.
     simulate : bool
@@ -104,7 +104,7 @@ def solve_keeping(
     problem: TrajectoryProblem,
     *,
     progress: ProgressCallback | None = None,
-    guess: Guess | None = None,
+    guess: Guess | Assessment | None = None,
     simulate: bool = False,
     start: int = 0,
     compare: bool = True,
@@ -130,14 +130,14 @@ def solve_keeping(
     if problem.duration[1] < needed:
         solution = hopeless(run, beside, notes, why)
     elif problem.is_shaped:
-        inner = functools.partial(solve, progress=progress, throw=False)
+        inner = functools.partial(solve, progress=progress, guess=guess, throw=False)
         solution = solve_shaped(problem, motion, beside, notes, inner)
     elif (pinned := pinned_by_a_bound(run, beside)) is not None and not start:
         solution = as_good_as_can_be(run, beside, notes, *pinned)
     else:
         rival = better_baseline(problem, beside)
         try:
-            begin = guess or initial_guess(problem, motion, beside)
+            begin = _begin(problem, motion, beside, guess)
             if start:
                 random = np.random.default_rng([problem.method.seed, start])
                 begin = _perturbed(begin, problem, random)
@@ -149,6 +149,25 @@ def solve_keeping(
     if simulate:
         solution = with_simulation(problem, solution, progress, motion)
     return solution, kept
+
+
+def _begin(
+    problem: TrajectoryProblem,
+    motion: ResolvedMotion,
+    beside: dict[str, Baseline],
+    guess: Guess | Assessment | None,
+) -> Guess:
+    """The guess itself, of an earlier motion, or of a baseline."""
+    if guess is None:
+        return initial_guess(problem, motion, beside)
+    if isinstance(guess, Guess):
+        return guess
+    if guess.position.shape[1] != problem.joints:
+        raise ProblemError(
+            f"the guess has {guess.position.shape[1]} joints, {problem.robot.name} has"
+            f" {problem.joints}. Take one of the same arm."
+        )
+    return guess_along(problem, motion, guess)
 
 
 def notes_before(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[str, ...]:

@@ -6,15 +6,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from stiffopt.baseline.baselines import baselines
+from stiffopt.certificate.assess import assess
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.errors import InputFileError
 from stiffopt.files import read_table
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.resolve import ResolvedMotion, resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
-from stiffopt.result.assessment import PeakRms
+from stiffopt.result.assessment import Assessment, PeakRms
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.store import RESULT_FILE, TRAJECTORY_FILE, read_document
 from stiffopt.solver.simulation import PlannedMotion, rivals
@@ -111,3 +113,28 @@ def _trajectory(path: Path, joints: int) -> tuple[np.ndarray, ...]:
     if time[0] != 0.0 or not np.all(np.diff(time) > 0.0):
         raise InputFileError(path, "t", "the times must begin at 0 and increase.")
     return time, *(np.array([table[name] for name in own]).T for own in names)
+
+
+def read_guess(folder: Path, problem: TrajectoryProblem) -> Assessment:
+    """Motion of a result folder, of this problem or another of the same arm, to begin a solve from.
+
+    Raises
+    ------
+    InputFileError
+        The folder has no motion of as many joints.
+    """
+    time, position, velocity, _ = _trajectory(folder / TRAJECTORY_FILE, problem.joints)
+    return assess(problem, _TableMotion(time, position, velocity), times=time)
+
+
+class _TableMotion:
+    """A motion between the rows of a table, by cubic polynomials."""
+
+    def __init__(self, time: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> None:
+        self._orders = [CubicHermiteSpline(time, position, velocity)]
+        for _ in range(3):
+            self._orders.append(self._orders[-1].derivative())
+        self.duration = float(time[-1])
+
+    def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
+        return np.asarray(self._orders[order](t))
