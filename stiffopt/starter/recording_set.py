@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
+from stiffopt.recording.readers.read import is_messages
 from stiffopt.robot.files import load_robot
 from stiffopt.starter.guessing import FACTORS, GuessedColumns, guess, with_time
+from stiffopt.starter.messages import read_message_table
 from stiffopt.starter.tables import read_any_table
 from stiffopt.starter.writing import listed, quoted, write_new
 
@@ -64,7 +66,12 @@ def start_recording_set(
         raise InputFileError(folder / "recordings.toml", "", "is there already and is kept.")
     robot = load_robot(urdf)
     files = _files(data)
-    tables = {path: read_any_table(path) for path in files}
+    tables = {
+        path: read_message_table(path, robot.joint_names)
+        if is_messages(path)
+        else read_any_table(path)
+        for path in files
+    }
     if rate is not None:
         if not 0.0 < rate < 1e6:
             raise InputError(f"--rate {rate:g} must be above 0 and below 1e6 rows a second.")
@@ -110,13 +117,16 @@ def start_recording_set(
 def _files(data: Sequence[Path]) -> list[Path]:
     found: list[Path] = []
     for path in data:
-        if path.is_dir():
-            found += sorted(p for p in path.iterdir() if p.suffix.lower() in _ENDINGS)
+        if path.is_dir() and not is_messages(path):
+            found += sorted(
+                p for p in path.iterdir() if p.suffix.lower() in _ENDINGS or is_messages(p)
+            )
         else:
             found.append(path)
     if not found:
         raise InputError(
-            f"no recordings in {', '.join(map(str, data))}: {', '.join(_ENDINGS)} are read."
+            f"no recordings in {', '.join(map(str, data))}: {', '.join(_ENDINGS)}, MCAP and rosbag2"
+            " are read."
         )
     stems = [_stem(path) for path in found]
     twice = [path for path, stem in zip(found, stems, strict=True) if stems.count(stem) > 1]

@@ -49,14 +49,6 @@ def read_any_table(path: Path) -> dict[str, np.ndarray]:
         return _npz(path)
     if ending == ".parquet":
         return _parquet(path)
-    if ending in (".mcap", ".db3", ".bag"):
-        raise InputFileError(
-            path,
-            "",
-            "holds messages; their topics are named by hand in recordings.toml: copy"
-            " problems/recordings/two_link_friction/recordings.toml and see `stiffopt explain"
-            " signals.position`.",
-        )
     return _text(path)
 
 

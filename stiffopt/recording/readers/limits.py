@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +19,37 @@ MOST_BYTES = 2**30
 MOST_MESSAGES = 2_000_000
 # Beyond what the process holds already, where a format's library believes more than it should.
 MOST_MEMORY = 3 * 2**29
+
+# An hour of messages takes a minute or two.
+MOST_SECONDS = 600.0
+
+
+class OutOfTime(Exception):
+    """A reader took longer than `MOST_SECONDS`."""
+
+
+@contextmanager
+def bounded_time() -> Iterator[None]:
+    """Within, what takes longer than `MOST_SECONDS` meets `OutOfTime`, in a process's main thread.
+
+    Elsewhere, and where the system has no timer, nothing is bounded.
+    """
+    main = threading.current_thread() is threading.main_thread()
+    if not main or not hasattr(signal, "SIGALRM"):
+        yield
+        return
+
+    def stop(*_: object) -> None:
+        raise OutOfTime
+
+    before = signal.signal(signal.SIGALRM, stop)
+    left, _ = signal.setitimer(signal.ITIMER_REAL, MOST_SECONDS)
+    try:
+        yield
+    finally:
+        # Someone else's timer goes on.
+        signal.setitimer(signal.ITIMER_REAL, left)
+        signal.signal(signal.SIGALRM, before)
 
 
 @contextmanager

@@ -68,3 +68,15 @@ def _readable(path: Path, channels: list[Channel]) -> None:
 def _messages(reader: McapReader, topics: set[str]) -> Iterator[Message]:
     for _, channel, message, decoded in reader.iter_decoded_messages(topics=topics):
         yield channel.topic, message.log_time, decoded
+
+
+def peek(path: Path) -> Iterator[Message]:
+    """Messages that can be decoded, of all topics, in the order of the log."""
+    with path.open("rb") as stream:
+        reader = SeekingReader(
+            stream,
+            decoder_factories=[Ros2DecoderFactory(), _JsonDecoderFactory()],
+            record_size_limit=MOST_BYTES,
+        )
+        known = [c.topic for c in _channels(path, reader) if c.message_encoding in ("cdr", "json")]
+        yield from _messages(reader, set(known))

@@ -5,17 +5,27 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
 from stiffopt.errors import InputError, InputFileError, shortened
 from stiffopt.files import check_file
 from stiffopt.recording.readers.episodes import information, split_episode
-from stiffopt.recording.readers.limits import MOST_MEMORY, bounded_memory
+from stiffopt.recording.readers.limits import (
+    MOST_MEMORY,
+    MOST_SECONDS,
+    OutOfTime,
+    bounded_memory,
+    bounded_time,
+)
+from stiffopt.recording.readers.messages import Message
 from stiffopt.recording.signals import Signals
 
 Columns = dict[str, np.ndarray]
+Read = TypeVar("Read")
 
 # Module of each ending; those with libraries of their own are imported only when needed.
 _READERS = {
@@ -65,27 +75,9 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
         The format needs libraries that are not installed.
     """
     path = Path(path)
-    if path.is_dir() and (path / "metadata.yaml").is_file():
-        module = _BAG
-    else:
-        file, episode = split_episode(path)
-        check_file(file)
-        module = _READERS.get(file.suffix.lower(), "")
-        if module == "parquet" and (episode is not None or information(file)):
-            module = "lerobot"
-    if not module:
-        raise InputFileError(
-            path, "", f"cannot be read: the ending {path.suffix!r} is none of "
-            f"{', '.join(_READERS)}, nor is it the folder of a rosbag2."
-        )  # fmt: skip
-    try:
-        reader = import_module(f"stiffopt.recording.readers.{module}")
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"{path}: reading it needs the package {error.name!r}. "
-            "Install it with: pip install 'stiffopt[recordings]'"
-        ) from error
-    columns = _read(reader.read, path, signals, module)
+    module = _module(path)
+    reader = _reader(module, path)
+    columns: Columns = _bounded(lambda: reader.read(path, signals), path, module)
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name}: {count}" for name, count in lengths.items())
@@ -93,16 +85,67 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
     return columns
 
 
-def _read(
-    read: Callable[[Path, Signals], Columns], path: Path, signals: Signals, module: str
-) -> Columns:
+def is_messages(path: Path) -> bool:
+    """Whether a file holds messages by topic: MCAP, or a rosbag2 by its folder or storage."""
+    return (path.is_dir() and (path / "metadata.yaml").is_file()) or path.suffix.lower() in (
+        ".mcap",
+        ".db3",
+    )
+
+
+def first_messages(path: Path, count: int) -> list[Message]:
+    """The first messages of an MCAP file or a rosbag2: topic, log time [ns], content.
+
+    Raises
+    ------
+    InputFileError, InputError
+        As of `read_columns`.
+    """
+    module = _module(path)
+    reader = _reader(module, path)
+    return _bounded(lambda: list(islice(reader.peek(path), count)), path, module)
+
+
+def _module(path: Path) -> str:
+    """Name of the module that reads a file."""
+    if path.is_dir() and (path / "metadata.yaml").is_file():
+        return _BAG
+    file, episode = split_episode(path)
+    check_file(file)
+    module = _READERS.get(file.suffix.lower(), "")
+    if not module:
+        raise InputFileError(
+            path, "", f"cannot be read: the ending {path.suffix!r} is none of "
+            f"{', '.join(_READERS)}, nor is it the folder of a rosbag2."
+        )  # fmt: skip
+    if module == "parquet" and (episode is not None or information(file)):
+        return "lerobot"
+    return module
+
+
+def _reader(module: str, path: Path) -> Any:
+    try:
+        return import_module(f"stiffopt.recording.readers.{module}")
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"{path}: reading it needs the package {error.name!r}. "
+            "Install it with: pip install 'stiffopt[recordings]'"
+        ) from error
+
+
+def _bounded(read: Callable[[], Read], path: Path, module: str) -> Read:
     """What a format's reader gives; whatever its library meets in a wrong file is one sentence."""
     name = _NAMES[module]
     try:
-        with bounded_memory():
-            return read(path, signals)
+        with bounded_memory(), bounded_time():
+            return read()
     except InputError:
         raise
+    except OutOfTime as error:
+        raise InputFileError(
+            path, "", f"cannot be read as {name} within {MOST_SECONDS:g} s. Split it, or check "
+            "that it is whole."
+        ) from error  # fmt: skip
     except MemoryError as error:
         raise InputFileError(
             path, "", f"cannot be read as {name}: it needs more than "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,22 @@ _LARGEST_DESCRIPTION = 2**20
 
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     """Columns of a rosbag2, given by its folder or by the storage file in it."""
+    with _opened(path) as reader:
+        topics = sorted(reader.topics)
+        wanted = wanted_topics(signals, topics, path)
+        chosen = [one for one in reader.connections if one.topic in wanted]
+        return gather(path, signals, topics, _messages(reader, chosen))
+
+
+def peek(path: Path) -> Iterator[Message]:
+    """Messages of all topics whose definition is known, in the order of the log."""
+    with _opened(path) as reader:
+        known = [c for c in reader.connections if c.msgtype in reader.typestore.types]
+        yield from _messages(reader, known)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[AnyReader]:
     folder = path if path.is_dir() else path.parent
     description = folder / "metadata.yaml"
     if not description.is_file():
@@ -35,10 +52,7 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     for file in folder.iterdir():
         check_bytes(file, file.stat().st_size if file.is_file() else 0)
     with AnyReader([folder], default_typestore=store) as reader:
-        topics = sorted(reader.topics)
-        wanted = wanted_topics(signals, topics, path)
-        chosen = [one for one in reader.connections if one.topic in wanted]
-        return gather(path, signals, topics, _messages(reader, chosen))
+        yield reader
 
 
 def _messages(reader: AnyReader, connections: list[Connection]) -> Iterator[Message]:

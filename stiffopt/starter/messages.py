@@ -1,0 +1,78 @@
+"""Joint topics of MCAP files and rosbag2: found by what their messages hold, read as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stiffopt.errors import InputFileError
+from stiffopt.recording.readers.read import first_messages, read_columns
+from stiffopt.recording.signals import Signals
+
+# Messages that are looked at for topics.
+_LOOKED_AT = 2000
+_NAMES = ("name", "names", "joint_names")
+_LISTS = ("position", "velocity", "effort", "torque", "current", "positions", "velocities",
+          "efforts", "accelerations", "q", "qd", "tau")  # fmt: skip
+# Parts of controller messages that hold such lists, measured before wanted.
+_PARTS = ("", "actual", "feedback", "measured", "state")
+TIME = "stamp"
+
+
+def read_message_table(path: Path, joints: Sequence[str]) -> dict[str, np.ndarray]:
+    """Columns of the topic that holds the joints, under names such as "/js.position[elbow]".
+
+    The stamps [s] are under `TIME`.
+
+    Raises
+    ------
+    InputFileError
+        No topic has a list of numbers for each joint, with the topics there are.
+    """
+    found: dict[str, list[str]] = {}
+    for topic, _, message in first_messages(path, _LOOKED_AT):
+        # A gripper may write to the topic of the arm.
+        if not found.get(topic):
+            found[topic] = _fields(topic, message, joints)
+    best = max(found, key=lambda topic: len(found[topic]), default="")
+    if not found.get(best):
+        raise InputFileError(
+            path,
+            "",
+            f"no topic among {', '.join(sorted(found)[:20]) or 'none'} has lists of numbers for"
+            f" the joints {', '.join(joints)}. Name its fields in [signals] of recordings.toml by"
+            " hand.",
+        )
+    fields = found[best]
+    signals = Signals(
+        time=TIME, position=tuple(fields), velocity=None, link_position=None, torque=()
+    )
+    return dict(read_columns(path, signals))
+
+
+def _fields(topic: str, message: Any, joints: Sequence[str]) -> list[str]:
+    """Names of the fields of a message that hold a number for each joint."""
+    names: Any = next((n for key in _NAMES if (n := _get(message, key)) is not None), ())
+    named = isinstance(names, Sequence) and set(joints) <= set(names)
+    found: list[str] = []
+    for part in _PARTS:
+        holder = _get(message, part) if part else message
+        for key in _LISTS:
+            values = _get(holder, key)
+            if not isinstance(values, Sequence | np.ndarray) or isinstance(values, str):
+                continue
+            place = f"{topic}.{part}.{key}" if part else f"{topic}.{key}"
+            if named and not part and len(values) == len(names):
+                found += [f"{place}[{joint}]" for joint in joints]
+            elif len(values) == len(joints) and not names:
+                found += [f"{place}[{j}]" for j in range(len(joints))]
+            elif named and len(values) == len(names):
+                found += [f"{place}[{list(names).index(joint)}]" for joint in joints]
+    return found
+
+
+def _get(value: Any, key: str) -> Any:
+    return value.get(key) if isinstance(value, Mapping) else getattr(value, key, None)
