@@ -27,6 +27,7 @@ from stiffopt.problem.files import LoadedProblem
 from stiffopt.problem.formulation import Scales
 from stiffopt.problem.resolve import ResolvedMotion, resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.assessment import Assessment
 from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
