@@ -14,6 +14,7 @@ from stiffopt.discovery.catalogue.coupled_drive import COUPLED_DRIVE
 from stiffopt.discovery.catalogue.elastic import BACKLASH, HYSTERESIS
 from stiffopt.discovery.catalogue.friction import FRICTION
 from stiffopt.discovery.catalogue.inertial import INERTIAL
+from stiffopt.discovery.catalogue.joint_damping import JOINT_DAMPING
 from stiffopt.discovery.catalogue.periodic import PERIODIC
 from stiffopt.discovery.catalogue.preload_loss import PRELOAD_LOSS
 from stiffopt.discovery.catalogue.sensors import SENSORS
@@ -31,6 +32,7 @@ CATALOGUE: tuple[Effect, ...] = (
     K1_SOFTENING,
     PRELOAD_LOSS,
     BELT_CREEP,
+    JOINT_DAMPING,
     *PERIODIC,
     *INERTIAL,
     *SPRINGS,

@@ -375,8 +375,10 @@ def _wound_up(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prep
 
 def _softer(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.ndarray:
     """Compliance of the springs (K, n) with an extension over the nominal one."""
-    if not any(e.located.effect.family == "elastic" for e in extension.effects):
-        extension = replace(extension, effects=())
+    effects = tuple(e for e in extension.effects if not _damps(e))
+    if not any(e.located.effect.family == "elastic" for e in effects):
+        effects = ()
+    extension = replace(extension, effects=effects)
     step = _SLOPE_STEP * np.array([j.torque_rated for j in run.signals.constants.joints])
     loaded = with_link_torque(run, robot, np.broadcast_to(step, run.torque.shape))
     ends = [_change(each, robot, extension).deflection for each in (run, loaded)]

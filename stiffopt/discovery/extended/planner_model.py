@@ -204,6 +204,7 @@ def joint_constants(model: ExtendedModel, joint: int, own: Chain | None) -> Join
         torque_rated=model.scales["torque_rated"][joint],
         torque_max=model.scales["torque_max"][joint],
         rotor_inertia=stated(nominal.rotor_inertia, 0.0),
+        joint_damping=stated(nominal.joint_damping, 0.0),
         chain=own if model.chains is None else model.chains[joint],
         pole_pairs=nominal.pole_pairs,
         fastest=model.scales["fastest"][joint],

@@ -1,0 +1,68 @@
+"""Another damping of a joint's spring than nominal: swings that last shorter or longer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stiffopt.discovery.comparison.extension import EstimatedEffect
+from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
+from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Term
+from stiffopt.robot.robot import Robot
+from stiffopt.symbolic import Quantity
+
+
+def joint_damping_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Wind-up -dD (w - v) D'(s): the damping takes part of the torque from the spring."""
+    rate = signals.motor_velocity - signals.link_velocity
+    slope = signals.constants.compliance(signals.spring_torque)
+    return Term(deflection=-amplitudes[0] * rate * slope)
+
+
+def _nominal_damping(constants: JointConstants) -> float:
+    return constants.joint_damping
+
+
+def _is_known(constants: JointConstants) -> bool:
+    """Whether the nominal joint swings: without a damping its links are taken to be in balance."""
+    return constants.elastic and constants.joint_damping > 0.0
+
+
+def damp_otherwise(
+    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+) -> RobotChange:
+    """Put the damping that was found into the robot."""
+    damping = np.full(robot.n, np.nan) if robot.damping is None else robot.damping.copy()
+    before = constants.joint_damping
+    damping[joint] = max(before + found.amplitudes[0], 0.0)
+    return RobotChange(
+        replace(robot, damping=damping),
+        f"Joint {joint + 1}: damping {before:.4g} to {damping[joint]:.4g} N m s/rad.",
+    )
+
+
+JOINT_DAMPING = Effect(
+    name="joint_damping",
+    family="elastic",
+    scope="joint",
+    equation="d += -dD*(w - v)*D'(s)",
+    signature="swings after sharp motion that die away faster or slower than nominal, at the"
+    " frequency that the model has",
+    title="joint damping",
+    phrase=("more joint damping than nominal", "less joint damping than nominal"),
+    nominal="joint_damping",
+    needs=("link", "moves"),
+    confused_with=("hysteresis",),
+    change_robot=damp_otherwise,
+    term=joint_damping_term,
+    amplitudes=(
+        Amplitude(name="dD", unit="N m s/rad", scale=_nominal_damping, lower=-1.0, upper=20.0),
+    ),
+    applies=_is_known,
+    separate="Stop sharply and stand still for a second, with and without load: damping takes the"
+    " same share of every swing, hysteresis most of small ones, a soft joint swings slower.",
+)

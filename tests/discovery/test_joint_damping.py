@@ -1,0 +1,45 @@
+"""Swings that die away otherwise than nominal are joint damping, with its size."""
+
+import numpy as np
+import pytest
+from simulated_sets import diagnosis_of, said
+
+from benchmarks.simulator import ROBOTS, CaseSpec, simulate
+from benchmarks.simulator import integrator as simulator
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison.extension import EstimatedEffect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.soundness import sample_signals
+from stiffopt.robot.files import load_robot
+
+SHARP = CaseSpec(
+    robot="big6", seed=21, train=3, test=1, extrapolate=0, seconds=5.0, rate=250.0, substeps=8,
+    payload=10.0, smoothing=0.2,
+)  # fmt: skip
+MORE = 4.0
+
+
+@pytest.mark.slow
+def test_swings_that_die_away_faster_are_damping_of_that_joint(monkeypatch):
+    begin = simulator._Spring.__init__
+
+    def damped(self, world):
+        begin(self, world)
+        self._damping = self._damping * np.where(np.arange(6) == 1, MORE, 1.0)
+
+    monkeypatch.setattr(simulator._Spring, "__init__", damped)
+    found = diagnosis_of(simulate(SHARP), lambda folder: None)
+    assert [f.located.label for f in found.findings] == ["joint_damping of joint 2"], said(found)
+    added = found.findings[0].parameters[0]
+    truth = (MORE - 1.0) * ROBOTS["big6"].joint_damping[1]
+    assert abs(added.value - truth) < max(3.0 * added.sd, 0.05 * truth)
+    assert found.nrmse("test")[1] < 1.1
+    assert not any(mode.elsewhere for mode in found.modes)
+
+
+def test_a_robot_takes_the_damping_that_was_found():
+    entry, constants = effect("joint_damping"), sample_signals().constants.joints[2]
+    found = EstimatedEffect(located=LocatedEffect(effect=entry, joint=2), amplitudes=(30.0,))
+    change = entry.change_robot(load_robot("er3a_c60"), found, 2, constants)
+    assert change.robot.damping[2] == pytest.approx(90.0)
+    assert "60 to 90" in change.sentence
