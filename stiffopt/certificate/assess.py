@@ -13,6 +13,9 @@ import numpy as np
 
 from stiffopt.certificate.rigid_body import rigid_body_history, tool_positions
 from stiffopt.certificate.violations import find_violations
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.simulate import simulate
 from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.result.assessment import Assessment, LowestStiffness
@@ -42,13 +45,15 @@ def assess(
         A `Trajectory`, or what can be called like one for orders 0 to 3. Where it has a `link`
         motion, that one loads the springs and deflects the tool.
     times : array, optional [s]
-        Default: 6001 equal steps and, where the motion has them, its own break times.
+        Default: 6001 equal steps and, where the motion has them, its own break times. Only then is
+        the elastic arm simulated, where a limit or an objective is about its arrival.
 
     Returns
     -------
     Assessment
     """
     robot = problem.robot
+    whole = times is None
     if times is None:
         times = fine_grid(motion)
     position, velocity, acceleration, jerk = (np.asarray(motion(times, k)) for k in range(4))
@@ -105,7 +110,12 @@ def assess(
         if values is not None
         for j, value in enumerate(values, start=1)
     }
-    return find_violations(problem, replace(assessment, integrals=named))
+    swing = None
+    if whole and problem.judges_arrival:
+        arm = ElasticArm(robot, position[0], problem.process_force)
+        command = MotorMotion(times, position, velocity)
+        swing = simulate(arm, command, band=problem.active_limits.settling_band)
+    return find_violations(problem, replace(assessment, integrals=named, swing=swing))
 
 
 def _deflection(

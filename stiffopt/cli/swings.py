@@ -58,7 +58,7 @@ def simulate(
     from stiffopt.report.solve.simulation_page import write_simulation_report
     from stiffopt.report.solve.terminal import print_simulation
     from stiffopt.result.store import write_simulation
-    from stiffopt.solver.simulation import elastic_arm, is_elastic, simulate_motions
+    from stiffopt.solver.simulation import elastic_arm, simulate_motions
     from stiffopt.solver.stored import read_result
     from stiffopt.units import to_si
 
@@ -70,7 +70,7 @@ def simulate(
         raise InputError("delay and feed-forward are of a position loop: give its --bandwidth too.")
     servo = None if bandwidth is None else Servo(bandwidth, feed_forward, late)
     stored = read_result(result, problem)
-    if not is_elastic(stored.problem):
+    if not stored.problem.robot.yields:
         raise rigid_arm(stored.problem.robot)
     folder = out or result
     with output_folder(folder, "simulate", of="solve") as stage:

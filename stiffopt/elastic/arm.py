@@ -158,6 +158,11 @@ class ElasticArm:
             ]
         )
 
+    def lag(self, motor: np.ndarray) -> np.ndarray:
+        """Time (n,) [s] by which damping delays each wind-up, at rest at a motor position (n,)."""
+        stiffness = self.stiffness(self.held_torque(self.hanging(motor[None])[0]))
+        return np.asarray(self.damping / stiffness)
+
     def held_torque(self, q: np.ndarray) -> np.ndarray:
         """Spring torque (n,) [N m] at rest in a link position: weight less process force."""
         weight = self.bodies.gravity_torque(q)

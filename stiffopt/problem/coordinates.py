@@ -149,9 +149,10 @@ class LinkCoordinates(JointCoordinates):
     rate_bounds = control_bounds
 
     def boundary_states(self, motion: ResolvedMotion) -> tuple[np.ndarray, np.ndarray]:
-        """Resolved poses at rest in every derivative, so that nothing swings on."""
-        rest = np.zeros(4 * self.size)
-        return np.concatenate([motion.start, rest]), np.concatenate([motion.end, rest])
+        """Resolved poses and given velocities, all else at rest, so that nothing swings on."""
+        start, end = super().boundary_states(motion)
+        rest = np.zeros(3 * self.size)
+        return np.concatenate([start, rest]), np.concatenate([end, rest])
 
 
 class PathCoordinates(Coordinates):

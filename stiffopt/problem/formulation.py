@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
 from stiffopt.dynamics.kinematics import tool_pose
+from stiffopt.problem.arrival import Arrival
 from stiffopt.problem.coordinates import Coordinates, coordinates_of
 from stiffopt.problem.motor_model import MotorModel, NearMotorModel
 from stiffopt.problem.resolve import ResolvedMotion
@@ -25,6 +26,9 @@ from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.robot.rotations import rotation_from_rpy
 from stiffopt.symbolic import Quantity
 from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
+
+if TYPE_CHECKING:
+    from stiffopt.elastic.modes import Mode
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,7 @@ def formulate(
     motion: ResolvedMotion,
     scales: Scales,
     margins: Mapping[str, float] | None = None,
+    modes: Sequence[Mode] = (),
 ) -> OptimalControlProblem:
     """The optimal-control problem of a trajectory problem.
 
@@ -61,6 +66,8 @@ def formulate(
     scales : Scales
     margins : mapping limit name -> float, optional
         Share by which a limit is tightened, where a certificate found it exceeded between nodes.
+    modes : sequence of Mode
+        In the end pose, where the links may swing on after arrival; else they are at rest.
     """
     margins = margins or {}
     coordinates = coordinates_of(problem)
@@ -93,14 +100,14 @@ def formulate(
             Rows.make(row.name, [row.label], -np.inf, 0.0) for _, row in goal.integral_rows
         ),
         start=None if motion.start_fixed else _boundary_waypoint(problem, problem.start, "start"),
-        end=None if motion.end_fixed else _boundary_waypoint(problem, problem.end, "end"),
+        end=_end_waypoint(problem, motion, modes, p),
         vias=tuple(_via_waypoint(problem, via, k) for k, via in enumerate(problem.vias, start=1)),
         static_lower=np.zeros(len(goal.variables)),
         static_upper=np.full(len(goal.variables), np.inf),
         static_scale=np.array(goal.static_scales),
         chains=tuple((*(k * size + i for k in range(order)), i) for i in range(size)),
         parameters=np.ones(1),
-        **_bounds(problem, motion, coordinates, margins),
+        **_bounds(problem, motion, coordinates, margins, swings_on=bool(modes)),
     )
 
 
@@ -236,6 +243,7 @@ def _bounds(
     motion: ResolvedMotion,
     coordinates: Coordinates,
     margins: Mapping[str, float],
+    swings_on: bool,
 ) -> dict[str, Any]:
     """Bounds and scales of states and controls."""
     lower, upper = coordinates.state_bounds(margins)
@@ -261,11 +269,51 @@ def _bounds(
         low, high = value.copy(), value.copy()
         if not fixed:
             low[free], high[free] = lower[free], upper[free]
+        if problem.plans_links and problem.boundary_acceleration == "free":
+            # A motor's acceleration is the links' snap where these are at rest.
+            snap = slice(4 * coordinates.size, None)
+            low[snap], high[snap] = lower[snap], upper[snap]
+        if side == "final" and swings_on:
+            low, high = lower.copy(), upper.copy()
         bounds[f"{side}_lower"], bounds[f"{side}_upper"] = low, high
         held = coordinates.order == 2 and problem.boundary_acceleration == "zero"
         rest = np.zeros(coordinates.size) if held else None
         bounds[f"{side}_control_lower"] = bounds[f"{side}_control_upper"] = rest
     return bounds
+
+
+def _end_waypoint(
+    problem: TrajectoryProblem, motion: ResolvedMotion, modes: Sequence[Mode], p: ca.SX
+) -> Waypoint | None:
+    """Rows on the last state: the tool's position, motors at rest and what may swing on."""
+    place = None if motion.end_fixed else _boundary_waypoint(problem, problem.end, "end")
+    if not modes:
+        return place
+    x = ca.SX.sym("x", coordinates_of(problem).order * problem.joints)
+    model = _motors(problem, x, p)
+    limits, joints = problem.active_limits, [f"joint {j + 1}" for j in range(problem.joints)]
+    rows, expressions = [], []
+    speed, acceleration = (
+        np.where(np.isfinite(each), each, 1.0) for each in (limits.velocity, limits.acceleration)
+    )
+    parts = [("end velocity", model.velocity / speed)]
+    if problem.boundary_acceleration == "zero":
+        parts.append(("end acceleration", model.acceleration / acceleration))
+    if motion.end_fixed:
+        parts.insert(0, ("end", model.position - motion.end))
+    for name, value in parts:
+        rows.append(Rows.make(name, joints, 0.0, 0.0))
+        expressions.append(value)
+    arrival = Arrival.of(modes, model)
+    for kind in limits.kinds:
+        for block in kind.arrival_rows(limits, arrival) if kind.of_arrival else ():
+            rows.append(Rows.make(block.name, block.labels, block.lower, block.upper))
+            expressions += block.expressions
+    if place is not None:
+        rows += place.rows
+        expressions.append(place.function(x))
+    function = ca.Function("end", [x, p], [ca.vertcat(*expressions)])
+    return Waypoint(function=function, rows=tuple(rows))
 
 
 def _boundary_waypoint(problem: TrajectoryProblem, target: Target, side: str) -> Waypoint:
@@ -311,16 +359,17 @@ def _tool_pose(problem: TrajectoryProblem) -> tuple[ca.SX, Quantity, Quantity, Q
     x = ca.SX.sym("x", coordinates_of(problem).order * n)
     joints = x[:n]
     if problem.plans_links:
-        model = MotorModel(
-            problem.robot,
-            ca.vertsplit(x, n),
-            smoothing_stages(problem)[-1],
-            np.zeros(n),
-            problem.process_force,
-        )
-        joints = model.position
+        joints = _motors(problem, x, smoothing_stages(problem)[-1]).position
     tool = problem.robot.tool
     position, rotation = tool_pose(
         problem.robot.tree, tool.joint, tool.offset, tool.rotation, joints
     )
     return x, joints, position, rotation
+
+
+def _motors(problem: TrajectoryProblem, x: Quantity, smoothing: Quantity) -> MotorModel:
+    """Motors at a state of the links, by the law with this factor on its smoothing widths."""
+    n = problem.joints
+    return MotorModel(
+        problem.robot, ca.vertsplit(x, n), smoothing, np.zeros(n), problem.process_force
+    )

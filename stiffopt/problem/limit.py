@@ -19,12 +19,14 @@ from stiffopt.problem.stage_terms import UNSMOOTHED, PathRows
 from stiffopt.result.assessment import Violation
 
 if TYPE_CHECKING:
+    from stiffopt.problem.arrival import Arrival
     from stiffopt.problem.files import JointLists
     from stiffopt.problem.resolve import ResolvedMotion
     from stiffopt.problem.schema import LimitsSection
     from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Assessment
+    from stiffopt.result.simulation import SimulatedMotion
     from stiffopt.robot.robot import Robot
 
 
@@ -77,12 +79,16 @@ class LimitKind(ABC):
     order : int or None
         Of the derivative of the joint positions that it bounds; None where it bounds another
         quantity.
+    of_arrival : bool
+        Whether it is about what swings on after arrival: the links' motion is then planned, and
+        simulated where it is judged.
     """
 
     name: str
     keys: tuple[LimitKey, ...]
     smoothing: tuple[float, ...] = UNSMOOTHED
     order: int | None = None
+    of_arrival = False
 
     @abstractmethod
     def active(self, limits: Limits) -> bool:
@@ -103,6 +109,14 @@ class LimitKind(ABC):
     def bounds(self, limits: Limits, margin: float) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bound (n,) of the derivative of that `order`, tightened by `margin`."""
         raise NotImplementedError(f"{self.name} bounds no derivative of the joint positions")
+
+    def arrival_rows(self, limits: Limits, arrival: Arrival) -> list[PathRows]:
+        """Rows on what swings on after arrival; only asked where active and `of_arrival`."""
+        return []
+
+    def overshoot(self, limits: Limits, swing: SimulatedMotion) -> float:
+        """Share by which the tool swings further than `arrival_rows` allow."""
+        return 0.0
 
     def check(self, problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
         """Raise `ProblemError` where no motion can meet it; only asked where active."""

@@ -8,8 +8,9 @@ is
     theta = q + phi(tau(q, v, a)) - phi(tau(q, 0, 0)).
 
 Its derivatives follow by the chain rule; the motors' jerk holds the fifth derivative of q. Damping
-of the joints would add 2 zeta / omega times the wind-up's rate (zeta the damping ratio, omega the
-mode's angular frequency), 1 to 2 % of the wind-up, and is left out.
+of the joints bears part of the torque while the wind-up changes: the wind-up lags by damping over
+stiffness, a few tenths of a millisecond, by which the motors arrive later than the links
+(`motor_motion`).
 
 phi is the law of the drivetrain with its corners wider than the deflection's formula has them: a
 corner of the stiffness is a kink of the motors' speed, and a narrow one exceeds any jerk between
@@ -40,6 +41,8 @@ WIDER = 2.0
 # links': between them a polynomial of degree 7 is as good as exact.
 _STEP = 2.5e-3
 _LEAST = 4
+# Lags are rounded to multiples of this [s].
+_LAGS = 2e-5
 
 
 class MotorModel(StageModel):
@@ -80,10 +83,35 @@ class MotorModel(StageModel):
         q, v, a = self._derivatives[:3]
         return q, v, a
 
+    @property
+    def snap(self) -> Quantity:
+        """Fourth derivative of the links' position (n,) [rad/s^4]."""
+        return self._derivatives[4]
+
     @cached_property
     def position(self) -> Quantity:
         """Of the motors (n,) [rad]."""
-        return self.link[0] + self._law(self.torques.spring) - self._law(self.torques.held)
+        return self.hung + self.lead
+
+    @cached_property
+    def lead(self) -> Quantity:
+        """Wind-up by which the motors are ahead (n,) [rad]."""
+        return self._law(self.torques.spring)
+
+    @cached_property
+    def hung(self) -> Quantity:
+        """The links' position less the wind-up that is calibrated away (n,) [rad]."""
+        return self.link[0] - self._law(self.torques.held)
+
+    def rates(self, value: Quantity, orders: int) -> list[Quantity]:
+        """A value and its first three derivatives by time.
+
+        `orders` counts the derivatives of the links, position included, that the value depends on.
+        """
+        found = [value]
+        for further in range(3):
+            found.append(self._rate(found[-1], orders + further))
+        return found
 
     @cached_property
     def velocity(self) -> Quantity:
@@ -192,8 +220,17 @@ def law_smoothing(problem: TrajectoryProblem) -> float:
     return WINDUP_SMOOTHING[-1] * (WIDER if problem.plans_links else 1.0)
 
 
+def rounded_lag(lag: np.ndarray) -> np.ndarray:
+    """Lags as `motor_motion` takes them [s]: alike, or well apart."""
+    return np.asarray(_LAGS * np.round(lag / _LAGS))
+
+
 def motor_motion(
-    robot: Robot, link: Trajectory, smoothing: float, process_force: object = (0.0, 0.0, 0.0)
+    robot: Robot,
+    link: Trajectory,
+    smoothing: float,
+    process_force: object = (0.0, 0.0, 0.0),
+    lag: np.ndarray | None = None,
 ) -> Trajectory:
     """Motion of the motors that makes the links move as given.
 
@@ -201,19 +238,43 @@ def motor_motion(
     ----------
     robot : Robot
     link : Trajectory
-        At rest at both ends, with five derivatives.
+        With five derivatives.
     smoothing : float
         Factor on the law's smoothing widths: corners would ask for jumps of the speed.
     process_force : array_like (3,)
         Acts on the tool all the time, base axes [N].
+    lag : array (n,), optional
+        Of each joint's wind-up behind its spring torque [s]: its damping over its stiffness. The
+        motors arrive so much later than the links, which have to be at rest then.
     """
     derivatives = [ca.SX.sym(f"d{k}", robot.n) for k in range(6)]
     model = MotorModel(robot, derivatives, smoothing, np.zeros(robot.n), process_force, 1.0)
-    outputs = [model.position, model.velocity, model.acceleration, model.jerk]
-    law = ca.Function("motors", derivatives, [ca.densify(each) for each in outputs])
-    begins, ends = link.times[:-1], link.times[1:]
+    parts = model.rates(model.hung, 1), model.rates(model.lead, 3)
+    law = ca.Function("motors", derivatives, [ca.densify(each) for part in parts for each in part])
+    late = np.zeros(robot.n) if lag is None else np.asarray(lag)
+    moves, held = link.duration, link.held_for(float(late.max()))
+    begins, ends = held.times[:-1], held.times[1:]
     counts = np.maximum(np.ceil((ends - begins) / _STEP).astype(int), _LEAST)
-    parts = [np.linspace(*each, endpoint=False) for each in zip(begins, ends, counts, strict=True)]
-    times = np.append(np.concatenate(parts), link.duration)
-    found = law.map(len(times))(*(link(times, k).T for k in range(6)))
-    return Trajectory.through(times, np.stack([each.full().T for each in found]), link)
+    inside = [np.linspace(*each, endpoint=False) for each in zip(begins, ends, counts, strict=True)]
+    # Where a wind-up begins and ends, its third rate jumps.
+    jumps = np.concatenate([late, moves + late])
+    times = np.union1d(np.append(np.concatenate(inside), held.duration), jumps)
+    times = times[np.concatenate([[True], np.diff(times) > 1e-3 * _LAGS])]
+
+    slack = 1e-3 * _LAGS
+
+    def evaluated(at: np.ndarray) -> np.ndarray:
+        """Both parts with their rates (8, K, n); those of a motion that has ended are zero."""
+        clipped = np.clip(at, 0.0, moves)
+        found = law.map(len(at))(*(link(clipped, k).T for k in range(6)))
+        values = np.stack([each.full().T for each in found])
+        for order in (1, 2, 3):
+            for part in (0, 4):
+                values[part + order, (at < -slack) | (at > moves + slack)] = 0.0
+        return values
+
+    motors = evaluated(times)[:4]
+    for own in np.unique(late):
+        joints = late == own
+        motors[:, :, joints] += evaluated(times - own)[4:, :, joints]
+    return Trajectory.through(times, motors, held)

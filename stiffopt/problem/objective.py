@@ -75,6 +75,10 @@ class ObjectiveKind(ABC):
         Part of the tool's deflection that it is about; "" for none.
     plans_links : bool
         Whether the links' motion is planned, with the motors ahead of it by the wind-up.
+    of_arrival : bool
+        Whether it is about what swings on after arrival, so that the certificate simulates it.
+    comparable : bool
+        Whether the optimiser's value is to agree with the certified one.
     shaped : bool
         Whether the motion is averaged over a swing of the arm's lowest mode.
     comparatives : (str, str)
@@ -93,6 +97,8 @@ class ObjectiveKind(ABC):
     smoothing: tuple[float, ...] = UNSMOOTHED
     deflection_part = ""
     plans_links = False
+    of_arrival = False
+    comparable = True
     shaped = False
     comparatives = ("less", "more")
     compared_as_ratio = True

@@ -12,10 +12,12 @@ from stiffopt.declaration import POSITIVE, Bounds, Doc, Ratio, Time, check_field
 from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import Limits
+from stiffopt.problem.link_planning import check_arrival, check_links
 from stiffopt.problem.objective import Objective
 from stiffopt.robot.cell import Cell
 
 if TYPE_CHECKING:
+    from stiffopt.problem.limit import LimitKind
     from stiffopt.robot.clearance import ClearanceModel
     from stiffopt.robot.robot import Robot
 
@@ -196,6 +198,10 @@ class TrajectoryProblem:
             self._choose_objective()
         for number, objective in enumerate(self.objectives, start=1):
             self._check_objective(objective, f"minimise[{number}]")
+        for kind in self._arrival_limits:
+            name = f"limits.{kind.name}"
+            check_links(self, name, f"leave {name} out")
+            check_arrival(self, name)
 
     def _let_go_of_jerk(self) -> None:
         """On a fixed path the robot's own jerk limit is left out, where none was asked for."""
@@ -235,7 +241,22 @@ class TrajectoryProblem:
     @property
     def plans_links(self) -> bool:
         """Whether the links' motion is planned, and the motors follow with the wind-up added."""
+        return self.arrives_at_rest or bool(self._arrival_limits)
+
+    @property
+    def arrives_at_rest(self) -> bool:
+        """Whether nothing is to swing on after arrival; else as much as limits allow."""
         return any(objective.kind.plans_links for objective in self.objectives)
+
+    @property
+    def judges_arrival(self) -> bool:
+        """Whether an objective or a limit is about what swings on after arrival."""
+        asked = any(objective.kind.of_arrival for objective in self.objectives)
+        return asked or bool(self._arrival_limits)
+
+    @property
+    def _arrival_limits(self) -> list[LimitKind]:
+        return [kind for kind in self.active_limits.kinds if kind.of_arrival]
 
     @property
     def is_shaped(self) -> bool:

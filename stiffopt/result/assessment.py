@@ -7,8 +7,12 @@ alike, so that the two are always compared with the same numbers.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from stiffopt.result.simulation import SimulatedMotion
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,8 @@ class Assessment:
         Time integrals and means, named by objective and joint: "torque_squared_2".
     link : array (K, n) or None
         Position [rad] of the links, sag calibrated away, where planned apart from the motors'.
+    swing : SimulatedMotion or None
+        The motion on the elastic arm, where a limit or an objective is about its arrival.
     """
 
     time: np.ndarray
@@ -101,6 +107,7 @@ class Assessment:
     lowest_stiffness: tuple[LowestStiffness, ...]
     integrals: dict[str, float] = field(default_factory=dict)
     link: np.ndarray | None = None
+    swing: SimulatedMotion | None = None
 
     @property
     def duration(self) -> float:

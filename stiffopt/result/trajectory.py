@@ -185,6 +185,17 @@ class Trajectory:
             self.v0 / factor,
         )
 
+    def held_for(self, rest: float) -> Trajectory:
+        """The same motion with a rest after it, so long [s], for one that ends at rest."""
+        if rest <= 0.0:
+            return self
+        return Trajectory(
+            np.append(self.times, self.duration + rest),
+            np.concatenate([self.acceleration, np.zeros_like(self.acceleration[:1])]),
+            self.q0,
+            self.v0,
+        )
+
     def sample(self, step: float) -> np.ndarray:
         """List times from 0 to the end, `step` apart, the end itself included.
 

@@ -120,6 +120,11 @@ class Robot:
         return int(self.model.nv)
 
     @property
+    def yields(self) -> bool:
+        """Whether any joint has a spring, so that what it carries can swing."""
+        return any(chain is not None and chain.stages for chain in self.chains)
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the moving joints, in the order of all arrays."""
         return tuple(self.model.names)[1:]

@@ -196,20 +196,14 @@ class _Compensator:
         return lead, share, self._worst_signs(swings, len(first))
 
     def _leads(self) -> list[_Lead]:
+        planned = self._motion.motors
+        if planned is not None and planned.link is not None:
+            return [_Lead(planned.link, planned, None)]
+        links = [(smooth_motion(self._plan, each), each) for each in _SPACINGS]
         robot, force = self._problem.robot, self._problem.process_force
         smoothing = law_smoothing(self._problem)
-        if self._motion.link is not None:
-            link = self._motion.link
-            return [
-                _Lead(
-                    link, motor_motion(robot, link, smoothing=smoothing, process_force=force), None
-                )
-            ]
-        links = [(smooth_motion(self._plan, spacing), spacing) for spacing in _SPACINGS]
         return [
-            _Lead(
-                link, motor_motion(robot, link, smoothing=smoothing, process_force=force), spacing
-            )
+            _Lead(link, motor_motion(robot, link, smoothing, force), spacing)
             for link, spacing in links
         ]
 

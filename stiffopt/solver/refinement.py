@@ -15,8 +15,9 @@ from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import improvement, objective_value
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.problem.formulation import exact_path_rows
+from stiffopt.problem.limit import LIMITS
 from stiffopt.problem.trajectory import TrajectoryProblem
-from stiffopt.result.assessment import Assessment
+from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.solution import Baseline
 from stiffopt.solver.stages import (
     Outcome,
@@ -27,7 +28,8 @@ from stiffopt.solver.stages import (
     solve_again,
 )
 from stiffopt.solver.verdict import TRUE_OBJECTIVE
-from stiffopt.transcription.between import tightened
+from stiffopt.transcription.between import lowered, tightened
+from stiffopt.transcription.nlp import Nlp
 from stiffopt.transcription.refine import refine_mesh
 
 # Motions are tightened until the excess is below this, so that the certificate's tolerance is never
@@ -87,9 +89,28 @@ def _on_finer_mesh(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> O
 
 
 def _corrected(run: SolveRun, outcome: Outcome) -> Outcome:
-    """The same mesh, rows drawn in where the exact ones exceed them."""
-    rows = None
-    nlp, smoothing = outcome.transcription.nlp, outcome.smoothing
+    """The same mesh, rows drawn in where the exact ones, or the simulated arm, exceed them."""
+    nlp = outcome.transcription.nlp
+    outcome, nlp = _within_rows(run, outcome, nlp)
+    for _ in range(_REFINEMENTS):
+        found = _sharpened(run, outcome) if outcome.raw.converged else outcome
+        late = _after_arrival(run.problem, found.assessment)
+        if not (late and outcome.raw.converged):
+            return found
+        try:
+            nlp = lowered(nlp, late)
+            again = solve_again(run, outcome, nlp, outcome.smoothing)
+        except KeyboardInterrupt:
+            return stopped(found)
+        if _failed(again):
+            return found
+        outcome, nlp = _within_rows(run, again, nlp)
+    return _sharpened(run, outcome) if outcome.raw.converged else outcome
+
+
+def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nlp]:
+    """Path rows drawn in until the exact ones are kept; the programme with their bounds."""
+    rows, smoothing = None, outcome.smoothing
     for attempt in range(1, _CORRECTIONS + 1):
         excess = _excess(outcome.assessment)
         if not outcome.raw.converged or not (excess or outcome.objective_gap > TRUE_OBJECTIVE):
@@ -109,11 +130,11 @@ def _corrected(run: SolveRun, outcome: Outcome) -> Outcome:
             )
             again = solve_again(run, outcome, nlp, smoothing)
         except KeyboardInterrupt:
-            return stopped(outcome)
+            return stopped(outcome), nlp
         if _failed(again):
             break
         outcome = again
-    return _sharpened(run, outcome) if outcome.raw.converged else outcome
+    return outcome, nlp
 
 
 def stopped(outcome: Outcome) -> Outcome:
@@ -135,11 +156,12 @@ def _sharpened(run: SolveRun, outcome: Outcome) -> Outcome:
     What the wider law leaves after arrival goes with its width.
     """
     for share in _SHARPER:
-        if not outcome.assessment.feasible(CERTIFIED):
+        # Motors whose links swing on are at rest by the law they were solved with.
+        if _worst_in_flight(outcome.assessment) > CERTIFIED or run.end_modes:
             break
-        trajectory = motors_of(run.problem, outcome, share)
+        trajectory = motors_of(run, outcome, share)
         assessment = assess(run.problem, trajectory)
-        if assessment.feasible(CERTIFIED):
+        if _worst_in_flight(assessment) <= CERTIFIED:
             return replace(outcome, trajectory=trajectory, assessment=assessment)
     return outcome
 
@@ -149,10 +171,28 @@ def _failed(outcome: Outcome) -> bool:
 
 
 def _excess(assessment: Assessment) -> dict[str, float]:
-    """Limits exceeded by more than the aim, with the excess; targets cannot be tightened."""
+    """Limits of the motion exceeded by more than the aim; targets cannot be tightened."""
     fixed = ("start", "end", "via")
     return {
         v.limit: v.value
         for v in assessment.violations
-        if v.value > _AIM and not v.limit.startswith(fixed)
+        if v.value > _AIM and not v.limit.startswith(fixed) and not _of_arrival(v)
     }
+
+
+def _worst_in_flight(assessment: Assessment) -> float:
+    return max((v.value for v in assessment.violations if not _of_arrival(v)), default=-np.inf)
+
+
+def _after_arrival(problem: TrajectoryProblem, assessment: Assessment) -> dict[str, float]:
+    """Limits that the arm exceeds after arrival, by what its size is above the allowed one."""
+    exceeded = {v.limit for v in assessment.violations if _of_arrival(v) and v.value > _AIM}
+    limits = problem.active_limits
+    if assessment.swing is None:
+        return {}
+    return {name: LIMITS[name].overshoot(limits, assessment.swing) for name in exceeded}
+
+
+def _of_arrival(violation: Violation) -> bool:
+    kind = LIMITS.get(violation.limit)
+    return kind is not None and kind.of_arrival

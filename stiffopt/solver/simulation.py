@@ -42,11 +42,6 @@ if TYPE_CHECKING:
     from stiffopt.result.trajectory import Trajectory
 
 
-def is_elastic(problem: TrajectoryProblem) -> bool:
-    """Whether any joint of the problem's robot yields."""
-    return any(chain is not None and chain.stages for chain in problem.robot.chains)
-
-
 def elastic_arm(problem: TrajectoryProblem, start: np.ndarray) -> ElasticArm:
     """The problem's robot as an elastic arm, checked in its start pose (n,) [rad].
 
@@ -66,6 +61,10 @@ def elastic_arm(problem: TrajectoryProblem, start: np.ndarray) -> ElasticArm:
     return arm
 
 
+# Links slower than this are at rest [rad/s].
+_STANDSTILL = 1e-6
+
+
 @dataclass(frozen=True, kw_only=True)
 class PlannedMotion:
     """A motion to be simulated.
@@ -81,8 +80,8 @@ class PlannedMotion:
         Parts of its planned deflection by name, "dynamic" among them [m].
     counted : bool
         Whether it keeps all limits and the problem's duration.
-    link : Trajectory or None
-        What the links are planned to do, where that is planned apart from the motors' motion.
+    motors : Trajectory or None
+        With what its links are planned to do, where that is planned apart from the motors' motion.
     exceeded : tuple of str
         Names of limits that it does not keep.
     """
@@ -93,8 +92,19 @@ class PlannedMotion:
     velocity: np.ndarray
     parts: dict[str, PeakRms]
     counted: bool
-    link: Trajectory | None = None
+    motors: Trajectory | None = None
     exceeded: tuple[str, ...] = ()
+
+    @property
+    def link(self) -> Trajectory | None:
+        """Motion of the links, where that is planned."""
+        return None if self.motors is None else self.motors.link
+
+    @property
+    def swings_on(self) -> bool:
+        """Whether the links are planned to swing on when the motors stand."""
+        link = self.link
+        return link is not None and bool(np.any(np.abs(link(link.duration, 1)) > _STANDSTILL))
 
     @classmethod
     def of(cls, name: str, assessment: Assessment, counted: bool) -> PlannedMotion:
@@ -205,7 +215,7 @@ def _part(
 
 def check_simulation(problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
     """Raise `RobotError` where damping or hysteresis is of no joint: before a long solve."""
-    if is_elastic(problem):
+    if problem.robot.yields:
         with suppress(NotSimulatedError):
             elastic_arm(problem, motion.start)
 
@@ -221,7 +231,7 @@ def with_simulation(
     `motion` are the problem's poses where they are resolved already.
     """
     stopped = solution.status is SolveStatus.INTERRUPTED
-    if solution.assessment is None or stopped or not is_elastic(problem):
+    if solution.assessment is None or stopped or not problem.robot.yields:
         return solution
     motion = resolve(problem) if motion is None else motion
     try:
@@ -229,12 +239,19 @@ def with_simulation(
         counted = solution.assessment.feasible(CERTIFIED)
         own = PlannedMotion.of("optimised", solution.assessment, counted)
         others = rivals(problem, motion, solution.baselines, solution.strict_baseline)
-        if solution.trajectory is not None:
-            own = replace(own, link=solution.trajectory.link)
-        simulation = simulate_motions(problem, arm, [own, *others])
+        if solution.trajectory is not None and solution.trajectory.link is not None:
+            own = replace(own, motors=solution.trajectory)
+        band = problem.active_limits.settling_band
+        simulation = simulate_motions(problem, arm, [own, *others], band=band)
         solution = replace(solution, simulation=simulation)
         if problem.boundary_velocity is not None and np.any(problem.boundary_velocity):
             return _noted(solution, "No command.csv: the motion does not start and end at rest.")
+        if own.swings_on:
+            return _noted(
+                solution,
+                "No command.csv: the links are planned to swing on after arrival, as far as the "
+                "limits allow; q of trajectory.csv is the command for that.",
+            )
         compensation = compensate(
             problem, arm, [own, *others], progress=_events(progress, solution)
         )

@@ -9,6 +9,7 @@ compared with the exact model before it is called optimal.
 from __future__ import annotations
 
 import functools
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -221,7 +222,14 @@ def _rank(problem: TrajectoryProblem, outcome: Outcome) -> tuple[bool, float]:
 def _certified_solve(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outcome:
     """Solve in stages, then refine while the certificate finds more than is allowed."""
     plan = stages(run.problem, run.problem.method.intervals)
-    return refined(run, run_stages(run, plan, guess, {}), rival)
+    found = refined(run, run_stages(run, plan, guess, {}), rival)
+    ended = found.raw.status in ("interrupted", "time_limit")
+    if run.end_modes and not ended and not found.assessment.feasible(CERTIFIED):
+        # What the motors' law leaves is more than the limits: without any swing there is less.
+        run.hold_at_rest()
+        with suppress(KeyboardInterrupt):
+            found = refined(run, run_stages(run, plan, guess, {}), rival)
+    return found
 
 
 def _perturbed(guess: Guess, problem: TrajectoryProblem, random: np.random.Generator) -> Guess:

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import is_maximised, objective_value
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.modes import Mode, modes
+from stiffopt.errors import NotSimulatedError
 from stiffopt.problem.formulation import Scales, formulate, smoothing_stages
-from stiffopt.problem.motor_model import WIDER, motor_motion
+from stiffopt.problem.motor_model import WIDER, motor_motion, rounded_lag
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
 from stiffopt.problem.trajectory import TrajectoryProblem
@@ -101,12 +106,16 @@ ProgressCallback = Callable[[SolveProgress], object]
 
 @dataclass
 class SolveRun:
-    """One solve in progress: its clock, its record and what it found so far."""
+    """One solve in progress: its clock, its record and what it found so far.
+
+    `at_rest` says that nothing may swing on after arrival, whatever limits allow.
+    """
 
     problem: TrajectoryProblem
     motion: ResolvedMotion
     scales: Scales
     progress: ProgressCallback | None
+    at_rest: bool = False
     begin: float = field(default_factory=time.perf_counter)
     build_s: float = 0.0
     solve_s: float = 0.0
@@ -123,6 +132,39 @@ class SolveRun:
     def remaining(self) -> float:
         """Seconds left of the time limit."""
         return max(self.problem.method.time_limit - self.elapsed, 0.1)
+
+    @cached_property
+    def end_modes(self) -> tuple[Mode, ...]:
+        """Modes in which the links may swing on after arrival; none where they may not."""
+        problem = self.problem
+        if self.at_rest or not problem.plans_links or problem.arrives_at_rest:
+            return ()
+        return modes(self.arm, self.motion.end)
+
+    @cached_property
+    def arm(self) -> ElasticArm:
+        """The problem's elastic arm."""
+        return ElasticArm(self.problem.robot, self.motion.start, self.problem.process_force)
+
+    def hold_at_rest(self) -> None:
+        """Let nothing swing on after arrival from now on."""
+        self.at_rest = True
+        for known in ("end_modes", "lag"):
+            self.__dict__.pop(known, None)
+
+    @cached_property
+    def lag(self) -> np.ndarray | None:
+        """Of the joints' wind-up behind their torque, by damping (n,) [s].
+
+        None where the motors do not come to rest smoothly, or the links cannot swing.
+        """
+        problem = self.problem
+        smooth = problem.boundary_acceleration == "zero" and not np.any(problem.boundary_velocity)
+        if not (problem.plans_links and smooth) or self.end_modes:
+            return None
+        with suppress(NotSimulatedError):
+            return rounded_lag(self.arm.lag(self.motion.end))
+        return None
 
     def in_si(self, objective: float) -> float:
         """The objective of an NLP in the unit that people see."""
@@ -218,12 +260,9 @@ def solve_again(run: SolveRun, before: Outcome, nlp: Nlp, smoothing: float) -> O
     return outcome_of(run, made, raw, smoothing)
 
 
-def motors_of(problem: TrajectoryProblem, outcome: Outcome, share: float) -> Trajectory:
+def motors_of(run: SolveRun, outcome: Outcome, share: float) -> Trajectory:
     """Motors of the same links by a law with this share of the outcome's smoothing widths."""
-    link = outcome.trajectory.link
-    assert link is not None
-    smoothing = share * WIDER * outcome.smoothing
-    return motor_motion(problem.robot, link, smoothing, problem.process_force)
+    return _trajectory(run, outcome.transcription, outcome.raw.x, share * outcome.smoothing)
 
 
 def _solved(
@@ -234,7 +273,11 @@ def _solved(
     mesh: Mesh | None,
 ) -> Iterator[tuple[Programme, SolveStage, RawSolution]]:
     """Every stage with its solution, each from the last."""
-    ocp = formulate(run.problem, run.motion, run.scales, margins)
+    ocp = formulate(run.problem, run.motion, run.scales, margins, run.end_modes)
+    if run.lag is not None:
+        # The links arrive before their motors.
+        shortest, longest = (each - float(run.lag.max()) for each in ocp.duration)
+        ocp = replace(ocp, duration=(shortest, longest))
     last = len(plan) - 1
     index, made, raw = 0, None, None
     warm: RawSolution | None = None
@@ -289,7 +332,7 @@ def solve_stage(
 
 def outcome_of(run: SolveRun, made: Programme, raw: RawSolution, smoothing: float) -> Outcome:
     """The motion of a solved stage, with its certificate."""
-    trajectory = _trajectory(run.problem, made.transcription, raw.x, smoothing)
+    trajectory = _trajectory(run, made.transcription, raw.x, smoothing)
     assessment = assess(run.problem, trajectory)
     return Outcome(
         raw=raw,
@@ -305,6 +348,8 @@ def outcome_of(run: SolveRun, made: Programme, raw: RawSolution, smoothing: floa
 def _objective_gap(run: SolveRun, raw: RawSolution, assessment: Assessment) -> float:
     """How much worse the certified objective is than the one at the nodes, relative."""
     problem = run.problem
+    if not all(objective.kind.comparable for objective in problem.objectives):
+        return 0.0
     claimed, certified = run.in_si(raw.objective), objective_value(problem, assessment).value
     worse = claimed - certified if is_maximised(problem) else certified - claimed
     return float(worse / max(abs(claimed), abs(certified), 1e-300))
@@ -346,12 +391,14 @@ def _uniform(ocp: OptimalControlProblem, stage: SolveStage, guess: Guess) -> Mes
 
 
 def _trajectory(
-    problem: TrajectoryProblem, transcription: Transcription, x: np.ndarray, smoothing: float
+    run: SolveRun, transcription: Transcription, x: np.ndarray, smoothing: float
 ) -> Trajectory:
     """The motion of the joints, exactly as the transcription integrates it."""
+    problem = run.problem
     motion = Trajectory.from_acceleration(*transcription.acceleration_polynomials(x))
     if problem.plans_links:
-        return motor_motion(problem.robot, motion, WIDER * smoothing, problem.process_force)
+        force = problem.process_force
+        return motor_motion(problem.robot, motion, WIDER * smoothing, force, run.lag)
     if problem.path is None:
         return motion
     return JointPath.through(problem.path).follow(motion)

@@ -8,6 +8,7 @@ they exceed it by in the neighbourhood of its point. The programme stays, only i
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import casadi as ca
@@ -84,6 +85,23 @@ def tightened(
             drawn = np.where(near > 0.0, np.minimum(_MORE * near + _LEAST, most), 0.0)
             bound[index] -= sign * drawn
     return replace(nlp, lower_g=lower, upper_g=upper), largest
+
+
+def lowered(nlp: Nlp, excess: Mapping[str, float]) -> Nlp:
+    """The NLP with the upper bounds of rows of these names drawn in, each by its excess.
+
+    Parameters
+    ----------
+    nlp : Nlp
+    excess : mapping row name -> float
+        In units of the row; no bound is drawn below a twentieth of what it was.
+    """
+    upper = nlp.upper_g.copy()
+    for block in nlp.rows.items:
+        if block.rows.name in excess:
+            own = slice(block.offset, block.offset + block.size)
+            upper[own] = np.maximum(upper[own] - _MORE * excess[block.rows.name], 0.05 * upper[own])
+    return replace(nlp, upper_g=upper)
 
 
 def _about(times: np.ndarray, places: np.ndarray, excess: np.ndarray) -> np.ndarray:

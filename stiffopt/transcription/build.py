@@ -379,7 +379,8 @@ class _Builder:
         places = self.scheme.state_places(self.intervals)
         for column, point in zip(columns, points, strict=True):
             if point is not None:
-                values = point.function(s.states[:, int(column)])
+                given = (s.states[:, int(column)], s.parameters)
+                values = point.function(*given[: point.function.n_in()])
                 self._blocks(point.rows, values, places[[int(column)]])
 
 

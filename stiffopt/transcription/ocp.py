@@ -87,7 +87,7 @@ class Waypoint:
     Parameters
     ----------
     function : casadi.Function
-        (x) -> (m,)
+        (x) or (x, p) -> (m,)
     rows : tuple of Rows
         Blocks of the m rows in order.
     """

@@ -19,6 +19,7 @@ from stiffopt.errors import InputError
 from stiffopt.problem.formulation import Scales, exact_path_rows, formulate
 from stiffopt.problem.motor_model import WIDER, MotorModel, NearMotorModel, motor_motion
 from stiffopt.problem.resolve import resolve
+from stiffopt.problem.trajectory import Method
 from stiffopt.result.store import export_times, write_trajectory
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.guess import initial_guess
@@ -145,9 +146,27 @@ def test_planned_for_the_links_nothing_rings(planar):
     solution = solve(planar, simulate=True)
     assert solution.status.usable
     assert solution.assessment.worst_violation.value <= 5e-3
+    assert solution.duration == pytest.approx(planar.duration[0], abs=1e-9)
+    assert solution.trajectory.link.duration == solution.duration
     swinging = solution.simulation.optimised.simulated
     assert swinging.peak == pytest.approx(solution.objective.value, rel=0.1, abs=5e-6)
-    assert swinging.peak_after < max(0.05 * solution.objective.value, 5e-6)
+    # Damping delays the wind-up: motors that know it leave a hundredth.
+    assert swinging.peak_after < max(0.01 * solution.objective.value, 5e-6)
+
+
+def test_velocities_at_the_ends_are_kept(tmp_path):
+    ends = "boundary_velocity = { start = [0.6, 0.4], end = [0.5, 0.3] }"
+    solution = solve(load(tmp_path, minimise=GOAL, motion=ends))
+    assert solution.status.usable
+    assert solution.trajectory(0.0, 1) == pytest.approx([0.6, 0.4], abs=1e-2)
+    assert solution.trajectory(solution.duration, 1) == pytest.approx([0.5, 0.3], abs=1e-2)
+
+
+def test_free_acceleration_at_the_ends_is_used(tmp_path, planar):
+    freed = solve(load(tmp_path, minimise=GOAL, motion='boundary_acceleration = "free"'))
+    assert freed.status.usable
+    assert np.max(np.abs(freed.trajectory(0.0, 2))) > 1.0
+    assert freed.objective.value < solve(planar).objective.value
 
 
 def test_a_process_force_is_hung_from_where_it_holds_the_tool(tmp_path):
@@ -164,7 +183,6 @@ def test_a_process_force_is_hung_from_where_it_holds_the_tool(tmp_path):
 @pytest.mark.parametrize(
     ("pieces", "words"),
     [
-        ({"motion": 'boundary_acceleration = "free"'}, "at rest at both ends"),
         ({"method": 'transcription = "radau"'}, "piecewise_linear_acceleration"),
     ],
 )
@@ -177,10 +195,10 @@ def test_what_is_minimised_where_nothing_is_said(planar):
     plain = replace(planar, objectives=())
     assert [each.name for each in plain.objectives] == ["tool_deviation"]
     assert plain.chosen == "tool_deviation is minimised, by default."
-    freed = replace(plain, objectives=(), boundary_acceleration="free")
-    assert [each.name for each in freed.objectives] == ["dynamic_deflection"]
-    assert freed.chosen.startswith("dynamic_deflection is minimised, by default: tool_deviation")
-    assert "at rest at both ends" in freed.chosen
+    radau = replace(plain, objectives=(), method=Method(transcription="radau"))
+    assert [each.name for each in radau.objectives] == ["dynamic_deflection"]
+    assert radau.chosen.startswith("dynamic_deflection is minimised, by default: tool_deviation")
+    assert "needs the transcription" in radau.chosen
     assert planar.chosen == ""
     bare = replace(planar.robot, chains=(None, None))
     with pytest.raises(InputError, match="no drivetrain whose deflection could be the default"):

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from stiffopt.errors import ProblemError
+from stiffopt.problem.link_planning import check_links
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.problem.objectives.deflection import ToolDeflection
 
@@ -34,21 +32,8 @@ class ToolDeviation(ToolDeflection):
         self.name = "tool_deviation"
 
     def check(self, objective: Objective, problem: TrajectoryProblem) -> None:
-        """The motion is free between two poses at rest, with the one transcription it has."""
-        moving = problem.boundary_velocity is not None and np.any(problem.boundary_velocity)
-        other = "minimise 'dynamic_deflection'."
-        if moving or problem.boundary_acceleration != "zero":
-            raise ProblemError(
-                "tool_deviation needs a motion at rest at both ends: leave boundary_velocity and "
-                f"boundary_acceleration out, or {other}"
-            )
-        if problem.path is not None:
-            raise ProblemError(f"tool_deviation cannot be combined with motion.path; {other}")
-        if problem.method.transcription != "piecewise_linear_acceleration":
-            raise ProblemError(
-                "tool_deviation needs the transcription 'piecewise_linear_acceleration', the "
-                f"default; leave method.transcription out, or {other}"
-            )
+        """The links' motion has to be one that can be planned."""
+        check_links(problem, self.name, "minimise 'dynamic_deflection'")
 
 
 OBJECTIVES.add(ToolDeviation())

@@ -1,0 +1,172 @@
+"""What swings on after arrival: limited, minimised, and judged by the simulated arm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_arms import joint, load, on_one_element, write_problem, write_robot
+
+from stiffopt.connection import Constant
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.modes import modes
+from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.simulate import simulate
+from stiffopt.errors import InputError
+from stiffopt.problem.files import load_problem
+from stiffopt.report.solve.wording import objective_phrase
+from stiffopt.result.store import result_document
+from stiffopt.solver.solve import solve
+
+FREE = "{ lower = 0.1, upper = 1.0 }"
+DURATION = 'objective = "duration"'
+EXCESS = 5e-3
+
+
+@pytest.fixture(scope="module")
+def shortest(tmp_path_factory):
+    """Shortest motions of a swivel, by what may swing on."""
+
+    def solved(limits):
+        folder = tmp_path_factory.mktemp("arm")
+        problem = load(
+            folder,
+            "swivel",
+            duration=FREE,
+            minimise=DURATION,
+            limits=f"jerk = [4000.0]\n{limits}",
+            method="intervals = 16",
+        )
+        # A mode of 21 Hz.
+        spring = Constant(name="spring", torque_max=60.0, stiffness=1500.0)
+        problem = on_one_element(problem, spring)
+        # A motion that swings on leaves out what damping takes.
+        little = replace(problem.robot, damping=np.array([0.05]))
+        problem = replace(problem, robot=little)
+        return problem, solve(problem, simulate=True)
+
+    return {
+        "any": solved(""),
+        "residual": solved("residual_vibration = '0.4 mm'"),
+        "settling": solved("settling_time = '100 ms'\nsettling_band = '0.2 mm'"),
+        "little": solved("residual_vibration = '5 um'"),
+    }
+
+
+def excess(solution, limit):
+    return next(v.value for v in solution.assessment.violations if v.limit == limit)
+
+
+@pytest.mark.parametrize(
+    ("name", "limit"),
+    [
+        ("residual", "residual_vibration"),
+        ("settling", "settling_time"),
+        ("little", "residual_vibration"),
+    ],
+)
+def test_limits_hold_on_the_simulated_arm(shortest, name, limit):
+    problem, solution = shortest[name]
+    assert solution.status.usable
+    assert excess(solution, limit) <= EXCESS
+    # Judged by a simulation of its own, of what the files hold.
+    assessment = solution.assessment
+    arm = ElasticArm(problem.robot, assessment.position[0])
+    command = MotorMotion(assessment.time, assessment.position, assessment.velocity)
+    limits = problem.active_limits
+    found = simulate(arm, command, band=limits.settling_band)
+    assert found.peak_after <= 1.01 * limits.residual_vibration
+    assert (found.settling_time or 0.0) <= 1.01 * limits.settling_time
+    assert np.allclose(assessment.velocity[-1], 0.0, atol=1e-6)
+
+
+def test_less_may_swing_on_and_the_motion_takes_longer(shortest):
+    took = {name: solution.duration for name, (_, solution) in shortest.items()}
+    assert took["any"] < took["residual"] < took["little"]
+    assert took["any"] < took["settling"] < took["little"]
+    _, free = shortest["any"]
+    assert free.assessment.swing is None
+    assert free.simulation.optimised.simulated.peak_after > 3e-4
+
+
+def test_the_size_after_arrival_is_that_of_the_modes(shortest):
+    """Predicted by the free swing of the end state, within 10 % or 5 um of the simulated one."""
+    problem, solution = shortest["residual"]
+    link = solution.trajectory.link
+    end = np.array([link.duration])
+    arm = ElasticArm(problem.robot, link(0.0))
+    [mode] = modes(arm, solution.assessment.position[-1])
+    rate = 2.0 * np.pi * mode.frequency
+    away = link(end)[0] - solution.assessment.position[-1]
+    size = 0.4 * float(np.hypot(away, link(end, 1)[0] / rate)[0])
+    found = solution.assessment.swing.peak_after
+    assert found == pytest.approx(size, rel=0.1, abs=5e-6)
+    assert solution.compensation is None
+    assert any("swing on after arrival" in note for note in solution.notes)
+
+
+def test_least_residual_vibration(tmp_path):
+    problem = load(tmp_path, minimise='objective = "residual_vibration"')
+    solution = solve(problem, simulate=True)
+    assert solution.status.usable
+    after = solution.simulation.optimised.simulated.peak_after
+    assert solution.objective.value == pytest.approx(after, rel=1e-3)
+    assert after < 5e-6
+    assert solution.ratio_to_better_baseline < 0.05
+    document = result_document(solution)
+    assert document["objective"]["name"] == "residual_vibration"
+    assert objective_phrase("residual_vibration", "") == "residual vibration of the tool"
+
+
+BESIDE = {
+    "path": (
+        {
+            "start": None,
+            "motion": "path = [[-0.6, 0.4], [0.0, 0.3], [0.5, 0.2]]",
+            "limits": "settling_time = '50 ms'",
+        },
+        ["limits.settling_time", "motion.path", "leave limits.settling_time out"],
+    ),
+    "transcription": (
+        {"method": 'transcription = "radau"', "limits": "residual_vibration = '0.1 mm'"},
+        ["limits.residual_vibration", "piecewise_linear_acceleration"],
+    ),
+    "moving end": (
+        {
+            "motion": "boundary_velocity = { start = [0.0, 0.0], end = [0.1, 0.0] }",
+            "limits": "residual_vibration = '0.1 mm'",
+        },
+        ["limits.residual_vibration", "ends with a velocity", "boundary_velocity.end"],
+    ),
+    "objective": (
+        {
+            "motion": "boundary_velocity = { start = [0.0, 0.0], end = [0.1, 0.0] }",
+            "minimise": 'objective = "residual_vibration"',
+        },
+        ["residual_vibration", "ends with a velocity"],
+    ),
+    "negative": ({"limits": "residual_vibration = -1.0"}, ["residual_vibration", "above 0"]),
+    "too long": ({"limits": "settling_time = '2 s'"}, ["settling_time", "1"]),
+}
+
+
+@pytest.mark.parametrize("case", BESIDE)
+def test_what_cannot_be_limited_is_said(case, tmp_path):
+    pieces, words = BESIDE[case]
+    path = write_problem(tmp_path, **{k: v for k, v in pieces.items() if v is not None})
+    if case == "path":
+        text = path.read_text().splitlines()
+        path.write_text("\n".join(x for x in text if not x.startswith(("start =", "end ="))))
+    with pytest.raises(InputError) as error:
+        load_problem(path)
+    for word in words:
+        assert word in str(error.value)
+    assert str(error.value).count("\n") == 0
+
+
+def test_a_rigid_arm_cannot_swing_on(tmp_path):
+    path = write_problem(tmp_path, limits="residual_vibration = '0.1 mm'")
+    write_robot(tmp_path, "planar", joints=[joint("shoulder", ""), joint("elbow", "")])
+    with pytest.raises(InputError, match="no drivetrain"):
+        load_problem(path)
