@@ -201,16 +201,28 @@ def draws(uncertainty: Uncertainty, joints: int, carries: bool) -> list[Departur
     return found
 
 
-def of_deviations(uncertainty: Uncertainty, deviations: np.ndarray) -> Uncertainty:
-    """The same with the stiffness of joints by their standard deviations (n,), NaN where unknown.
+def of_deviations(
+    uncertainty: Uncertainty, stiffness: np.ndarray, payload: float = np.nan
+) -> Uncertainty:
+    """The same with bounds by relative standard deviations, NaN where unknown.
 
     Two standard deviations are taken as the bound; at 99 % a stiffness is as good as unknown.
+
+    Parameters
+    ----------
+    uncertainty : Uncertainty
+    stiffness : array (n,)
+        Of each joint.
+    payload : float
+        Of its mass.
     """
-    if np.all(np.isnan(deviations)):
+    if not np.isnan(payload):
+        uncertainty = replace(uncertainty, payload=min(_DEVIATIONS * payload, 1.0))
+    if np.all(np.isnan(stiffness)):
         return uncertainty
-    shares = uncertainty.shares(len(deviations))
+    shares = uncertainty.shares(len(stiffness))
     known = np.where(
-        np.isnan(deviations), shares, np.minimum(_DEVIATIONS * np.nan_to_num(deviations), 0.99)
+        np.isnan(stiffness), shares, np.minimum(_DEVIATIONS * np.nan_to_num(stiffness), 0.99)
     )
     return replace(uncertainty, stiffness=tuple(float(share) for share in known))
 

@@ -183,11 +183,15 @@ class Simulation:
         "peak" or "rms", what is minimised of a deflection; "" where none is.
     assumed_damping : tuple of int
         Joints (from 1) whose damping is assumed.
+    typical_hysteresis : float or None
+        How far loops as measured on reducers may hold the tool from where it would hang at the end
+        [m]; None where the arm's own are known and simulated.
     """
 
     motions: tuple[ElasticMotion, ...]
     measure: str
     assumed_damping: tuple[int, ...]
+    typical_hysteresis: float | None = None
 
     @property
     def optimised(self) -> ElasticMotion:

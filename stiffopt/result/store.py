@@ -281,6 +281,7 @@ def simulation_document(simulation: Simulation | None) -> dict[str, Any] | None:
         "motions": {motion.name: _elastic(motion) for motion in simulation.motions},
         "ratio_to_better_baseline": simulation.ratio_to_better_baseline,
         "assumed_damping": simulation.assumed_damping,
+        "typical_hysteresis": simulation.typical_hysteresis,
     }
 
 

@@ -28,7 +28,7 @@ from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import ProblemError
 from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.limit import Limits
-from stiffopt.problem.motor_model import motor_motion, rounded_lag
+from stiffopt.problem.motor_model import motor_motion
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
@@ -76,11 +76,10 @@ def solve_shaped(
     ProblemError
         No time is left beside a swing of the lowest mode.
     """
-    arm = ElasticArm(problem.robot, motion.start, problem.process_force)
-    swing, lag = _swing(arm, motion), rounded_lag(arm.lag(motion.end))
-    inner = _shorter(problem, motion, swing + float(lag.max()))
+    swing = _swing(problem, motion)
+    inner = _shorter(problem, motion, swing)
     found = solve(inner)
-    shaped = _shaped(problem, found, swing, lag)
+    shaped = _shaped(problem, found, swing)
     for _ in range(_ROUNDS):
         tightened = None if shaped is None else _tightened(problem, inner, shaped[1])
         if tightened is None or found.status is SolveStatus.INTERRUPTED:
@@ -93,7 +92,7 @@ def solve_shaped(
         if not tried.status.usable:
             break
         inner, found = tightened, tried
-        shaped = _shaped(problem, found, swing, lag)
+        shaped = _shaped(problem, found, swing)
     told = f"Averaged over {1e3 * swing:.0f} ms, a swing of the arm's lowest mode."
     solution = replace(
         found,
@@ -132,8 +131,9 @@ def _ratio(problem: TrajectoryProblem, value: float, other: Baseline | None) -> 
     return improvement(problem, value, other.objective)
 
 
-def _swing(arm: ElasticArm, motion: ResolvedMotion) -> float:
+def _swing(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
     """Period of the lowest mode in the poses of a motion [s]."""
+    arm = ElasticArm(problem.robot, motion.start, problem.process_force)
     lowest = [mode.frequency for pose in motion.points for mode in modes(arm, pose)[:1]]
     if not lowest:
         raise ProblemError("shaped_deviation needs a joint that yields: describe a drivetrain.")
@@ -166,7 +166,7 @@ def _shorter(problem: TrajectoryProblem, motion: ResolvedMotion, swing: float) -
 
 
 def _shaped(
-    problem: TrajectoryProblem, found: Solution, swing: float, lag: np.ndarray
+    problem: TrajectoryProblem, found: Solution, swing: float
 ) -> tuple[Trajectory, Assessment] | None:
     """Motion of the motors that lead the averaged links, and its certificate."""
     if found.trajectory is None:
@@ -178,7 +178,6 @@ def _shaped(
             smooth_motion(averaged, spacing),
             smoothing=WINDUP_SMOOTHING[-1],
             process_force=problem.process_force,
-            lag=lag,
         )
         tried.append((motors, assess(problem, motors)))
         if tried[-1][1].feasible(CERTIFIED):

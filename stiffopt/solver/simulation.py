@@ -19,7 +19,7 @@ from stiffopt.baseline.baselines import slowed_quintic
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
-from stiffopt.elastic.simulate import check_reach, simulate
+from stiffopt.elastic.simulate import check_reach, simulate, typical_hysteresis
 from stiffopt.errors import NotSimulatedError
 from stiffopt.problem.resolve import ResolvedMotion, resolve
 from stiffopt.result.assessment import PeakRms
@@ -195,6 +195,7 @@ def simulate_motions(
         motions=tuple(found),
         measure=terms[0].shown_measure if part else "",
         assumed_damping=arm.assumed_damping,
+        typical_hysteresis=typical_hysteresis(arm, found[0].simulated.position[-1]),
     )
 
 

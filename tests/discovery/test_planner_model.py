@@ -144,6 +144,24 @@ factor = { value = 0.8, sd = 0.02 }
     shares = of_deviations(Uncertainty(), deviation).shares(arm.n)
     assert shares == pytest.approx([0.2, 0.2, 0.05, 0.2, 0.2, 0.2])
     assert np.isnan(planner_model(arm, own).stiffness_deviation).all()
+    assert np.isnan(planner.payload_deviation)
+
+
+def test_the_standard_deviation_of_a_payload_bounds_it_in_planning(
+    arm: Robot, model: ExtendedModel
+) -> None:
+    heavier = replace(
+        found(model, "payload", (0.5, *np.zeros(9))),
+        parameters=({"dm": 0.5},),
+        deviations=({"dm": 0.05},),
+    )
+    carrying = arm.with_payload(2.0, [0.0, 0.0, 0.05], [0.01, 0.01, 0.01])
+    planner = planner_model(carrying, heavier)
+    # What was found counts as payload: of 2.5 kg.
+    assert planner.payload_deviation == pytest.approx(0.02)
+    unsure = of_deviations(Uncertainty(), planner.stiffness_deviation, planner.payload_deviation)
+    assert unsure.payload == pytest.approx(0.04)
+    assert np.isnan(planner_model(carrying, model).payload_deviation)
 
 
 def test_softer_joint_winds_up_by_the_factor(arm: Robot, model: ExtendedModel) -> None:

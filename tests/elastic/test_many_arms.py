@@ -102,6 +102,10 @@ def test_corners_and_draws_stay_within_the_bounds():
 def test_standard_deviations_become_bounds_of_the_joints():
     unsure = of_deviations(Uncertainty(), np.array([np.nan, 0.03, 0.8]))
     assert unsure.stiffness == pytest.approx((0.2, 0.06, 0.99))
+    assert unsure.payload == Uncertainty().payload
+    heavy = of_deviations(Uncertainty(), np.array([np.nan, np.nan]), 0.03)
+    assert heavy.payload == pytest.approx(0.06)
+    assert heavy.stiffness == Uncertainty().stiffness
 
 
 @pytest.mark.parametrize(

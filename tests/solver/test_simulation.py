@@ -85,7 +85,13 @@ def test_result_and_table_hold_every_motion(solved):
         own = document["motions"][row[0]]
         assert set(own) >= {"planned", "in_flight", "after_arrival", "settling_time", "counted"}
     assert document["assumed_damping"] == [1, 2]
-    assert "joints 1 and 2 is assumed, 2 % of critical" in simulation_notes(solution.simulation)[0]
+    damping, hysteresis = simulation_notes(solution.simulation)[:2]
+    assert "joints 1 and 2 is assumed, 2 % of critical" in damping
+    # Both joints turned by 0.05 mrad, at most: the tool is at most 0.8 m from the shoulder.
+    reach = document["typical_hysteresis"]
+    assert 5e-5 * 0.4 < reach < 5e-5 * 1.2
+    share = 100.0 * reach / solution.simulation.optimised.simulated.peak
+    assert f"{share:.0f} % of the optimised peak" in hysteresis
 
 
 def test_a_quintic_that_exceeds_a_limit_is_slowed_until_it_does_not(tmp_path):

@@ -6,7 +6,7 @@ with (ripple, offsets, delays) is named.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.bodies import names_of_body
 from stiffopt.discovery.comparison.extension import EstimatedEffect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.signals import JointConstants
 from stiffopt.discovery.extended.made_for import require_same_robot
 from stiffopt.discovery.extended.model import ExtendedModel
@@ -40,12 +41,16 @@ class PlannerModel:
         What was found and a planner does not know, with the place.
     stiffness_deviation : array (n,)
         Relative standard deviation of each joint's stiffness; NaN where the model states none.
+    payload_deviation : float
+        Standard deviation of the payload's mass, relative to the robot's payload with what was
+        found; NaN where the model states none, or nothing is carried.
     """
 
     robot: Robot
     changes: tuple[str, ...]
     left_out: tuple[str, ...]
     stiffness_deviation: np.ndarray
+    payload_deviation: float
 
 
 def planner_model(robot: Robot, model: ExtendedModel) -> PlannerModel:
@@ -82,6 +87,7 @@ def planner_model(robot: Robot, model: ExtendedModel) -> PlannerModel:
         changes=tuple(planner.changes),
         left_out=tuple(planner.left_out),
         stiffness_deviation=planner.stiffness_deviation(),
+        payload_deviation=planner.payload_deviation(),
     )
 
 
@@ -147,11 +153,7 @@ class _Planner:
     def stiffness_deviation(self) -> np.ndarray:
         """Relative standard deviations (n,) of the joints whose stiffness was found."""
         found = np.full(self.robot.n, np.nan)
-        stated = zip(
-            self.model.extension.effects, self.model.parameters, self.model.deviations, strict=False
-        )
-        for estimated, values, deviations in stated:
-            located = estimated.located
+        for located, values, deviations in self._stated():
             if located.effect.family != "elastic" or located.joint is None:
                 continue
             shares = [
@@ -163,6 +165,23 @@ class _Planner:
                 place = self.place[located.joint]
                 found[place] = np.fmax(found[place], max(shares))
         return found
+
+    def payload_deviation(self) -> float:
+        """Relative standard deviation of the payload's mass, where one was found."""
+        carried = 0.0 if self.robot.payload is None else float(self.robot.payload[0])
+        for located, values, deviations in self._stated():
+            mass = carried + values.get("dm", 0.0)
+            if located.effect.name == "payload" and "dm" in deviations and mass > 0.0:
+                return float(deviations["dm"] / mass)
+        return float("nan")
+
+    def _stated(self) -> Iterator[tuple[LocatedEffect, Mapping[str, float], Mapping[str, float]]]:
+        """Findings with their parameters and standard deviations."""
+        stated = zip(
+            self.model.extension.effects, self.model.parameters, self.model.deviations, strict=False
+        )
+        for estimated, values, deviations in stated:
+            yield estimated.located, values, deviations
 
 
 def _places(robot: Robot, model: ExtendedModel) -> tuple[int, ...]:

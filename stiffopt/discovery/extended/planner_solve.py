@@ -72,7 +72,9 @@ def solve_extended(
         The model is of another robot.
     """
     planner = planner_model(problem.robot, model)
-    unsure = of_deviations(problem.uncertainty, planner.stiffness_deviation)
+    unsure = of_deviations(
+        problem.uncertainty, planner.stiffness_deviation, planner.payload_deviation
+    )
     changed = replace(problem, robot=planner.robot, uncertainty=unsure)
     nominal = solve(problem, progress=progress, throw=False)
     carried = None

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from stiffopt.result.simulation import SimulatedMotion
 
 
-class ResidualVibration(ArrivalLimit):
+class ResidualVibrationLimit(ArrivalLimit):
     """Peak of the tool's deviation once the motors stand still, as simulated."""
 
     def arrival_rows(self, limits: Limits, arrival: Arrival) -> list[PathRows]:
@@ -41,7 +41,7 @@ class ResidualVibration(ArrivalLimit):
 
 
 LIMITS.add(
-    ResidualVibration(
+    ResidualVibrationLimit(
         "residual_vibration",
         Length,
         "m",

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from stiffopt.problem.stage_terms import PathRows
 
 
-class SettlingTime(ArrivalLimit):
+class SettlingTimeLimit(ArrivalLimit):
     """Time from the motors' stop until the tool stays within a band, as simulated."""
 
     def __init__(self) -> None:
@@ -59,4 +59,4 @@ class SettlingTime(ArrivalLimit):
         return float(swing.distance[late].max() / limits.settling_band) - 1.0
 
 
-LIMITS.add(SettlingTime())
+LIMITS.add(SettlingTimeLimit())
