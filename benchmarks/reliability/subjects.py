@@ -33,12 +33,18 @@ role = "train"
 """
 
 _POSES = ("q1", "q2", "fx", "fy", "fz", "dx", "dy", "dz")
-_STATIC = """
-schema = 1
+# As a diagnosis of the shipped set writes it.
+_EXTENDED = (Path(__file__).parent / "extended.toml").read_text()
+
+
+def static_toml(name: str, joints: tuple[str, str]) -> str:
+    """Text of a static.toml of two joints, whose poses stand in `poses.csv` as `_POSES` says."""
+    first, second = joints
+    return f"""schema = 1
 kind = "static"
-name = "static"
+name = "{name}"
 robot = "robot.urdf"
-joints = ["joint1", "joint2"]
+joints = ["{first}", "{second}"]
 tool_frame = "tool0"
 poses = "poses.csv"
 position = ["q1", "q2"]
@@ -46,8 +52,6 @@ force = ["fx", "fy", "fz"]
 displacement = ["dx", "dy", "dz"]
 difference = true
 """
-# As a diagnosis of the shipped set writes it.
-_EXTENDED = (Path(__file__).parent / "extended.toml").read_text()
 
 
 @dataclass(frozen=True)
@@ -131,7 +135,7 @@ def _documents(place: Path) -> Iterator[Subject]:
     static = place / "static"
     static.mkdir()
     shutil.copy(_SET / "robot.urdf", static)
-    (static / "static.toml").write_text(_STATIC)
+    (static / "static.toml").write_text(static_toml("static", ("joint1", "joint2")))
     usual = np.array([1.0, 0.5, 0.0, 0.0, 99.0, 0.0, 0.0, 0.0])
     poses = usual + np.random.default_rng(1).normal(scale=1e-3, size=(12, 8))
     _csv(static / "poses.csv", dict(zip(_POSES, poses.T, strict=True)))

@@ -78,6 +78,22 @@ def test_mujoco_on_a_held_out_motion_takes_the_predicted_torque(found, tmp_path)
     assert (error / size < 0.02).all(), error / size
 
 
+def test_mujoco_takes_the_torque_that_the_diagnosis_wrote(found, tmp_path):
+    """Where a joint moves: at rest dry friction holds with any torque within it."""
+    pytest.importorskip("mujoco")
+    (tmp_path / "found.xml").write_text(MODEL_FORMATS["mjcf"].text(found))
+    time, *motion = held_out()
+    applied = rollout(tmp_path / "found.xml", time, np.array(motion), predicted(found, *motion))
+    stored = np.load(diagnosed() / "pred_after_test_1.npz")
+    for j in range(2):
+        written = np.interp(time, stored["t"], stored[f"tau{j + 1}"])
+        moves = np.abs(motion[1][:, j]) > 0.05
+        moves[:21] = moves[-21:] = False
+        assert moves.mean() > 0.6
+        error = np.sqrt(np.mean((applied[:, j] - written)[moves] ** 2))
+        assert error < 0.02 * np.sqrt(np.mean(written[moves] ** 2)), j
+
+
 def test_mujoco_tells_the_nominal_robot_apart(found, tmp_path):
     pytest.importorskip("mujoco")
     from dataclasses import replace

@@ -8,24 +8,11 @@ import numpy as np
 import pytest
 from recording_sets import URDF
 
+from benchmarks.reliability.subjects import static_toml
 from stiffopt.errors import InputFileError
 from stiffopt.recording.static_set import load_static_set
 
-TOML = """schema = 1
-kind = "static"
-name = "two"
-robot = "robot.urdf"
-joints = ["swing", "slide"]
-tool_frame = "tool0"
-poses = "poses.csv"
-position = ["q1", "q2"]
-force = ["fx", "fy", "fz"]
-displacement = ["dx", "dy", "dz"]
-difference = true
-
-[nominal]
-stiffness = [1e5, 2e6]
-"""
+TOML = static_toml("two", ("swing", "slide")) + "\n[nominal]\nstiffness = [1e5, 2e6]\n"
 POSES = """pose,q1,q2,fx,fy,fz,dx,dy,dz
 1,0.1,0.2,100.0,0.0,-3.0,1e-4,0.0,2e-5
 2,0.4,0.3,0.0,0.0,200.0,0.0,0.0,3e-5
