@@ -25,8 +25,9 @@ _PAGE = ROOT / ".github" / "gallery.md"
 _IMAGES = ROOT / ".github" / "images"
 _HEAD = """# Gallery
 
-The shipped problems and what they give; each solves with the command below it, and in its `report.html`
-the arm turns and moves. Motions are drawn along toppra's, the one to beat: the tool's path in blue, as
+The shipped problems and what they give; each solves with the command below it, and in its
+`report.html` the arm turns and moves. Motions are drawn along toppra's, the one to beat: the tool's
+path in blue, as
 the arm yields in red. The values are checked by `stiffopt verify problems/`.
 """
 _SVG = re.compile(r"<svg [^>]*aria-label=\"([^\"]*)\".*?</svg>", re.DOTALL)
