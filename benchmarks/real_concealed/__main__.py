@@ -1,0 +1,149 @@
+"""Hide, diagnose the difference, write the page; what was answered before is not run again.
+
+    python -m benchmarks.real_concealed [--cases 60] [--controls 12] [--seconds S] [--key dev-...]
+
+The tool starts every time from the model that it found for the set without the concealment, so
+that what it names is the difference. Recordings are in the folder of STIFFOPT_RECORDINGS.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.blind.key import key_under_test
+from benchmarks.blind.real import RECORDINGS
+from benchmarks.blind.sets import Columns, write_set
+from benchmarks.blind.variants import Job, answers
+
+from .draw import WEIGHTS, Plan, plans
+from .hide import hidden, unit_size
+from .motion import PublicSet
+from .page import page
+
+HERE = Path(__file__).parent
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.real_concealed")
+    parser.add_argument("--cases", type=int, default=60)
+    parser.add_argument("--controls", type=int, default=12)
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after so long")
+    parser.add_argument("--key", help="for development; begins with dev-")
+    parser.add_argument("--commit", default="HEAD", help="whose run is gone on with")
+    parser.add_argument("--work", type=Path, default=HERE / "work")
+    given = parser.parse_args()
+    key = key_under_test(given.key, given.commit)
+    sets = {
+        name: PublicSet(RECORDINGS / name)
+        for name in WEIGHTS
+        if (RECORDINGS / name / "recordings.toml").exists()
+    }
+    if not sets:
+        print(f"No recordings in {RECORDINGS}; name their folder in STIFFOPT_RECORDINGS.")
+        return
+    folder = given.work / key.text[:16]
+    begin = time.monotonic()
+    made = plans(key, sets, given.cases, given.controls)
+    rows = []
+    for plan in made:
+        done = folder / plan.name / "case.json"
+        if not done.exists() and time.monotonic() - begin < given.seconds:
+            _run(plan, sets[plan.source], folder)
+        if done.exists():
+            rows.append((plan, json.loads(done.read_text())))
+    text = page(key, rows, len(made))
+    (HERE / "RESULTS.md").write_text(text, encoding="utf-8")
+    print(text)
+
+
+def _run(plan: Plan, s: PublicSet, folder: Path) -> None:
+    """Make one case, diagnose it, and leave what there is to count."""
+    begin, case = time.monotonic(), folder / plan.name / "set"
+    first = Job("whole", s.folder, folder / "first" / plan.source)
+    (known,) = answers([first], 1, _say)
+    if known is None:
+        return
+    shutil.rmtree(case, ignore_errors=True)
+    amount, reached = 0.0, 0.0
+    if plan.kind is None:
+        _shorter(plan, s, case)
+    else:
+        amount, reached = _amount(plan, s, known, folder / plan.name)
+        hidden(s, plan.kind, plan.joint, amount, case)
+    stopped = plan.kind is not None and plan.kind.where == "sign" and _doubted(case)
+    answer = None
+    if not stopped:
+        model = first.out / "extended.toml"
+        out = folder / plan.name / "answer"
+        (answer,) = answers([Job("whole", case, out, model=model)], 1, _say)
+    shutil.rmtree(case, ignore_errors=True)
+    kept = {
+        "amount": amount,
+        "truth": [] if plan.kind is None else [vars(t) for t in plan.kind.truth(s, plan.joint)],
+        "size": reached,
+        "stopped": stopped,
+        "verdict": None if answer is None else answer["verdict"],
+        "findings": [] if answer is None else answer["findings"],
+        "seconds": time.monotonic() - begin,
+    }
+    (folder / plan.name).mkdir(parents=True, exist_ok=True)
+    (folder / plan.name / "case.json").write_text(json.dumps(kept, indent=1))
+    _say(f"{plan.name} {plan.source}: {kept['seconds']:.0f} s")
+
+
+def _amount(plan: Plan, s: PublicSet, known: dict[str, Any], work: Path) -> tuple[float, float]:
+    """Units that make the size drawn, and the size in multiples of what is left."""
+    assert plan.kind is not None
+    left = {c["channel"]: c["rms_after"] for c in known["fit"]["channels"]}
+    if plan.kind.where == "stiffness":
+        return plan.size, 0.0
+    if plan.kind.where == "sign":
+        return 1.0, 0.0
+    if plan.kind.where == "link":
+        # Half of the width is the root mean square; the unit is 1e-5 rad.
+        width = 2.0 * plan.size * left[f"link_position_{plan.joint + 1}"]
+        return width / 1e-5, plan.size
+    unit = unit_size(s, plan.kind, plan.joint, work)
+    ratio = max(unit[j] / left.get(f"torque_{j + 1}", np.inf) for j in range(len(unit)))
+    return plan.sign * plan.size / ratio, plan.size
+
+
+def _shorter(plan: Plan, s: PublicSet, target: Path) -> None:
+    """The set with less of the beginning of its training runs."""
+    train = {Path(file).stem for file in s.runs("train")}
+
+    def change(name: str, columns: Columns) -> Columns:
+        if name not in train:
+            return columns
+        time_ = columns[s.told["signals"]["time"]]
+        kept = time_ >= time_[0] + plan.size * (time_[-1] - time_[0])
+        return {key: values[kept] for key, values in columns.items()}
+
+    write_set(s.folder, target, s.told, change)
+
+
+def _doubted(case: Path) -> bool:
+    """Whether the tool stops before any diagnosis: the files cannot be what they say."""
+    from stiffopt.discovery.sanity.gate import doubts
+    from stiffopt.discovery.training import training_runs
+    from stiffopt.recording.recording_set import load_recordings
+
+    recordings = load_recordings(case)
+    return bool(doubts(recordings, training_runs(recordings)))
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,95 @@
+"""What is hidden where: every choice follows from the key, nobody chooses anything by hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from benchmarks.blind.key import Key
+
+from .hide import KINDS, Kind
+from .motion import PublicSet
+
+SIZES = (1.0, 2.0, 4.0, 8.0)
+# How often a set is drawn: those that take minutes less often.
+WEIGHTS = {
+    "dfki_a0815": 2, "emps": 1, "kuka_kr300": 2, "tx40_first": 1, "unisa_ur10": 3, "ur10e": 1,
+}  # fmt: skip
+# Factors on a nominal stiffness, which has no multiples.
+FACTORS = (0.5, 2.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """One concealment, or a control.
+
+    Parameters
+    ----------
+    name : str
+    source : str
+        Name of the set.
+    kind : Kind or None
+        None where nothing is hidden: the training runs lose a little of their beginning.
+    joint : int
+        From 0.
+    size : float
+        Times the residual that the answer without the concealment leaves on runs left out, in the
+        torque where it is largest; a factor of a stiffness; a share for controls.
+    sign : float
+    """
+
+    name: str
+    source: str
+    kind: Kind | None
+    joint: int
+    size: float
+    sign: float
+
+
+def plans(key: Key, sets: dict[str, PublicSet], hidden: int, controls: int) -> list[Plan]:
+    """All of a run, controls between the others."""
+    kinds: list[Kind] = []
+    sizes: list[float] = []
+    possible = [k for k in KINDS if not k.sets or set(k.sets) & set(sets)]
+    while len(kinds) < hidden:
+        kinds += key.shuffled(possible, "real", "kinds", len(kinds))
+        sizes += key.shuffled(SIZES * 4, "real", "sizes", len(sizes))
+    found = []
+    for number, (kind, size) in enumerate(zip(kinds[:hidden], sizes, strict=False), start=1):
+        draw = key.draw("real", "case", number)
+        names = [s for s in sets if not kind.sets or s in kind.sets]
+        weights = [WEIGHTS[s] for s in names]
+        source = names[int(draw.choice(len(names), p=[w / sum(weights) for w in weights]))]
+        joint = int(draw.choice(_joints(sets[source], kind)))
+        if kind.name == "stiffness":
+            size = float(draw.choice(FACTORS))
+        sign = float(draw.choice([-1.0, 1.0])) if kind.name in ("motor gain", "offset") else 1.0
+        found.append(
+            Plan(
+                name=f"case_{number:03d}", source=source, kind=kind, joint=joint, size=size,
+                sign=sign,
+            )
+        )  # fmt: skip
+    for number in range(1, controls + 1):
+        draw = key.draw("real", "control", number)
+        names = list(sets)
+        source = names[(number - 1) % len(names)]
+        control = Plan(
+            name=f"control_{number:03d}", source=source, kind=None, joint=0,
+            size=float(draw.uniform(0.02, 0.15)), sign=1.0,
+        )  # fmt: skip
+        found.insert(number * (hidden // max(controls, 1) + 1) - 1, control)
+    return found
+
+
+def _joints(s: PublicSet, kind: Kind) -> list[int]:
+    n = len(s.joints)
+    if kind.every:
+        return [0]
+    if kind.name == "hand not mounted":
+        return [n - 1]
+    if kind.where == "nominal":
+        return list(range(1, n)) if n > 2 else list(range(n))
+    if kind.where in ("link", "stiffness"):
+        return [k for k, name in enumerate(s.told["signals"]["link_position"]) if name]
+    size = s.size([run.velocity for run in s.tested])
+    return [j for j in range(n) if size[j] > 0.0]

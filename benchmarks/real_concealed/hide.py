@@ -1,0 +1,256 @@
+"""What is hidden, one entry a kind: taken out of the nominal model or put into the recording.
+
+Every kind is made of a unit that is scaled, so that its size can be given in multiples of what the
+re-identified model leaves on runs left out. None of its formulas is the tool's.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.blind.score import Named
+from benchmarks.blind.sets import Columns, write_set
+
+from .motion import MOVING, Motion, PublicSet, motion_of
+
+# What is added to the torque (K, n) of a run for a unit, joint from 0.
+Torque = Callable[[PublicSet, Motion, int], np.ndarray]
+_PLAY = 1e-5  # [rad], a unit of backlash
+_POLES = 4  # pole pairs that are told where ripple is hidden
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """A kind of concealment.
+
+    Parameters
+    ----------
+    name : str
+    where : str
+        "torque", "nominal", "link", "stiffness", "sign": what is changed.
+    truth : callable
+        From set and joint (from 0) to the names that are right.
+    parameter : str
+        That is compared, "" for none.
+    added : callable, optional
+        Of kinds in the torque.
+    sets : tuple of str
+        Names of the sets that it can be hidden in; none: all.
+    every : bool
+        Whether the torques of all joints change, so that no joint is drawn.
+    """
+
+    name: str
+    where: str
+    truth: Callable[[PublicSet, int], tuple[Named, ...]]
+    parameter: str = ""
+    added: Torque | None = None
+    sets: tuple[str, ...] = ()
+    every: bool = False
+
+
+def _side(speed: np.ndarray) -> np.ndarray:
+    return np.asarray(np.sign(speed) * np.minimum(np.abs(speed) / MOVING, 1.0))
+
+
+def _single(values: np.ndarray, like: Motion, joint: int) -> np.ndarray:
+    out = np.zeros_like(like.position)
+    out[:, joint] = values
+    return out
+
+
+def _coulomb(_: PublicSet, m: Motion, j: int) -> np.ndarray:
+    return _single(_side(m.velocity[:, j]), m, j)
+
+
+def _viscous(_: PublicSet, m: Motion, j: int) -> np.ndarray:
+    return _single(m.velocity[:, j], m, j)
+
+
+def _rotor(_: PublicSet, m: Motion, j: int) -> np.ndarray:
+    return _single(m.acceleration[:, j], m, j)
+
+
+def _load(_: PublicSet, m: Motion, j: int) -> np.ndarray:
+    return _single(np.abs(m.torque[:, j]) * _side(m.velocity[:, j]), m, j)
+
+
+def _gain(_: PublicSet, m: Motion, j: int) -> np.ndarray:
+    return _single(m.torque[:, j], m, j)
+
+
+def _offset(_: PublicSet, m: Motion, j: int) -> np.ndarray:
+    return _single(np.ones(len(m.time)), m, j)
+
+
+def _delay(_: PublicSet, m: Motion, j: int) -> np.ndarray:
+    """For a delay of 1 ms, to first order; the set itself is shifted."""
+    return -1e-3 * np.gradient(m.torque, m.time, axis=0)
+
+
+def _ripple(s: PublicSet, m: Motion, j: int) -> np.ndarray:
+    ratio = s.told["nominal"]["gear_ratio"][j]
+    return _single(np.sin(_POLES * ratio * m.position[:, j] + 0.7), m, j)
+
+
+def _stop(s: PublicSet, m: Motion, j: int) -> np.ndarray:
+    """A stiff spring over the last fifth of the stroke that the runs have."""
+    angles = np.concatenate([s.motion(file).position[:, j] for file in s.runs("train")])
+    low, high = np.nanquantile(angles, [0.0, 1.0])
+    return _single(np.maximum(m.position[:, j] - (high - 0.2 * (high - low)), 0.0), m, j)
+
+
+def _joint(name: str) -> Callable[[PublicSet, int], tuple[Named, ...]]:
+    return lambda s, j: (Named(name, j + 1),)
+
+
+def _link(s: PublicSet, j: int) -> tuple[Named, ...]:
+    moved = (Named("inertial_error", None, link_of(s, j)),)
+    return (*moved, Named("payload")) if j == len(s.joints) - 1 else moved
+
+
+def _stops(s: PublicSet, j: int) -> tuple[Named, ...]:
+    return (Named("cable_spring", j + 1), Named("gravity_spring", j + 1))
+
+
+ARMS = ("dfki_a0815", "kuka_kr300", "tx40_first", "unisa_ur10", "ur10e")
+KINDS = (
+    Kind(name="coulomb", where="torque", truth=_joint("coulomb"), parameter="dFc", added=_coulomb),
+    Kind(name="viscous", where="torque", truth=_joint("viscous"), parameter="dFv", added=_viscous),
+    Kind(
+        name="rotor inertia", where="torque", truth=_joint("rotor_inertia"), parameter="dJ",
+        added=_rotor,
+    ),
+    Kind(name="load friction", where="torque", truth=_joint("load_friction"), added=_load),
+    Kind(
+        name="motor gain", where="torque", truth=_joint("torque_gain"), parameter="eps",
+        added=_gain,
+    ),
+    Kind(
+        name="offset", where="torque", truth=_joint("torque_offset"), parameter="off",
+        added=_offset,
+    ),
+    Kind(
+        name="delay", where="torque", truth=lambda s, j: (Named("time_delay"),), parameter="d",
+        added=_delay, sets=ARMS, every=True,
+    ),
+    Kind(
+        name="ripple", where="torque", truth=_joint("torque_ripple"), added=_ripple,
+        sets=("tx40_first",),
+    ),
+    Kind(name="stop", where="torque", truth=_stops, added=_stop, sets=ARMS),
+    Kind(name="hand not mounted", where="nominal", truth=_link, parameter="dm", sets=ARMS),
+    Kind(name="mass of a link", where="nominal", truth=_link, parameter="dm", sets=ARMS),
+    Kind(name="centre of mass moved", where="nominal", truth=_link, sets=ARMS),
+    Kind(
+        name="backlash", where="link", truth=_joint("backlash"), parameter="width",
+        sets=("kuka_kr300",),
+    ),
+    Kind(
+        name="stiffness", where="stiffness", truth=_joint("stiffness_linear"), parameter="factor",
+        sets=("kuka_kr300",),
+    ),
+    Kind(name="sign of an axis", where="sign", truth=_joint("sign"), sets=ARMS),
+)  # fmt: skip
+
+
+def link_of(s: PublicSet, joint: int) -> str:
+    """Name of the link that a joint moves."""
+    tree = ElementTree.parse(s.folder / s.told["robot"])
+    child = tree.find(f".//joint[@name='{s.joints[joint]}']/child")
+    assert child is not None
+    return child.attrib["link"]
+
+
+def heavier(s: PublicSet, kind: Kind, joint: int, amount: float, target: Path) -> Path:
+    """The set's URDF with a link changed: by a mass [kg], or its centre moved [m] along x."""
+    tree = ElementTree.parse(s.folder / s.told["robot"])
+    inertial = tree.find(f".//link[@name='{link_of(s, joint)}']/inertial")
+    assert inertial is not None
+    mass, origin, tensor = (inertial.find(tag) for tag in ("mass", "origin", "inertia"))
+    assert mass is not None
+    assert tensor is not None
+    now = float(mass.attrib["value"])
+    if kind.name == "centre of mass moved":
+        if origin is None:
+            origin = ElementTree.SubElement(inertial, "origin", rpy="0 0 0", xyz="0 0 0")
+        place = np.array([float(v) for v in origin.attrib["xyz"].split()])
+        place += amount / np.sqrt(3.0)
+        origin.set("xyz", " ".join(repr(float(v)) for v in place))
+    else:
+        mass.set("value", repr(now + amount))
+        for key, value in tensor.attrib.items():
+            tensor.set(key, repr(float(value) * (now + amount) / max(now, 1e-9)))
+    target.parent.mkdir(parents=True, exist_ok=True)
+    tree.write(target)
+    return target
+
+
+def hidden(s: PublicSet, kind: Kind, joint: int, amount: float, target: Path) -> Path:
+    """The set with so much of a kind in it."""
+    told = s.told
+    signals = told["signals"]
+    if kind.where == "torque":
+        assert kind.added is not None
+        added = kind.added
+
+        def change(_: str, columns: Columns) -> Columns:
+            run = motion_of(columns, signals)
+            if kind.name == "delay":
+                return columns | {
+                    name: np.interp(run.time - 1e-3 * amount, run.time, columns[name])
+                    for name in signals["torque"]
+                }
+            more = amount * np.nan_to_num(added(s, run, joint))
+            names = enumerate(signals["torque"])
+            return columns | {name: columns[name] + more[:, k] for k, name in names}
+
+        if kind.name == "ripple":
+            told = told | {"nominal": told["nominal"] | {"pole_pairs": _POLES}}
+        return write_set(s.folder, target, told, change)
+    if kind.where == "link":
+        name = signals["link_position"][joint]
+
+        def play(_: str, columns: Columns) -> Columns:
+            run = motion_of(columns, signals)
+            side = np.sign(np.convolve(run.torque[:, joint], np.full(25, 0.04), "same"))
+            return columns | {name: columns[name] - 0.5 * amount * _PLAY * side}
+
+        return write_set(s.folder, target, told, play)
+    if kind.where == "stiffness":
+        reducer = {
+            key: [v * amount if k == joint else v for k, v in enumerate(values)]
+            if key.startswith("K")
+            else values
+            for key, values in told["nominal"]["reducer"].items()
+        }
+        told = told | {"nominal": told["nominal"] | {"reducer": reducer}}
+        return write_set(s.folder, target, told)
+    if kind.where == "sign":
+
+        def turned(_: str, columns: Columns) -> Columns:
+            names = [signals["position"][joint]]
+            if "velocity" in signals:
+                names.append(signals["velocity"][joint])
+            return columns | {name: -columns[name] for name in names}
+
+        return write_set(s.folder, target, told, turned)
+    write_set(s.folder, target, told)
+    heavier(s, kind, joint, amount, target / told["robot"])
+    return target
+
+
+def unit_size(s: PublicSet, kind: Kind, joint: int, work: Path) -> np.ndarray:
+    """What a unit of a kind adds to every torque, root mean square on runs left out (n,)."""
+    if kind.where == "torque":
+        assert kind.added is not None
+        return s.size([kind.added(s, run, joint) for run in s.tested])
+    unit = 0.01 if kind.name == "centre of mass moved" else 1.0
+    changed = heavier(s, kind, joint, unit, work / "unit.urdf")
+    before, after = s.rigid_torques(s.folder / s.told["robot"]), s.rigid_torques(changed)
+    return s.size([b - a for a, b in zip(before, after, strict=True)]) / unit
