@@ -73,12 +73,12 @@ def _run(plan: Plan, s: PublicSet, folder: Path) -> None:
     if known is None:
         return
     shutil.rmtree(case, ignore_errors=True)
-    amount, reached = 0.0, 0.0
+    amount, reached, joint = 0.0, 0.0, 0
     if plan.kind is None:
         _shorter(plan, s, case)
     else:
-        amount, reached = _amount(plan, s, known, folder / plan.name)
-        hidden(s, plan.kind, plan.joint, amount, case)
+        amount, reached, joint = _amount(plan, s, known)
+        hidden(s, plan.kind, joint, amount, case)
     stopped = plan.kind is not None and plan.kind.where == "sign" and _doubted(case)
     answer = None
     if not stopped:
@@ -87,8 +87,9 @@ def _run(plan: Plan, s: PublicSet, folder: Path) -> None:
         (answer,) = answers([Job("whole", case, out, model=model)], 1, _say)
     shutil.rmtree(case, ignore_errors=True)
     kept = {
+        "joint": joint,
         "amount": amount,
-        "truth": [] if plan.kind is None else [vars(t) for t in plan.kind.truth(s, plan.joint)],
+        "truth": [] if plan.kind is None else [vars(t) for t in plan.kind.truth(s, joint)],
         "size": reached,
         "stopped": stopped,
         "verdict": None if answer is None else answer["verdict"],
@@ -100,21 +101,34 @@ def _run(plan: Plan, s: PublicSet, folder: Path) -> None:
     _say(f"{plan.name} {plan.source}: {kept['seconds']:.0f} s")
 
 
-def _amount(plan: Plan, s: PublicSet, known: dict[str, Any], work: Path) -> tuple[float, float]:
-    """Units that make the size drawn, and the size in multiples of what is left."""
-    assert plan.kind is not None
+def _amount(plan: Plan, s: PublicSet, known: dict[str, Any]) -> tuple[float, float, int]:
+    """Units that make the size, the size in multiples of what is left, and the joint."""
+    kind = plan.kind
+    assert kind is not None
     left = {c["channel"]: c["rms_after"] for c in known["fit"]["channels"]}
-    if plan.kind.where == "stiffness":
-        return plan.size, 0.0
-    if plan.kind.where == "sign":
-        return 1.0, 0.0
-    if plan.kind.where == "link":
+    first = plan.joints[0]
+    if kind.where == "stiffness":
+        return plan.size, 0.0, first
+    if kind.where == "sign":
+        return 1.0, 0.0, first
+    if kind.where == "link":
         # Half of the width is the root mean square; the unit is 1e-5 rad.
-        width = 2.0 * plan.size * left[f"link_position_{plan.joint + 1}"]
-        return width / 1e-5, plan.size
-    unit = unit_size(s, plan.kind, plan.joint, work)
-    ratio = max(unit[j] / left.get(f"torque_{j + 1}", np.inf) for j in range(len(unit)))
-    return plan.sign * plan.size / ratio, plan.size
+        width = 2.0 * plan.size * left[f"link_position_{first + 1}"]
+        return width / 1e-5, plan.size, first
+    best = (0.0, 0.0, first)
+    for joint in plan.joints:
+        unit = unit_size(s, kind, joint)
+        ratio = max(unit[j] / left.get(f"torque_{j + 1}", np.inf) for j in range(len(unit)))
+        if ratio <= 0.0:
+            continue
+        size = plan.size
+        while size / ratio > kind.most:
+            size /= 2.0
+        if size > best[1]:
+            best = float(plan.sign * size / ratio), size, joint
+        if size == plan.size:
+            break
+    return best
 
 
 def _shorter(plan: Plan, s: PublicSet, target: Path) -> None:

@@ -29,8 +29,8 @@ class Plan:
         Name of the set.
     kind : Kind or None
         None where nothing is hidden: the training runs lose a little of their beginning.
-    joint : int
-        From 0.
+    joints : tuple of int
+        From 0: the one drawn, then those that are taken in its place.
     size : float
         Times the residual that the answer without the concealment leaves on runs left out, in the
         torque where it is largest; a factor of a stiffness; a share for controls.
@@ -40,7 +40,7 @@ class Plan:
     name: str
     source: str
     kind: Kind | None
-    joint: int
+    joints: tuple[int, ...]
     size: float
     sign: float
 
@@ -59,13 +59,13 @@ def plans(key: Key, sets: dict[str, PublicSet], hidden: int, controls: int) -> l
         names = [s for s in sets if not kind.sets or s in kind.sets]
         weights = [WEIGHTS[s] for s in names]
         source = names[int(draw.choice(len(names), p=[w / sum(weights) for w in weights]))]
-        joint = int(draw.choice(_joints(sets[source], kind)))
+        joints = tuple(int(j) for j in draw.permutation(_joints(sets[source], kind)))
         if kind.name == "stiffness":
             size = float(draw.choice(FACTORS))
         sign = float(draw.choice([-1.0, 1.0])) if kind.name in ("motor gain", "offset") else 1.0
         found.append(
             Plan(
-                name=f"case_{number:03d}", source=source, kind=kind, joint=joint, size=size,
+                name=f"case_{number:03d}", source=source, kind=kind, joints=joints, size=size,
                 sign=sign,
             )
         )  # fmt: skip
@@ -74,7 +74,7 @@ def plans(key: Key, sets: dict[str, PublicSet], hidden: int, controls: int) -> l
         names = list(sets)
         source = names[(number - 1) % len(names)]
         control = Plan(
-            name=f"control_{number:03d}", source=source, kind=None, joint=0,
+            name=f"control_{number:03d}", source=source, kind=None, joints=(),
             size=float(draw.uniform(0.02, 0.15)), sign=1.0,
         )  # fmt: skip
         found.insert(number * (hidden // max(controls, 1) + 1) - 1, control)
@@ -85,9 +85,10 @@ def _joints(s: PublicSet, kind: Kind) -> list[int]:
     n = len(s.joints)
     if kind.every:
         return [0]
-    if kind.name == "hand not mounted":
+    if kind.links == "last":
         return [n - 1]
-    if kind.where == "nominal":
+    if kind.links:
+        # The first link of an upright arm shows nothing but inertia about its axis.
         return list(range(1, n)) if n > 2 else list(range(n))
     if kind.where in ("link", "stiffness"):
         return [k for k, name in enumerate(s.told["signals"]["link_position"]) if name]

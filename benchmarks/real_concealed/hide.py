@@ -1,14 +1,17 @@
-"""What is hidden, one entry a kind: taken out of the nominal model or put into the recording.
+"""What is hidden, one entry a kind: put into the recorded torque or link angle, or into the model.
 
+A body that is heavier, or whose centre lies elsewhere, adds to the recorded torques what inverse
+dynamics of the changed URDF says: to the tool it is the same as if the nominal model lacked it.
 Every kind is made of a unit that is scaled, so that its size can be given in multiples of what the
 re-identified model leaves on runs left out. None of its formulas is the tool's.
 """
 
 from __future__ import annotations
 
+import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +35,7 @@ class Kind:
     ----------
     name : str
     where : str
-        "torque", "nominal", "link", "stiffness", "sign": what is changed.
+        "torque", "link", "stiffness", "sign": what is changed.
     truth : callable
         From set and joint (from 0) to the names that are right.
     parameter : str
@@ -43,6 +46,11 @@ class Kind:
         Names of the sets that it can be hidden in; none: all.
     every : bool
         Whether the torques of all joints change, so that no joint is drawn.
+    most : float
+        Units that are sensible at most; where the size drawn asks for more the next joint is taken,
+        at last a smaller size.
+    links : str
+        "last" or "all" where it is in a link.
     """
 
     name: str
@@ -52,6 +60,8 @@ class Kind:
     added: Torque | None = None
     sets: tuple[str, ...] = ()
     every: bool = False
+    most: float = float("inf")
+    links: str = ""
 
 
 def _side(speed: np.ndarray) -> np.ndarray:
@@ -105,6 +115,30 @@ def _stop(s: PublicSet, m: Motion, j: int) -> np.ndarray:
     return _single(np.maximum(m.position[:, j] - (high - 0.2 * (high - low)), 0.0), m, j)
 
 
+def _mass(s: PublicSet, m: Motion, j: int) -> np.ndarray:
+    """A kilogram at the centre of a link, its inertia about it in proportion."""
+    return _bodies(s, m, j, mass=1.0, centre=0.0)
+
+
+def _centre(s: PublicSet, m: Motion, j: int) -> np.ndarray:
+    """The centre of a link a centimetre off, along a diagonal of its frame."""
+    return _bodies(s, m, j, mass=0.0, centre=0.01)
+
+
+def _bodies(s: PublicSet, m: Motion, j: int, *, mass: float, centre: float) -> np.ndarray:
+    whole = replace(m, position=_known(m.position), torque=m.torque)
+    with tempfile.TemporaryDirectory() as folder:
+        changed = heavier(s, j, mass, centre, Path(folder) / "changed.urdf")
+        after = s.rigid_torques(changed, whole)
+    return after - s.rigid_torques(s.folder / s.told["robot"], whole)
+
+
+def _known(samples: np.ndarray) -> np.ndarray:
+    every = np.arange(len(samples))
+    columns = [np.interp(every, every[np.isfinite(c)], c[np.isfinite(c)]) for c in samples.T]
+    return np.column_stack(columns)
+
+
 def _joint(name: str) -> Callable[[PublicSet, int], tuple[Named, ...]]:
     return lambda s, j: (Named(name, j + 1),)
 
@@ -118,6 +152,8 @@ def _stops(s: PublicSet, j: int) -> tuple[Named, ...]:
     return (Named("cable_spring", j + 1), Named("gravity_spring", j + 1))
 
 
+# Sets with torques alone: a body would move the link encoders of the other.
+LIGHT = ("dfki_a0815", "tx40_first", "unisa_ur10", "ur10e")
 ARMS = ("dfki_a0815", "kuka_kr300", "tx40_first", "unisa_ur10", "ur10e")
 KINDS = (
     Kind(name="coulomb", where="torque", truth=_joint("coulomb"), parameter="dFc", added=_coulomb),
@@ -126,10 +162,12 @@ KINDS = (
         name="rotor inertia", where="torque", truth=_joint("rotor_inertia"), parameter="dJ",
         added=_rotor,
     ),
-    Kind(name="load friction", where="torque", truth=_joint("load_friction"), added=_load),
+    Kind(
+        name="load friction", where="torque", truth=_joint("load_friction"), added=_load, most=0.6,
+    ),
     Kind(
         name="motor gain", where="torque", truth=_joint("torque_gain"), parameter="eps",
-        added=_gain,
+        added=_gain, most=0.5,
     ),
     Kind(
         name="offset", where="torque", truth=_joint("torque_offset"), parameter="off",
@@ -137,16 +175,25 @@ KINDS = (
     ),
     Kind(
         name="delay", where="torque", truth=lambda s, j: (Named("time_delay"),), parameter="d",
-        added=_delay, sets=ARMS, every=True,
+        added=_delay, sets=ARMS, every=True, most=30.0,
     ),
     Kind(
         name="ripple", where="torque", truth=_joint("torque_ripple"), added=_ripple,
         sets=("tx40_first",),
     ),
     Kind(name="stop", where="torque", truth=_stops, added=_stop, sets=ARMS),
-    Kind(name="hand not mounted", where="nominal", truth=_link, parameter="dm", sets=ARMS),
-    Kind(name="mass of a link", where="nominal", truth=_link, parameter="dm", sets=ARMS),
-    Kind(name="centre of mass moved", where="nominal", truth=_link, sets=ARMS),
+    Kind(
+        name="payload", where="torque", truth=_link, parameter="dm", added=_mass, sets=LIGHT,
+        links="last",
+    ),
+    Kind(
+        name="mass of a link", where="torque", truth=_link, parameter="dm", added=_mass,
+        sets=LIGHT, links="all",
+    ),
+    Kind(
+        name="centre of mass moved", where="torque", truth=_link, added=_centre, sets=LIGHT,
+        links="all", most=20.0,
+    ),
     Kind(
         name="backlash", where="link", truth=_joint("backlash"), parameter="width",
         sets=("kuka_kr300",),
@@ -167,26 +214,22 @@ def link_of(s: PublicSet, joint: int) -> str:
     return child.attrib["link"]
 
 
-def heavier(s: PublicSet, kind: Kind, joint: int, amount: float, target: Path) -> Path:
-    """The set's URDF with a link changed: by a mass [kg], or its centre moved [m] along x."""
+def heavier(s: PublicSet, joint: int, mass: float, centre: float, target: Path) -> Path:
+    """The set's URDF with a link heavier [kg], or its centre moved along a diagonal [m]."""
     tree = ElementTree.parse(s.folder / s.told["robot"])
     inertial = tree.find(f".//link[@name='{link_of(s, joint)}']/inertial")
     assert inertial is not None
-    mass, origin, tensor = (inertial.find(tag) for tag in ("mass", "origin", "inertia"))
-    assert mass is not None
+    entry, origin, tensor = (inertial.find(tag) for tag in ("mass", "origin", "inertia"))
+    assert entry is not None
     assert tensor is not None
-    now = float(mass.attrib["value"])
-    if kind.name == "centre of mass moved":
-        if origin is None:
-            origin = ElementTree.SubElement(inertial, "origin", rpy="0 0 0", xyz="0 0 0")
-        place = np.array([float(v) for v in origin.attrib["xyz"].split()])
-        place += amount / np.sqrt(3.0)
-        origin.set("xyz", " ".join(repr(float(v)) for v in place))
-    else:
-        mass.set("value", repr(now + amount))
-        for key, value in tensor.attrib.items():
-            tensor.set(key, repr(float(value) * (now + amount) / max(now, 1e-9)))
-    target.parent.mkdir(parents=True, exist_ok=True)
+    if origin is None:
+        origin = ElementTree.SubElement(inertial, "origin")
+    now = float(entry.attrib["value"])
+    place = [float(v) + centre / 3.0**0.5 for v in origin.attrib.get("xyz", "0 0 0").split()]
+    origin.set("xyz", " ".join(map(repr, place)))
+    entry.set("value", repr(now + mass))
+    for key, value in tensor.attrib.items():
+        tensor.set(key, repr(float(value) * (now + mass) / max(now, 1e-9)))
     tree.write(target)
     return target
 
@@ -231,26 +274,18 @@ def hidden(s: PublicSet, kind: Kind, joint: int, amount: float, target: Path) ->
         }
         told = told | {"nominal": told["nominal"] | {"reducer": reducer}}
         return write_set(s.folder, target, told)
-    if kind.where == "sign":
+    assert kind.where == "sign"
 
-        def turned(_: str, columns: Columns) -> Columns:
-            names = [signals["position"][joint]]
-            if "velocity" in signals:
-                names.append(signals["velocity"][joint])
-            return columns | {name: -columns[name] for name in names}
+    def turned(_: str, columns: Columns) -> Columns:
+        names = [signals["position"][joint]]
+        if "velocity" in signals:
+            names.append(signals["velocity"][joint])
+        return columns | {name: -columns[name] for name in names}
 
-        return write_set(s.folder, target, told, turned)
-    write_set(s.folder, target, told)
-    heavier(s, kind, joint, amount, target / told["robot"])
-    return target
+    return write_set(s.folder, target, told, turned)
 
 
-def unit_size(s: PublicSet, kind: Kind, joint: int, work: Path) -> np.ndarray:
+def unit_size(s: PublicSet, kind: Kind, joint: int) -> np.ndarray:
     """What a unit of a kind adds to every torque, root mean square on runs left out (n,)."""
-    if kind.where == "torque":
-        assert kind.added is not None
-        return s.size([kind.added(s, run, joint) for run in s.tested])
-    unit = 0.01 if kind.name == "centre of mass moved" else 1.0
-    changed = heavier(s, kind, joint, unit, work / "unit.urdf")
-    before, after = s.rigid_torques(s.folder / s.told["robot"]), s.rigid_torques(changed)
-    return s.size([b - a for a, b in zip(before, after, strict=True)]) / unit
+    assert kind.added is not None
+    return s.size([kind.added(s, run, joint) for run in s.tested])

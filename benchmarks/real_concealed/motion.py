@@ -68,26 +68,18 @@ class PublicSet:
             count += moving.sum(axis=0)
         return np.asarray(np.sqrt(square / np.maximum(count, 1)))
 
-    def rigid_torques(self, robot: Path) -> list[np.ndarray]:
-        """Torques of a URDF's bodies along the tested runs, one (K, n) a run."""
+    def rigid_torques(self, robot: Path, run: Motion) -> np.ndarray:
+        """Torques (K, n) of a URDF's bodies along a run."""
         model = pinocchio.buildModelFromUrdf(str(robot))
         model.gravity.linear = np.array(self.told.get("gravity", [0.0, 0.0, -9.81]))
         data = model.createData()
         place = [model.joints[model.getJointId(name)].idx_v for name in self.joints]
-        found = []
-        for run in self.tested:
-            out = np.zeros_like(run.position)
-            for k in range(len(run.time)):
-                q = pinocchio.neutral(model)
-                v, a = np.zeros(model.nv), np.zeros(model.nv)
-                q[place], v[place], a[place] = (
-                    run.position[k],
-                    run.velocity[k],
-                    run.acceleration[k],
-                )
-                out[k] = pinocchio.rnea(model, data, q, v, a)[place]
-            found.append(out)
-        return found
+        out = np.zeros_like(run.position)
+        q, v, a = (np.zeros(model.nv) for _ in range(3))
+        for k in range(len(run.time)):
+            q[place], v[place], a[place] = run.position[k], run.velocity[k], run.acceleration[k]
+            out[k] = pinocchio.rnea(model, data, q, v, a)[place]
+        return out
 
 
 def motion_of(columns: dict[str, np.ndarray], signals: dict[str, Any]) -> Motion:

@@ -14,11 +14,14 @@ from benchmarks.blind.wilson import Rate
 
 from .draw import SIZES, Plan
 
+# Units of hidden amounts that are not SI's own.
+_UNITS = {"delay": 1e-3, "backlash": 1e-5}
 Row = tuple[Plan, dict[str, Any]]
 HEAD = """# Hidden in recordings of real robots
 
-Known things, hidden by a sealed draw in public recordings of real robots: taken out of the nominal
-model, or put into the recording. The tool starts from the model that it found for the set without
+Known things, hidden by a sealed draw in public recordings of real robots: put into the recorded
+torques or link angles (bodies as what inverse dynamics of the changed robot adds), or into a
+nominal stiffness. The tool starts from the model that it found for the set without
 them, so that what it names is the difference. *Size* is the root mean square of what is hidden over
 what that model leaves on runs left out, in the torque (or link angle) where it is largest.
 `python -m benchmarks.real_concealed` makes this page, and goes on where it was interrupted.
@@ -99,11 +102,9 @@ def _value(row: Row) -> float:
     """The hidden parameter [SI]: what a model in front of it lacks."""
     plan, amount = row[0], float(row[1]["amount"])
     assert plan.kind is not None
-    if plan.kind.where == "nominal":
-        return -amount
     if plan.kind.where == "stiffness":
         return 1.0 / amount
-    return {"delay": 1e-3, "backlash": 1e-5}.get(plan.kind.name, 1.0) * amount
+    return _UNITS.get(plan.kind.name, 1.0) * amount
 
 
 def _by(rows: Sequence[Row], of: Callable[[Row], str], groups: Iterable[str]) -> str:
@@ -121,7 +122,7 @@ def _line(row: Row) -> tuple[str, ...]:
     told = said or ("stopped: doubted" if found["stopped"] else str(found["verdict"]))
     if plan.kind is None:
         return (plan.name, plan.source, "nothing", "", told, "no" if not said else "named")
-    where = "" if plan.kind.every else f" J{plan.joint + 1}"
+    where = "" if plan.kind.every else f" J{found['joint'] + 1}"
     size = f"{found['size']:g}" if found["size"] else ""
     told += _beside(row)
     verdict = "first" if _first(row) else "among" if _anywhere(row) else "no"

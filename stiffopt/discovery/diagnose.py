@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,15 +23,15 @@ from stiffopt.discovery.experiment.design import ExperimentPlan, leading_pair, p
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.discovery.judging.bursts import bursts
-from stiffopt.discovery.judging.closing import closed
+from stiffopt.discovery.judging.carried_over import not_carried_over
+from stiffopt.discovery.judging.closing import settled
 from stiffopt.discovery.judging.detection import detection_limits
+from stiffopt.discovery.judging.held_out import HeldOut
 from stiffopt.discovery.judging.modes import mode_shifts
 from stiffopt.discovery.judging.next_recording import next_recording
-from stiffopt.discovery.judging.shares import Share, Shares, parts_of
+from stiffopt.discovery.judging.shares import Share, parts_of
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, channel_name
 from stiffopt.discovery.judging.variance_explained import variance_explained
-from stiffopt.discovery.proof.predict import Predictor
-from stiffopt.discovery.proof.proof import RunProof, nrmse, prove
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.gate import doubts
 from stiffopt.discovery.search.candidates import Scorer
@@ -133,12 +133,12 @@ def diagnose(
     settings = training.settings
     selected, unexplained = assess_findings(result)
     say("estimate parameters")
-    located = tuple(s.located for s in selected)
-    parameters = estimate(result.comparison, located)
     start = () if base is None else (base.extension,)
     if training.free_bodies and not training.robot.swings:
-        say("take friction from all moving samples where that predicts better")
-        parameters = closed(training, settings, start, parameters)
+        selected, parameters = settled(training, settings, start, result.comparison, selected)
+    else:
+        parameters = estimate(result.comparison, tuple(s.located for s in selected))
+    located = tuple(s.located for s in selected)
     findings = _findings(result.comparison, selected, parameters, training, result.after)
     limits = detection_limits(Scorer(result.comparison, located), asked, result.effects)
     found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
@@ -155,14 +155,12 @@ def diagnose(
     except KeyboardInterrupt:
         stopped.append("Stopped by the user: no experiment was designed.")
     # The findings are fixed: from here on other runs may be opened, and change nothing above.
-    shares = Shares(parts_of(found, recordings.unstated))
-    proofs = []
+    opened = HeldOut(training, settings, start, found, parts_of(found, recordings.unstated))
     try:
-        for proof in _proofs(recordings, training, settings, start, found, shares, say):
-            proofs.append(proof)
+        opened.predict_all(recordings, say)
     except KeyboardInterrupt:
         stopped.append("Stopped by the user: not all held-out runs were predicted.")
-    taken = shares.found()
+    proofs, taken = tuple(opened.proofs), opened.shares.found()
     every = (*training.recorded, *(proof.run for proof in proofs))
     return Diagnosis(
         recordings=recordings,
@@ -173,8 +171,10 @@ def diagnose(
         extension=found if base is None else base.extension.followed_by(found),
         training=training,
         search=result,
-        held_out=tuple(proofs),
+        held_out=proofs,
         shares=taken,
+        rod=opened.rod(),
+        not_carried_over=not_carried_over(proofs, opened.velocities),
         modes=mode_shifts(result.comparison, result.fit),
         catalogue=catalogue,
         detection_limits=limits,
@@ -234,7 +234,8 @@ def _searched(
             else ()
         ),
         most=training.most,
-        free_bodies=training.free_bodies,
+        strict=training.free_bodies,
+        reidentify=training.reidentified,
         about=about,
         report=say,
     )
@@ -301,59 +302,6 @@ def _findings(
             )
         )
     return tuple(findings)
-
-
-def _proofs(
-    recordings: RecordingSet,
-    training: Training,
-    settings: Settings,
-    start: tuple[Extension, ...],
-    found: Extension,
-    shares: Shares,
-    say: Say,
-) -> Iterator[RunProof]:
-    swinging = _predicted_swinging(training, settings, (*start, found))
-    for entry in recordings.with_role("test", "extrapolate"):
-        say(f"predict {entry.file}")
-        run = recordings.open(entry)
-        if not run.usable:
-            continue
-        predictor = Predictor(training.robot, run, training.constants, settings, swinging=swinging)
-        before, after = predictor.predict(*start), predictor.predict(*start, found)
-        proof = prove(run, predictor.velocity, before, after, training.noise)
-        say(f"share out what changes in {entry.file}")
-        shares.add(predictor, start, found, proof)
-        yield proof
-
-
-def _predicted_swinging(
-    training: Training, settings: Settings, extensions: tuple[Extension, ...]
-) -> bool:
-    """Whether links swing in predictions: as the training runs are predicted better.
-
-    Where nothing was found they do: nominal values alone move no joint beyond its law.
-    """
-    if not training.robot.swings:
-        return False
-    if not any(extension.effects for extension in extensions):
-        return training.runs[0].swing is not None
-    left = {}
-    for swinging in (True, False):
-        proofs = []
-        for run, prepared in zip(training.recorded, training.runs, strict=True):
-            # Where links swing it is the motion that was fitted.
-            predictor = Predictor(
-                training.robot,
-                run,
-                training.constants,
-                settings,
-                prepared if swinging else None,
-                swinging=swinging,
-            )
-            after = predictor.predict(*extensions)
-            proofs.append(prove(run, predictor.velocity, after, after, training.noise))
-        left[swinging] = nrmse(proofs, "after")
-    return left[True] <= left[False]
 
 
 def _next_experiment(

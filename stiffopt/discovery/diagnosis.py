@@ -11,6 +11,8 @@ from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import ExperimentPlan
+from stiffopt.discovery.judging.black_box import MeasuringRod
+from stiffopt.discovery.judging.carried_over import NotCarriedOver
 from stiffopt.discovery.judging.detection import DetectionLimit
 from stiffopt.discovery.judging.modes import ModeShift
 from stiffopt.discovery.judging.shares import Share
@@ -168,6 +170,10 @@ class Diagnosis(Shown):
         Test and extrapolation runs with their predictions before and after.
     shares : tuple of Share
         What the mismatch is made of on held-out runs, the largest first, what is open last.
+    rod : MeasuringRod or None
+        What is explained of what a black box could explain, where nobody vouches for the model.
+    not_carried_over : tuple of NotCarriedOver
+        Single values that held-out runs have and training runs have not.
     catalogue : tuple of Effect
         What was tried: the catalogue, and effects of the user's.
     detection_limits : tuple of DetectionLimit
@@ -200,6 +206,8 @@ class Diagnosis(Shown):
     search: SearchResult
     held_out: tuple[RunProof, ...]
     shares: tuple[Share, ...]
+    rod: MeasuringRod | None
+    not_carried_over: tuple[NotCarriedOver, ...]
     catalogue: tuple[Effect, ...]
     detection_limits: tuple[DetectionLimit, ...]
     unexplained: Unexplained | None

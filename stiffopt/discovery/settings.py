@@ -30,6 +30,18 @@ WIDE = Tolerance(
     com=5e-3,
     encoder_zero=2e-3,
 )
+# Of those of an extended model that was fitted to recordings of the same robot.
+NARROW = Tolerance(
+    mass=0.01,
+    rotor_inertia=0.05,
+    coulomb=0.1,
+    viscous=0.1,
+    stiffness=0.05,
+    joint_damping=0.1,
+    torque_constant=0.005,
+    com=1e-3,
+    encoder_zero=2e-4,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +59,8 @@ class Settings:
         A joint slower than this counts as standing [rad/s]; its friction has no definite value.
     tolerance : Tolerance
         Stands in where the set states none: wide, since unknown.
+    after_model : Tolerance
+        Likewise, where an extended model of the robot is started from.
     box : float
         Nominal values stay within so many standard deviations.
     effects : int, optional
@@ -58,6 +72,7 @@ class Settings:
     predict: tuple[float, ...] | None = None
     slow: float = MOVING
     tolerance: Tolerance = field(default_factory=lambda: WIDE)
+    after_model: Tolerance = field(default_factory=lambda: NARROW)
     box: float = 4.0
     effects: int | None = None
 

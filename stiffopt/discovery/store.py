@@ -62,6 +62,8 @@ def answer(diagnosis: Diagnosis) -> dict[str, Any]:
         },
         "mismatch": [_share(each) for each in diagnosis.shares],
         "rigid_model": _rigid(diagnosis),
+        "black_box": _rod(diagnosis),
+        "not_carried_over": [vars(each) for each in diagnosis.not_carried_over],
         "detection_limits": [
             {
                 "effect": limit.effect.name,
@@ -165,6 +167,24 @@ def _rigid(diagnosis: Diagnosis) -> dict[str, Any] | None:
         "width": rigid.width,
         "gain": rigid.gain,
         "single": None if rigid.single is None else rigid.single.located.label,
+    }
+
+
+def _rod(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    """What is explained of what can be, and what the rest goes with."""
+    rod = diagnosis.rod
+    if rod is None:
+        return None
+    return {
+        "explained": rod.explained,
+        "channels": [
+            {"channel": name, "rms_after": after, "rms_box": box}
+            for name, (after, box) in rod.channels.items()
+        ],
+        "depends_on": [
+            {"channel": each.channel, "signal": each.signal, "at": each.at, "mean": each.mean}
+            for each in rod.depends
+        ],
     }
 
 

@@ -53,6 +53,9 @@ class Training:
         Standard deviations that nominal values stay within.
     free_bodies : bool
         Whether nobody vouches for the nominal masses.
+    reidentified : bool
+        Whether they are all fitted anew, then: unless an extended model is started from, against
+        which differences are sought.
     most : int
         Effects that are named at most beside what the set does not give.
     settings : Settings
@@ -69,6 +72,7 @@ class Training:
     tolerance: Tolerance
     box: float
     free_bodies: bool
+    reidentified: bool
     most: int
     settings: Settings
     assumptions: tuple[str, ...]
@@ -163,7 +167,8 @@ def train(
             f"With {len(ready)} training run{'s' * (len(ready) > 1)}, candidates are"
             " cross-validated over stretches of runs instead of whole runs."
         )
-    tolerance = merged(stated, settings.tolerance)
+    # A model that was fitted to this robot is nearer to it than one that nobody has compared.
+    tolerance = merged(stated, settings.tolerance if model is None else settings.after_model)
     if free and stated.encoder_zero is None:
         # Encoders' offsets are fitted and said, not hidden by a tolerance.
         tolerance = replace(tolerance, encoder_zero=0.0)
@@ -176,6 +181,7 @@ def train(
         noise=noise,
         tolerance=tolerance,
         free_bodies=free,
+        reidentified=free and model is None,
         box=settings.box,
         most=_most(settings.effects, free),
         settings=settings,

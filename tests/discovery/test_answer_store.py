@@ -50,6 +50,8 @@ DOCUMENT = {
     "mismatch": (list,),
     "modes": (list,),
     "rigid_model": (dict, *NULL),
+    "black_box": (dict, *NULL),
+    "not_carried_over": (list,),
     "outside": (dict, *NULL),
     "next_experiment": TEXT,
     "assumptions": (list,),

@@ -11,8 +11,9 @@ import pytest
 
 from stiffopt.discovery.catalogue import CATALOGUE, effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.judging.closing import closed
+from stiffopt.discovery.judging.closing import _Rows, _stepped, settled
 from stiffopt.discovery.search.left_out import _excess, borne_out, without_balancing
+from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import _restored
 from stiffopt.discovery.search.uncertainty import estimate
 from stiffopt.discovery.settings import Settings
@@ -81,17 +82,34 @@ def test_what_every_joint_has_comes_back() -> None:
 def test_friction_is_taken_from_all_moving_samples() -> None:
     """A level that is off comes back to what the runs bear out, and is no surer for it."""
     training = train(load_recordings(SET), Settings())
+    constants = training.constants
     there = LocatedEffect(effect=effect("coulomb"), joint=1)
-    first = estimate(training.comparison(), [there])
-    size = there.sizes(training.constants)[0]
+    comparison = training.comparison()
+    first = estimate(comparison, [there])
+    size = there.sizes(constants)[0]
     off = first.moved(np.array([0.5]))
     assert off.effects[0].amplitudes[0] == pytest.approx(
         first.effects[0].amplitudes[0] + 0.5 * size
     )
-    again = closed(training, training.settings, (), off)
-    value, sd = again.parameters(0, there.constants(training.constants))["dFc"]
-    known, exact = first.parameters(0, there.constants(training.constants))["dFc"]
+    rows = _Rows(training, training.settings, (), off, ["coulomb"])
+    again = _stepped(training, off, rows, ["coulomb"])
+    value, sd = again.parameters(0, there.constants(constants))["dFc"]
+    known, exact = first.parameters(0, there.constants(constants))["dFc"]
     assert value == pytest.approx(known, rel=0.05)
     assert sd > 0.4 * size > exact
-    same = closed(training, training.settings, (), first)
-    assert same.effects == first.effects
+
+
+def test_friction_that_all_moving_samples_contradict_goes() -> None:
+    """What is there stays as it was estimated; of a joint that has none nothing is claimed."""
+    training = train(load_recordings(SET), Settings())
+    comparison = training.comparison()
+    places = [LocatedEffect(effect=effect("coulomb"), joint=j) for j in (0, 1)]
+    wrong = estimate(comparison, places).moved(np.array([1.0, 0.0]))
+    rows = _Rows(training, training.settings, (), wrong, ["coulomb"])
+    helps = [rows.helps(found, ["coulomb"], training) for found in wrong.effects]
+    assert helps == [False, True]
+    there = Selected(places[1], 1.0, 1.0, 1.0, (), 1)
+    kept, parameters = settled(training, training.settings, (), comparison, [there])
+    assert kept == (there,)
+    known = estimate(comparison, places[1:]).effects
+    assert parameters.effects[0].amplitudes == known[0].amplitudes

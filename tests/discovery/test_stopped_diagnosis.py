@@ -7,7 +7,7 @@ from diagnosed_folders import written
 from simulated_sets import COULOMB
 
 from stiffopt.cli import run
-from stiffopt.discovery import diagnose as diagnosing
+from stiffopt.discovery.judging import held_out
 from stiffopt.discovery.search import search as searching
 
 
@@ -52,7 +52,7 @@ def test_before_any_finding_nothing_is_claimed(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.slow
 def test_while_held_out_runs_are_predicted(tmp_path, monkeypatch):
-    interrupted(monkeypatch, diagnosing, "Predictor", 1)
+    interrupted(monkeypatch, held_out, "Predictor", 1)
     code, document = answered(tmp_path)
     assert code == 130
     assert "not all held-out runs were predicted" in document["assumptions"][0]

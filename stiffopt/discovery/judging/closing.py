@@ -14,11 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.proof.proof import used_samples
 from stiffopt.discovery.search.left_out import parts_a_run
-from stiffopt.discovery.search.uncertainty import Estimate
+from stiffopt.discovery.search.rivals import Selected
+from stiffopt.discovery.search.uncertainty import Estimate, estimate
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
 
@@ -26,10 +28,14 @@ from stiffopt.discovery.training import Training
 _LEAST = 0.05
 
 
-def closed(
-    training: Training, settings: Settings, start: Sequence[Extension], parameters: Estimate
-) -> Estimate:
-    """The estimate with friction and offsets of joints taken from all moving samples.
+def settled(
+    training: Training,
+    settings: Settings,
+    start: Sequence[Extension],
+    comparison: Comparison,
+    selected: Sequence[Selected],
+) -> tuple[tuple[Selected, ...], Estimate]:
+    """What was found, with friction from all moving samples; without what they do not bear out.
 
     Parameters
     ----------
@@ -37,14 +43,38 @@ def closed(
     settings : Settings
     start : sequence of Extension
         Of the model that the diagnosis started from.
-    parameters : Estimate
+    comparison : Comparison
+        With the noise that the effects leave.
+    selected : sequence of Selected
     """
+    while True:
+        located = tuple(s.located for s in selected)
+        parameters = estimate(comparison, located)
+        names = _names(parameters)
+        if not names:
+            return tuple(selected), parameters
+        rows = _Rows(training, settings, start, parameters, names)
+        kept = [
+            each
+            for each, found in zip(selected, parameters.effects, strict=True)
+            if not _plain(found) or rows.helps(found, names, training)
+        ]
+        if len(kept) == len(selected):
+            return tuple(selected), _stepped(training, parameters, rows, names)
+        selected = kept
+
+
+def _names(parameters: Estimate) -> list[str]:
+    """Names of the effects that may be taken anew."""
+    return sorted({e.located.effect.name for e in parameters.effects if _plain(e)})
+
+
+def _stepped(
+    training: Training, parameters: Estimate, rows: _Rows, names: Sequence[str]
+) -> Estimate:
+    """The estimate with friction and offsets of joints taken from all moving samples."""
     effects = parameters.effects
     plain = [k for k, each in enumerate(effects) if _plain(each)]
-    if not plain:
-        return parameters
-    names = sorted({effects[k].located.effect.name for k in plain})
-    rows = _Rows(training, settings, start, parameters, names)
     steps = np.zeros(len(effects))
     for joint in {effects[k].located.joint for k in plain}:
         own = [k for k in plain if effects[k].located.joint == joint]
@@ -111,6 +141,19 @@ class _Rows:
                 columns = np.column_stack([each[places[used], joint] for each in added])
                 rows[joint].append((columns, left, fold[used]))
         self._rows = rows
+
+    def helps(self, found: EstimatedEffect, names: Sequence[str], training: Training) -> bool:
+        """Whether all moving samples are predicted better with it than without."""
+        located = found.located
+        assert located.joint is not None
+        column = names.index(located.effect.name)
+        amount = found.amplitudes[0] / located.sizes(training.constants)[0]
+        own = self._rows[located.joint]
+        now = sum(float(left @ left) for _, left, _ in own)
+        without = sum(
+            float(np.sum((left + amount * added[:, column]) ** 2)) for added, left, _ in own
+        )
+        return without > now
 
     def step(self, joint: int, columns: Sequence[int]) -> np.ndarray | None:
         """Best steps of a joint's values over their sizes; None where they gain too little."""

@@ -77,7 +77,8 @@ def search(
     *,
     start: Sequence[LocatedEffect] = (),
     most: int = 3,
-    free_bodies: bool = False,
+    strict: bool = False,
+    reidentify: bool = False,
     about: Extension | None = None,
     report: Callable[[str], object] | None = None,
 ) -> SearchResult:
@@ -92,8 +93,10 @@ def search(
         Tried together before anything else: what the nominal model does not state.
     most : int
         Effects at most beside those.
-    free_bodies : bool
-        Whether nobody vouches for the nominal masses: the rigid model is re-identified then.
+    strict : bool
+        Whether nobody vouches for the nominal model: only what recordings left out bear out stays.
+    reidentify : bool
+        Whether the rigid model is re-identified first.
     about : Extension, optional
         Found otherwise: links move with it at first, and its effects are judged before others.
     report : callable, optional
@@ -106,7 +109,7 @@ def search(
     calibrated = comparison.channel_ratio(comparison.fit().residual)
     current, effects = _not_stated(comparison, list(start), say)
     rigid = None
-    if free_bodies:
+    if reidentify:
         say("re-identify the rigid model")
         rigid = rigid_stage(current, effects, catalogue)
         comparison = comparison.with_bodies(rigid.bodies(comparison))
@@ -118,29 +121,29 @@ def search(
         comparison = comparison.moved(about)
         current, effects = _fitted_jointly(comparison, [each.located for each in about.effects])
         effects = _pruned(current, effects)
-    together = AT_ONCE if free_bodies else 1
+    together = AT_ONCE if strict else 1
     current, effects, stopped = _forward(
         comparison, current, effects, catalogue, most, together, say, tell
     )
     if effects:
         say(f"confirm what was found ({len(effects)}) on stretches left out")
-    confirmed = _confirmed(current, effects, strict=free_bodies)
-    if free_bodies:
+    confirmed = _confirmed(current, effects, strict=strict)
+    if strict:
         confirmed = borne_out(current, confirmed)
     if len(confirmed) < len(effects):
         lost = [e for e in effects if e not in confirmed]
         current, effects = _fitted_jointly(comparison, confirmed)
-        if free_bodies:
+        if strict:
             current, effects = _added_again(comparison, current, effects, lost)
     current, ranked = _exchanged(comparison, current, effects, catalogue, tell)
-    for _ in range(EXCHANGES if free_bodies else 0):
+    for _ in range(EXCHANGES if strict else 0):
         effects = [r.selected.located for r in ranked]
         kept = borne_out(current, _confirmed(current, effects, strict=True))
         if len(kept) == len(effects):
             break
         current, kept = _fitted_jointly(comparison, kept)
         current, ranked = _exchanged(comparison, current, kept, catalogue, tell, ranked)
-    if free_bodies:
+    if strict:
         effects = [r.selected.located for r in ranked]
         lost = [e for e in start if not any(e.same_place(other) for other in effects)]
         current, ranked = _restored(comparison, current, ranked, lost, catalogue, tell)

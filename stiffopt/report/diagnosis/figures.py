@@ -10,6 +10,8 @@ from matplotlib.figure import Figure
 
 from stiffopt.report.common.svg import BLUE, GREY, ORANGE, PALE, VERMILLION, WIDTH, house_style
 from stiffopt.report.common.text import significant
+from stiffopt.report.diagnosis.words import regressor_words
+from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.discovery.diagnosis import Diagnosis
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
 HEAT = LinearSegmentedColormap.from_list("heat", ["#f5f7f9", "#f7d99a", ORANGE, "#a33b00"])
 # Residual over noise at which the darkest colour is reached at the earliest.
 _DARKEST = 10.0
+# Of signals that a remainder depends on.
+_UNITS = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "torque": "N m"}
 _ROLES = (("test", "test runs"), ("extrapolate", "extrapolation runs"))
 
 
@@ -101,6 +105,26 @@ def held_out_figure(diagnosis: Diagnosis) -> Figure:
             bbox_to_anchor=(0.1, below),
         )
         figure.subplots_adjust(left=0.11, right=0.99, wspace=0.06)
+        return figure
+
+
+def dependence_figure(diagnosis: Diagnosis) -> Figure:
+    """What a black box finds in what is left, along the signals that it goes with most."""
+    assert diagnosis.rod is not None
+    depends = diagnosis.rod.depends
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 2.4))
+        grid = figure.subplots(1, len(depends), squeeze=False, sharey=True)[0]
+        for axes, each in zip(grid, depends, strict=True):
+            kind, _, number = each.signal.rpartition("_")
+            slides = diagnosis.training.constants.joints[int(number) - 1].prismatic
+            axes.plot(each.at, each.mean, color=BLUE)
+            axes.axhline(0.0, color=GREY, linewidth=1.0, zorder=0)
+            unit = joint_unit(_UNITS[kind], slides)
+            axes.set_xlabel(f"{regressor_words(each.signal).removeprefix('the ')} [{unit}]")
+        own = int(depends[0].channel.rpartition("_")[2]) - 1
+        unit = joint_unit("N m", diagnosis.training.constants.joints[own].prismatic)
+        grid[0].set_ylabel(f"left of torque, joint {own + 1} [{unit}]")
         return figure
 
 

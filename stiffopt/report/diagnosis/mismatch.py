@@ -6,8 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from stiffopt.report.common.text import listed, pm
-from stiffopt.report.diagnosis.words import joints_in_words, place, prismatic, unstated_groups
+from stiffopt.report.common.text import listed, pm, significant
+from stiffopt.report.diagnosis.words import (
+    channel_words,
+    joints_in_words,
+    place,
+    prismatic,
+    regressor_words,
+    unstated_groups,
+)
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
@@ -72,6 +79,38 @@ def mismatch_sentence(diagnosis: Diagnosis) -> str:
         return ""
     parts = ", ".join(f"{100 * each.share:.0f} % {each.words}" for each in shares)
     return f"Of the mismatch on runs left out: {parts}."
+
+
+def rod_sentence(diagnosis: Diagnosis) -> str:
+    """What is explained of what a black box could explain; "" where none was asked."""
+    rod = diagnosis.rod
+    if rod is None:
+        return ""
+    text = (
+        f"Explained: {100 * rod.explained:.0f} % of what is explainable, measured by a black box"
+        " that was fitted to what is left in the training runs"
+    )
+    if not rod.depends:
+        return f"{text}; it finds next to nothing more."
+    what = listed(regressor_words(each.signal) for each in rod.depends)
+    return f"{text}; the rest depends on {what} (most in {channel_words(rod.depends[0].channel)})."
+
+
+def carried_over_sentences(diagnosis: Diagnosis) -> list[str]:
+    """One for every value that does not carry over to a held-out run."""
+    found = []
+    for each in diagnosis.not_carried_over:
+        kind, _, joint = each.channel.rpartition("_")
+        slides = diagnosis.training.constants.joints[int(joint) - 1].prismatic
+        unit = "rad" if kind == "link_position" else "N m"
+        unit = f"{unit} s/rad" if each.kind == "viscous friction" else unit
+        value = f"{significant(each.value, 2)} {joint_unit(unit, slides)}"
+        what = "A constant" if each.kind == "constant" else each.kind.capitalize()
+        found.append(
+            f"{what} does not carry over: {each.run} has {value} more than the training runs in"
+            f" {channel_words(each.channel)} ({100 * each.share:.0f} % of what is left there)."
+        )
+    return found
 
 
 def unstated_rows(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[UnstatedRow]:

@@ -16,9 +16,20 @@ from stiffopt.recording.facts import joint_facts
 from stiffopt.recording.run import counted
 from stiffopt.report.common.citations import diagnosis_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
-from stiffopt.report.diagnosis.figures import balances_figure, channel_ratio, held_out_figure
+from stiffopt.report.diagnosis.figures import (
+    balances_figure,
+    channel_ratio,
+    dependence_figure,
+    held_out_figure,
+)
 from stiffopt.report.diagnosis.held_out import Trace, overlay_figure, trace, worst_windows
-from stiffopt.report.diagnosis.mismatch import mismatch_sentence, named_shares, unstated_rows
+from stiffopt.report.diagnosis.mismatch import (
+    carried_over_sentences,
+    mismatch_sentence,
+    named_shares,
+    rod_sentence,
+    unstated_rows,
+)
 from stiffopt.report.diagnosis.overview import (
     candidates,
     limits_by_effect,
@@ -88,6 +99,9 @@ def write_diagnosis_report(
     for number, finding in enumerate(shown, start=1):
         _draw_finding(figures, diagnosis, finding, number)
     _draw_unexplained(figures, diagnosis)
+    if diagnosis.rod is not None and diagnosis.rod.depends:
+        drawn = dependence_figure(diagnosis)
+        figures.draw("dependence", drawn, "What a black box finds in what is left")
     figures.draw("held_out", held_out_figure(diagnosis), "Residual over noise of held-out runs")
     for role, (_, curve) in overlays.items():
         figures.draw(role, overlay_figure(curve), "Measured and predicted, before and after")
@@ -101,6 +115,8 @@ def write_diagnosis_report(
         "unexplained": unexplained_sentence(diagnosis),
         "mismatch": mismatch_sentence(diagnosis),
         "shares": named_shares(diagnosis),
+        "rod": rod_sentence(diagnosis),
+        "carried_over": carried_over_sentences(diagnosis),
         "new": new,
         "not_given": unstated_rows(diagnosis, unstated),
         "shown": shown,

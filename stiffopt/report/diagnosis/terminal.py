@@ -7,7 +7,12 @@ from typing import TYPE_CHECKING
 
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, pm, significant
-from stiffopt.report.diagnosis.mismatch import mismatch_sentence, unstated_rows
+from stiffopt.report.diagnosis.mismatch import (
+    carried_over_sentences,
+    mismatch_sentence,
+    rod_sentence,
+    unstated_rows,
+)
 from stiffopt.report.diagnosis.words import (
     channels_in_words,
     new_and_unstated,
@@ -34,8 +39,8 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     """Verdict, findings with deviations and rivals, fit on held-out runs, where the files are."""
     print_lines([f"{diagnosis.verdict}: {_verdict(diagnosis)}"])
     sentence = mismatch_sentence(diagnosis)
-    if sentence:
-        print_lines([sentence])
+    more = [rod_sentence(diagnosis), *carried_over_sentences(diagnosis)]
+    print_lines([line for line in (sentence, *more) if line])
     new, unstated = new_and_unstated(diagnosis)
     if diagnosis.findings:
         rows = [_row(diagnosis, finding) for finding in new]

@@ -1,0 +1,215 @@
+"""A black box as a measuring rod: what a function of the motion could still explain.
+
+It names nothing and no finding rests on it. Of every torque it learns what the extended model
+leaves in the training runs, as a smooth function of postures, speeds, accelerations and loads, and
+predicts the same in runs left out: what it takes away there, physics could as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.judging.random_features import SmoothFunction, smooth_function
+from stiffopt.discovery.proof.predict import Prediction, Predictor
+from stiffopt.discovery.proof.proof import used_samples
+from stiffopt.discovery.settings import SIGN_SPEED, Settings
+from stiffopt.discovery.training import Training
+
+# Samples of all runs that a box is fitted to, and stretches of a run that it is chosen by.
+_SAMPLES, _STRETCHES = 2000, 6
+# Share of a channel's squares in runs left out from which the box shows something.
+SHOWN_SHARE = 0.1
+# Points of a curve of what the box depends on, samples that each is averaged over, and signals
+# that are named at most, each with this share of the strongest one's.
+_POINTS, _AVERAGED, _NAMED, _NAMED_SHARE = 25, 200, 2, 0.5
+# Quantiles of a signal that a curve goes between.
+_RANGE = (0.02, 0.98)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Dependence:
+    """How a remainder goes with one signal, others as they were met.
+
+    Parameters
+    ----------
+    channel : str
+    signal : str
+        Such as "q_1".
+    at, mean : array (k,)
+        Of the signal [SI], and of the remainder [N m].
+    """
+
+    channel: str
+    signal: str
+    at: np.ndarray
+    mean: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeasuringRod:
+    """What is explained of what can be, on runs left out.
+
+    Parameters
+    ----------
+    explained : float
+        Share, mean over the torques.
+    channels : dict of str to (float, float)
+        Root mean square that the extended model leaves of each torque, and the box beside it.
+    depends : tuple of Dependence
+        Of the torque that the box makes the most of, the strongest signal first; none where it
+        makes nothing of any.
+    """
+
+    explained: float
+    channels: dict[str, tuple[float, float]]
+    depends: tuple[Dependence, ...]
+
+
+class BlackBox:
+    """Boxes of all torques, fitted to training runs.
+
+    Parameters
+    ----------
+    training : Training
+    settings : Settings
+    extensions : sequence of Extension
+        Of the extended model.
+    """
+
+    def __init__(
+        self, training: Training, settings: Settings, extensions: Sequence[Extension]
+    ) -> None:
+        n = training.robot.n
+        samples = _Samples(n)
+        for number, run in enumerate(training.recorded):
+            predictor = Predictor(training.robot, run, training.constants, settings)
+            share = (run.time - run.time[0]) / float(run.time[-1] - run.time[0])
+            stretch = np.minimum((share * _STRETCHES).astype(int), _STRETCHES - 1)
+            samples.add(predictor, predictor.predict(*extensions), number * _STRETCHES + stretch)
+        self._signals = [samples.signals(j) for j in range(n)]
+        self._boxes: list[SmoothFunction | None] = [samples.fitted(j) for j in range(n)]
+        self._squares = np.zeros((n, 4))
+
+    def add(self, predictor: Predictor, before: Prediction, after: Prediction) -> None:
+        """Take in a run left out."""
+        run = predictor.run
+        signals = _signals(predictor)
+        places = np.searchsorted(run.stamps, run.time)
+        for kind, joint, used in used_samples(run, predictor.velocity):
+            if kind != "torque" or used is None:
+                continue
+            measured = run.torque[used, joint]
+            left = measured - after.torque[places[used], joint]
+            box = self._boxes[joint]
+            beside = left if box is None else left - box(_columns(signals[used]))
+            first = measured - before.torque[places[used], joint]
+            self._squares[joint] += (first @ first, left @ left, beside @ beside, len(left))
+
+    def found(self) -> MeasuringRod | None:
+        """What runs left out say; None without any."""
+        seen = np.flatnonzero(self._squares[:, 3] > 0)
+        if not seen.size:
+            return None
+        before, after, box, count = self._squares[seen].T
+        # Where the box knows less than the model, the model is what can be explained.
+        possible = 1.0 - np.mean(np.minimum(after, box) / before)
+        explained = 1.0 - np.mean(after / before)
+        gain = 1.0 - box / after
+        best = int(np.argmax(gain))
+        depends: tuple[Dependence, ...] = ()
+        if gain[best] > SHOWN_SHARE:
+            depends = self._dependences(int(seen[best]))
+        return MeasuringRod(
+            explained=float(explained / possible) if possible > 0.0 else 0.0,
+            channels={
+                f"torque_{j + 1}": (float(np.sqrt(a / c)), float(np.sqrt(b / c)))
+                for j, a, b, c in zip(seen, after, box, count, strict=True)
+            },
+            depends=depends,
+        )
+
+    def _dependences(self, joint: int) -> tuple[Dependence, ...]:
+        """Mean of a box along each signal, all others as they were met."""
+        box, signals = self._boxes[joint], self._signals[joint]
+        assert box is not None
+        chosen = np.unique(np.linspace(0, len(signals) - 1, _AVERAGED).astype(int))
+        n = len(self._boxes)
+        found = []
+        for column in range(signals.shape[1]):
+            low, high = np.quantile(signals[:, column], _RANGE)
+            at = np.linspace(low, high, _POINTS)
+            moved = np.repeat(signals[chosen][None], _POINTS, axis=0)
+            moved[:, :, column] = at[:, None]
+            mean = box(_columns(moved.reshape(-1, moved.shape[2]))).reshape(_POINTS, -1).mean(1)
+            name = f"{_SIGNALS[column // n][0]}_{column % n + 1}"
+            found.append(Dependence(channel=f"torque_{joint + 1}", signal=name, at=at, mean=mean))
+        found.sort(key=lambda each: -float(each.mean.std()))
+        least = _NAMED_SHARE * float(found[0].mean.std())
+        return tuple(each for each in found[:_NAMED] if each.mean.std() >= least)
+
+
+class _Samples:
+    """What the model leaves in the training runs, thinned."""
+
+    def __init__(self, n: int) -> None:
+        self._parts: list[list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = [[] for _ in range(n)]
+
+    def add(self, predictor: Predictor, after: Prediction, stretch: np.ndarray) -> None:
+        run = predictor.run
+        signals = _signals(predictor)
+        places = np.searchsorted(run.stamps, run.time)
+        for kind, joint, used in used_samples(run, predictor.velocity):
+            if kind == "torque" and used is not None:
+                left = run.torque[used, joint] - after.torque[places[used], joint]
+                self._parts[joint].append((signals[used], left, stretch[used]))
+
+    def signals(self, joint: int) -> np.ndarray:
+        """Signals (m, s) of the samples of a joint."""
+        parts = [part[0] for part in self._parts[joint]]
+        return np.vstack(parts)[self._kept(joint)] if parts else np.zeros((0, 1))
+
+    def fitted(self, joint: int) -> SmoothFunction | None:
+        """The box of a joint; None where it predicts nothing."""
+        if not self._parts[joint]:
+            return None
+        kept = self._kept(joint)
+        left = np.concatenate([part[1] for part in self._parts[joint]])[kept]
+        stretch = np.concatenate([part[2] for part in self._parts[joint]])[kept]
+        if len(np.unique(stretch)) < 2:
+            return None
+        return smooth_function(_columns(self.signals(joint)), left, stretch)
+
+    def _kept(self, joint: int) -> np.ndarray:
+        count = sum(len(part[1]) for part in self._parts[joint])
+        return np.unique(np.linspace(0, count - 1, _SAMPLES).astype(int))
+
+
+# Signals of every joint: their names, and where a prepared run has them.
+_SIGNALS = (
+    ("q", "motor_position"),
+    ("qd", "motor_velocity"),
+    ("qdd", "motor_acceleration"),
+    ("torque", "spring_torque"),
+)
+
+
+def _signals(predictor: Predictor) -> np.ndarray:
+    """Signals of all joints at the samples of a run (K, 4 n), kind after kind."""
+    nominal, time = predictor.nominal, predictor.run.time
+    return np.column_stack(
+        [
+            np.interp(time, nominal.time, column)
+            for _, name in _SIGNALS
+            for column in getattr(nominal.signals, name).T
+        ]
+    )
+
+
+def _columns(signals: np.ndarray) -> np.ndarray:
+    """What a box sees of signals (m, 4 n): angles as directions, speeds with their sides."""
+    q, qd, qdd, torque = np.split(signals, len(_SIGNALS), axis=1)
+    return np.hstack([np.sin(q), np.cos(q), qd, np.tanh(qd / SIGN_SPEED), qdd, torque])

@@ -1,0 +1,93 @@
+"""What held in the training runs and does not carry over to a run left out.
+
+A joint that is colder on another day, an encoder that was referenced anew, a current sensor that
+drifted: the run is then predicted badly for a reason that no model of the robot can know. Where one
+value of a channel explains the most of what is left in a run, that is said, with the value. Nothing
+is corrected by it: the run stays left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.discovery.comparison.signals import smooth_sign
+from stiffopt.discovery.proof.proof import RunProof, used_samples
+from stiffopt.discovery.settings import MOVING
+
+# Share of what is left that one value explains, and how far above the noise what is left must be.
+_SHARE, _ABOVE = 0.5, 2.0
+# Parts of a run in each of which it must help.
+_PARTS = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class NotCarriedOver:
+    """A value that a run has and the training runs have not.
+
+    Parameters
+    ----------
+    run, channel : str
+    kind : str
+        "constant", "dry friction" or "viscous friction".
+    value : float
+        More than in training [SI].
+    share : float
+        Of the squares that are left in the channel.
+    """
+
+    run: str
+    channel: str
+    kind: str
+    value: float
+    share: float
+
+
+def not_carried_over(
+    proofs: Sequence[RunProof], velocities: Sequence[np.ndarray]
+) -> tuple[NotCarriedOver, ...]:
+    """Single values that explain the most of what is left in a run.
+
+    Parameters
+    ----------
+    proofs : sequence of RunProof
+    velocities : sequence of array (K, n)
+        Of the joints in each of these runs [rad/s].
+    """
+    found = []
+    for proof, velocity in zip(proofs, velocities, strict=True):
+        run = proof.run
+        places = np.searchsorted(run.stamps, run.time)
+        noise = {channel.name: channel.noise for channel in proof.channels}
+        for kind, joint, used in used_samples(run, velocity):
+            name = f"{kind}_{joint + 1}"
+            if used is None or name not in noise:
+                continue
+            left = getattr(run, kind)[used, joint] - getattr(proof.after, kind)[places[used], joint]
+            if np.sqrt(np.mean(left**2)) < _ABOVE * noise[name]:
+                continue
+            best = _best(left, velocity[used, joint], kind == "torque")
+            if best is not None:
+                share, value, what = best
+                found.append(
+                    NotCarriedOver(run=run.name, channel=name, kind=what, value=value, share=share)
+                )
+    return tuple(found)
+
+
+def _best(left: np.ndarray, speed: np.ndarray, torque: bool) -> tuple[float, float, str] | None:
+    """Share, value and kind of what takes away most, if it does so all along the run."""
+    shapes = {"constant": np.ones_like(left)}
+    if torque and speed.min() < -MOVING and speed.max() > MOVING:
+        shapes |= {"dry friction": smooth_sign(speed), "viscous friction": speed}
+    found = []
+    part = np.arange(len(left)) * _PARTS // len(left)
+    for kind, shape in shapes.items():
+        value = float(shape @ left / (shape @ shape))
+        fall = left**2 - (left - value * shape) ** 2
+        share = float(fall.sum() / (left @ left))
+        if share >= _SHARE and np.bincount(part, fall).min() > 0.0:
+            found.append((share, value, kind))
+    return max(found, default=None)

@@ -1,0 +1,114 @@
+"""Runs left out, opened once the findings are fixed: predicted, shared out, measured by a box."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.judging.black_box import BlackBox, MeasuringRod
+from stiffopt.discovery.judging.shares import Part, Shares
+from stiffopt.discovery.proof.predict import Predictor
+from stiffopt.discovery.proof.proof import RunProof, nrmse, prove
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import Training
+from stiffopt.recording.recording_set import RecordingSet
+
+Say = Callable[[str], object]
+
+
+class HeldOut:
+    """What runs left out say of an extended model; as far as they were opened.
+
+    Parameters
+    ----------
+    training : Training
+    settings : Settings
+    start : tuple of Extension
+        Of the model that the diagnosis started from.
+    found : Extension
+    parts : sequence of Part
+        Of what was found, to be shared out.
+
+    Attributes
+    ----------
+    proofs : list of RunProof
+    velocities : list of array (K, n)
+        Of the joints in these runs.
+    shares : Shares
+    """
+
+    def __init__(
+        self,
+        training: Training,
+        settings: Settings,
+        start: tuple[Extension, ...],
+        found: Extension,
+        parts: Sequence[Part],
+    ) -> None:
+        self._training, self._settings = training, settings
+        self._start, self._found = start, found
+        self._box: BlackBox | None = None
+        self.proofs: list[RunProof] = []
+        self.velocities: list[np.ndarray] = []
+        self.shares = Shares(parts)
+
+    def predict_all(self, recordings: RecordingSet, say: Say) -> None:
+        """Open one run after another; what an interruption leaves is whole."""
+        training, settings = self._training, self._settings
+        extensions = (*self._start, self._found)
+        if training.free_bodies and not training.robot.swings:
+            say("fit a black box to what is left, as a measuring rod")
+            self._box = BlackBox(training, settings, extensions)
+        swinging = _predicted_swinging(training, settings, extensions)
+        for entry in recordings.with_role("test", "extrapolate"):
+            say(f"predict {entry.file}")
+            run = recordings.open(entry)
+            if not run.usable:
+                continue
+            predictor = Predictor(
+                training.robot, run, training.constants, settings, swinging=swinging
+            )
+            before, after = predictor.predict(*self._start), predictor.predict(*extensions)
+            proof = prove(run, predictor.velocity, before, after, training.noise)
+            say(f"share out what changes in {entry.file}")
+            self.shares.add(predictor, self._start, self._found, proof)
+            if self._box is not None:
+                self._box.add(predictor, before, after)
+            self.proofs.append(proof)
+            self.velocities.append(predictor.velocity)
+
+    def rod(self) -> MeasuringRod | None:
+        """What is explained of what can be; None where nobody asked a box."""
+        return None if self._box is None else self._box.found()
+
+
+def _predicted_swinging(
+    training: Training, settings: Settings, extensions: tuple[Extension, ...]
+) -> bool:
+    """Whether links swing in predictions: as the training runs are predicted better.
+
+    Where nothing was found they do: nominal values alone move no joint beyond its law.
+    """
+    if not training.robot.swings:
+        return False
+    if not any(extension.effects for extension in extensions):
+        return training.runs[0].swing is not None
+    left = {}
+    for swinging in (True, False):
+        proofs = []
+        for run, prepared in zip(training.recorded, training.runs, strict=True):
+            # Where links swing it is the motion that was fitted.
+            predictor = Predictor(
+                training.robot,
+                run,
+                training.constants,
+                settings,
+                prepared if swinging else None,
+                swinging=swinging,
+            )
+            after = predictor.predict(*extensions)
+            proofs.append(prove(run, predictor.velocity, after, after, training.noise))
+        left[swinging] = nrmse(proofs, "after")
+    return left[True] <= left[False]

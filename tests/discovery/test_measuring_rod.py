@@ -1,0 +1,106 @@
+"""A black box says what is left to explain, single values what a run has of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.judging.black_box import BlackBox, MeasuringRod
+from stiffopt.discovery.judging.carried_over import not_carried_over
+from stiffopt.discovery.judging.random_features import smooth_function
+from stiffopt.discovery.proof.predict import Predictor
+from stiffopt.discovery.proof.proof import RunProof, prove
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import Training, train
+from stiffopt.recording.recording_set import load_recordings
+from stiffopt.recording.run import RecordedRun
+
+SET = Path(__file__).parents[2] / "problems" / "recordings" / "two_link_friction"
+# What the nominal model of the set lacks.
+LACKS = Extension(
+    effects=(
+        EstimatedEffect(
+            located=LocatedEffect(effect=effect("coulomb"), joint=1), amplitudes=(0.62,)
+        ),
+    )
+)
+
+
+@cache
+def _training() -> Training:
+    return train(load_recordings(SET), Settings())
+
+
+def _left_out() -> RecordedRun:
+    recordings = load_recordings(SET)
+    return recordings.open(recordings.with_role("test")[0])
+
+
+def _rod(found: Extension) -> MeasuringRod:
+    training = _training()
+    box = BlackBox(training, training.settings, (found,))
+    predictor = Predictor(training.robot, _left_out(), training.constants, training.settings)
+    box.add(predictor, predictor.predict(), predictor.predict(found))
+    rod = box.found()
+    assert rod is not None
+    return rod
+
+
+def test_a_smooth_function_is_found_in_stretches_left_out() -> None:
+    """A sine of one of three signals is; noise of none is not."""
+    draw = np.random.default_rng(3)
+    signals, stretch = draw.normal(size=(600, 3)), np.arange(600) // 100
+    values = np.sin(2.0 * signals[:, 1])
+    found = smooth_function(signals, values + 0.1 * draw.normal(size=600), stretch)
+    assert found is not None
+    assert found.taken > 0.7
+    fresh = draw.normal(size=(200, 3))
+    assert np.std(found(fresh) - np.sin(2.0 * fresh[:, 1])) < 0.4
+    nothing = smooth_function(signals, draw.normal(size=600), stretch)
+    assert nothing is None or nothing.taken < 0.05
+
+
+def test_the_rod_is_longer_than_what_lacks_and_tells_what_it_goes_with() -> None:
+    """Without the missing friction much is left, and it goes with the speed of joint 2."""
+    lacking, whole = _rod(Extension()), _rod(LACKS)
+    assert lacking.explained < 0.1
+    assert lacking.depends[0].channel == "torque_2"
+    assert lacking.depends[0].signal == "qd_2"
+    side = lacking.depends[0]
+    assert side.mean[side.at > 0.1].mean() - side.mean[side.at < -0.1].mean() > 0.6
+    assert whole.explained > 0.9
+    assert whole.channels["torque_2"][0] < 0.6 * lacking.channels["torque_2"][0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"), [("constant", 2.0), ("dry friction", 1.5), ("viscous friction", 3.0)]
+)
+def test_a_value_that_one_run_has_of_its_own_is_said(kind: str, value: float) -> None:
+    """And of a run that has none nothing is said."""
+    training, run = _training(), _left_out()
+    predictor = Predictor(training.robot, run, training.constants, training.settings)
+    speed = predictor.velocity
+    shape = {
+        "constant": np.ones_like(speed[:, 0]),
+        "dry friction": np.sign(speed[:, 0]),
+        "viscous friction": speed[:, 0],
+    }[kind]
+    torque = run.torque.copy()
+    torque[:, 0] += value * shape
+    proofs = [_proof(training, predictor, each) for each in (run, replace(run, torque=torque))]
+    assert not not_carried_over(proofs[:1], [speed])
+    (said,) = not_carried_over(proofs[1:], [speed])
+    assert (said.channel, said.kind) == ("torque_1", kind)
+    assert said.value == pytest.approx(value, rel=0.2)
+
+
+def _proof(training: Training, predictor: Predictor, run: RecordedRun) -> RunProof:
+    before, after = predictor.predict(), predictor.predict(LACKS)
+    return prove(run, predictor.velocity, before, after, training.noise)
