@@ -43,7 +43,7 @@ from stiffopt.result.trajectory import JointMotion, Trajectory
 _SPACINGS = (0.005, 0.01, 0.02)
 # Of the table that is averaged; how often vias and limits are drawn tighter, and how far at most.
 _SAMPLES = 8001
-_ROUNDS = 2
+_ROUNDS = 5
 _TIGHTEST = 0.1
 _DRAWN = ("velocity", "acceleration", "jerk", "torque")
 _MORE = 1.1
@@ -80,8 +80,10 @@ def solve_shaped(
     inner = _shorter(problem, motion, swing)
     found = solve(inner)
     shaped = _shaped(problem, found, swing)
-    for _ in range(_ROUNDS):
-        tightened = None if shaped is None else _tightened(problem, inner, shaped[1])
+    for number in range(_ROUNDS):
+        # What is left after two rounds is drawn in by twice as much.
+        more = _MORE if number < 2 else 2.0 * _MORE
+        tightened = None if shaped is None else _tightened(problem, inner, shaped[1], more)
         if tightened is None or found.status is SolveStatus.INTERRUPTED:
             break
         tried = solve(tightened)
@@ -186,7 +188,7 @@ def _shaped(
 
 
 def _tightened(
-    problem: TrajectoryProblem, inner: TrajectoryProblem, assessment: Assessment
+    problem: TrajectoryProblem, inner: TrajectoryProblem, assessment: Assessment, more: float
 ) -> TrajectoryProblem | None:
     """The inner problem drawn tighter by what vias are missed and limits exceeded by, if any are.
 
@@ -195,7 +197,7 @@ def _tightened(
     excess = {each.limit: each.value for each in assessment.violations if each.value > CERTIFIED}
     limits, vias = inner.active_limits, []
     drawn = {
-        name: getattr(limits, name) * max(1.0 - _MORE * excess[name], _TIGHTEST)
+        name: getattr(limits, name) * max(1.0 - more * excess[name], _TIGHTEST)
         for name in _DRAWN
         if name in excess
     }
@@ -203,7 +205,7 @@ def _tightened(
     if not drawn and not missed:
         return None
     for number, (given, own) in enumerate(zip(problem.vias, inner.vias, strict=True), start=1):
-        less = own.tolerance - _MORE * excess.get(f"via_{number}", 0.0) * given.tolerance
+        less = own.tolerance - more * excess.get(f"via_{number}", 0.0) * given.tolerance
         vias.append(replace(own, tolerance=max(less, _TIGHTEST * given.tolerance)))
     return replace(inner, vias=tuple(vias), limits=Limits(limits.values, **drawn))
 
