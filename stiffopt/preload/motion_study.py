@@ -23,21 +23,16 @@ from stiffopt.preload.optimise import optimise_preloads
 from stiffopt.preload.problem import PreloadProblem
 from stiffopt.preload.solution import PreloadSolution
 from stiffopt.problem.objective import OBJECTIVES
-from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.solution import Solution
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver.guess import guess_along
+from stiffopt.solver.family import ProblemFamily, WarmStart
 from stiffopt.solver.monitor import Progress
-from stiffopt.solver.solve import solve
 from stiffopt.solver.stages import ProgressCallback, SolveProgress
 
 # Relative change of the deflection that ends a repetition: a tenth of what reports write of a gain.
 _DEFLECTION_TOLERANCE = 1e-4
-# Solves of one motion from its own end until that changes nothing, so that the gain is one of the
-# preloads and not of more solving.
-_POLISHES = 3
 # Times that preloads are raised because the motion made a connection slip.
 _RAISES = 3
 
@@ -104,12 +99,13 @@ def deflection_objective(problem: TrajectoryProblem) -> str:
 
 @dataclass(frozen=True)
 class _Design:
-    """A motion with preloads, certified together."""
+    """A motion with preloads, certified together; `end` is where the motion's solve ended."""
 
     vector: np.ndarray
     motion: Solution
     deflection: float
     preloads: PreloadSolution | None = None
+    end: WarmStart | None = None
 
 
 class _Study:
@@ -130,6 +126,8 @@ class _Study:
         self.trajectory, self.progress = trajectory, progress
         self.problem = _for_motion(problem)
         self.model = PreloadModel(self.problem)
+        # Motions for other preloads are one programme with other numbers.
+        self.family = ProblemFamily()
         self.begin, self.stage = time.perf_counter(), ""
         self.interrupted = self.converged = False
         self.remarks: list[str] = []
@@ -143,7 +141,7 @@ class _Study:
         last, pairs = separate, []
         for number in range(1, rounds + 1):
             self.stage = f"round {number} of {rounds}"
-            moved = self._moved(last.vector, last.motion)
+            moved = self._moved(last.vector, last.end)
             tightened = self._with_best_preloads(moved) if self._usable(moved) else None
             if tightened is None:
                 self._say_end(moved)
@@ -195,7 +193,7 @@ class _Study:
             present, self.model.spread([floor * e.capacity for e in self.model.elements])
         )
         for _ in range(_RAISES):
-            design = self._moved(vector, None)
+            design = self._moved(vector)
             slips = self._slipping(design)
             if self.interrupted or not slips:
                 break
@@ -210,30 +208,19 @@ class _Study:
         if not (self._usable(design) or self.interrupted):
             raise NoSolutionFound(design.motion.message, design.motion)
         self._say_raised(vector)
-        return design if self.interrupted else self._polished(design)
+        return design
 
-    def _moved(self, vector: np.ndarray, warm: Solution | None) -> _Design:
-        """Motion optimised for these preloads, from a former one where there is one."""
+    def _moved(self, vector: np.ndarray, warm: WarmStart | None = None) -> _Design:
+        """Motion optimised for these preloads, from where a former one ended if there is one.
+
+        From there on the same mesh, so that a gain is one of the preloads and not of more solving.
+        """
         problem = self._with_preloads(vector)
-        guess = None
-        if warm is not None and warm.assessment is not None:
-            guess = guess_along(problem, resolve(problem), warm.assessment)
-        found = solve(problem, guess=guess, throw=False, progress=self._reporter())
+        found, end = self.family.solve(problem, warm, progress=self._reporter())
         self.interrupted |= found.status is SolveStatus.INTERRUPTED
         if found.objective is None:
             raise NoSolutionFound(found.message, found)
-        return _Design(vector, found, found.objective.value)
-
-    def _polished(self, design: _Design) -> _Design:
-        """Solve a motion again from its own end until that changes nothing."""
-        for _ in range(_POLISHES):
-            again = self._moved(design.vector, design.motion)
-            if not self._usable(again) or again.deflection > design.deflection * (
-                1.0 - _DEFLECTION_TOLERANCE
-            ):
-                break
-            design = again
-        return design
+        return _Design(vector, found, found.objective.value, end=end)
 
     def _usable(self, design: _Design) -> bool:
         return design.motion.status.usable and bool(np.isfinite(design.deflection))
@@ -279,7 +266,7 @@ class _Study:
             return None
         if not found.status.usable:
             raise NoSolutionFound(found.message, found)
-        return self._rated(found.vector, design.motion, found)
+        return replace(self._rated(found.vector, design.motion, found), end=design.end)
 
     def _rated(
         self, vector: np.ndarray, motion: Solution, preloads: PreloadSolution | None = None

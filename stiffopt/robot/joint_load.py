@@ -35,23 +35,19 @@ def joint_wrenches(
     model = robot.model.copy()
     model.armature = np.zeros(model.nv)
     data = model.createData()
-    frames = [_axes(body.axis) for body in robot.tree.bodies]
-    loaded = _supports(model, robot.tool.joint)
-    found = np.empty((*position.shape, 6))
+    in_link = np.empty((*position.shape, 6))
     for k in range(len(position)):
         pin.rnea(model, data, position[k], velocity[k], acceleration[k])
-        pin.forwardKinematics(model, data, position[k])
-        place = data.oMi[robot.tool.joint]
-        tool = place.translation + place.rotation @ robot.tool.offset
         for i in range(model.nv):
-            own = data.f[i + 1]
-            linear, angular = np.array(own.linear), np.array(own.angular)
-            if i + 1 in loaded:
-                at = data.oMi[i + 1]
-                linear = linear - at.rotation.T @ force
-                angular = angular - at.rotation.T @ np.cross(tool - at.translation, force)
-            found[k, i, :3], found[k, i, 3:] = frames[i].T @ linear, frames[i].T @ angular
-    return found
+            in_link[k, i] = data.f[i + 1].vector
+    own = np.array([_axes(body.axis) for body in robot.tree.bodies])
+    found = np.einsum("nij,knsi->knsj", own, in_link.reshape(*position.shape, 2, 3))
+    if np.any(force):
+        axes, arm = joint_frames(robot, position)
+        pushed = np.stack([np.broadcast_to(force, arm.shape), np.cross(arm, force)], axis=2)
+        held = [i + 1 in _supports(model, robot.tool.joint) for i in range(model.nv)]
+        found[:, held] -= np.einsum("knij,knsi->knsj", axes, pushed)[:, held]
+    return found.reshape(in_link.shape)
 
 
 def joint_frames(robot: Robot, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -160,7 +160,7 @@ def test_progress_names_the_part_of_the_study(rough):
     stages = {event.stage for event in seen}
     assert any(s.startswith("motion with the present preloads, stage 1") for s in stages)
     assert "motion with the present preloads, preloads" in stages
-    assert any(s.startswith("round 1 of 3, stage") for s in stages)
+    assert any(s.startswith("round 1 of 3, warm") for s in stages)
     elapsed = [event.elapsed for event in seen]
     assert elapsed == sorted(elapsed)
 
