@@ -47,7 +47,7 @@ def joint_wrenches(
         pushed = np.stack([np.broadcast_to(force, arm.shape), np.cross(arm, force)], axis=2)
         held = [i + 1 in _supports(model, robot.tool.joint) for i in range(model.nv)]
         found[:, held] -= np.einsum("knij,knsi->knsj", axes, pushed)[:, held]
-    return found.reshape(in_link.shape)
+    return np.asarray(found.reshape(in_link.shape))
 
 
 def joint_frames(robot: Robot, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,7 @@ from stiffopt.fastening.flange_load import (
     bolt_angles,
     transverse_forces,
 )
-from stiffopt.fastening.tightening import Tightening
+from stiffopt.fastening.tightening import Tightening, preload_at_torque, tightening_torque
 from stiffopt.fastening.vdi_rows import vdi_rows
 from stiffopt.fastening.verification import Verification
 
@@ -157,3 +157,38 @@ def test_defaults_are_never_looser_than_what_is_stated(flanges):
             ).least_preload * (1 - 1e-12)
         smooth = replace(steps.flange, roughness=6.3e-6)
         assert loose.least_preload > Verification(smooth, Tightening(), steps.loads).least_preload
+
+
+def test_design_holds_whatever_friction_and_load_factor_turn_out_to_be(flanges):
+    """Friction of 0.08 to 0.16 bolt by bolt, a wrench of +-5 %, any load introduction.
+
+    The least design, and the least with which the same wrench may be set: no step of VDI 2230 uses
+    more than was stated, for any of the draws.
+    """
+    rng = np.random.default_rng(18)
+    tightening = Tightening(
+        scatter=1.0, thread_friction=0.08, head_friction=0.08, friction_highest=0.16
+    )
+    drawn = 0
+    for steps in flanges[:300]:
+        design = Verification(steps.flange, tightening, steps.loads)
+        preload = design.least_preload
+        stated = {c.kind: c.utilisation for c in vdi_rows(design, preload)}
+        setting = float(tightening_torque(design.data, preload, 0.08, 0.08))
+        for _ in range(5):
+            thread, head = rng.uniform(0.08, 0.16, size=2)
+            torque = setting * rng.uniform(0.95 / 1.05, 1.0)
+            left = float(preload_at_torque(design.data, torque, thread, head))
+            assert preload / design.scatter * (1 - 1e-12) <= left <= preload * (1 + 1e-12)
+            exact = Tightening(scatter=1.0, thread_friction=thread, head_friction=head)
+            real = Verification(
+                replace(steps.flange, load_introduction=float(rng.uniform())), exact, steps.loads
+            )
+            for row in vdi_rows(real, left):
+                if row.binding:
+                    assert row.utilisation <= stated[row.kind] * (1 + 1e-9), row.kind
+            # What it is for: the friction force left after settling and unloading is enough.
+            held = left - real.loss - (1 - real.factor.least) * np.maximum(real.opening, 0.0)
+            assert (held >= real.slip_safety * real.clamp_against_slip * (1 - 1e-9)).all()
+            drawn += 1
+    assert drawn == 1500
