@@ -20,27 +20,30 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-from real_peers import friction_lines, gaussian_process, motion
+from real_peers import friction_lines, gaussian_process, motions
 
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.diagnosis import Diagnosis, channel_fits
 from stiffopt.discovery.proof.proof import RunProof, nrmse, prove
 from stiffopt.identification.stiffness import identify_stiffness
 from stiffopt.recording.static_set import is_static, load_static_set
+from stiffopt.report.diagnosis.mismatch import carried_over_sentences, rod_sentence
 
 HERE = Path(__file__).parent
 RECORDINGS = Path(
     os.environ.get("STIFFOPT_RECORDINGS", HERE.parent.parent / "shared" / "recordings")
 )
-MODELS = ("nominal", "Coulomb + viscous", "Gaussian process", "extended")
+MODELS = ("nominal", "friction lines", "Gaussian process", "extended")
 HEAD = """# Published recordings
 
 What `stiffopt diagnose` finds in recordings of real robots, and how well the extended model
 predicts runs that nothing was fitted to. Beside it two peers that start from the same nominal
-inertial model and see the same training runs: Coulomb and viscous friction of every joint by plain
-least squares, and a Gaussian process of the residual (800 samples, scales chosen by stretches left
-out) as a black box that names nothing. Residuals are root mean squares of unfiltered channels,
-torque where the joint moves; *over noise* divides every channel by its noise.
+inertial model and see the same training runs: friction lines (Coulomb, viscous and an offset of
+every joint by plain least squares), and a Gaussian process of the residual (800 samples, scales
+chosen by stretches left out) as a black box that names nothing. Peers follow the motion in bands of
+their own choice, as they predict stretches of the training runs best. Residuals are root mean
+squares of unfiltered channels, torque where the joint moves; *over noise* divides every channel by
+its noise.
 Best of each row in bold.
 """
 
@@ -88,11 +91,12 @@ def one(path: Path) -> dict[str, Any]:
         traceback.print_exc()
         return {"failed": f"{type(error).__name__} {error}".strip()} | _cost(begin, worked)
     cost = _cost(begin, worked)
-    train = [motion(diagnosis, run) for run in diagnosis.training.recorded]
     held_out = list(diagnosis.held_out)
-    test = [motion(diagnosis, proof.run) for proof in held_out]
+    train, test = motions(
+        diagnosis, list(diagnosis.training.recorded), [proof.run for proof in held_out]
+    )
     peers = {
-        "Coulomb + viscous": friction_lines(train, test),
+        "friction lines": friction_lines(train, test),
         "Gaussian process": gaussian_process(train, test),
     }
     noise = diagnosis.training.noise
@@ -106,6 +110,8 @@ def one(path: Path) -> dict[str, Any]:
         "verdict": diagnosis.verdict,
         "findings": [_finding(diagnosis, k) for k in range(len(diagnosis.findings))],
         "outside": None if diagnosis.unexplained is None else vars(diagnosis.unexplained),
+        "rod": rod_sentence(diagnosis),
+        "carried_over": carried_over_sentences(diagnosis),
         "assumptions": list(diagnosis.assumptions),
         "faults": sum(1 for _ in diagnosis.faults),
         "runs": [
@@ -218,9 +224,12 @@ def _section(name: str, found: dict[str, Any]) -> str:
         channels = ", ".join(found["outside"]["channels"])
         depends = ", ".join(found["outside"]["regressors"]) or "nothing that was recorded"
         parts.append(
-            f"Unexplained the catalogue: {channels}, depending on {depends}"
+            f"Outside the catalogue: {channels}, depending on {depends}"
             f" ({100 * found['outside']['gain']:.0f} % of it in recordings left out)."
         )
+    if found["rod"]:
+        parts.append(found["rod"])
+    parts += found["carried_over"]
     rows = [
         ["all channels over noise", *_best(found["total"]), ""],
         ["torque over noise", *_best(found["torque"]), ""],

@@ -1,12 +1,13 @@
 """What a diagnosis is compared with on real recordings: friction lines, and a Gaussian process.
 
 Both start from the same nominal prediction, are fitted to the training runs alone and predict the
-held-out runs on their own stamps.
+held-out runs on their own stamps. Each joint follows the motion in the band in which friction lines
+predict stretches of the training runs best: the peers' own choice, not the tool's.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -20,6 +21,8 @@ from stiffopt.recording.run import RecordedRun
 POINTS, STRETCHES = 800, 4
 LENGTHS, NOISES = (1.0, 2.0, 4.0, 8.0), (0.03, 0.1, 0.3, 1.0)
 SLOW = 3.0 * SIGN_SPEED
+# Bands that are tried [Hz].
+BANDS = (6.0, 12.0, 20.0, 35.0, 60.0, 100.0, 150.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,25 +49,60 @@ class Motion:
         return np.column_stack([*columns, self.nominal.torque[self.places]])
 
 
-def motion(diagnosis: Diagnosis, run: RecordedRun) -> Motion:
-    """A run predicted by the nominal model."""
+def motions(
+    diagnosis: Diagnosis, train: list[RecordedRun], test: list[RecordedRun]
+) -> tuple[list[Motion], list[Motion]]:
+    """Runs predicted by the nominal model, every joint in the peers' own best band."""
+    rate = 1.0 / max(run.step for run in train)
+    bands = [band for band in BANDS if band <= 0.2 * rate]
+    errors = []
+    for band in bands:
+        tried = [_motion(diagnosis, run, (band,) * run.n) for run in train]
+        errors.append([_left_out(tried, j) for j in range(train[0].n)])
+    best = tuple(bands[int(np.argmin(column))] for column in np.array(errors).T)
+    return [_motion(diagnosis, r, best) for r in train], [_motion(diagnosis, r, best) for r in test]
+
+
+def _motion(diagnosis: Diagnosis, run: RecordedRun, bands: tuple[float, ...]) -> Motion:
     training = diagnosis.training
-    predictor = Predictor(training.robot, run, training.constants, diagnosis.settings)
+    own = replace(diagnosis.settings, predict=bands)
+    predictor = Predictor(training.robot, run, training.constants, own)
     return Motion(run, predictor, predictor.predict(), predictor.velocity)
 
 
+def _left_out(train: list[Motion], j: int) -> float:
+    """Squares that friction lines leave of a joint's torque in stretches left out."""
+    rows, left, stretch = _moving(train, j)
+    if len(left) < 2 * STRETCHES:
+        return 0.0
+    total = 0.0
+    for k in np.unique(stretch):
+        own = stretch == k
+        line = np.linalg.lstsq(rows[~own], left[~own], rcond=None)[0]
+        total += float(np.sum((left[own] - rows[own] @ line) ** 2))
+    return total
+
+
+def _moving(train: list[Motion], j: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns, residual and stretch of the samples in which a joint moves."""
+    rows, left, stretch = [], [], []
+    for number, each in enumerate(train):
+        speed, residual = each.velocity[:, j], _torque_residual(each)[:, j]
+        used = np.isfinite(residual) & (np.abs(speed) >= SLOW)
+        rows.append(_friction(speed[used]))
+        left.append(residual[used])
+        part = np.arange(len(speed)) * STRETCHES // len(speed)
+        stretch.append(number * STRETCHES + part[used])
+    return np.vstack(rows), np.concatenate(left), np.concatenate(stretch)
+
+
 def friction_lines(train: list[Motion], test: list[Motion]) -> list[Prediction]:
-    """Coulomb and viscous friction of every joint by least squares, links as nominal."""
+    """Coulomb and viscous friction and an offset of every joint by least squares."""
     n = train[0].run.n
-    fitted = np.zeros((2, n))
+    fitted = np.zeros((3, n))
     for j in range(n):
-        rows, left = [], []
-        for each in train:
-            speed, residual = each.velocity[:, j], _torque_residual(each)[:, j]
-            used = np.isfinite(residual) & (np.abs(speed) >= SLOW)
-            rows.append(_friction(speed[used]))
-            left.append(residual[used])
-        fitted[:, j] = np.linalg.lstsq(np.vstack(rows), np.concatenate(left), rcond=None)[0]
+        rows, left, _ = _moving(train, j)
+        fitted[:, j] = np.linalg.lstsq(rows, left, rcond=None)[0]
     return [
         _moved(
             each,
@@ -136,7 +174,7 @@ def _whole(columns: np.ndarray) -> np.ndarray:
 
 
 def _friction(speed: np.ndarray) -> np.ndarray:
-    return np.column_stack([np.tanh(speed / SIGN_SPEED), speed])
+    return np.column_stack([np.tanh(speed / SIGN_SPEED), speed, np.ones_like(speed)])
 
 
 def _torque_residual(each: Motion) -> np.ndarray:

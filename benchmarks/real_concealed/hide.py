@@ -86,8 +86,10 @@ def _rotor(_: PublicSet, m: Motion, j: int) -> np.ndarray:
     return _single(m.acceleration[:, j], m, j)
 
 
-def _load(_: PublicSet, m: Motion, j: int) -> np.ndarray:
-    return _single(np.abs(m.torque[:, j]) * _side(m.velocity[:, j]), m, j)
+def _load(s: PublicSet, m: Motion, j: int) -> np.ndarray:
+    """Of the load that the joint carries, which holds no friction."""
+    carried = s.rigid_torques(s.folder / s.told["robot"], replace(m, position=_known(m.position)))
+    return _single(np.abs(carried[:, j]) * _side(m.velocity[:, j]), m, j)
 
 
 def _gain(_: PublicSet, m: Motion, j: int) -> np.ndarray:

@@ -13,6 +13,7 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.evidence import Added, Beside, BlockSums, posterior
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
 from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.search.pace import Pace
 
 # Share of its work on one channel from which an effect acts on another: less is the swing of links
 # that others set going.
@@ -239,8 +240,10 @@ def scan(
     constants = scorer.comparison.constants
     runs = [run.name for run in scorer.comparison.runs]
     best: list[tuple[Candidate, float]] = []
-    for number, effect in enumerate(catalogue, start=1):
-        tell(f"try {effect.name} ({number} of {len(catalogue)} effects)")
+    place = "" if about is None else f" in place of {about.label}"
+    pace = Pace(len(catalogue))
+    for number, effect in enumerate(catalogue):
+        tell(f"try {effect.name}{place} ({pace.words(number)})")
         by_place: dict[tuple[int | None, int | None, str | None], list[LocatedEffect]] = {}
         for located in places(effect, constants, runs):
             if about is not None and not located.near(about):
@@ -250,9 +253,17 @@ def scan(
             if any(tried[0].same_place(other) for other in scorer.base):
                 continue
             price = float(np.log(len(tried)))
-            found = [c for p in tried if (c := scorer.score(p, price)) is not None]
+            found = []
+            for each in tried:
+                tell(f"try {each.label}{place} ({pace.words(number)})")
+                scored = scorer.score(each, price)
+                if scored is not None:
+                    found.append(scored)
             if found:
                 best.append((max(found, key=lambda c: c.evidence), price))
     best.sort(key=lambda pair: -pair[0].evidence)
-    head = [scorer.refine(c, price) for c, price in best[:refined]]
+    head = []
+    for candidate, price in best[:refined]:
+        tell(f"fit the shapes of {candidate.located.label}{place}")
+        head.append(scorer.refine(candidate, price))
     return sorted([*head, *(c for c, _ in best[refined:])], key=lambda c: -c.evidence)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,6 +59,8 @@ def ranked_among_rivals(
     effects: Sequence[LocatedEffect],
     located: LocatedEffect,
     catalogue: Sequence[Effect],
+    *,
+    tell: Callable[[str], object] = lambda _: None,
 ) -> Ranked | None:
     """Weigh a found effect against everything that could stand in its place.
 
@@ -69,7 +71,8 @@ def ranked_among_rivals(
     own = scorer.score(located)
     if own is None:
         return None
-    found = [c for c in scan(scorer, catalogue, about=located) if not c.located.same_place(located)]
+    every = scan(scorer, catalogue, about=located, tell=tell)
+    found = [c for c in every if not c.located.same_place(located)]
     width = float(np.clip(TEMPERED_SHARE * own.evidence, 1.0, TEMPERED_MOST))
     constants = comparison.constants
     own_prior = _log_prior(own, constants)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -14,6 +13,7 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
 from stiffopt.discovery.search.left_out import borne_out
+from stiffopt.discovery.search.pace import Pace, paced
 from stiffopt.discovery.search.rigid import RigidStage, rigid_stage
 from stiffopt.discovery.search.rivals import Ranked, Selected, ranked_among_rivals
 from stiffopt.discovery.search.uncertainty import significance
@@ -179,19 +179,6 @@ def _relinearised(
     return current, fit
 
 
-def paced(say: Callable[[str], object], seconds: float = 5.0) -> Callable[[str], object]:
-    """Pass on a sentence when the last one is some seconds old: many small steps, few lines."""
-    last = time.monotonic()
-
-    def tell(sentence: str) -> None:
-        nonlocal last
-        if time.monotonic() - last >= seconds:
-            last = time.monotonic()
-            say(sentence)
-
-    return tell
-
-
 def _not_stated(
     comparison: Comparison, start: list[LocatedEffect], say: Callable[[str], object]
 ) -> tuple[Comparison, list[LocatedEffect]]:
@@ -346,7 +333,8 @@ def _ranked(
     changed = [e for e in effects if e.key[:-1] not in known]
     changed += [r.selected.located for key, r in known.items() if key not in places]
     found = []
-    for located in effects:
+    pace = Pace(len(effects))
+    for number, located in enumerate(effects):
         old = known.get(located.key[:-1])
         if old is not None and not any(located.near(other) for other in changed):
             stays = old.likeliest.same_place(located)
@@ -354,8 +342,9 @@ def _ranked(
                 Ranked(replace(old.selected, located=located), located if stays else old.likeliest)
             )
             continue
-        say(f"weigh {located.label} against what could stand in its place")
-        new = ranked_among_rivals(comparison, effects, located, catalogue)
+        what = f"weigh {located.label} against what could stand in its place"
+        say(f"{what} ({pace.words(number)})")
+        new = ranked_among_rivals(comparison, effects, located, catalogue, tell=say)
         if new is not None:
             found.append(new)
     return found
