@@ -21,6 +21,8 @@ _KINDS = ("revolute", "continuous", "prismatic", "fixed")
 UNLIMITED = 1e9
 # Beyond any machine in every unit of a URDF, far below what overflows when multiplied.
 _LARGEST = 1e9
+# No arm has joints so far apart [m].
+_FAR = 50.0
 # Limits that are meant as none are written larger.
 _NO_LIMIT = 1e30
 
@@ -132,10 +134,7 @@ def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
             f"{path}: joint {name!r} is of the kind {kind!r}; allowed are "
             f"{', '.join(_KINDS)}. Fix it, or replace it by several of these."
         )
-    origin = joint.find("origin")
-    if origin is not None:
-        for key in ("xyz", "rpy"):
-            urdf_numbers(origin.get(key, "0 0 0"), 3, f"{path}: joint {name!r}, origin {key}")
+    _check_origin(joint, path)
     if kind == "fixed":
         return None
     axis = joint.find("axis")
@@ -148,6 +147,10 @@ def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
     for key in ("effort", "velocity", "lower", "upper"):
         text = "0" if limit is None else limit.get(key, "0")
         values[key] = urdf_numbers(text, 1, f"{path}: joint {name!r}, limit {key}", _NO_LIMIT)[0]
+        if key in ("effort", "velocity") and values[key] < 0.0:
+            raise RobotError(
+                f"{path}: joint {name!r}, limit {key} = {text} is below 0. Correct the URDF."
+            )
     lower, upper = values.pop("lower"), values.pop("upper")
     if kind == "continuous":
         joint.set("type", "revolute")
@@ -162,6 +165,19 @@ def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
         text = "0" if dynamics is None else dynamics.get(key, "0")
         values[key] = urdf_numbers(text, 1, f"{path}: joint {name!r}, dynamics {key}")[0]
     return values
+
+
+def _check_origin(joint: ET.Element, path: Path) -> None:
+    name, origin = joint.get("name", ""), joint.find("origin")
+    if origin is None:
+        return
+    for key in ("xyz", "rpy"):
+        at = urdf_numbers(origin.get(key, "0 0 0"), 3, f"{path}: joint {name!r}, origin {key}")
+        if key == "xyz" and math.hypot(*at) > _FAR:
+            raise RobotError(
+                f"{path}: joint {name!r} lies {math.hypot(*at):g} m from the one before."
+                " Lengths of a URDF are in m: was it exported in mm?"
+            )
 
 
 def _set_limits(joint: ET.Element, lower: float, upper: float) -> None:

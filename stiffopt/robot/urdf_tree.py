@@ -49,8 +49,23 @@ def read_tree(path: str | os.PathLike[str]) -> ET.Element:
                 if part is not None:
                     _copy(part, bare)
         _check_names(tree, kind, path)
+    _check_expanded(found, tree, path)
     _check_joined(tree, path)
     return tree
+
+
+def _check_expanded(found: ET.Element, tree: ET.Element, path: Path) -> None:
+    """Raise `InputFileError` for a file that xacro has not expanded."""
+    left = [v for each in tree.iter() for v in each.attrib.values() if "${" in v or "$(" in v]
+    macros = [e for e in found if isinstance(e.tag, str) and "xacro" in e.tag]
+    if left or (macros and tree.find("joint") is None):
+        shown = shortened(left[0]) if left else f"<xacro:{macros[0].tag.rpartition('}')[2]}>"
+        raise InputFileError(
+            path,
+            "",
+            f"holds xacro that is not expanded, such as {shown}. Expand it first:"
+            f" `xacro {path.name} > robot.urdf`.",
+        )
 
 
 def _copy(part: ET.Element, bare: ET.Element) -> None:

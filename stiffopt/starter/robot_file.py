@@ -28,6 +28,8 @@ _TO_SPEED, _TO_ACCELERATION = 0.25, 0.05
 # and the way of a slide [m].
 _TORQUE, _ROOM, _SPEED, _SLIDE = 5.0, 1.5, 2.0, 0.3
 _POSES = 200
+# Beyond it [rad] limits may be degrees.
+_MANY_TURNS = 12.0 * np.pi
 # Up to this torque strain-wave reducers are usual [N m].
 _LARGE = 350.0
 _SHOWN = 3
@@ -137,6 +139,16 @@ def _notes(arm: LoadedUrdf, bodies: Mapping[str, LinkBody], tool: str) -> Iterat
             f"GUESSED: the URDF gives no mass to {', '.join(bodies)}; {total:.3g} kg together, by"
             f" the volume of their shapes at {DENSITY:g} kg/m^3. Every torque rests on it: put in"
             " your own."
+        )
+    names = list(arm.joints)
+    turning = ~body_tree(arm.model).prismatic
+    reach = np.maximum(-arm.model.lowerPositionLimit, arm.model.upperPositionLimit)
+    wide = [names[j] for j in np.flatnonzero(turning & (reach > _MANY_TURNS) & (reach < UNLIMITED))]
+    if wide:
+        yield (
+            f"QUESTION: limits of {', '.join(wide)} are more than {_MANY_TURNS / np.pi:g} half"
+            " turns. URDFs are in rad: were degrees meant? Then give position_lower and"
+            ' position_upper as texts, such as "-130 deg".'
         )
     if arm.unlimited:
         yield f"GUESSED: limits of position of {', '.join(arm.unlimited)}."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -254,3 +255,12 @@ def test_recordings_of_others_pass() -> None:
 def test_a_real_arm_with_six_joints(change, kind: str, tmp_path: Path) -> None:
     folder = changed_copy(PUBLISHED / "unisa_ur10", tmp_path / "set", change)
     assert doubted(folder)[0].kind == kind
+
+
+def test_a_robot_without_masses_is_told(tmp_path):
+    folder = changed_copy(SHIPPED, tmp_path / "set", lambda columns: None)
+    urdf = folder / "robot.urdf"
+    urdf.write_text(re.sub(r"<inertial>.*?</inertial>", "", urdf.read_text(), flags=re.DOTALL))
+    [doubt] = doubted(folder)
+    assert doubt.kind == "masses"
+    assert "gives no <inertial>" in str(doubt)

@@ -220,3 +220,32 @@ def test_a_drive_that_cannot_hold_its_link_is_named(tmp_path, capsys):
     assert re.search(
         r"do its drives hold its weight: \d has 0.5 N m and needs", capsys.readouterr().err
     )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('effort="80"', 'effort="${most}"', "holds xacro that is not expanded, such as '${most}'"),
+        ('effort="80"', 'effort="-80"', "'1', limit effort = -80 is below 0"),
+        ('xyz="0 0 0.3"', 'xyz="0 0 300"', "lies 300 m from the one before.*exported in mm"),
+    ],
+)
+def test_what_a_urdf_cannot_mean_is_said(old, new, said, tmp_path):
+    urdf = written(tmp_path, chain(3))
+    urdf.write_text(urdf.read_text().replace(old, new))
+    pattern = said if ".*" in said else re.escape(said)
+    with pytest.raises(InputError, match=pattern):
+        load_robot(urdf)
+
+
+def test_a_file_of_macros_alone_is_xacro(tmp_path):
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text('<robot name="a" xmlns:xacro="http://ros.org/xacro"><xacro:arm/></robot>')
+    with pytest.raises(InputError, match=r"such as <xacro:arm>\. Expand it first"):
+        load_robot(urdf)
+
+
+def test_limits_in_degrees_are_questioned(tmp_path, capsys):
+    urdf = written(tmp_path, chain(3).replace('lower="-2" upper="2"', 'lower="-130" upper="130"'))
+    assert run(["init", "robot", str(urdf)]) == 0
+    assert "QUESTION: limits of 1, 2, 3" in capsys.readouterr().out

@@ -43,6 +43,8 @@ def doubts(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[Doubt
     are doubted for only where they explain the torques many times better than the file's own
     reading with any friction, rotor inertia, spring and payload that a robot may have besides.
     """
+    if not any(body.mass > 0.0 for body in recordings.robot.tree.bodies):
+        return (_without_masses(recordings),)
     found = list(_second_sensors(recordings, runs))
     samples = sampled(runs)
     explanation = None
@@ -54,6 +56,17 @@ def doubts(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[Doubt
     if not any(doubt.kind == "position unit" for doubt in found):
         found += _beyond_limits(recordings, runs)
     return tuple(found)
+
+
+def _without_masses(recordings: RecordingSet) -> Doubt:
+    """Weight and inertia would be what the model lacks, and nothing else could be told."""
+    return Doubt(
+        kind="masses",
+        joints=(),
+        evidence="No link of the robot has a mass: its URDF gives no <inertial>. Give them there, if"
+        " only roughly: all else is judged beside the weight.",
+        line="",
+    )
 
 
 # ---- by the torques
