@@ -63,8 +63,8 @@ def _without_masses(recordings: RecordingSet) -> Doubt:
     return Doubt(
         kind="masses",
         joints=(),
-        evidence="No link of the robot has a mass: its URDF gives no <inertial>. Give them there, if"
-        " only roughly: all else is judged beside the weight.",
+        evidence="No link of the robot has a mass: its URDF gives no <inertial>. Give them there,"
+        " if only roughly: all else is judged beside the weight.",
         line="",
     )
 
