@@ -136,6 +136,26 @@ def nearest_bodies(
     -------
     array (p,)
     """
+    bodies = np.zeros(len(moment), dtype=bool)
+    bodies[place] = True
+    loose = np.isinf(limits) & ~bodies
+    if loose.any():
+        # What has no limits follows from all the rest: the rest is sought without it.
+        kept = np.flatnonzero(~loose)
+        own, cross = gram[np.ix_(loose, loose)], gram[np.ix_(loose, kept)]
+        away = np.linalg.solve(own, cross)
+        first = int(np.count_nonzero(kept < (place.start or 0)))
+        found = np.empty(len(moment))
+        found[kept] = nearest_bodies(
+            gram[np.ix_(kept, kept)] - cross.T @ away,
+            moment[kept] - away.T @ moment[loose],
+            slice(first, first + int(bodies.sum())),
+            nominal,
+            units,
+            limits[kept],
+        )
+        found[loose] = np.linalg.solve(own, moment[loose] - cross @ found[kept])
+        return found
     root = np.linalg.cholesky(gram)
     goal = solve_triangular(root, moment, lower=True)
     free = np.linalg.solve(gram, moment)
@@ -173,7 +193,7 @@ def nearest_bodies(
         [factors.ravel(), np.clip(free[others], -limits[others], limits[others])]
     )
     bound = np.concatenate([np.full(count, np.inf), limits[others]])
-    found = least_squares(
+    solved = least_squares(
         lambda at: root.T @ values(at) - goal,
         start,
         slopes,
@@ -181,7 +201,7 @@ def nearest_bodies(
         x_scale="jac",
         max_nfev=200,
     )
-    return values(found.x)
+    return values(solved.x)
 
 
 def _factors(bodies: np.ndarray, units: np.ndarray) -> np.ndarray:

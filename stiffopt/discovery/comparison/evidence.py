@@ -7,6 +7,7 @@ cross-validation over whole recordings needs no fit beyond the sums of squares o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -121,7 +122,7 @@ class Added:
     covariance : array (k, k)
     base_mean : array (p,)
         Of the parameters that they were added to.
-    log_evidence, log_predictive : float
+    log_evidence : float
         As of a `Posterior` of all of them.
     """
 
@@ -129,7 +130,6 @@ class Added:
     covariance: np.ndarray
     base_mean: np.ndarray
     log_evidence: float
-    log_predictive: float
 
 
 class Beside:
@@ -143,43 +143,73 @@ class Beside:
     """
 
     def __init__(self, sums: Sums, prior_sd: np.ndarray) -> None:
+        self._sums, self._prior = sums, prior_sd
+        self._whole = _Factored(
+            _total(sums.gram), _total(sums.moment), _total(sums.square), prior_sd
+        )
+
+    @cached_property
+    def _without(self) -> _Factored:
+        """The whole without each block."""
+        own = self._sums
+        gram, moment, square = (_total(x) - x for x in (own.gram, own.moment, own.square))
+        return _Factored(gram, moment, square, self._prior)
+
+    def added(self, sums: AddedSums, kept: np.ndarray) -> Added:
+        """Posterior with some of the further columns."""
+        mean, left, base, evidence = self._whole.with_columns(
+            _total(sums.cross[:, :, kept]),
+            _total(sums.inner[:, kept][:, :, kept]),
+            _total(sums.moment[:, kept]),
+        )
+        return Added(
+            mean=mean[0],
+            covariance=np.linalg.inv(left[0]),
+            base_mean=base[0],
+            log_evidence=float(evidence[0]),
+        )
+
+    def log_predictive(self, sums: AddedSums, kept: np.ndarray) -> float:
+        """Log density of all blocks, each given the others, as of a `Posterior` of all columns."""
+        parts = (sums.cross[:, :, kept], sums.inner[:, kept][:, :, kept], sums.moment[:, kept])
+        cross, inner, moment = (_total(x) - x for x in parts)
+        without = self._without.with_columns(cross, inner, moment)[3]
+        return float(np.sum(self.added(sums, kept).log_evidence - without))
+
+
+class _Factored:
+    """Sums of several sets of blocks, factored: gram (c, p, p), moment (c, p), square (c,)."""
+
+    def __init__(
+        self, gram: np.ndarray, moment: np.ndarray, square: np.ndarray, prior_sd: np.ndarray
+    ) -> None:
         self._prior = prior_sd
-        # The whole first, then the whole without each block.
-        gram, moment = _left_out(sums.gram), _left_out(sums.moment)
         scaled = gram * np.outer(prior_sd, prior_sd) + np.eye(len(prior_sd))
         factor = np.linalg.cholesky(scaled)
         self._inverse = np.linalg.inv(factor)
         self._half = np.einsum("bij,bj->bi", self._inverse, prior_sd * moment)
         log_size = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-        square = np.sum(self._half**2, axis=1) - _left_out(sums.square)
-        self._evidence = 0.5 * square - log_size
+        self._evidence = 0.5 * (np.sum(self._half**2, axis=1) - square) - log_size
 
-    def added(self, sums: AddedSums, kept: np.ndarray) -> Added:
-        """Posterior with some of the further columns."""
-        cross = _left_out(sums.cross[:, :, kept]) * self._prior[:, None]
-        inner = _left_out(sums.inner[:, kept][:, :, kept])
-        moment = _left_out(sums.moment[:, kept])
-        half = self._inverse @ cross
-        left = inner + np.eye(len(kept)) - half.swapaxes(1, 2) @ half
+    def with_columns(
+        self, cross: np.ndarray, inner: np.ndarray, moment: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Mean (c, k) and precision (c, k, k) of further columns, mean of the others, evidence."""
+        half = self._inverse @ (cross * self._prior[:, None])
+        left = inner + np.eye(inner.shape[1]) - half.swapaxes(1, 2) @ half
         goal = moment - np.einsum("bpk,bp->bk", half, self._half)
         mean = np.linalg.solve(left, goal[..., None])[..., 0]
         evidence = (
             self._evidence + 0.5 * np.sum(goal * mean, axis=1) - 0.5 * np.linalg.slogdet(left)[1]
         )
-        base = self._prior * (self._inverse[0].T @ (self._half[0] - half[0] @ mean[0]))
-        return Added(
-            mean=mean[0],
-            covariance=np.linalg.inv(left[0]),
-            base_mean=base,
-            log_evidence=float(evidence[0]),
-            log_predictive=float(np.sum(evidence[0] - evidence[1:])),
-        )
+        rest = self._half - np.einsum("bpk,bk->bp", half, mean)
+        base = self._prior * np.einsum("bij,bi->bj", self._inverse, rest)
+        return mean, left, base, evidence
 
 
-def _left_out(parts: np.ndarray) -> np.ndarray:
-    """Sum of all blocks, then the sums without each block."""
-    total = parts.sum(axis=0)
-    return np.concatenate([total[None], total - parts])
+def _total(parts: np.ndarray) -> np.ndarray:
+    """Sum of all blocks, one in place of many."""
+    return np.asarray(parts.sum(axis=0, keepdims=True))
 
 
 def posterior(sums: Sums, prior_sd: np.ndarray, *, cross_validate: bool = True) -> Posterior:

@@ -32,12 +32,12 @@ class Candidate:
     amplitudes : array (k,)
         Over their sizes.
     covariance : array (k, k)
-    gain : float
-        Log predictive density of blocks left out, over that without it.
     evidence : float
         Log evidence over that without it, less the price of the shapes tried.
     deviations : float
         Square root of the amplitudes' chi-square: how many standard deviations from nothing.
+    gained : callable
+        -> log predictive density of blocks left out, over that without it.
     change : callable
         -> the channel that it changes most, and the share of the squared residual that it takes
         away there.
@@ -46,10 +46,15 @@ class Candidate:
     located: LocatedEffect
     amplitudes: np.ndarray
     covariance: np.ndarray
-    gain: float
     evidence: float
     deviations: float
+    gained: Callable[[], float]
     change: Callable[[], tuple[int, float]]
+
+    @cached_property
+    def gain(self) -> float:
+        """Log predictive density of blocks left out, over that without it."""
+        return self.gained()
 
     @property
     def explained(self) -> float:
@@ -85,9 +90,14 @@ class Scorer:
         self._sums = BlockSums(
             self._columns, comparison.target, comparison.rows.block, comparison.blocks
         )
-        self.start = posterior(self._sums.own, self._prior)
+        self.start = posterior(self._sums.own, self._prior, cross_validate=False)
         self._beside = Beside(self._sums.own, self._prior)
         self._residual = comparison.target - self._columns @ self.start.mean
+
+    @cached_property
+    def by_block(self) -> np.ndarray:
+        """Log density (b,) of every block given the other blocks."""
+        return posterior(self._sums.own, self._prior).by_block
 
     def score(self, located: LocatedEffect, price: float = 0.0) -> Candidate | None:
         """Judge one candidate; None where it changes nothing or leaves its bounds.
@@ -115,9 +125,9 @@ class Scorer:
             located=located,
             amplitudes=mean,
             covariance=covariance,
-            gain=found.log_predictive - self.start.log_predictive,
             evidence=found.log_evidence - self.start.log_evidence - price,
             deviations=float(np.sqrt(max(mean[kept] @ np.linalg.solve(inner, mean[kept]), 0.0))),
+            gained=lambda: self._gained(located, kept),
             change=lambda: self._changed(located, found.base_mean, mean),
         )
 
@@ -155,6 +165,10 @@ class Scorer:
                 return found, kept
             kept = np.delete(kept, worst)
         return None, kept
+
+    def _gained(self, located: LocatedEffect, kept: np.ndarray) -> float:
+        sums = self._sums.beside(self.comparison.effect_columns(located))
+        return self._beside.log_predictive(sums, kept) - float(np.sum(self.by_block))
 
     def _changed(
         self, located: LocatedEffect, base_mean: np.ndarray, mean: np.ndarray

@@ -62,12 +62,12 @@ def rigid_stage(
     catalogue : sequence of Effect
     """
     nominal = Scorer(comparison, effects)
-    width, gain = _best_width(comparison, effects, nominal.start.by_block)
+    width, gain = _best_width(comparison, effects, nominal.by_block)
     single = _best_single(nominal, catalogue)
     if single is not None and single.gain > max(SPARSE_SHARE * gain, NAMED_EVIDENCE):
         found = (*effects, single.located)
         beside = Scorer(comparison, found)
-        width, gain = _best_width(comparison, found, beside.start.by_block)
+        width, gain = _best_width(comparison, found, beside.by_block)
     else:
         single = None
     if gain < NAMED_EVIDENCE:
@@ -82,7 +82,7 @@ def _best_width(
     units = body_units(comparison.robot)
     gains = np.array(
         [
-            Scorer(comparison.with_bodies(width * units), effects).start.by_block - without
+            Scorer(comparison.with_bodies(width * units), effects).by_block - without
             for width in WIDTHS
         ]
     )
