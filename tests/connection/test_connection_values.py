@@ -220,6 +220,14 @@ def test_belt_by_hand() -> None:
     assert belt().tangent_compliance(0.1) == pytest.approx(compliance, rel=1e-12)
 
 
+def test_a_belt_that_wraps_little_has_fewer_teeth_in_mesh() -> None:
+    # 60 degrees of 28 teeth; of a second pulley of 42 teeth 240 degrees, of which six carry.
+    stage = belt(teeth_driven=42, wrap=math.pi / 3, wrap_driven=4 * math.pi / 3)
+    assert stage.teeth_in_mesh() == pytest.approx((28 / 6, 6.0))
+    stage = belt(wrap=math.pi, wrap_driven=math.pi / 4)
+    assert stage.teeth_in_mesh() == pytest.approx((6.0, 28 / 8))
+
+
 def test_belt_step_down_counts_the_second_pulley_by_its_ratio() -> None:
     # 1/K = 1/K_p1 + (z2/z1)^2/K_p2 + 1/K_span with K_p2 on its own, twice as large radius.
     stage = belt(teeth_driven=56, preload=80.0)

@@ -29,6 +29,7 @@ from stiffopt.fastening.load_factor import (
 from stiffopt.fastening.self_loosening import transverse_slip_limit
 from stiffopt.fastening.thermal import thermal_change
 from stiffopt.fastening.tightening import Tightening, preload_at_torque, tightening_torque
+from stiffopt.fastening.utilisation_row import UtilisationRow
 from stiffopt.fastening.vdi_rows import vdi_rows
 from stiffopt.fastening.verification import Verification
 
@@ -340,6 +341,17 @@ def test_warnings_stop_nothing():
     warned = {c.kind: c for c in vdi_rows(steps, 9000.0, shift=1e-3) if not c.binding}
     assert set(warned) == {"validity of even pressure", "self-loosening"}
     assert all(check.utilisation > 1.0 for check in warned.values())
+
+
+def test_a_row_is_kept_up_to_its_limit_but_for_rounding():
+    row = UtilisationRow(kind="slip safety", value=1.0, limit=1.0, unit="", utilisation=1.0)
+    assert row.kept
+    assert row.active
+    assert replace(row, utilisation=1.0 + 5e-7).kept
+    assert not replace(row, utilisation=1.0 + 2e-6).kept
+    assert replace(row, utilisation=2.0, binding=False).kept
+    assert not replace(row, utilisation=2.0, binding=False).active
+    assert not replace(row, utilisation=0.999).active
 
 
 def test_friction_as_high_as_may_be_is_part_of_the_scatter():

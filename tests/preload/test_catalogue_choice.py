@@ -247,6 +247,37 @@ def test_worst_instants_of_a_motion_are_kept():
     assert choice.designs["flexspline_flange"].label == "8 x M6 10.9, 12.5 N m"
 
 
+def test_bolts_of_the_whole_robot_for_several_motions():
+    """All flanges and pins at once; each joint as if it were chosen alone, for the larger load."""
+    time = np.linspace(0.0, 1.0, 21)
+    peaks = np.array([57.0, 110.0, 38.0, 16.0, 16.0, 13.0])
+    shares = {"lift": [0.2, 0.7, 0.6, 0.3, 0.5, 0.2], "sweep": [0.7, 0.3, 0.2, 0.6, 0.2, 0.6]}
+    motions = [
+        LoadHistory(name=name, time=time, torque=np.outer(np.sin(np.pi * time), share * peaks))
+        for name, share in shares.items()
+    ]
+    choose = Choice(sizes=("M3", "M4", "M5", "M6"), counts=(6, 9, 12))
+
+    def chosen(joints, histories):
+        return choose_design(
+            study(case(j2=1.0), joints=joints, histories=tuple(histories), choose=choose)
+        )
+
+    whole = chosen((1, 2, 3, 4, 5, 6), motions)
+    assert len(whole.designs) == 15
+    assert all(row.kept for row in whole.solution.rows)
+    instants = {each.name for each in whole.solution.cases}
+    assert {"lift at 0.500 s", "sweep at 0.500 s"} <= instants
+    for joint in range(1, 7):
+        own = chosen((joint,), [max(motions, key=lambda m: m.torque[10, joint - 1])])
+        for key, design in own.designs.items():
+            full = key if "." in key else f"joint_{joint}.{key}"
+            assert whole.designs[full].label == design.label
+    # One motion alone asks for less of joint 1.
+    light = chosen((1, 2), motions[:1])
+    assert any(whole.designs[key].label != each.label for key, each in light.designs.items())
+
+
 def test_choosing_needs_a_catalogue_and_known_sizes():
     with pytest.raises(ProblemError, match=r"Add \[choose\]"):
         choose_design(study())
