@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.drivetrain import catalogue
 from stiffopt.errors import ProblemError
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload.catalogue_designs import CatalogueDesign, catalogue_designs
@@ -32,9 +31,10 @@ from stiffopt.preload.optimise import (
     optimise_preloads,
     with_worst_instants,
 )
-from stiffopt.preload.problem import Choice, PreloadProblem
+from stiffopt.preload.problem import PreloadProblem
+from stiffopt.preload.search_proof import SearchProof, account
 from stiffopt.preload.solution import PreloadSolution, evaluate_design
-from stiffopt.preload.step_cost import way_cost
+from stiffopt.preload.tightening_ways import TighteningWay, ways_to_tighten
 from stiffopt.result.status import SolveStatus
 
 if TYPE_CHECKING:
@@ -42,62 +42,6 @@ if TYPE_CHECKING:
 
 NO_BETTER = "bound: no better than the best found"
 NONE_KEEPS_ALL = "bound: no combination keeps all requirements"
-
-
-@dataclass(frozen=True, kw_only=True)
-class SearchProof:
-    """Account of a finished search; every combination is in exactly one place.
-
-    Parameters
-    ----------
-    combinations : int
-        Of the designs of all elements.
-    excluded : mapping of str to int
-        Combinations left out without looking at them one by one, by the limit or rule that does
-        it. A combination that several would exclude counts with the first that was applied.
-    evaluated : int
-        Combinations whose objective and rows were worked out.
-    unvisited : int
-        Combinations that the time limit left open; 0 for a proof.
-    nodes : int
-        Nodes of the branch-and-bound tree.
-    bound : float
-        No combination has less than this of what the search minimises: the total preload [N], the
-        largest utilisation [-], the largest deflection [m], the largest weight over stiffness [-].
-    gap : float
-        Distance of the best combination from the solver's bound, relative; infinite where nothing
-        was found.
-    """
-
-    combinations: int
-    excluded: Mapping[str, int]
-    evaluated: int
-    unvisited: int
-    nodes: int
-    bound: float
-    gap: float
-
-    @property
-    def complete(self) -> bool:
-        """Whether nothing was left open."""
-        return self.unvisited == 0
-
-    @property
-    def accounted(self) -> int:
-        """Sum of all parts; equal to `combinations`."""
-        return sum(self.excluded.values()) + self.evaluated + self.unvisited
-
-
-@dataclass(frozen=True, kw_only=True)
-class TighteningWay:
-    """Best for one method and coating; lowest and highest friction [-], cost in steps."""
-
-    method: str
-    friction: float
-    friction_highest: float | None
-    status: SolveStatus
-    objective: float
-    cost: float = float("nan")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -181,36 +125,12 @@ def choose_design(problem: PreloadProblem, progress: Report | None = None) -> Ca
         raise ProblemError("No catalogue to choose from. Add [choose] with sizes or counts.")
     problem = replace(problem, individual=False)
     found = []
-    for way, cost in _ways(problem.tightening, choose):
+    for way, cost in ways_to_tighten(problem.tightening, choose):
         own = _choose(replace(problem, tightening=way), progress)
         found.append((way, replace(own, cost=own.cost + cost)))
     if len(found) == 1:
         return found[0][1]
     return _best_way(problem, found)
-
-
-def _ways(tightening: Tightening, choose: Choice) -> list[tuple[Tightening, float]]:
-    """Every method with every coating that the study names, and what it costs in steps."""
-    methods = [
-        replace(tightening, method=method, scatter=None)  # type: ignore[arg-type]
-        for method in choose.methods
-    ] or [tightening]
-    coatings = [catalogue.coating(name) for name in choose.coatings]
-    if not coatings:
-        return [(method, way_cost(choose, i, 0)) for i, method in enumerate(methods)]
-    return [
-        (
-            replace(
-                method,
-                thread_friction=coating.least,
-                head_friction=coating.least,
-                friction_highest=coating.largest,
-            ),
-            way_cost(choose, i, k),
-        )
-        for i, method in enumerate(methods)
-        for k, coating in enumerate(coatings)
-    ]
 
 
 def _best_way(
@@ -335,7 +255,7 @@ class _Choosing:
         )
         return CatalogueChoice(
             status=solution.status,
-            message=_account(proof, chosen, solution),
+            message=account(proof, chosen, solution),
             designs={d.key: d for d in chosen},
             objective=solution.objective,
             cost=sum(d.cost for d in chosen),
@@ -411,24 +331,6 @@ def _with_designs(robot: Robot, chosen: list[CatalogueDesign]) -> Robot:
         stages = tuple(design.stage if s.element.name == name else s for s in chain.stages)
         chains[design.joint - 1] = replace(chain, stages=stages)
     return replace(robot, chains=tuple(chains))
-
-
-def _account(proof: SearchProof, chosen: list[CatalogueDesign], solution: PreloadSolution) -> str:
-    """Sentences about the design and the search."""
-    bolts = "; ".join(f"{d.key}: {d.label}" for d in chosen)
-    if not proof.complete:
-        return (
-            f"Best design found: {bolts}. It keeps every limit, but the search ended with "
-            f"{proof.unvisited:,} of {proof.combinations:,} combinations undecided; none of them "
-            f"is below {proof.bound:.6g} in what the search minimises."
-        )
-    out = sum(proof.excluded.values())
-    text = (
-        f"Best design of the catalogue: {bolts}. Of {proof.combinations:,} combinations "
-        f"{out:,} were excluded by limits and bounds and {proof.evaluated:,} evaluated; none is "
-        "better."
-    )
-    return text if solution.status.usable else f"{text} {solution.message}"
 
 
 def _beside_real_numbers(choice: CatalogueChoice, continuous: PreloadSolution) -> CatalogueChoice:

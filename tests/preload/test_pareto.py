@@ -110,6 +110,8 @@ def test_a_nearly_flat_front_is_said_to_be_flat(both):
     gain = both.points[-1].level / both.points[0].level - 1.0
     assert gain < 0.05
     assert f"rises by {100 * gain:.1f} %" in both.note
+    more = both.points[-1].total_preload / both.points[0].total_preload - 1.0
+    assert f", {100 * more:.0f} % more in all," in both.note
     assert "flat" in both.note
 
 
