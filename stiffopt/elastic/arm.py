@@ -197,7 +197,10 @@ class ElasticArm:
         """Critical damping (n,) of each joint swinging alone, at rest with the motors at `at`."""
         q = self.hanging(at[None])[0]
         stiffness = self.stiffness(self.held_torque(q))
-        return np.asarray(2.0 * np.sqrt(stiffness * np.diag(self.bodies.inertia_matrix(q))))
+        inertia = np.diag(self.bodies.inertia_matrix(q))
+        # Of rigid joints, behind which nothing may be: infinity times zero.
+        with np.errstate(invalid="ignore"):
+            return np.asarray(2.0 * np.sqrt(stiffness * inertia))
 
 
 def rigid_arm(robot: Robot) -> NotSimulatedError:

@@ -23,6 +23,7 @@ UNLIMITED = 1e9
 _LARGEST = 1e9
 # No arm has joints so far apart [m].
 _FAR = 50.0
+_INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 # Limits that are meant as none are written larger.
 _NO_LIMIT = 1e30
 
@@ -151,6 +152,8 @@ def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:
             raise RobotError(
                 f"{path}: joint {name!r}, limit {key} = {text} is below 0. Correct the URDF."
             )
+        if limit is not None and key in ("effort", "velocity"):
+            limit.set(key, text)
     lower, upper = values.pop("lower"), values.pop("upper")
     if kind == "continuous":
         joint.set("type", "revolute")
@@ -238,6 +241,13 @@ def _check_links(tree: ET.Element, path: Path) -> None:
                 urdf_numbers(origin.get(key, "0 0 0"), 3, f"{place}, origin {key}")
         if mass is not None and urdf_numbers(mass.get("value", ""), 1, f"{place}, mass")[0] < 0.0:
             raise RobotError(f"{place}: the mass {mass.get('value')} is below 0. Correct it.")
+        # A library that misses one would go on with a link that weighs nothing.
+        lacking = [k for k in _INERTIA if inertia is None or inertia.get(k) is None]
+        if mass is None or lacking:
+            what = "<mass>" if mass is None else ", ".join(lacking)
+            raise RobotError(
+                f"{place}: its <inertial> lacks {what}. Give mass and all of {', '.join(_INERTIA)}."
+            )
         for key, text in () if inertia is None else inertia.attrib.items():
             value = urdf_numbers(text, 1, f"{place}, inertia {key}")[0]
             if key in ("ixx", "iyy", "izz") and value < 0.0:

@@ -156,7 +156,8 @@ def _time(table: Mapping[str, np.ndarray]) -> str:
     named = [name for name in table if set(_words(name)) & set(_TIME)]
     for name in named:
         # Stamps may be repeated.
-        if np.isfinite(table[name]).any() and (np.diff(table[name]) >= 0.0).mean() > 0.95:
+        steps = np.diff(table[name])
+        if len(steps) and (steps >= 0.0).mean() > 0.95:
             return name
     for name, values in table.items():
         steps = np.diff(values)

@@ -132,3 +132,8 @@ def test_motor_currents_by_their_letter(tmp_path):
 def test_a_table_without_names_is_told_what_to_write(tmp_path):
     with pytest.raises(InputError, match=r"5 columns without names\. Give it one line of 5"):
         table(tmp_path, lines(names=None))
+
+
+def test_a_table_of_one_row_is_no_recording(tmp_path):
+    with pytest.raises(InputError, match="no column rises as a time"):
+        guessed(tmp_path, lines()[:2])

@@ -226,6 +226,8 @@ def test_a_drive_that_cannot_hold_its_link_is_named(tmp_path, capsys):
     ("old", "new", "said"),
     [
         ('effort="80"', 'effort="${most}"', "holds xacro that is not expanded, such as '${most}'"),
+        (' iyz="0"', "", "its <inertial> lacks iyz"),
+        ('<mass value="3"/>', "", "its <inertial> lacks <mass>"),
         ('effort="80"', 'effort="-80"', "'1', limit effort = -80 is below 0"),
         ('xyz="0 0 0.3"', 'xyz="0 0 300"', "lies 300 m from the one before.*exported in mm"),
     ],
@@ -249,3 +251,14 @@ def test_limits_in_degrees_are_questioned(tmp_path, capsys):
     urdf = written(tmp_path, chain(3).replace('lower="-2" upper="2"', 'lower="-130" upper="130"'))
     assert run(["init", "robot", str(urdf)]) == 0
     assert "QUESTION: limits of 1, 2, 3" in capsys.readouterr().out
+
+
+def test_a_limit_without_effort_is_silent_about_it(tmp_path, capfd):
+    urdf = written(tmp_path, chain(3).replace(' effort="80"', ""))
+    with pytest.raises(InputError, match="URDF has no effort"):
+        load_robot(urdf)
+    assert run(["init", "robot", str(urdf)]) == 0
+    found = capfd.readouterr()
+    assert "no effort for 1, 2, 3" in found.out
+    # Nothing of the library below.
+    assert found.err == ""
