@@ -37,6 +37,8 @@ MOST_EFFECTS_FREE, AT_ONCE = 12, 3
 CONFIRMED_DEVIATIONS = 3.5
 # At least, in any case, where nobody vouches for the nominal model [0036].
 STRICT_DEVIATIONS = 2.5
+# And of the amplitude that is known best by itself.
+DETERMINED_DEVIATIONS = 2.0
 # Or, where a few seconds hold all there is: most of a channel's residual taken away, and most of
 # the evidence kept in runs left out.
 BORNE_OUT_SHARE = 0.5

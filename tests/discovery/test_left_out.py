@@ -12,6 +12,7 @@ import pytest
 from stiffopt.discovery.catalogue import CATALOGUE, effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.closing import _Rows, _stepped, settled
+from stiffopt.discovery.search import uncertainty
 from stiffopt.discovery.search.left_out import _excess, borne_out, without_balancing
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import _restored
@@ -113,3 +114,32 @@ def test_friction_that_all_moving_samples_contradict_goes() -> None:
     assert kept == (there,)
     known = estimate(comparison, places[1:]).effects
     assert parameters.effects[0].amplitudes == known[0].amplitudes
+
+
+def test_what_is_sure_together_may_be_nothing_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two columns that are nearly alike share what one of them alone would be sure of."""
+    draw = np.random.default_rng(1)
+    count = 800
+    first = draw.normal(size=count)
+    alike = np.column_stack([first, first + 0.1 * draw.normal(size=count)])
+    target = 0.5 * first + draw.normal(size=count)
+    monkeypatch.setattr(uncertainty, "stretches", lambda _: np.arange(count) // 40)
+
+    def sure(columns: np.ndarray) -> tuple[float, float]:
+        gram = columns.T @ columns + np.eye(columns.shape[1])
+        amplitudes = np.linalg.solve(gram, columns.T @ target)
+        comparison: Any = SimpleNamespace(
+            target=target,
+            nuisance=([], np.zeros(0), np.zeros((count, 0))),
+            effect_columns=lambda _: columns,
+            fit=lambda _: SimpleNamespace(amplitudes=lambda: amplitudes),
+        )
+        located = LocatedEffect(effect=effect("gravity_spring"), joint=0)
+        together, single = uncertainty.significance(comparison, [located])
+        return float(together[0]), float(single[0])
+
+    alone, both = sure(alike[:, :1]), sure(alike)
+    assert alone[0] == pytest.approx(alone[1])
+    assert alone[1] > 5.0
+    assert both[0] > 5.0
+    assert both[1] < 0.5 * both[0]

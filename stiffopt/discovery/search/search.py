@@ -21,6 +21,7 @@ from stiffopt.discovery.thresholds import (
     AT_ONCE,
     BORNE_OUT_SHARE,
     CONFIRMED_DEVIATIONS,
+    DETERMINED_DEVIATIONS,
     EXCHANGES,
     NAMED_DEVIATIONS,
     NAMED_EVIDENCE,
@@ -417,15 +418,19 @@ def _confirmed(
 
     Where a few seconds hold all there is, as of a drive at its limit, those count that take away
     most of a channel's residual, in recordings left out of the fit too. Where the model is wrong in
-    many ways (`strict`), each of which does that somewhere, they need deviations as well, save for
-    what every joint has.
+    many ways (`strict`), each of which does that somewhere, they need deviations as well, and an
+    amplitude that is known by itself, save for what every joint has.
     """
     kept = list(effects)
     while kept:
-        sure = significance(comparison, kept)
+        sure, single = significance(comparison, kept)
         weak = [int(i) for i in np.argsort(sure) if sure[i] < CONFIRMED_DEVIATIONS]
         doubted = [
-            i for i in weak if strict and not kept[i].effect.nominal and sure[i] < STRICT_DEVIATIONS
+            int(i)
+            for i in np.argsort(sure)
+            if strict
+            and not kept[i].effect.nominal
+            and (sure[i] < STRICT_DEVIATIONS or single[i] < DETERMINED_DEVIATIONS)
         ]
         unproved = (i for i in weak if not _borne_out(comparison, kept, i))
         lost = doubted[0] if doubted else next(unproved, None)

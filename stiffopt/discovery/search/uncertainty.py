@@ -171,8 +171,18 @@ def estimate(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estima
     )
 
 
-def significance(comparison: Comparison, effects: Sequence[LocatedEffect]) -> np.ndarray:
-    """Jackknife deviations from nothing of every effect's amplitudes (e,), shapes held."""
+def significance(
+    comparison: Comparison, effects: Sequence[LocatedEffect]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Jackknife deviations from nothing of every effect, shapes held.
+
+    Returns
+    -------
+    together, single : array (e,)
+        Of its amplitudes together, and of the one that is known best by itself. Amplitudes that
+        are alike along the recordings can be sure together and nothing apart: what such an effect
+        would add on another motion is not known.
+    """
     fit = comparison.fit(effects)
     _, prior_sd, nuisance = comparison.nuisance
     columns = [comparison.effect_columns(e) for e in effects]
@@ -180,14 +190,16 @@ def significance(comparison: Comparison, effects: Sequence[LocatedEffect]) -> np
     prior = np.concatenate([prior_sd, np.ones(len(amplitudes))])
     matrix = np.column_stack([nuisance, *columns])
     _, spread = _jackknife(comparison, matrix, prior, stretches(comparison))
-    found, begin = [], 0
+    together, single, begin = [], [], 0
     for own in columns:
         values = amplitudes[begin : begin + own.shape[1]]
         rows = slice(len(prior_sd) + begin, len(prior_sd) + begin + own.shape[1])
         begin += own.shape[1]
         square = values @ np.linalg.lstsq(spread[rows, rows], values)[0]
-        found.append(float(np.sqrt(max(square, 0.0))))
-    return np.array(found)
+        together.append(float(np.sqrt(max(square, 0.0))))
+        sd = np.sqrt(np.maximum(np.diag(spread[rows, rows]), 1e-300))
+        single.append(float(np.max(np.abs(values) / sd)))
+    return np.array(together), np.array(single)
 
 
 def _shape_sizes(located: LocatedEffect) -> np.ndarray:
