@@ -91,6 +91,19 @@ def test_finds_the_best_of_all(seed, sizes, rows, vectors, tightness, peak):
     assert second.value == tie
 
 
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_the_best_is_the_best_in_any_unit(unit):
+    """Deflections are some 1e-6 m, preloads some 1e5 N: how near the bound is near is relative."""
+    for seed in range(20):
+        programme = instance(seed, [6, 6, 6], 1, 0.6, 2)
+        programme = replace(programme, weight=unit * programme.weight)
+        found = CombinationSearch(programme).minimise(goal(programme, True))
+        value, _ = everything(programme, True)
+        assert found.complete
+        assert found.value == pytest.approx(value, rel=1e-12)
+        assert found.gap <= 1e-9
+
+
 def test_rows_are_named_where_the_solver_fails_on_the_way():
     # HiGHS ends without an answer once this instance has its first cut.
     programme = instance(2012, [5, 5, 5], 2, 0.015625, 2)

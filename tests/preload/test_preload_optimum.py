@@ -214,6 +214,23 @@ def test_design_without_torque_lies_at_its_floor():
     assert {row.kind for row in solution.rows if row.active} == {"least preload"}
 
 
+@pytest.mark.parametrize(("load", "floor"), [(-14.0, 0.1), (0.5, 0.9)])
+def test_pins_are_never_loosened_below_what_carries_the_torque(load, floor):
+    """Below that they turn on the shaft, whatever slip safety is asked for."""
+    needs = {"slip_safety": None, "least_preload": floor}
+    problem = study(case("turn", j3=load), case("less", j3=0.2), joints=(3,), needs=needs)
+    problem = replace(problem, free=("pulley_pins",))
+    model = PreloadModel(problem)
+    lower, _ = PreloadNlp(model, "total_preload", levels_of(model)).bounds()
+    (element,) = model.elements
+    at_floor = floor * element.capacity
+    # Two tips at 90 degrees and their reaction, on a shaft of 8 mm that turns 100 times.
+    unit = 0.15 * 4e-3 * (2 + np.sqrt(2)) * 100
+    carries = 1.6 * (abs(load) / unit + element.loss)
+    assert lower == pytest.approx(max(at_floor, carries), rel=1e-9)
+    assert (carries > at_floor) == (load == -14.0)
+
+
 def test_free_element_beside_others_is_optimised():
     robot = with_elements(2, group=("circular_spline_flange", "flexspline_flange"))
     problem = study(case(j2=40.0), robot=robot, free=("flexspline_flange",))

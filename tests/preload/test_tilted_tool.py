@@ -212,3 +212,22 @@ def test_worst_instant_of_the_tool_is_found_with_tilting():
     worst = np.linalg.norm(every.exact_deflection(preloads), axis=1)
     found = PreloadModel(problem, cases).exact_deflection(preloads)
     assert np.nanmax(np.linalg.norm(found, axis=1)) == pytest.approx(worst.max(), rel=1e-9)
+
+
+@pytest.mark.parametrize(("tilt", "worst"), [(1.0, 3), (-1.0, 2), (0.0, 2)])
+def test_worst_instant_of_the_tool_is_that_of_wind_up_and_tilting_together(tilt, worst):
+    """Wind-ups of 2, 3 and 1 mm; tilting takes from the first two or adds to them."""
+    history = LoadHistory(
+        name="swing",
+        time=np.arange(4.0),
+        torque=np.array([[0.0], [2.0], [3.0], [1.0]]),
+        jacobian=np.tile([[1e-3], [0.0], [0.0]], (4, 1, 1)),
+    )
+    turned = np.outer(tilt * np.array([0.0, -2.0, -3.5, 3.0]), [1e-3, 0.0, 0.0])
+    (found,) = history.worst(
+        (),
+        compliance=lambda joint, torque: np.ones_like(torque),
+        windup=lambda joint, torque: torque,
+        tilted=lambda own: turned,
+    )
+    assert found.time == worst
