@@ -219,6 +219,7 @@ def _check_nominal(recordings: RecordingSet, run: RecordedRun, ready: PreparedRu
             f"the nominal model gives no finite torque along {run.file}. Check its positions and "
             "times, and masses and stiffnesses of the robot.",
         )
+    _check_damping(recordings, ready)
     widest = np.abs(signals.windup).max(axis=0)
     joint = int(widest.argmax())
     if widest[joint] > _SOFTEST:
@@ -229,6 +230,23 @@ def _check_nominal(recordings: RecordingSet, run: RecordedRun, ready: PreparedRu
             f"the drivetrain of {name!r} winds up by {widest[joint]:.3g} rad along {run.file}, "
             f"and no joint does so by more than {_SOFTEST:g}. Check its stiffness, and masses and "
             "times.",
+        )
+
+
+def _check_damping(recordings: RecordingSet, probe: PreparedRun) -> None:
+    """Raise `InputFileError` where a joint would creep back instead of swinging."""
+    swing = probe.swing
+    if swing is None:
+        return
+    inertia = np.diagonal(swing.bodies[2], axis1=1, axis2=2)
+    critical = 2.0 * np.sqrt(np.max(swing.stiffness * inertia, axis=0))
+    for j in np.flatnonzero(swing.damping > critical):
+        raise InputFileError(
+            recordings.path,
+            "nominal.joint_damping",
+            f"{swing.damping[j]:g} N m s/rad at {recordings.joints[j]!r} is above the critical "
+            f"{critical[j]:.3g} of the joint swinging alone. Joints have 1 to 5 % of that; give "
+            "the damping of the spring, not the friction of the drive.",
         )
 
 

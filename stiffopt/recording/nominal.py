@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from stiffopt.declaration import NOT_NEGATIVE, Doc, Unit, check_fields
+from stiffopt.declaration import NOT_NEGATIVE, Bounds, Doc, Unit, check_fields
 
 if TYPE_CHECKING:
     from stiffopt.symbolic import Quantity
 
 _Share = Annotated[float, Unit("ratio", bare=True), NOT_NEGATIVE]
+# One standard deviation of a stiffness that leaves a spring.
+_Stiffness = Annotated[float, Unit("ratio", bare=True), Bounds(least=0.0, most=1.0)]
 _Length = Annotated[float, Unit("length", bare=True), NOT_NEGATIVE]
 _Position = Annotated[float, Unit("angle", joint=True, bare=True), NOT_NEGATIVE]
 
@@ -90,7 +92,7 @@ class Tolerance:
     rotor_inertia: Annotated[_Share | None, Doc("Of rotor inertias, relative.")] = None
     coulomb: Annotated[_Share | None, Doc("Of Coulomb friction, relative.")] = None
     viscous: Annotated[_Share | None, Doc("Of viscous friction, relative.")] = None
-    stiffness: Annotated[_Share | None, Doc("Of stiffnesses, relative.")] = None
+    stiffness: Annotated[_Stiffness | None, Doc("Of stiffnesses, relative.")] = None
     joint_damping: Annotated[_Share | None, Doc("Of the damping of joints, relative.")] = None
     torque_constant: Annotated[_Share | None, Doc("Of torque constants, relative.")] = None
     encoder_zero: Annotated[_Position | None, Doc("Of the zero of an encoder.")] = None

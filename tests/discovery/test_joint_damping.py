@@ -1,11 +1,15 @@
 """Swings that die away otherwise than nominal are joint damping, with its size."""
 
+import re
+
 import numpy as np
 import pytest
-from simulated_sets import diagnosis_of, said
+from diagnosed_folders import copied
+from simulated_sets import COULOMB, diagnosis_of, said
 
 from benchmarks.simulator import ROBOTS, CaseSpec, simulate
 from benchmarks.simulator import integrator as simulator
+from stiffopt.cli import run
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
@@ -43,3 +47,27 @@ def test_a_robot_takes_the_damping_that_was_found():
     change = entry.change_robot(load_robot("er3a_c60"), found, 2, constants)
     assert change.robot.damping[2] == pytest.approx(90.0)
     assert "60 to 90" in change.sentence
+
+
+@pytest.mark.parametrize(
+    ("key", "stated", "said_of_it"),
+    [
+        ("joint_damping", "[-1.0, 2.0]", r"joint_damping.*0"),
+        ("joint_damping", "[9e5, 2.0]", r"9e\+?0?5|900000.*above the critical"),
+        ("stiffness", "1.5", r"tolerance\.stiffness.*1"),
+    ],
+)
+def test_springs_that_no_joint_has_are_refused_in_one_sentence(
+    tmp_path, capsys, key, stated, said_of_it
+):
+    source = copied(COULOMB, tmp_path / "set")
+    file = source / "recordings.toml"
+    text = file.read_text(encoding="utf-8")
+    changed = re.sub(rf"(?m)^{key} = .*$", f"{key} = {stated}", text)
+    assert changed != text
+    file.write_text(changed, encoding="utf-8")
+    assert run(["diagnose", str(source), "--out", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err
+    assert re.search(said_of_it, " ".join(told.split())), told
+    assert "Traceback" not in told
+    assert not (tmp_path / "out").exists()

@@ -1,13 +1,18 @@
-"""A joint so soft that its mode lies far from the nominal one, in sharp motion."""
+"""Modes far from where the nominal model has them, in sharp motion: a soft joint, a payload."""
 
 import pytest
 from simulated_sets import diagnosed, said, simulated
 
 from benchmarks.simulator import CaseSpec
+from stiffopt.report.diagnosis.words import lead
 
 SOFT = CaseSpec(
     robot="big6", seed=11, train=3, test=1, extrapolate=0, seconds=5.0, rate=250.0, substeps=8,
     payload=10.0, smoothing=0.2, effects=(("stiffness_linear", 2, 1.5),),
+)  # fmt: skip
+LOADED = CaseSpec(
+    robot="big6", seed=12, train=3, test=1, extrapolate=0, seconds=5.0, rate=250.0, substeps=8,
+    payload=5.0, smoothing=0.3, effects=(("payload", None, 3.0),),
 )  # fmt: skip
 
 
@@ -25,4 +30,15 @@ def test_a_soft_joint_is_named_with_its_stiffness_and_its_mode():
     moved = [mode for mode in found.modes if mode.elsewhere]
     assert moved
     assert moved[0].found < moved[0].nominal
-    assert str(moved[0]).startswith(f"The mode of joint {moved[0].joint} lies at")
+    assert f"The mode of joint {moved[0].joint} lies at {moved[0].found:.1f} Hz, the" in lead(found)
+
+
+@pytest.mark.slow
+def test_a_payload_moves_the_modes_and_is_named():
+    found = diagnosed(LOADED)
+    assert [f.effect.name for f in found.findings] == ["payload"], said(found)
+    assert found.nrmse("test")[1] < 1.1
+    moved = [mode for mode in found.modes if mode.elsewhere]
+    assert moved
+    assert all(mode.found < mode.nominal for mode in moved)
+    assert str(moved[0]) in lead(found)
