@@ -10,7 +10,7 @@ is
 Its derivatives follow by the chain rule; the motors' jerk holds the fifth derivative of q. Damping
 of the joints bears part of the torque while the wind-up changes: the wind-up lags by damping over
 stiffness, a few tenths of a millisecond, by which the motors arrive later than the links
-(`motor_motion`).
+(`MotorLaw`).
 
 phi is the law of the drivetrain with its corners wider than the deflection's formula has them: a
 corner of the stiffness is a kink of the motors' speed, and a narrow one exceeds any jerk between
@@ -43,6 +43,8 @@ _STEP = 2.5e-3
 _LEAST = 4
 # Lags are rounded to multiples of this [s].
 _LAGS = 2e-5
+# Instants nearer to each other are one [s].
+_SLACK = 1e-3 * _LAGS
 
 
 class MotorModel(StageModel):
@@ -221,60 +223,66 @@ def law_smoothing(problem: TrajectoryProblem) -> float:
 
 
 def rounded_lag(lag: np.ndarray) -> np.ndarray:
-    """Lags as `motor_motion` takes them [s]: alike, or well apart."""
+    """Lags as `MotorLaw` takes them [s]: alike, or well apart."""
     return np.asarray(_LAGS * np.round(lag / _LAGS))
 
 
-def motor_motion(
-    robot: Robot,
-    link: Trajectory,
-    smoothing: float,
-    process_force: object = (0.0, 0.0, 0.0),
-    lag: np.ndarray | None = None,
-) -> Trajectory:
-    """Motion of the motors that makes the links move as given.
+class MotorLaw:
+    """Motors that lead the links of a robot, as a compiled formula for many motions.
 
     Parameters
     ----------
     robot : Robot
-    link : Trajectory
-        With five derivatives.
-    smoothing : float
-        Factor on the law's smoothing widths: corners would ask for jumps of the speed.
     process_force : array_like (3,)
         Acts on the tool all the time, base axes [N].
-    lag : array (n,), optional
-        Of each joint's wind-up behind its spring torque [s]: its damping over its stiffness. The
-        motors arrive so much later than the links, which have to be at rest then.
     """
-    derivatives = [ca.SX.sym(f"d{k}", robot.n) for k in range(6)]
-    model = MotorModel(robot, derivatives, smoothing, np.zeros(robot.n), process_force, 1.0)
-    parts = model.rates(model.hung, 1), model.rates(model.lead, 3)
-    law = ca.Function("motors", derivatives, [ca.densify(each) for part in parts for each in part])
-    late = np.zeros(robot.n) if lag is None else np.asarray(lag)
-    moves, held = link.duration, link.held_for(float(late.max()))
-    begins, ends = held.times[:-1], held.times[1:]
-    counts = np.maximum(np.ceil((ends - begins) / _STEP).astype(int), _LEAST)
-    inside = [np.linspace(*each, endpoint=False) for each in zip(begins, ends, counts, strict=True)]
-    # Where a wind-up begins and ends, its third rate jumps.
-    jumps = np.concatenate([late, moves + late])
-    times = np.union1d(np.append(np.concatenate(inside), held.duration), jumps)
-    times = times[np.concatenate([[True], np.diff(times) > 1e-3 * _LAGS])]
 
-    slack = 1e-3 * _LAGS
+    def __init__(self, robot: Robot, process_force: object = (0.0, 0.0, 0.0)) -> None:
+        self._joints = robot.n
+        derivatives = [ca.SX.sym(f"d{k}", robot.n) for k in range(6)]
+        p = ca.SX.sym("smoothing")
+        model = MotorModel(robot, derivatives, p, np.zeros(robot.n), process_force, 1.0)
+        parts = [*model.rates(model.hung, 1), *model.rates(model.lead, 3)]
+        self._law = ca.Function("motors", [*derivatives, p], [ca.densify(each) for each in parts])
 
-    def evaluated(at: np.ndarray) -> np.ndarray:
-        """Both parts with their rates (8, K, n); those of a motion that has ended are zero."""
-        clipped = np.clip(at, 0.0, moves)
-        found = law.map(len(at))(*(link(clipped, k).T for k in range(6)))
-        values = np.stack([each.full().T for each in found])
-        for order in (1, 2, 3):
-            for part in (0, 4):
-                values[part + order, (at < -slack) | (at > moves + slack)] = 0.0
+    def motion(
+        self, link: Trajectory, smoothing: float, lag: np.ndarray | None = None
+    ) -> Trajectory:
+        """Motion of the motors that makes the links move as given.
+
+        Parameters
+        ----------
+        link : Trajectory
+            With five derivatives.
+        smoothing : float
+            Factor on the law's smoothing widths: corners would ask for jumps of the speed.
+        lag : array (n,), optional
+            Of each joint's wind-up behind its spring torque [s]: its damping over its stiffness.
+            The motors arrive so much later than the links, which have to be at rest then.
+        """
+        late = np.zeros(self._joints) if lag is None else np.asarray(lag)
+        moves, held = link.duration, link.held_for(float(late.max()))
+        begins, ends = held.times[:-1], held.times[1:]
+        counts = np.maximum(np.ceil((ends - begins) / _STEP).astype(int), _LEAST)
+        inside = [
+            np.linspace(*each, endpoint=False) for each in zip(begins, ends, counts, strict=True)
+        ]
+        # Where a wind-up begins and ends, its third rate jumps.
+        jumps = np.concatenate([late, moves + late])
+        times = np.union1d(np.append(np.concatenate(inside), held.duration), jumps)
+        times = times[np.concatenate([[True], np.diff(times) > _SLACK])]
+        motors = self._evaluated(link, times, smoothing)[:4]
+        for own in np.unique(late):
+            joints = late == own
+            motors[:, :, joints] += self._evaluated(link, times - own, smoothing)[4:, :, joints]
+        return Trajectory.through(times, motors, held)
+
+    def _evaluated(self, link: Trajectory, at: np.ndarray, smoothing: float) -> np.ndarray:
+        """Place and lead with their rates (8, K, n); those of a motion that has ended are zero."""
+        inside = np.clip(at, 0.0, link.duration)
+        given = (*(link(inside, k).T for k in range(6)), np.full((1, len(at)), smoothing))
+        values = np.stack([each.full().T for each in self._law.map(len(at))(*given)])
+        outside = (at < -_SLACK) | (at > link.duration + _SLACK)
+        for order in (1, 2, 3, 5, 6, 7):
+            values[order, outside] = 0.0
         return values
-
-    motors = evaluated(times)[:4]
-    for own in np.unique(late):
-        joints = late == own
-        motors[:, :, joints] += evaluated(times - own)[4:, :, joints]
-    return Trajectory.through(times, motors, held)

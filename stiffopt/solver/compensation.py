@@ -22,7 +22,7 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.elastic.uncertainty import Departure, bounded, corners, draws, one_at_a_time
-from stiffopt.problem.motor_model import law_smoothing, motor_motion
+from stiffopt.problem.motor_model import MotorLaw, law_smoothing
 from stiffopt.result.compensation import CompensatedMotion, Compensation, Spread, Spreads
 from stiffopt.result.store import export_times
 from stiffopt.result.trajectory import Trajectory
@@ -180,32 +180,42 @@ class _Compensator:
         """Spline and share of the least worst case; the worst signs of the joints' stiffness."""
         leads = self._leads()
         within = [lead for lead in leads if self._within(lead.motors)] or leads
-        tried = [(lead, share) for lead in within for share in _SHARES]
+        # A plan at a limit leaves nothing for more than its own wind-up.
+        tried = [
+            (lead, share)
+            for lead in within
+            for share in _SHARES
+            if share == 1.0 or self._within(lead.command(share))
+        ]
         commands = [MotorMotion.of(lead.command(share)) for lead, share in tried]
         single = one_at_a_time(self._problem.uncertainty, self._arm.robot.n)
         first = [self._nominal, *single]
-        runs = [(commands[0], each) for each in first]
-        runs += [(command, each) for command in commands for each in self._corners]
         swings = self._many.swings(
-            [Member(command=own, departure=arm, reference=self._plan) for own, arm in runs]
+            [Member(command=commands[0], departure=arm, reference=self._plan) for arm in first]
         )
-        shape = (len(commands), len(self._corners))
-        flight = swings.peak[len(first) :].reshape(shape).max(axis=1)
-        after = swings.peak_after[len(first) :].reshape(shape).max(axis=1)
+        signs = self._worst_signs(swings, len(first))
+        arms = [*self._corners, *signs]
+        swings = self._many.swings(
+            [
+                Member(command=own, departure=arm, reference=self._plan)
+                for own in commands
+                for arm in arms
+            ]
+        )
+        shape = (len(commands), len(arms))
+        flight = swings.peak.reshape(shape).max(axis=1)
+        after = swings.peak_after.reshape(shape).max(axis=1)
         lead, share = tried[int(np.argmin(flight + after))]
-        return lead, share, self._worst_signs(swings, len(first))
+        return lead, share, signs
 
     def _leads(self) -> list[_Lead]:
         planned = self._motion.motors
         if planned is not None and planned.link is not None:
             return [_Lead(planned.link, planned, None)]
         links = [(smooth_motion(self._plan, each), each) for each in _SPACINGS]
-        robot, force = self._problem.robot, self._problem.process_force
+        law = MotorLaw(self._problem.robot, self._problem.process_force)
         smoothing = law_smoothing(self._problem)
-        return [
-            _Lead(link, motor_motion(robot, link, smoothing, force), spacing)
-            for link, spacing in links
-        ]
+        return [_Lead(link, law.motion(link, smoothing), spacing) for link, spacing in links]
 
     def _worst_signs(self, swings: Swings, count: int) -> list[Departure]:
         """Arms whose joints are softer and stiffer such that their errors add up, to first order.

@@ -28,7 +28,7 @@ from stiffopt.solver.stages import (
     solve_again,
 )
 from stiffopt.solver.verdict import TRUE_OBJECTIVE
-from stiffopt.transcription.between import lowered, tightened
+from stiffopt.transcription.between import drawn_in, tightened
 from stiffopt.transcription.nlp import Nlp
 from stiffopt.transcription.refine import refine_mesh
 
@@ -42,6 +42,11 @@ _GROWTH = 1.25
 _CORRECTIONS = 12
 # Of a row's bound at once: a larger excess is a narrow one, and goes with less.
 _LARGEST_STEP = 0.15
+# Steps double from one correction to the next, up to this: what bulges between two points gives way
+# slowly, and the objective hardly feels it.
+_HASTE = 8.0
+# Share of an excess that the exact rows have to show where it is theirs.
+_SEEN = 0.5
 # Of the widths of the motors' law, tried when all limits hold: at half of it, nothing more is left
 # after arrival than by the exact law.
 _SHARPER = (0.5, 0.7)
@@ -98,7 +103,7 @@ def _corrected(run: SolveRun, outcome: Outcome) -> Outcome:
         if not (late and outcome.raw.converged):
             return found
         try:
-            nlp = lowered(nlp, late)
+            nlp = drawn_in(nlp, late)
             again = solve_again(run, outcome, nlp, outcome.smoothing)
         except KeyboardInterrupt:
             return stopped(found)
@@ -120,14 +125,18 @@ def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nl
         if attempt > 1 and max(excess.values(), default=0.0) > _CORNER:
             smoothing *= 2.0
         try:
-            nlp, _ = tightened(
+            nlp, seen = tightened(
                 outcome.transcription,
                 nlp,
                 outcome.raw.x,
                 np.array([smoothing]),
                 rows,
                 most=_LARGEST_STEP,
+                haste=min(2.0 ** (attempt - 1), _HASTE),
             )
+            # What the rows do not know, such as the delay by damping, is the same all along.
+            unseen = {k: v for k, v in excess.items() if seen.get(k, 0.0) < _SEEN * v}
+            nlp = drawn_in(nlp, {k: min(v, _LARGEST_STEP) for k, v in unseen.items()})
             again = solve_again(run, outcome, nlp, smoothing)
         except KeyboardInterrupt:
             return stopped(outcome), nlp

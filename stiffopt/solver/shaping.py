@@ -28,7 +28,7 @@ from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import ProblemError
 from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.limit import Limits
-from stiffopt.problem.motor_model import motor_motion
+from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
@@ -174,13 +174,9 @@ def _shaped(
     if found.trajectory is None:
         return None
     averaged, tried = Averaged(found.trajectory, swing), []
+    law = MotorLaw(problem.robot, problem.process_force)
     for spacing in _SPACINGS:
-        motors = motor_motion(
-            problem.robot,
-            smooth_motion(averaged, spacing),
-            smoothing=WINDUP_SMOOTHING[-1],
-            process_force=problem.process_force,
-        )
+        motors = law.motion(smooth_motion(averaged, spacing), WINDUP_SMOOTHING[-1])
         tried.append((motors, assess(problem, motors)))
         if tried[-1][1].feasible(CERTIFIED):
             break

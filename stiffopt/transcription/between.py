@@ -31,7 +31,8 @@ def tightened(
     rows: ca.Function,
     *,
     most: float,
-) -> tuple[Nlp, float]:
+    haste: float = 1.0,
+) -> tuple[Nlp, dict[str, float]]:
     """The NLP with the bounds of its path rows drawn in where a motion exceeds them.
 
     Parameters
@@ -46,12 +47,14 @@ def tightened(
         Exact path rows (x, u, z, p) -> (m,).
     most : float
         Largest step by which a bound is drawn in, in units of its row.
+    haste : float
+        Times the step that the excess asks for.
 
     Returns
     -------
     nlp : Nlp
-    excess : float
-        The largest by which a row exceeds its bound, in units of the row.
+    excess : dict
+        The largest by which rows of a name exceed their bounds, in units of the row.
     """
     motion = transcription.guess_from(x)
     steps = transcription.intervals.shares @ transcription.phase_durations(x)
@@ -69,7 +72,8 @@ def tightened(
         .full()
         .T
     )
-    lower, upper, largest = nlp.lower_g.copy(), nlp.upper_g.copy(), 0.0
+    lower, upper = nlp.lower_g.copy(), nlp.upper_g.copy()
+    found: dict[str, float] = {}
     for block, entries in transcription.path_blocks:
         assert block.places is not None
         places = transcription.times_of(block.places, x)
@@ -80,28 +84,31 @@ def tightened(
             with np.errstate(invalid="ignore"):
                 excess = np.maximum(sign * (own - limit / block.rows.scale), 0.0)
             excess = np.nan_to_num(excess, nan=0.0, posinf=0.0)
-            largest = max(largest, float(excess.max(initial=0.0)))
+            name = block.rows.name
+            found[name] = max(found.get(name, 0.0), float(excess.max(initial=0.0)))
             near = _about(times, places[order], excess)
-            drawn = np.where(near > 0.0, np.minimum(_MORE * near + _LEAST, most), 0.0)
+            drawn = np.where(near > 0.0, np.minimum(haste * (_MORE * near + _LEAST), most), 0.0)
             bound[index] -= sign * drawn
-    return replace(nlp, lower_g=lower, upper_g=upper), largest
+    return replace(nlp, lower_g=lower, upper_g=upper), found
 
 
-def lowered(nlp: Nlp, excess: Mapping[str, float]) -> Nlp:
-    """The NLP with the upper bounds of rows of these names drawn in, each by its excess.
+def drawn_in(nlp: Nlp, excess: Mapping[str, float]) -> Nlp:
+    """The NLP with both bounds of all rows of these names drawn in, each by its excess.
 
     Parameters
     ----------
     nlp : Nlp
     excess : mapping row name -> float
-        In units of the row; no bound is drawn below a twentieth of what it was.
+        In units of the row; no bound is drawn to less than a twentieth of what it was.
     """
-    upper = nlp.upper_g.copy()
+    lower, upper = nlp.lower_g.copy(), nlp.upper_g.copy()
     for block in nlp.rows.items:
         if block.rows.name in excess:
             own = slice(block.offset, block.offset + block.size)
-            upper[own] = np.maximum(upper[own] - _MORE * excess[block.rows.name], 0.05 * upper[own])
-    return replace(nlp, upper_g=upper)
+            step = _MORE * excess[block.rows.name]
+            upper[own] = np.maximum(upper[own] - step, 0.05 * upper[own])
+            lower[own] = np.minimum(lower[own] + step, 0.05 * lower[own])
+    return replace(nlp, lower_g=lower, upper_g=upper)
 
 
 def _about(times: np.ndarray, places: np.ndarray, excess: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import InputError
 from stiffopt.problem.formulation import Scales, exact_path_rows, formulate
-from stiffopt.problem.motor_model import WIDER, MotorModel, NearMotorModel, motor_motion
+from stiffopt.problem.motor_model import WIDER, MotorLaw, MotorModel, NearMotorModel
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import Method
 from stiffopt.result.store import export_times, write_trajectory
@@ -97,7 +97,7 @@ def test_rows_of_motors_are_nearly_right_where_the_stiffness_bends(planar, link)
 
 def test_exported_motors_follow_the_law_between_samples(planar, link):
     robot = planar.robot
-    motors = motor_motion(robot, link, WIDER * SMOOTHING)
+    motors = MotorLaw(robot).motion(link, WIDER * SMOOTHING)
     law, _ = models(robot)
     assert motors.link is link
     times = np.linspace(0.0, 0.7, 997)
@@ -112,7 +112,7 @@ def test_exported_motors_follow_the_law_between_samples(planar, link):
 
 
 def test_the_swinging_arm_does_what_is_predicted_and_rests(planar, link):
-    motors = motor_motion(planar.robot, link, SMOOTHING)
+    motors = MotorLaw(planar.robot).motion(link, SMOOTHING)
     predicted = assess(planar, motors).deflection_summary()["dynamic"].peak
     arm = ElasticArm(planar.robot, motors(0.0))
     found = simulate(arm, MotorMotion.of(motors))
@@ -124,7 +124,7 @@ def test_the_swinging_arm_does_what_is_predicted_and_rests(planar, link):
 
 
 def test_the_command_makes_the_links_do_what_is_written(planar, link, tmp_path):
-    motors = motor_motion(planar.robot, link, SMOOTHING)
+    motors = MotorLaw(planar.robot).motion(link, SMOOTHING)
     times = export_times(motors.duration)
     write_trajectory(assess(planar, motors, times=times), tmp_path)
     written = np.genfromtxt(tmp_path / "trajectory.csv", delimiter=",", names=True)
@@ -215,7 +215,7 @@ def test_bounds_are_drawn_in_about_what_exceeds_them(planar):
     nlp, excess = tightened(transcription, transcription.nlp, *given, most=0.1)
     change = transcription.nlp.upper_g - nlp.upper_g
     changed = np.flatnonzero(np.nan_to_num(change))
-    assert excess > 0.0
+    assert max(excess.values()) > 0.0
     assert changed.size
     assert np.all(change[changed] > 0.0)
     assert np.all(change[changed] <= 0.1 + 1e-12)
