@@ -169,9 +169,13 @@ class ProblemFamily:
         stage = SolveStage(sum(map(len, warm.mesh)), warm.smoothing)
         x = np.clip(warm.x, nlp.lower_x, nlp.upper_x)
         raw = solve_stage(run, made, stage, x, warm, "warm", "adaptive")
-        if not raw.converged:
+        ended = raw.status == "interrupted"
+        if not (raw.converged or ended):
             return run, None
         outcome = outcome_of(run, made, raw, warm.smoothing)
+        if ended:
+            # Who stopped it does not want it solved from the beginning.
+            return run, outcome
         sound = outcome.assessment.feasible(CERTIFIED) and outcome.objective_gap <= TRUE_OBJECTIVE
         return run, outcome if sound else None
 

@@ -6,6 +6,7 @@ import pytest
 from preload_studies import JACOBIAN, case, study
 
 from stiffopt.exact.chain import exact_compliance
+from stiffopt.preload.exact_shift import _linear
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import PreloadNlp
 from stiffopt.preload.optimise import levels_of, optimise_preloads
@@ -77,3 +78,18 @@ def test_what_does_not_deflect_the_tool_is_not_tightened_for_it():
         wanted = element.capacity if element.joint == 2 else least.preloads[key]
         assert force == pytest.approx(wanted, rel=1e-4)
     assert solution.kkt_residual < 1e-6
+
+
+@pytest.mark.parametrize(("excess", "expected"), [(0.2, 0.2), (3.0, 0.5), (-3.0, -0.5)])
+def test_the_slope_of_a_shift_is_at_most_half_of_the_smooth_one(excess, expected):
+    """The exact law's steps of a spot that yields are no slope."""
+    model = PreloadModel(study(case(j2=20.0)))
+    preloads = model.design
+
+    def laws(vector):
+        smooth = np.array([2e-9 * vector.sum() + 1e-3])
+        return smooth, smooth + excess * 2e-9 * (vector - preloads).sum()
+
+    constant, slopes = _linear(model, 2, preloads, laws)
+    assert slopes[:, 0] == pytest.approx(np.full(model.size, expected * 2e-9), rel=1e-6)
+    assert constant == pytest.approx(-preloads @ slopes)

@@ -227,6 +227,26 @@ def test_ctrl_c_ends_with_the_best_so_far(tmp_path, beginning, known):
         assert study.gain == 0.0
 
 
+@pytest.mark.skipif(
+    threading.current_thread() is not threading.main_thread(), reason="signals need the main thread"
+)
+def test_ctrl_c_once_is_enough_in_a_round(tmp_path):
+    motion, stop, seen = arm(tmp_path), _StopIn("round 1"), []
+
+    def once(event):
+        seen.append(event.stage)
+        if not any(stage.startswith("round 1") for stage in seen[:-1]):
+            stop(event)
+
+    study = motion_study(study_of(motion), motion, rounds=2, progress=once)
+    assert study.status is SolveStatus.INTERRUPTED
+    assert study.joint == study.separate
+    # Nothing is solved from the beginning after that.
+    rounds = [stage for stage in seen if "round" in stage]
+    assert rounds
+    assert all(stage.startswith("round 1 of 2, warm") for stage in rounds)
+
+
 @pytest.mark.parametrize(
     ("objectives", "reason"),
     [
