@@ -135,6 +135,7 @@ def diagnose(
     say("estimate parameters")
     start = () if base is None else (base.extension,)
     if training.free_bodies and not training.robot.swings:
+        say("take friction from all moving samples where that predicts better")
         selected, parameters = settled(training, settings, start, result.comparison, selected)
     else:
         parameters = estimate(result.comparison, tuple(s.located for s in selected))

@@ -7,7 +7,7 @@ predicts the same in runs left out: what it takes away there, physics could as w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.judging.random_features import SmoothFunction, smooth_function
 from stiffopt.discovery.proof.predict import Prediction, Predictor
 from stiffopt.discovery.proof.proof import used_samples
+from stiffopt.discovery.search.pace import Pace, paced
 from stiffopt.discovery.settings import SIGN_SPEED, Settings
 from stiffopt.discovery.training import Training
 
@@ -78,20 +79,32 @@ class BlackBox:
     settings : Settings
     extensions : sequence of Extension
         Of the extended model.
+    say : callable
+        Called with a sentence every few seconds.
     """
 
     def __init__(
-        self, training: Training, settings: Settings, extensions: Sequence[Extension]
+        self,
+        training: Training,
+        settings: Settings,
+        extensions: Sequence[Extension],
+        say: Callable[[str], object] = lambda _: None,
     ) -> None:
         n = training.robot.n
         samples = _Samples(n)
+        tell = paced(say)
         for number, run in enumerate(training.recorded):
+            tell(f"see what is left of {run.file}")
             predictor = Predictor(training.robot, run, training.constants, settings)
             share = (run.time - run.time[0]) / float(run.time[-1] - run.time[0])
             stretch = np.minimum((share * _STRETCHES).astype(int), _STRETCHES - 1)
             samples.add(predictor, predictor.predict(*extensions), number * _STRETCHES + stretch)
         self._signals = [samples.signals(j) for j in range(n)]
-        self._boxes: list[SmoothFunction | None] = [samples.fitted(j) for j in range(n)]
+        self._boxes: list[SmoothFunction | None] = []
+        pace = Pace(n)
+        for j in range(n):
+            tell(f"fit a black box to what is left of the torque of joint {pace.words(j)}")
+            self._boxes.append(samples.fitted(j))
         self._squares = np.zeros((n, 4))
 
     def add(self, predictor: Predictor, before: Prediction, after: Prediction) -> None:

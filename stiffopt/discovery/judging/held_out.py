@@ -60,7 +60,7 @@ class HeldOut:
         extensions = (*self._start, self._found)
         if training.free_bodies and not training.robot.swings:
             say("fit a black box to what is left, as a measuring rod")
-            self._box = BlackBox(training, settings, extensions)
+            self._box = BlackBox(training, settings, extensions, say)
         swinging = _predicted_swinging(training, settings, extensions)
         for entry in recordings.with_role("test", "extrapolate"):
             say(f"predict {entry.file}")
