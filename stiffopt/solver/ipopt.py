@@ -27,7 +27,7 @@ _STATUS = {
 }
 
 # Excess of a row, relative to its scale, up to which an iterate proves that the rows can hold.
-_FEASIBLE = 1e-6
+FEASIBLE = 1e-6
 
 _OPTIONS_HINT = "Check IpoptOptions.extra and linear_solver; allowed linear solvers: mumps, spral."
 
@@ -49,6 +49,9 @@ class IpoptOptions:
         "mumps", or "spral" with its environment variables set.
     print_level : int
         0 (silent) to 12.
+    patience : int
+        Iterations after which a solve ends ("iteration_limit") whose best point still exceeds a row
+        by more than a hundredth of its scale; 0 for never.
     extra : mapping
         Further options of IPOPT by their own names.
     """
@@ -59,6 +62,7 @@ class IpoptOptions:
     max_seconds: float = float("inf")
     linear_solver: str = "mumps"
     print_level: int = 0
+    patience: int = 0
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def for_ipopt(self) -> dict[str, Any]:
@@ -204,6 +208,7 @@ class IpoptSolver:
             inputs |= {"lam_x0": warm.multipliers_x, "lam_g0": warm.multipliers_g}
         monitor = self._monitor
         monitor.begin(report, self.options.max_seconds if max_seconds is None else max_seconds)
+        monitor.patience = self.options.patience
         with interrupt_sets(monitor.interrupt):
             outputs = solver(**inputs)
         solve_s = time.perf_counter() - monitor.started
@@ -214,7 +219,7 @@ class IpoptSolver:
         last = self._iterate(outputs)
         best = last if status in ("optimal", "acceptable") else (monitor.best or last)
         reason = word
-        if status == "infeasible" and best.violation <= _FEASIBLE:
+        if status == "infeasible" and best.violation <= FEASIBLE:
             # It has been where all rows hold: it lost its way, the problem has not none.
             status = "stalled"
         if status == "invalid_number":

@@ -60,6 +60,10 @@ class Iterate:
         return mine < theirs or (mine == theirs and self.objective < other.objective)
 
 
+# Excess of a row, relative to its scale, that the next iterations may mend.
+_NEARLY = 1e-2
+
+
 class Monitor(ca.Callback):
     """IPOPT's iteration callback; one object serves many solves one after another."""
 
@@ -79,12 +83,12 @@ class Monitor(ca.Callback):
 
     def begin(self, report: Callable[[Progress], object] | None, max_seconds: float) -> None:
         """Forget the last solve."""
-        self.report, self.max_seconds = report, max_seconds
+        self.report, self.max_seconds, self.patience = report, max_seconds, 0
         self.started = time.perf_counter()
         self.history: list[Progress] = []
         self.best: Iterate | None = None
         self.last: Iterate | None = None
-        self.stopped_by = ""  # "interrupted" or "time_limit"
+        self.stopped_by = ""  # "interrupted", "time_limit" or "iteration_limit"
         self.error: BaseException | None = None
         self.interrupt = threading.Event()
 
@@ -115,7 +119,13 @@ class Monitor(ca.Callback):
             self.stopped_by = "interrupted"
         elif time.perf_counter() - self.started > self.max_seconds:
             self.stopped_by = "time_limit"
+        elif self.patience and len(self.history) > self.patience and not self._near():
+            self.stopped_by = "iteration_limit"
         return [float(bool(self.stopped_by))]
+
+    def _near(self) -> bool:
+        """Whether some point so far keeps all rows, or nearly."""
+        return self.best is not None and self.best.violation <= _NEARLY
 
     def _take(self, arg: Sequence[ca.DM]) -> None:
         nlp = self.nlp

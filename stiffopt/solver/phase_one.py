@@ -1,0 +1,187 @@
+"""Whether the rows of a programme can hold together: the motion that exceeds them least.
+
+Every limit and waypoint gets one slack, the largest amount by which it is exceeded anywhere; their
+sum is minimised. Bounds of the variables and the equations that any motion obeys stay as they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver
+from stiffopt.transcription.nlp import Blocks, Nlp, NlpEntry
+from stiffopt.transcription.ocp import Rows
+
+# Pull towards the point that it begins from, which leaves no direction undetermined.
+_PULL = 1e-4
+_ITERATIONS = 150
+# Share of the largest excess below which a row is no part of the conflict.
+_PART = 0.01
+
+
+@dataclass(frozen=True)
+class LeastExcess:
+    """A point where the rows are exceeded least, as far as such a point is found near.
+
+    Parameters
+    ----------
+    x : array
+    excess : float
+        Sum over limits of the largest by which each is exceeded, relative to its scale.
+    converged : bool
+    conflicts : list of NlpEntry
+        What is exceeded, the most first, and then the bounds that keep it so.
+    status : str
+        Of the solver.
+    iterations : int
+    """
+
+    x: np.ndarray
+    excess: float
+    converged: bool
+    conflicts: list[NlpEntry]
+    status: str
+    iterations: int
+
+
+def least_excess(
+    nlp: Nlp, x: np.ndarray, parameters: np.ndarray, max_seconds: float = np.inf
+) -> LeastExcess:
+    """Find the point near `x` that exceeds the rows of a programme least.
+
+    Parameters
+    ----------
+    nlp : Nlp
+        With derivatives of its own.
+    x : array
+    parameters : array (np,)
+    max_seconds : float
+    """
+    relaxed = _Relaxed(nlp, x)
+    options = IpoptOptions(
+        tol=1e-6,
+        acceptable_tol=1e-2,
+        max_iterations=_ITERATIONS,
+        extra={"mu_strategy": "adaptive", "acceptable_iter": 5},
+    )
+    n = len(nlp.lower_x)
+    begin = np.append(np.clip(x, nlp.lower_x, nlp.upper_x), relaxed.slacks_at(x, parameters))
+    raw = IpoptSolver(relaxed.nlp, options).solve(begin, parameters, max_seconds=max_seconds)
+    slack = np.maximum(raw.x[n:], 0.0)
+    multipliers = (relaxed.selection.T @ ca.DM(raw.multipliers_g)).full().ravel()
+    g, _ = nlp.derivatives["jac_g"](raw.x[:n], nlp.parameters(parameters))
+    named = relaxed.named(nlp.violations(g.full()), slack)
+    known = {(entry.name, entry.label) for entry in named}
+    held = nlp.conflicts(raw.multipliers_x[:n], multipliers)
+    named += [entry for entry in held if (entry.name, entry.label) not in known]
+    return LeastExcess(
+        x=raw.x[:n],
+        excess=float(slack.sum()),
+        converged=raw.converged,
+        conflicts=named,
+        status=raw.status,
+        iterations=raw.iterations,
+    )
+
+
+class _Relaxed:
+    """A programme with slacks: its rows as far as they have bounds, upper ones and lower ones."""
+
+    def __init__(self, nlp: Nlp, near: np.ndarray) -> None:
+        self._first = nlp
+        groups, self.count = _groups(nlp)
+        free = groups >= 0
+        fixed = np.flatnonzero(~free)
+        upper = np.flatnonzero(free & np.isfinite(nlp.upper_g))
+        lower = np.flatnonzero(free & np.isfinite(nlp.lower_g))
+        chosen = np.concatenate([fixed, upper, lower])
+        rows, slacks, n = len(chosen), self.count, len(nlp.lower_x)
+        self.selection = ca.DM.triplet(
+            list(range(rows)), chosen.tolist(), ca.DM.ones(rows), rows, len(nlp.lower_g)
+        )
+        sign = np.concatenate([np.zeros(len(fixed)), -np.ones(len(upper)), np.ones(len(lower))])
+        moved = np.flatnonzero(sign)
+        eased = ca.DM.triplet(
+            moved.tolist(), groups[chosen[moved]].tolist(), ca.DM(sign[moved]), rows, slacks
+        )
+        z, p = ca.MX.sym("z", n + slacks), ca.MX.sym("p", nlp.p.numel())
+        x, s = z[:n], z[n:]
+        g, jacobian = nlp.derivatives["jac_g"](x, p)
+        away = x - ca.DM(np.clip(near, nlp.lower_x, nlp.upper_x))
+        cost = ca.sum1(s) + 0.5 * _PULL / n * ca.dot(away, away)
+        sigma, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", rows)
+        bent = nlp.derivatives["hess_lag"](x, p, 0.0, self.selection.T @ multipliers)
+        hessian = ca.diagcat(bent + sigma * _PULL / n * ca.DM.eye(n), ca.MX(slacks, slacks))
+        slope = ca.vertcat(_PULL / n * away, ca.DM.ones(slacks))
+        f, values = cost, self.selection @ g + eased @ s
+        free_rows = np.full(rows, np.inf)
+        low, high = -free_rows, free_rows
+        low[: len(fixed)], high[: len(fixed)] = nlp.lower_g[fixed], nlp.upper_g[fixed]
+        high[len(fixed) : len(fixed) + len(upper)] = nlp.upper_g[upper]
+        low[len(fixed) + len(upper) :] = nlp.lower_g[lower]
+        self.nlp = Nlp(
+            x=z,
+            p=p,
+            f=f,
+            g=values,
+            variables=_unnamed(n + slacks),
+            rows=_unnamed(rows),
+            lower_x=np.append(nlp.lower_x, np.zeros(slacks)),
+            upper_x=np.append(nlp.upper_x, np.full(slacks, np.inf)),
+            lower_g=low,
+            upper_g=high,
+            derivatives={
+                "grad_f": ca.Function("nlp_grad_f", [z, p], [f, ca.densify(slope)]),
+                "jac_g": ca.Function(
+                    "nlp_jac_g", [z, p], [values, ca.horzcat(self.selection @ jacobian, eased)]
+                ),
+                "hess_lag": ca.Function(
+                    "nlp_hess_l", [z, p, sigma, multipliers], [ca.triu(hessian)]
+                ),
+            },
+            numbers=nlp.numbers,
+        )
+        self._groups = groups
+
+    def slacks_at(self, x: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """Slacks with which all rows hold at a point, and a little more."""
+        nlp = self._first
+        inside = np.clip(x, nlp.lower_x, nlp.upper_x)
+        g, _ = nlp.derivatives["jac_g"](inside, nlp.parameters(parameters))
+        excess = np.nan_to_num(nlp.violations(g.full()), nan=1.0, posinf=1e6)
+        found = np.zeros(self.count)
+        free = self._groups >= 0
+        np.maximum.at(found, self._groups[free], excess[free])
+        return found + 1e-2
+
+    def named(self, excess: np.ndarray, slack: np.ndarray) -> list[NlpEntry]:
+        """What is exceeded, the most first, each where it is exceeded most."""
+        found = []
+        for group in np.argsort(-slack):
+            if slack[group] > max(_PART * slack.max(), 1e-5):
+                own = np.flatnonzero(self._groups == group)
+                found.append(self._first.rows.entry(int(own[np.argmax(excess[own])])))
+        return found
+
+
+def _groups(nlp: Nlp) -> tuple[np.ndarray, int]:
+    """Number of the slack of each row, -1 for those without; number of slacks."""
+    numbers, count = np.full(nlp.rows.size, -1), 0
+    for block in nlp.rows.items:
+        # A duration that is given stays: anything can be met in more time.
+        if not block.structural and block.size and block.rows.name != "duration":
+            own = count + np.arange(block.size) % len(block.rows)
+            numbers[block.offset : block.offset + block.size] = own
+            count += len(block.rows)
+    return numbers, count
+
+
+def _unnamed(size: int) -> Blocks:
+    """Blocks of entries that nobody is told of."""
+    blocks = Blocks()
+    free = np.full((1, size), np.inf)
+    blocks.add(Rows.make("relaxed", [""], -np.inf, np.inf), None, -free, free)
+    return blocks

@@ -1,0 +1,81 @@
+"""Whether rows can hold together, and which cannot."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from small_arms import load
+
+from stiffopt import SolveStatus, solve
+from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.resolve import resolve
+from stiffopt.solver.phase_one import _Relaxed, least_excess
+from stiffopt.transcription.build import transcribe
+from stiffopt.transcription.mesh import uniform_mesh
+
+
+def programme(tmp_path, **changes):
+    problem = load(tmp_path, "planar", duration="0.9", **changes)
+    ocp = formulate(problem, resolve(problem), Scales())
+    return transcribe(ocp, mesh=uniform_mesh(12))
+
+
+def straight(made):
+    """The middle of the bounds, ends where they are given."""
+    low, high = (np.clip(b, -1.0, 1.0) for b in (made.nlp.lower_x, made.nlp.upper_x))
+    return 0.5 * (low + high)
+
+
+def test_rows_that_can_hold_are_met(tmp_path):
+    made = programme(tmp_path, limits="tool_speed = 2.0")
+    found = least_excess(made.nlp, straight(made), np.ones(1))
+    assert found.converged
+    assert found.excess < 1e-4
+    jacobian = made.nlp.derivatives["jac_g"]
+    g, _ = jacobian(found.x, made.nlp.parameters(np.ones(1)))
+    assert made.nlp.violations(g.full()).max() < 1e-4
+
+
+def test_the_row_that_cannot_hold_is_named(tmp_path):
+    made = programme(tmp_path, limits="tool_speed = 0.05")
+    found = least_excess(made.nlp, straight(made), np.ones(1))
+    assert found.converged
+    # Rows are of the squared speed over the limit.
+    assert found.excess > 1.0
+    assert found.conflicts[0].name == "tool_speed"
+
+
+def test_derivatives_are_those_of_the_relaxed_programme(tmp_path):
+    made = programme(tmp_path, limits="tool_speed = 0.5")
+    x = straight(made)
+    relaxed = _Relaxed(made.nlp, x).nlp
+    random = np.random.default_rng(4)
+    z = np.append(x + 0.1 * random.normal(size=len(x)), random.random(relaxed.x.numel() - len(x)))
+    p, multipliers = made.nlp.parameters(np.ones(1)), random.normal(size=relaxed.g.numel())
+    lagrangian = 0.7 * relaxed.f + ca.dot(multipliers, relaxed.g)
+    wanted = ca.Function(
+        "wanted",
+        [relaxed.x, relaxed.p],
+        [
+            ca.gradient(relaxed.f, relaxed.x),
+            ca.jacobian(relaxed.g, relaxed.x),
+            ca.triu(ca.hessian(lagrangian, relaxed.x)[0]),
+        ],
+    )(z, p)
+    found = (
+        relaxed.derivatives["grad_f"](z, p)[1],
+        relaxed.derivatives["jac_g"](z, p)[1],
+        relaxed.derivatives["hess_lag"](z, p, 0.7, multipliers),
+    )
+    for own, other in zip(found, wanted, strict=True):
+        assert ca.DM(own).full() == pytest.approx(ca.DM(other).full(), abs=1e-9)
+
+
+def test_a_cap_that_nothing_meets_is_named_soon(tmp_path):
+    limits = 'dynamic_deflection = "0.5 um"'
+    problem = load(tmp_path, "planar", duration="0.9", limits=limits)
+    solution = solve(problem, throw=False)
+    assert solution.status is SolveStatus.INFEASIBLE
+    assert "conflict: dynamic_deflection, tool" in solution.message
+    # One stage, and the least excess.
+    assert len(solution.solver.homotopy) == 1
+    assert solution.solver.iterations <= 250
