@@ -20,6 +20,7 @@ KINDS = (
     "problem", "er3a_process_force", "er3a_preload_pins", "robot", "urdf", "contacts", "recordings",
     "static", "poses", "extended", "table", "csv", "npz", "parquet", "bag of SQLite",
     "bag of SQLite, metadata", "bag of MCAP", "mcap", "mcap of JSON",
+    "own urdf", "own table", "own catalogue",
 )  # fmt: skip
 
 

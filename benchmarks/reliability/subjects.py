@@ -86,7 +86,7 @@ class Subject:
 
 def subjects(place: Path) -> list[Subject]:
     """Every kind, laid out below `place`."""
-    return [*_documents(place), *_runs(place)]
+    return [*_documents(place), *_runs(place), *_begun(place)]
 
 
 def _documents(place: Path) -> Iterator[Subject]:
@@ -150,6 +150,43 @@ def _documents(place: Path) -> Iterator[Subject]:
     yield Subject("extended", found, "extended.toml", toml, load_extended, ("schema", "robot"))
     (found / "trajectory.csv").write_text("t,q1\n" + "".join(f"{k},{k}\n" for k in range(20)))
     yield Subject("table", found, "trajectory.csv", csv, lambda p: read_table(p, ["t", "q1"]), ())
+
+
+def _begun(place: Path) -> Iterator[Subject]:
+    """What `stiffopt init` begins with, and one's own catalogue."""
+    from stiffopt.robot.files import load_robot
+    from stiffopt.robot.own_catalogue import read_own_catalogue
+    from stiffopt.starter.guessing import guess
+    from stiffopt.starter.problem_file import problem_text
+    from stiffopt.starter.robot_file import robot_text
+    from stiffopt.starter.tables import read_any_table
+
+    begun = place / "begun"
+    begun.mkdir()
+    shutil.copy(ROOT / "stiffopt/robot/data/ur10/robot.urdf", begun / "arm.urdf")
+
+    def started(path: Path) -> object:
+        own = path.with_name("own.toml")
+        own.write_text(robot_text(path, path.parent).text)
+        return problem_text(load_robot(own), own, path.parent)
+
+    command = ("init", "robot", "arm.urdf", "--out", "out/robot.toml")
+    yield Subject("own urdf", begun, "arm.urdf", mutators.spoiled_urdf, started, command)
+    shutil.copy(_SET / "robot.urdf", begun / "two.urdf")
+    two = load_robot(begun / "two.urdf")
+    time, turn = np.arange(0.0, 5.0, 0.01), np.sin(np.arange(500) / 40.0)
+    columns = {"t [s]": time, "q1": turn, "q2": 0.5 * turn, "tau1": 9.0 * turn, "tau2": turn}
+    _csv(begun / "log.csv", columns)
+    command = ("init", "recording", "log.csv", "--urdf", "two.urdf", "--out", "out")
+    guessed = lambda path: guess(read_any_table(path), two)  # noqa: E731
+    yield Subject("own table", begun, "log.csv", mutators.spoiled_csv, guessed, command)
+    (begun / "reducers.toml").write_text(
+        'schema = 1\nkind = "catalogue"\n[[reducer]]\nname = "own"\nratio = 100\nK1 = 1e4\n'
+        "K2 = 2e4\nK3 = 3e4\nT1 = 5.0\nT2 = 20.0\nratings = [20.0, 50.0, 90.0]\n"
+    )
+    command = ("catalogue", "reducers", "--own", "reducers.toml")
+    toml = mutators.spoiled_toml
+    yield Subject("own catalogue", begun, "reducers.toml", toml, read_own_catalogue, command)
 
 
 def _runs(place: Path) -> Iterator[Subject]:
