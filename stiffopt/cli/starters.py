@@ -72,7 +72,9 @@ def problem(source: str, *, out: File = None) -> int:
 def recording(
     data: list[Path], *, urdf: Path, out: Path | None = None, rate: float | None = None
 ) -> int:
-    """Write a recording set of one's own tables (CSV, NPZ, Parquet): what it guesses, it says.
+    """Write a recording set of one's own tables or bags: what it guesses, it says.
+
+    Reads CSV of any form, NPZ, Parquet, MCAP and rosbag2.
 
     Parameters
     ----------
