@@ -358,3 +358,29 @@ def test_way_to_tighten_is_chosen_with_the_bolts():
     assert labels == {"9 x M5 12.9", "9 x M5 12.9 with washers"}
     with pytest.raises(ProblemError, match="Did you mean 'angle'"):
         Choice(methods=("angel",))
+
+
+def test_bolts_of_an_empty_catalogue_are_shown_as_loose_as_their_own_limits_allow():
+    """The stiffness is out of reach, though each flange alone could be tightened."""
+    choose = Choice(sizes=("M4", "M5"), counts=(8, 12))
+    problem = study(
+        case(j2=40.0),
+        free=("flexspline_flange",),
+        choose=choose,
+        needs={"joint_stiffness": {2: 1e9}},
+    )
+    choice = choose_design(problem)
+    assert choice.status is SolveStatus.INFEASIBLE
+    model = PreloadModel(problem)
+    shown = {row.design.bolts: row.design for row in choice.table}
+    several = 0
+    for bolts, design in shown.items():
+        same = [
+            d
+            for d in catalogue_designs(problem, model.elements[0], problem.load_cases)
+            if d.bolts == bolts and d.feasible
+        ]
+        several += len(same) > 1
+        if same:
+            assert design.total_preload == min(d.total_preload for d in same)
+    assert several
