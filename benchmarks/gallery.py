@@ -101,10 +101,17 @@ def values(document: dict[str, Any]) -> list[str]:
     if "objective" in expected:
         [term, *_] = document.get("minimise", [{"objective": "objective"}])
         name = f"{term['objective']} {term.get('measure', '')}".replace("_", " ").strip()
-        found.append(f"**{name} {expected['objective']:.4g} {expected.get('unit', '')}**".strip())
+        value = _rounded(expected["objective"])
+        found.append(f"**{name} {value} {expected.get('unit', '')}**".strip())
     for name, each in expected.get("values", {}).items():
-        found.append(f"{name.replace('_', ' ')} {each['value']:.4g} {each.get('unit', '')}".strip())
+        value = _rounded(each["value"])
+        found.append(f"{name.replace('_', ' ')} {value} {each.get('unit', '')}".strip())
     return found or ["No value is expected of it"]
+
+
+def _rounded(value: float) -> str:
+    """To two digits: the page need not follow every digit that a better solve gains."""
+    return f"{float(f'{value:.2g}'):g}"
 
 
 if __name__ == "__main__":
