@@ -22,9 +22,9 @@ from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import ExperimentPlan, leading_pair, plan_experiment
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.identifiable import effect_checks
+from stiffopt.discovery.judging.all_samples import from_all_samples
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.judging.carried_over import not_carried_over
-from stiffopt.discovery.judging.closing import settled
 from stiffopt.discovery.judging.detection import detection_limits
 from stiffopt.discovery.judging.held_out import HeldOut
 from stiffopt.discovery.judging.modes import mode_shifts
@@ -136,7 +136,9 @@ def diagnose(
     start = () if base is None else (base.extension,)
     if training.free_bodies and not training.robot.swings:
         say("take friction from all moving samples where that predicts better")
-        selected, parameters = settled(training, settings, start, result.comparison, selected)
+        selected, parameters = from_all_samples(
+            training, settings, start, result.comparison, selected
+        )
     else:
         parameters = estimate(result.comparison, tuple(s.located for s in selected))
     located = tuple(s.located for s in selected)

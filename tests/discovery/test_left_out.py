@@ -11,7 +11,7 @@ import pytest
 
 from stiffopt.discovery.catalogue import CATALOGUE, effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.judging.closing import _Rows, _stepped, settled
+from stiffopt.discovery.judging.all_samples import _Rows, _stepped, from_all_samples
 from stiffopt.discovery.search import uncertainty
 from stiffopt.discovery.search.left_out import _excess, borne_out, without_balancing
 from stiffopt.discovery.search.rivals import Selected
@@ -110,7 +110,7 @@ def test_friction_that_all_moving_samples_contradict_goes() -> None:
     helps = [rows.helps(found, ["coulomb"], training) for found in wrong.effects]
     assert helps == [False, True]
     there = Selected(places[1], 1.0, 1.0, 1.0, (), 1)
-    kept, parameters = settled(training, training.settings, (), comparison, [there])
+    kept, parameters = from_all_samples(training, training.settings, (), comparison, [there])
     assert kept == (there,)
     known = estimate(comparison, places[1:]).effects
     assert parameters.effects[0].amplitudes == known[0].amplitudes

@@ -28,7 +28,7 @@ from stiffopt.discovery.training import Training
 _LEAST = 0.05
 
 
-def settled(
+def from_all_samples(
     training: Training,
     settings: Settings,
     start: Sequence[Extension],
