@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from stiffopt.solver.stages import (
 from stiffopt.solver.verdict import TRUE_OBJECTIVE
 from stiffopt.transcription.build import adapted
 from stiffopt.transcription.mesh import Mesh
+from stiffopt.transcription.nlp import Nlp
 
 # Programmes that are kept; those used last stay.
 _KEPT = 4
@@ -48,7 +49,7 @@ class WarmStart:
     Parameters
     ----------
     x, multipliers_x, multipliers_g : array
-        Of the last programme, in its own scaling.
+        Of the last programme, in units: the programme that starts from them may have other scales.
     mesh : list of array
     smoothing : float
     scales : mapping of objective name to float
@@ -167,8 +168,14 @@ class ProblemFamily:
         if (len(warm.x), len(warm.multipliers_g)) != (len(nlp.lower_x), len(nlp.lower_g)):
             return run, None
         stage = SolveStage(sum(map(len, warm.mesh)), warm.smoothing)
-        x = np.clip(warm.x, nlp.lower_x, nlp.upper_x)
-        raw = solve_stage(run, made, stage, x, warm, "warm", "adaptive")
+        of_x, of_g = _scales(nlp)
+        begin = replace(
+            warm,
+            x=np.clip(warm.x / of_x, nlp.lower_x, nlp.upper_x),
+            multipliers_x=warm.multipliers_x * of_x,
+            multipliers_g=warm.multipliers_g * of_g,
+        )
+        raw = solve_stage(run, made, stage, begin.x, begin, "warm", "adaptive")
         ended = raw.status == "interrupted"
         if not (raw.converged or ended):
             return run, None
@@ -199,15 +206,25 @@ class ProblemFamily:
 
 
 def _end(run: SolveRun, outcome: Outcome) -> WarmStart:
+    of_x, of_g = _scales(outcome.transcription.nlp)
     return WarmStart(
-        x=outcome.raw.x,
-        multipliers_x=outcome.raw.multipliers_x,
-        multipliers_g=outcome.raw.multipliers_g,
+        x=outcome.raw.x * of_x,
+        multipliers_x=outcome.raw.multipliers_x / of_x,
+        multipliers_g=outcome.raw.multipliers_g / of_g,
         mesh=outcome.transcription.mesh,
         smoothing=outcome.smoothing,
         scales=run.scales.values,
         method=_method(run.problem),
     )
+
+
+def _scales(nlp: Nlp) -> tuple[np.ndarray, np.ndarray]:
+    """Scales of all variables and rows."""
+    variables, rows = (
+        np.concatenate([np.zeros(0), *(block.scales for block in blocks.items)])
+        for blocks in (nlp.variables, nlp.rows)
+    )
+    return variables, rows
 
 
 def _method(problem: TrajectoryProblem) -> str:

@@ -171,8 +171,13 @@ def test_a_killed_sweep_goes_on_and_ends_as_an_undisturbed_one(tmp_path):
     assert all(each.stat().st_mtime_ns == then for each, then in held.items())
     undisturbed = tmp_path / "undisturbed"
     assert run(["sweep", str(path), "--out", str(undisturbed), "--workers", "1"]) == 0
-    assert (out / "table.csv").read_bytes() == (undisturbed / "table.csv").read_bytes()
-    assert len(rows(out)) == 12
+    one, other = rows(out), rows(undisturbed)
+    assert len(one) == len(other) == 12
+    for name in ("case", "motion.duration", "status", "message"):
+        assert [row[name] for row in one] == [row[name] for row in other]
+    # Scales are those of the first case of a worker: the last digits differ, as the solver's do.
+    values = [[float(row["objective"]) for row in table] for table in (one, other)]
+    assert values[0] == pytest.approx(values[1], rel=1e-7)
 
 
 @pytest.mark.slow
