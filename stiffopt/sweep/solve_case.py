@@ -124,7 +124,7 @@ def _trajectory(case: Case, warm: bytes | None) -> _End:
         values["duration"] = (motion.duration, "s")
         for part in ("dynamic", "total"):
             values[f"{part}_deflection_peak"] = (deflection[part].peak, "m")
-        values["least_stiffness"] = (motion.min_stiffness.value, "N*m/rad")
+        values["least_stiffness"] = (motion.min_stiffness.value, "N m/rad")
         values["worst_violation"] = (motion.worst_violation.value, "")
     if case.baselines:
         values["ratio_to_better_baseline"] = (solution.ratio_to_better_baseline, "")

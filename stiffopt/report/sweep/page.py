@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from stiffopt.report.common.page import PageFigures, write_page
-from stiffopt.report.common.text import listed, si, significant
+from stiffopt.report.common.text import listed, si, words
 from stiffopt.report.sweep.figures import axes_figure, front_figure, spread_figure
 from stiffopt.sweep.summary import Cell, SweepSummary
 
@@ -33,11 +33,16 @@ def write_sweep_report(summary: SweepSummary, folder: Path) -> Path:
         "headline": headline(summary),
         "knee": knee_sentence(summary),
         "spread": spread_sentence(summary),
-        "head": [f"{name} [{unit}]" if (unit := summary.units.get(name)) else name
-                 for name in shown],
-        "rows": [[_text(cell) for cell in row] for row in rows[:_ROWS]],
+        "head": [name if name in summary.sweep.places else words(name) for name in shown],
+        "rows": [
+            [
+                _text(cell, summary.units.get(name, ""))
+                for name, cell in zip(shown, row, strict=True)
+            ]
+            for row in rows[:_ROWS]
+        ],
         "more": max(len(rows) - _ROWS, 0),
-    }  # fmt: skip
+    }
     return write_page("sweep/page.html.j2", folder / PAGE_FILE, context, figures)
 
 
@@ -72,7 +77,5 @@ def spread_sentence(summary: SweepSummary) -> str:
     )
 
 
-def _text(cell: Cell) -> str:
-    if isinstance(cell, str):
-        return cell
-    return significant(cell, 5)
+def _text(cell: Cell, unit: str) -> str:
+    return cell if isinstance(cell, str) else si(cell, unit, 5)
