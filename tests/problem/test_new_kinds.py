@@ -129,7 +129,12 @@ def test_the_optimiser_keeps_and_the_certificate_judges_them(tmp_path):
     assert capped.status == "optimal"
     (margin,) = (v for v in capped.assessment.violations if v.limit == "joint_power")
     assert margin.value < 5e-3
-    assert capped.objective.value >= 0.999 * free.objective.value
+    # The least peak is one number at the nodes; between them optima of equal worth differ.
+    peak_free, peak_capped = (
+        np.abs(motion(motion.times, 1)[:, 0]).max()
+        for motion in (free.trajectory, capped.trajectory)
+    )
+    assert peak_capped >= (1.0 - 1e-6) * peak_free
 
     page = write_solve_report(problem, capped, tmp_path).read_text()
     assert "argest joint velocity" in page
