@@ -129,7 +129,9 @@ def optimised(
     assert solution.trajectory is not None
     arm = elastic_arm(problem, solution.assessment.position[0])
     own = PlannedMotion.of(objective, solution.assessment, True)
-    found, command = compensated(problem, arm, replace(own, link=solution.trajectory.link))
+    if solution.trajectory.link is not None:
+        own = replace(own, motors=solution.trajectory)
+    found, command = compensated(problem, arm, own)
     plan = Followed(solution.trajectory.link or solution.trajectory)
     ours = peaks(problem, Followed(command), plan, found)
     rows = described(f"{name}, {objective} compensated", ours, found)
