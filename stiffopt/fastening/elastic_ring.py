@@ -112,15 +112,17 @@ class ElasticRing:
 def elastic_ring(flange: BoltedFlange) -> ElasticRing | None:
     """Ring of a flange whose thickness and ribs are known; None: rigid.
 
-    Clamped parts and bolt are springs beside each other, and the whole width bends.
+    Clamped parts and bolt are springs beside each other, and the whole width bends. What one or two
+    bolts bear follows from balance alone.
     """
-    if flange.ring is None:
+    count = flange.bolt_count * flange.sectors
+    if flange.ring is None or count < 3:
         return None
     bolt = bolts.flange_bolt(flange)
     modulus = catalogue.clamped_material(bolt.head_material).modulus
     width, height = flange.outer_radius - flange.inner_radius, flange.ring.thickness
     return _ring(
-        flange.bolt_count * flange.sectors,
+        count,
         flange.ring.supports,
         flange.circle_diameter / 2,
         modulus * width * height**3 / 12,

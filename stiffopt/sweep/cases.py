@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import copy
+import functools
 import hashlib
 import itertools
 import json
+import math
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -87,6 +89,16 @@ class Sweep:
     starts: int
     cases: tuple[Case, ...]
 
+    @property
+    def base_names(self) -> dict[Path, str]:
+        """The shortest ends of the base files' paths that tell them apart."""
+        bases = list(dict.fromkeys(case.base for case in self.cases))
+        for count in range(1, max(len(base.parts) for base in bases)):
+            names = ["/".join(base.with_suffix("").parts[-count:]) for base in bases]
+            if len(set(names)) == len(bases):
+                return dict(zip(bases, names, strict=True))
+        return {base: str(base) for base in bases}
+
 
 def load_sweep(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Sweep:
     """Read a sweep file and list its cases.
@@ -112,11 +124,14 @@ def load_sweep(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Swe
     if count > MOST_CASES:
         raise InputFileError(path, "", f"has {count} cases; allowed: {MOST_CASES}.")
     cases: list[Case] = []
+    digest = functools.cache(_digest)
     for base, kind in bases:
-        content, inputs = load_toml(base), _digest(base)
+        content = load_toml(base)
         for parts in itertools.product(*axes):
             own = tuple(change for part in parts for change in part)
             changed = with_changes(copy.deepcopy(content), _settings(own), base)
+            chosen = _named(base.parent, [value for _, value in own])
+            inputs = "".join(digest(each) for each in (base, *chosen))
             for start in range(document.starts):
                 facts = [__version__, kind, changed, inputs, start, document.baselines]
                 text = json.dumps(facts, sort_keys=True, default=str)
@@ -200,18 +215,25 @@ def _toml(value: Any) -> str:
         return "{ " + ", ".join(f'"{key}" = {_toml(each)}' for key, each in value.items()) + " }"
     if isinstance(value, list | tuple):
         return f"[{', '.join(_toml(each) for each in value)}]"
-    return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    # Dates have no form in JSON; no entry of a file is one.
+    return json.dumps(value, ensure_ascii=False, default=str)
 
 
 def _digest(path: Path, seen: frozenset[Path] = frozenset()) -> str:
     """Hash of a file and of all that it names and that lies beside it, TOML files likewise."""
     found = hashlib.sha256(path.read_bytes())
     if path.suffix == ".toml" and path not in seen:
-        for name in sorted(_texts(load_toml(path))):
-            beside = path.parent / name
-            if "\0" not in name and len(name) < 256 and beside.is_file():
-                found.update(_digest(beside.resolve(), seen | {path}).encode())
+        for beside in _named(path.parent, load_toml(path)):
+            found.update(_digest(beside, seen | {path}).encode())
     return found.hexdigest()
+
+
+def _named(folder: Path, value: Any) -> list[Path]:
+    """Files of a folder that texts of a value name."""
+    names = [name for name in sorted(_texts(value)) if "\0" not in name and len(name) < 256]
+    return [(folder / name).resolve() for name in names if (folder / name).is_file()]
 
 
 def _texts(value: Any) -> set[str]:

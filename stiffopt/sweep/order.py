@@ -45,7 +45,7 @@ def _places(cases: list[Case]) -> np.ndarray:
     for k in range(len(cases[0].changes)):
         values = [case.changes[k][1] for case in cases]
         numbers = [_number(value) for value in values]
-        if any(np.isnan(numbers)):
+        if not np.all(np.isfinite(numbers)):
             texts = sorted({str(value) for value in values})
             numbers = [float(texts.index(str(value))) for value in values]
         column = np.array(numbers)

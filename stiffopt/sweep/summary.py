@@ -46,7 +46,8 @@ class Front:
 
     Parameters
     ----------
-    over : str
+    over, unit : str
+        The entry, and what its values are in; "" for bare numbers.
     values, objectives : array (k,)
         By rising value; objectives fall (rise, where they are maximised).
     knee : int or None
@@ -54,6 +55,7 @@ class Front:
     """
 
     over: str
+    unit: str
     values: np.ndarray
     objectives: np.ndarray
     knee: int | None
@@ -87,10 +89,10 @@ class SweepSummary:
     def columns(self) -> dict[str, list[Cell]]:
         """The table: case, what varies, status and values (SI), one row a case that is done."""
         done = self.done
-        several = len({case.base for case in self.sweep.cases}) > 1
+        bases = self.sweep.base_names
         table: dict[str, list[Cell]] = {"case": [case.number for case, _ in done]}
-        if several:
-            table["base"] = [case.base.stem for case, _ in done]
+        if len(bases) > 1:
+            table["base"] = [bases[case.base] for case, _ in done]
         for place in self.sweep.places:
             table[place] = [cell(dict(case.changes)[place]) for case, _ in done]
         if self.sweep.starts > 1:
@@ -119,9 +121,10 @@ class SweepSummary:
         """Spread of the optima of each case, where there are several starts."""
         if self.sweep.starts < 2:
             return {}
+        bases = self.sweep.base_names
         groups: dict[tuple[Cell, ...], list[tuple[int, float | None]]] = {}
         for case, found in self.done:
-            name = (case.base.stem, *(cell(value) for _, value in case.changes))
+            name = (bases[case.base], *(cell(value) for _, value in case.changes))
             groups.setdefault(name, []).append((case.start, objective(found)))
         spreads = {}
         for name, own in groups.items():
@@ -150,9 +153,10 @@ class SweepSummary:
         if not self.sweep.front:
             return None
         sign = -1.0 if self.maximised else 1.0
+        over = [number_and_unit(dict(case.changes)[self.sweep.front]) for case, _ in self.done]
         points = sorted(
-            (number_and_unit(dict(case.changes)[self.sweep.front])[0], sign * value)
-            for case, found in self.done
+            (at, sign * value)
+            for (at, _), (_, found) in zip(over, self.done, strict=True)
             if (value := objective(found)) is not None
         )
         kept: list[tuple[float, float]] = []
@@ -161,7 +165,8 @@ class SweepSummary:
                 kept.append((value, cost))
         values = np.array([value for value, _ in kept])
         costs = np.array([cost for _, cost in kept])
-        return Front(self.sweep.front, values, sign * costs, knee(values, costs))
+        unit = (over[0][1] if over else None) or ""
+        return Front(self.sweep.front, unit, values, sign * costs, knee(values, costs))
 
     def document(self) -> dict[str, Any]:
         """Content of sweep.json."""
@@ -182,6 +187,7 @@ class SweepSummary:
             if front is None
             else {
                 "over": front.over,
+                "unit": front.unit,
                 "values": front.values,
                 "objectives": front.objectives,
                 "knee": None if front.knee is None else front.values[front.knee],

@@ -155,3 +155,11 @@ def test_a_flange_that_bends_needs_more_preload():
 def test_two_ribs_are_refused():
     with pytest.raises(InputError, match="supports"):
         FlangeRing(thickness=5e-3, supports=2)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_balance_alone_says_what_two_bolts_bear(count):
+    few = flange(bolt_count=count, ring=FlangeRing(thickness=8e-3, supports=3))
+    pulled = FlangeLoads(names=("pull",), values=np.array([[0.0, 0.0, 900.0, 0.0, 0.0, 20.0]]))
+    steps = Verification(few, Tightening(), pulled)
+    assert steps.axial == pytest.approx(np.full_like(steps.axial, 900.0 / count))

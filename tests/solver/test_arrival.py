@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 from small_arms import joint, load, on_one_element, write_problem, write_robot
@@ -15,6 +17,7 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import InputError
 from stiffopt.problem.files import load_problem
+from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.report.solve.wording import objective_phrase
 from stiffopt.result.store import result_document
 from stiffopt.solver.solve import solve
@@ -117,6 +120,18 @@ def test_least_residual_vibration(tmp_path):
     document = result_document(solution)
     assert document["objective"]["name"] == "residual_vibration"
     assert objective_phrase("residual_vibration", "") == "residual vibration of the tool"
+
+
+def test_snap_counts_without_a_limit_of_velocity(tmp_path):
+    wanted = {"minimise": 'objective = "residual_vibration"', "limits": 'velocity = "none"'}
+    problem = load(tmp_path, **wanted)
+    assert not np.isfinite(problem.active_limits.velocity).any()
+    snap = ca.SX.sym("snap", problem.joints)
+    kind, (objective,) = OBJECTIVES["residual_vibration"], problem.objectives
+    terms = kind.terms(objective, problem, SimpleNamespace(snap=snap), (), 1.0)
+    value = ca.Function("value", [snap], terms.integrands)
+    for own in np.eye(problem.joints):
+        assert float(value(own)) > 0.0
 
 
 BESIDE = {

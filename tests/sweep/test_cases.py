@@ -1,5 +1,6 @@
 """What a sweep file says: its cases, their names, and what is refused."""
 
+import numpy as np
 import pytest
 from small_arms import ROOT
 
@@ -72,6 +73,37 @@ def test_a_case_is_named_by_all_that_its_result_depends_on(tmp_path):
     assert solve_case(before)[0]["status"] == "optimal"
     robot.write_text(robot.read_text() + "\n# another\n")
     assert load_sweep(path).cases[0].key != before.key
+
+
+def test_a_file_that_a_case_chooses_is_part_of_its_name(tmp_path):
+    for name in ("one", "other"):
+        (tmp_path / f"{name}.toml").write_text('kind = "robot"\n')
+    base = tmp_path / "base.toml"
+    base.write_text('kind = "trajectory"\nrobot = "one.toml"\n')
+    path = sweep_file(tmp_path, '[grid]\nrobot = ["one.toml", "other.toml"]', base.name)
+    before = [case.key for case in load_sweep(path).cases]
+    (tmp_path / "other.toml").write_text('kind = "robot"\nname = "changed"\n')
+    after = [case.key for case in load_sweep(path).cases]
+    assert [a == b for a, b in zip(before, after, strict=True)] == [True, False]
+
+
+def test_sets_in_folders_of_their_own_are_told_apart(tmp_path):
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "recordings.toml").write_text("schema = 1\n")
+    path = tmp_path / "sweep.toml"
+    path.write_text('schema = 1\nkind = "sweep"\nbase = ["one", "other"]\n')
+    names = list(load_sweep(path).base_names.values())
+    assert names == ["one/recordings", "other/recordings"]
+
+
+def test_no_limit_is_a_value_like_others(tmp_path):
+    text = '[grid]\n"limits.torque" = [inf, 10.0]\ntitle = [1979-05-27]'
+    sweep = load_sweep(sweep_file(tmp_path, text))
+    assert [case.settings[0] for case in sweep.cases] == ["limits.torque=inf", "limits.torque=10.0"]
+    assert len({case.key for case in sweep.cases}) == 2
+    with np.errstate(all="raise"):
+        predecessors(list(sweep.cases))
 
 
 @pytest.mark.parametrize(

@@ -147,7 +147,7 @@ def test_the_front_falls_and_its_knee_is_marked(tmp_path, capsys):
     text = '[front]\nover = "motion.duration"\nlower = "0.8 s"\nupper = "2.4 s"\npoints = 5'
     path = sweep_file(tmp_path, text)
     assert run(["sweep", str(path), "--out", str(tmp_path / "o"), "--workers", "1"]) == 0
-    assert "Knee of the front: motion.duration = 1.2" in capsys.readouterr().out
+    assert "Knee of the front: motion.duration = 1.2 s, objective" in capsys.readouterr().out
     front = json.loads((tmp_path / "o" / "sweep.json").read_text())["front"]
     assert (np.diff(front["objectives"]) < 0).all()
     # Of torques without gravity: proportional to the inverse fourth power of the duration.

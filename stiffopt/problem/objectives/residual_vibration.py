@@ -58,7 +58,9 @@ class ResidualVibration(ObjectiveKind):
     ) -> ObjectiveTerms:
         """The mean squared snap, each joint's in units of its typical one."""
         snap = cast("MotorModel", model).snap
-        typical = problem.active_limits.velocity * (_RATE / problem.duration[0]) ** 3
+        speed = problem.active_limits.velocity
+        # Without a limit of velocity one that any joint has: its snap has to count all the same.
+        typical = np.where(np.isfinite(speed), speed, 1.0) * (_RATE / problem.duration[0]) ** 3
         total = sum((snap[j] / typical[j]) ** 2 for j in range(problem.joints))
         return ObjectiveTerms(
             value=lambda integrals, duration: _SLIGHT * scale * integrals[0] / duration,

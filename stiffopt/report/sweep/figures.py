@@ -16,7 +16,7 @@ ANSWERS = {"trajectory": "objective", "preload": "objective", "recordings": "res
 
 
 def axes_figure(summary: SweepSummary) -> Figure | None:
-    """The answer over each varied entry that is a number; None where none is, or no answer."""
+    """The answer over each entry in numbers of one unit; None where there is none, or no answer."""
     name = ANSWERS[summary.sweep.kind]
     points = [
         (dict(case.changes), None if is_unusable(found) else found["values"].get(name, {}))
@@ -29,7 +29,8 @@ def axes_figure(summary: SweepSummary) -> Figure | None:
     drawn = {}
     for place in summary.sweep.places:
         numbers = [_number(changes[place]) for changes, _ in points]
-        if all(unit is not None for _, unit in numbers) and len(set(numbers)) > 1:
+        units = {unit for _, unit in numbers}
+        if None not in units and len(units) == 1 and len(set(numbers)) > 1:
             drawn[place] = (np.array([value for value, _ in numbers]), numbers[0][1] or "SI")
     if not drawn:
         return None
@@ -64,7 +65,7 @@ def front_figure(front: Front, unit: str) -> Figure:
             at, value = front.values[front.knee], factor * front.objectives[front.knee]
             axes.plot([at], [value], "o", color=VERMILLION, markersize=8.0)
             axes.annotate("knee", (at, value), (6, 6), textcoords="offset points")
-        axes.set_xlabel(front.over)
+        axes.set_xlabel(f"{front.over} [{front.unit}]" if front.unit else front.over)
         axes.set_ylabel(f"objective [{shown}]" if shown else "objective")
         figure.tight_layout()
     return figure

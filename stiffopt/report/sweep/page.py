@@ -60,7 +60,8 @@ def knee_sentence(summary: SweepSummary) -> str:
     if front.knee is None:
         return f"Fewer than three cases trade {front.over} for the objective: no knee."
     value = si(float(front.objectives[front.knee]), summary.units["objective"])
-    return f"Knee of the front: {front.over} = {front.values[front.knee]:.4g}, objective {value}."
+    at = f"{front.values[front.knee]:.4g} {front.unit}".rstrip()
+    return f"Knee of the front: {front.over} = {at}, objective {value}."
 
 
 def spread_sentence(summary: SweepSummary) -> str:
