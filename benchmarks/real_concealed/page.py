@@ -94,6 +94,8 @@ def _covered(row: Row) -> bool | None:
     for finding in found["findings"]:
         if Named.read(finding) in _truth(row) and name in finding["parameters"]:
             said = finding["parameters"][name]
+            if said["sd"] is None:
+                return None
             return bool(abs(said["value"] - truth) <= 1.96 * said["sd"])
     return None
 

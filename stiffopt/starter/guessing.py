@@ -36,6 +36,11 @@ FACTORS = {
     "%": "a share: put N m per % (a hundredth of the rated torque)",
     "counts": "counts of an encoder: put rad per count, one number a joint",
 }
+# Of a rad (rad/s): positions and speeds whose change is compared.
+_PER_RAD = {"": 1.0, "deg": np.degrees(1.0), "mrad": 1e3, "turn": 0.5 / np.pi}
+_PER_RAD_S = {"": 1.0, "deg/s": np.degrees(1.0)}
+# Rows below which nothing can be told.
+_FEWEST = 3
 # A joint turns no farther [rad].
 _MOST_TURNS = 40.0 * np.pi
 _IN_NAME = re.compile(r"[\[(]\s*([^\])]+)\s*[\])]\s*$")
@@ -85,6 +90,8 @@ def guess(
     """
     reasons: list[str] = []
     time = _time(table) if rate is None else CLOCK
+    if len(table[time]) < _FEWEST:
+        raise InputError(f"a recording of {len(table[time])} row(s) shows no motion; record more.")
     columns: dict[str, tuple[str, ...]] = {}
     left = [name for name in table if name != time]
     for kind in KINDS:
@@ -111,7 +118,7 @@ def guess(
             reasons.append(f"{kind}: {', '.join(c for c in columns[kind] if c)}; {why}")
     if left:
         reasons.append(f"not used: {', '.join(left[:20])}{', ...' if len(left) > 20 else ''}")
-    step = float(np.median(np.diff(seconds)))
+    step = _step(seconds)
     return GuessedColumns(
         time=time, columns=columns, units=units, reasons=tuple(reasons), rate=1.0 / max(step, 1e-9)
     )
@@ -154,11 +161,14 @@ def with_time(table: Mapping[str, np.ndarray], rate: float) -> dict[str, np.ndar
 
 def _time(table: Mapping[str, np.ndarray]) -> str:
     named = [name for name in table if set(_words(name)) & set(_TIME)]
-    for name in named:
-        # Stamps may be repeated.
-        steps = np.diff(table[name])
-        if len(steps) and (steps >= 0.0).mean() > 0.95:
-            return name
+    # Stamps may be repeated; what rises from row to row, and does not begin anew, goes before.
+    for steady in (True, False):
+        for name in named:
+            steps = np.diff(table[name])
+            rising = steps > 0.0 if steady else steps >= 0.0
+            net = np.nansum(steps) > (0.5 * np.nansum(np.abs(steps)) if steady else 0.0)
+            if len(steps) and rising.mean() > 0.95 and net:
+                return name
     for name, values in table.items():
         steps = np.diff(values)
         even = len(steps) > 1 and np.all(steps > 0.0) and np.std(steps) < 0.5 * np.mean(steps)
@@ -171,9 +181,15 @@ def _time(table: Mapping[str, np.ndarray]) -> str:
     )
 
 
+def _step(stamps: np.ndarray) -> float:
+    """Usual step between stamps, repeated ones left out."""
+    steps = np.diff(stamps)
+    return float(np.median(steps[steps > 0.0]))
+
+
 def _time_unit(values: np.ndarray, name: str) -> tuple[str, str]:
     stated = _stated_unit(name)
-    step = float(np.median(np.diff(values)))
+    step = _step(values)
     if stated in ("ms", "us", "ns"):
         return stated, f"time: {name}, in {stated} by its name"
     for unit, factor in _SECONDS.items():
@@ -254,14 +270,7 @@ def _unit(
         return _angle_unit(values, robot)
     if kind == "velocity" and not robot.prismatic.any():
         position = np.column_stack([table[name] for name in columns["position"]])
-        turning = np.gradient(position, seconds, axis=0)
-        ratio = np.nanmedian(
-            np.nanstd(values, axis=0) / np.maximum(np.nanstd(turning, axis=0), 1e-12)
-        )
-        own = 57.29578 if units["position"] == "deg" else 1.0
-        if abs(np.log(ratio * own / 57.29578)) < 0.5:
-            return "deg/s", "in deg/s, as the positions' change shows"
-        return "", "in rad/s, as the positions' change shows"
+        return _speed_unit(values, position, seconds, units["position"])
     if kind == "torque":
         if any(set(_words(name)) & set(_CURRENT) for name in names):
             return "A", f"{FACTORS['A']} in [signals.scale]"
@@ -272,6 +281,23 @@ def _unit(
                 f"taken as mN m: they reach {most:.3g}, the drives {allowed:.3g} N m",
             )
     return "", "taken as SI"
+
+
+def _speed_unit(
+    values: np.ndarray, position: np.ndarray, seconds: np.ndarray, unit: str
+) -> tuple[str, str]:
+    """Unit of speeds (K, m) beside the change of positions (K, n), and why."""
+    new = np.flatnonzero(np.diff(seconds, prepend=-np.inf) > 0.0)
+    if unit in _PER_RAD and len(new) >= _FEWEST and values.shape == position.shape:
+        turning = np.nanstd(np.gradient(position[new], seconds[new], axis=0), axis=0)
+        moved = turning > 0.0
+        if moved.any():
+            found = np.nanstd(values[new], axis=0)[moved] / turning[moved]
+            ratio = max(float(np.nanmedian(found)), 1e-12) * _PER_RAD[unit]
+            for name, factor in _PER_RAD_S.items():
+                if abs(np.log(ratio / factor)) < 0.5:
+                    return name, f"in {name or 'rad/s'}, as the positions' change shows"
+    return "", "taken as rad/s, which the positions' change does not show: check"
 
 
 def _angle_unit(values: np.ndarray, robot: Robot) -> tuple[str, str]:

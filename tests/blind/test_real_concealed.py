@@ -63,3 +63,5 @@ def test_draws_follow_from_the_key_and_the_page_counts_them() -> None:
     assert f"| {case.size:g} | 1 | 1 of 1" in text
     assert "Named where nothing is hidden: 0 of 1" in text
     assert "hold the truth: 1 of 1" in text
+    finding["parameters"] = {"dFc": {"value": 2.1, "sd": None}}
+    assert "hold the truth: none counted" in page(key, rows, len(made))

@@ -116,6 +116,17 @@ def test_friction_that_all_moving_samples_contradict_goes() -> None:
     assert parameters.effects[0].amplitudes == known[0].amplitudes
 
 
+def test_an_offset_of_a_link_encoder_is_not_judged_by_torques() -> None:
+    """It changes none of them, and goes by nothing that they say."""
+    training = train(load_recordings(SET), Settings())
+    comparison = training.comparison()
+    offset = LocatedEffect(effect=effect("encoder_offset"), joint=0)
+    there = LocatedEffect(effect=effect("coulomb"), joint=1)
+    found = [Selected(each, 1.0, 1.0, 1.0, (), 1) for each in (offset, there)]
+    kept, _ = from_all_samples(training, training.settings, (), comparison, found)
+    assert [each.located for each in kept] == [offset, there]
+
+
 def test_what_is_sure_together_may_be_nothing_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two columns that are nearly alike share what one of them alone would be sure of."""
     draw = np.random.default_rng(1)

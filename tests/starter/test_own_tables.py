@@ -137,3 +137,45 @@ def test_a_table_without_names_is_told_what_to_write(tmp_path):
 def test_a_table_of_one_row_is_no_recording(tmp_path):
     with pytest.raises(InputError, match="no column rises as a time"):
         guessed(tmp_path, lines()[:2])
+
+
+def test_one_counted_row_is_no_recording(tmp_path, capsys):
+    (tmp_path / "log.csv").write_text("\n".join(lines()[:2]))
+    arguments = ["init", "recording", str(tmp_path / "log.csv"), "--urdf", str(URDF)]
+    assert run([*arguments, "--rate", "200"]) == 2
+    assert "shows no motion" in capsys.readouterr().err
+
+
+def test_a_clock_that_stands_or_begins_anew_is_not_taken_before_one_that_rises(tmp_path):
+    names = ["stamp.sec", "stamp.nsec", "stamp", *NAMES[1:]]
+    seconds, rest = np.floor(TIME), np.round(1e9 * (TIME % 1.0))
+    assert guessed(tmp_path, lines(names, [seconds, rest, TIME, *VALUES])).time == "stamp"
+    with pytest.raises(InputError, match="no column rises as a time"):
+        guessed(tmp_path, lines(columns=[0.0 * TIME, *VALUES]))
+
+
+def test_repeated_stamps_are_not_counted_as_steps(tmp_path):
+    stamps = np.repeat(TIME[::5], 5)
+    assert guessed(tmp_path, lines(columns=[stamps, *VALUES])).rate == pytest.approx(40.0)
+
+
+@pytest.mark.parametrize(
+    ("position", "factor", "unit", "unsure"),
+    [
+        ("rad", 1.0, "", False),
+        ("rad", 57.3, "deg/s", False),
+        ("mrad", 57.3, "deg/s", False),
+        ("rad", 1000.0, "", True),
+        ("counts", 57.3, "", True),
+    ],
+)
+def test_the_unit_of_speeds_is_claimed_where_positions_show_it(
+    position, factor, unit, unsure, tmp_path
+):
+    each = {"rad": 1.0, "mrad": 1e3, "counts": 1e6}[position]
+    columns = [each * v for v in VALUES[:2]] + [factor * np.gradient(v, TIME) for v in VALUES[:2]]
+    names = ["t", f"q1 [{position}]", f"q2 [{position}]", "qd1", "qd2", *NAMES[3:]]
+    found = guessed(tmp_path, lines(names, [TIME, *columns, *VALUES[2:]]))
+    assert found.units["velocity"] == unit
+    (said,) = (reason for reason in found.reasons if reason.startswith("velocity"))
+    assert said.endswith("check") == unsure

@@ -89,7 +89,8 @@ def _stepped(
 def _plain(each: EstimatedEffect) -> bool:
     """Whether it acts on the drive of its joint alone, in proportion to one amplitude."""
     effect = each.located.effect
-    usual = effect.usual and effect.family == "sensor"
+    # An offset of a link encoder changes no torque, which could not bear it out.
+    usual = effect.usual and "torque" in effect.needs
     friction = bool(effect.nominal) and effect.family == "friction"
     return (usual or friction) and len(each.amplitudes) == 1 and each.located.joint is not None
 
