@@ -23,6 +23,7 @@ from stiffopt.errors import InputFileError
 from stiffopt.recording.nominal import Tolerance
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
+from stiffopt.units import joint_unit
 
 Say = Callable[[str], object]
 
@@ -241,10 +242,11 @@ def _check_damping(recordings: RecordingSet, probe: PreparedRun) -> None:
     inertia = np.diagonal(swing.bodies[2], axis1=1, axis2=2)
     critical = 2.0 * np.sqrt(np.max(swing.stiffness * inertia, axis=0))
     for j in np.flatnonzero(swing.damping > critical):
+        unit = joint_unit("N m s/rad", bool(recordings.prismatic[j]))
         raise InputFileError(
             recordings.path,
             "nominal.joint_damping",
-            f"{swing.damping[j]:g} N m s/rad at {recordings.joints[j]!r} is above the critical "
+            f"{swing.damping[j]:g} {unit} at {recordings.joints[j]!r} is above the critical "
             f"{critical[j]:.3g} of the joint swinging alone. Joints have 1 to 5 % of that; give "
             "the damping of the spring, not the friction of the drive.",
         )

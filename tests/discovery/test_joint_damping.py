@@ -1,6 +1,9 @@
 """Swings that die away otherwise than nominal are joint damping, with its size."""
 
 import re
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +17,8 @@ from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.soundness import sample_signals
+from stiffopt.discovery.training import _check_damping
+from stiffopt.errors import InputFileError
 from stiffopt.robot.files import load_robot
 
 SHARP = CaseSpec(
@@ -71,3 +76,18 @@ def test_springs_that_no_joint_has_are_refused_in_one_sentence(
     assert re.search(said_of_it, " ".join(told.split())), told
     assert "Traceback" not in told
     assert not (tmp_path / "out").exists()
+
+
+def test_a_damping_above_critical_is_told_in_the_unit_of_its_joint() -> None:
+    """A slide has N s/m."""
+    told: Any = SimpleNamespace(
+        path=Path("recordings.toml"), joints=("lift",), prismatic=np.array([True])
+    )
+    swing = SimpleNamespace(
+        bodies=(None, None, np.ones((2, 1, 1))),
+        stiffness=np.full((2, 1), 1e4),
+        damping=np.array([300.0]),
+    )
+    probe: Any = SimpleNamespace(swing=swing)
+    with pytest.raises(InputFileError, match="300 N s/m at 'lift' is above the critical 200"):
+        _check_damping(told, probe)

@@ -17,7 +17,7 @@ from stiffopt.discovery.judging.carried_over import not_carried_over
 from stiffopt.discovery.judging.random_features import smooth_function
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.proof.proof import RunProof, prove
-from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.settings import MOVING, Settings
 from stiffopt.discovery.training import Training, train
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.recording.run import RecordedRun
@@ -99,6 +99,11 @@ def test_a_value_that_one_run_has_of_its_own_is_said(kind: str, value: float) ->
     (said,) = not_carried_over(proofs[1:], [speed])
     assert (said.channel, said.kind) == ("torque_1", kind)
     assert said.value == pytest.approx(value, rel=0.2)
+    few = torque.copy()
+    few[np.flatnonzero(np.abs(speed[:, 0]) > MOVING)[10:], 0] = np.nan
+    proof = _proof(training, predictor, replace(run, torque=few))
+    assert "torque_1" in [channel.name for channel in proof.channels]
+    assert not not_carried_over([proof], [speed])
 
 
 def _proof(training: Training, predictor: Predictor, run: RecordedRun) -> RunProof:

@@ -19,8 +19,8 @@ from stiffopt.discovery.settings import MOVING
 
 # Share of what is left that one value explains, and how far above the noise what is left must be.
 _SHARE, _ABOVE = 0.5, 2.0
-# Parts of a run in each of which it must help.
-_PARTS = 4
+# Parts of a run in each of which it must help, and samples below which nothing is said.
+_PARTS, _FEWEST = 4, 40
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +66,7 @@ def not_carried_over(
             if used is None or name not in noise:
                 continue
             left = getattr(run, kind)[used, joint] - getattr(proof.after, kind)[places[used], joint]
-            if np.sqrt(np.mean(left**2)) < _ABOVE * noise[name]:
+            if len(left) < _FEWEST or np.sqrt(np.mean(left**2)) < _ABOVE * noise[name]:
                 continue
             best = _best(left, velocity[used, joint], kind == "torque")
             if best is not None:
