@@ -55,8 +55,11 @@ def read_message_table(path: Path, joints: Sequence[str]) -> dict[str, np.ndarra
 
 def _fields(topic: str, message: Any, joints: Sequence[str]) -> list[str]:
     """Names of the fields of a message that hold a number for each joint."""
-    names: Any = next((n for key in _NAMES if (n := _get(message, key)) is not None), ())
-    named = isinstance(names, Sequence) and set(joints) <= set(names)
+    stated: Any = next((n for key in _NAMES if (n := _get(message, key)) is not None), ())
+    # Anyone's message may have a name that is none of joints.
+    listed = isinstance(stated, Sequence) and not isinstance(stated, str)
+    names = list(stated) if listed and all(isinstance(n, str) for n in stated) else []
+    named = set(joints) <= set(names)
     found: list[str] = []
     for part in _PARTS:
         holder = _get(message, part) if part else message
@@ -70,7 +73,7 @@ def _fields(topic: str, message: Any, joints: Sequence[str]) -> list[str]:
             elif len(values) == len(joints) and not names:
                 found += [f"{place}[{j}]" for j in range(len(joints))]
             elif named and len(values) == len(names):
-                found += [f"{place}[{list(names).index(joint)}]" for joint in joints]
+                found += [f"{place}[{names.index(joint)}]" for joint in joints]
     return found
 
 

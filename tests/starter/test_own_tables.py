@@ -14,6 +14,7 @@ from stiffopt.errors import InputError
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.robot.files import load_robot
 from stiffopt.starter.guessing import guess
+from stiffopt.starter.messages import _fields
 from stiffopt.starter.tables import read_any_table
 
 URDF = ROOT / "problems" / "recordings" / "two_link_friction" / "robot.urdf"
@@ -179,3 +180,9 @@ def test_the_unit_of_speeds_is_claimed_where_positions_show_it(
     assert found.units["velocity"] == unit
     (said,) = (reason for reason in found.reasons if reason.startswith("velocity"))
     assert said.endswith("check") == unsure
+
+
+@pytest.mark.parametrize("name", [[["x"]], [{"a": 1}], np.array([1.0, 2.0]), 5, "arm"])
+def test_names_of_messages_that_are_none_of_joints(name):
+    found = _fields("/t", {"name": name, "position": [1.0, 2.0]}, ["a", "b"])
+    assert found == ["/t.position[0]", "/t.position[1]"]
