@@ -237,10 +237,12 @@ def _beyond_law(arm: ElasticArm, times: np.ndarray, torque: np.ndarray) -> list[
 def typical_hysteresis(arm: ElasticArm, q: np.ndarray) -> float | None:
     """How far loops of the usual width may hold the tool from where it hangs at q (n,) [m].
 
-    None where the arm's own hysteresis is known.
+    None where the arm's own hysteresis is known, or no joint that yields turns.
     """
-    known = arm.hysteresis.any()
-    return None if known else _reach_of_loops(arm, q, _TYPICAL_HYSTERESIS * arm.elastic)
+    turning = arm.elastic & ~arm.robot.prismatic
+    if arm.hysteresis.any() or not turning.any():
+        return None
+    return _reach_of_loops(arm, q, _TYPICAL_HYSTERESIS * turning)
 
 
 def _reach_of_loops(arm: ElasticArm, q: np.ndarray, half: np.ndarray) -> float:

@@ -14,6 +14,7 @@ from stiffopt.errors import InputError
 from stiffopt.files import plain
 from stiffopt.result.status import SolveStatus
 from stiffopt.sweep.cases import Case
+from stiffopt.units import joint_unit
 
 SCHEMA = 1
 
@@ -124,7 +125,9 @@ def _trajectory(case: Case, warm: bytes | None) -> _End:
         values["duration"] = (motion.duration, "s")
         for part in ("dynamic", "total"):
             values[f"{part}_deflection_peak"] = (deflection[part].peak, "m")
-        values["least_stiffness"] = (motion.min_stiffness.value, "N m/rad")
+        softest = motion.min_stiffness
+        slides = bool(problem.robot.prismatic[softest.joint - 1])
+        values["least_stiffness"] = (softest.value, joint_unit("N m/rad", slides))
         values["worst_violation"] = (motion.worst_violation.value, "")
     if case.baselines:
         values["ratio_to_better_baseline"] = (solution.ratio_to_better_baseline, "")

@@ -21,7 +21,7 @@ from swinging_arms import (
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.motor import MotorMotion
-from stiffopt.elastic.simulate import REST, simulate
+from stiffopt.elastic.simulate import REST, simulate, typical_hysteresis
 from stiffopt.errors import InputError, RobotError
 from stiffopt.robot.files import load_robot
 
@@ -236,3 +236,11 @@ def test_a_joint_that_swings_far_above_the_others_may_follow_its_motor(tmp_path)
     own, full = simulate(following, motion), simulate(whole, motion)
     assert own.peak == pytest.approx(full.peak, rel=2e-3)
     assert own.notes[0] == "elbow: alone above 1200 Hz, taken to follow the motor at once."
+
+
+def test_a_joint_that_slides_has_no_loop_of_a_reducer(tmp_path):
+    robot = load_robot(write_robot(tmp_path, "slide"))
+    pose = np.array([0.1, 0.5])
+    held = ElasticArm(robot, pose)
+    lever = np.linalg.norm(held.bodies.jacobian(robot.tool, pose)[:3, 1])
+    assert typical_hysteresis(held, pose) == pytest.approx(5e-5 * lever)

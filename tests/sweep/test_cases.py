@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small_arms import ROOT
+from small_arms import CONSTANT, ROOT, joint, write_problem, write_robot
 
 from stiffopt.errors import InputFileError
 from stiffopt.sweep.cases import load_sweep
@@ -95,6 +95,15 @@ def test_sets_in_folders_of_their_own_are_told_apart(tmp_path):
     path.write_text('schema = 1\nkind = "sweep"\nbase = ["one", "other"]\n')
     names = list(load_sweep(path).base_names.values())
     assert names == ["one/recordings", "other/recordings"]
+
+
+def test_stiffness_of_a_slide_is_in_its_own_unit(tmp_path):
+    base = write_problem(tmp_path, "slide", method="intervals = 8")
+    soft = joint("rail", CONSTANT.format(stiffness=1e3), torque_max=200.0)
+    write_robot(tmp_path, "slide", [soft, joint("arm", CONSTANT.format(stiffness=1e4))])
+    (case,) = load_sweep(sweep_file(tmp_path, "", base)).cases
+    found, _ = solve_case(case)
+    assert found["values"]["least_stiffness"] == {"value": pytest.approx(1e3), "unit": "N/m"}
 
 
 def test_no_limit_is_a_value_like_others(tmp_path):
