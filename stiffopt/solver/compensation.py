@@ -209,13 +209,15 @@ class _Compensator:
         return lead, share, signs
 
     def _leads(self) -> list[_Lead]:
-        planned = self._motion.motors
+        planned, own = self._motion.motors, []
         if planned is not None and planned.link is not None:
-            return [_Lead(planned.link, planned, None)]
+            # At a limit it cannot lead by more; a smoother one beside it may.
+            own = [_Lead(planned.link, planned, None)]
         links = [(smooth_motion(self._plan, each), each) for each in _SPACINGS]
         law = MotorLaw(self._problem.robot, self._problem.process_force)
         smoothing = law_smoothing(self._problem)
-        return [_Lead(link, law.motion(link, smoothing), spacing) for link, spacing in links]
+        splines = [_Lead(link, law.motion(link, smoothing), spacing) for link, spacing in links]
+        return [*own, *splines]
 
     def _worst_signs(self, swings: Swings, count: int) -> list[Departure]:
         """Arms whose joints are softer and stiffer such that their errors add up, to first order.
