@@ -3,48 +3,23 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.declaration import POSITIVE
-from stiffopt.problem.limit import LimitKey, LimitKind, Limits
+from stiffopt.problem.limit import Limits
+from stiffopt.problem.limits.upper_bound import UpperBound
 from stiffopt.problem.stage_terms import PathRows, squared_length
 from stiffopt.result.assessment import Assessment, Violation
 
 if TYPE_CHECKING:
-    from stiffopt.problem.files import JointLists
-    from stiffopt.problem.schema import LimitsSection
     from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.robot.robot import Robot
     from stiffopt.symbolic import Quantity
 
 
-class ToolMagnitude(LimitKind):
-    """|vector| <= limit at every instant; absent where it is left out.
-
-    Parameters
-    ----------
-    name : str
-        Of the key and the attribute.
-    form : type
-        Of the key in a file.
-    unit : str
-        SI.
-    description : str
-    """
-
-    def __init__(self, name: str, form: Any, unit: str, description: str) -> None:
-        self.name, self.unit = name, unit
-        self.keys = (
-            LimitKey(
-                key=name,
-                form=Annotated[form, POSITIVE] | None,
-                description=description,
-                value=lambda robot: np.inf,
-            ),
-        )
+class ToolMagnitude(UpperBound):
+    """|vector| <= limit at every instant."""
 
     @abstractmethod
     def vector(self, model: StageModel) -> Quantity:
@@ -53,15 +28,6 @@ class ToolMagnitude(LimitKind):
     @abstractmethod
     def magnitude(self, motion: Assessment) -> np.ndarray:
         """Its length on the fine grid (K,)."""
-
-    def active(self, limits: Limits) -> bool:
-        """Whether it is finite."""
-        return bool(np.isfinite(getattr(limits, self.name)))
-
-    def read(self, section: LimitsSection, joints: JointLists) -> dict[str, Any]:
-        """The value, inf where it is left out."""
-        given = getattr(section, self.name)
-        return {self.name: np.inf if given is None else given}
 
     def rows(self, problem: TrajectoryProblem, model: StageModel, margin: float) -> list[PathRows]:
         """Squared, so that it is smooth at zero."""
@@ -81,8 +47,3 @@ class ToolMagnitude(LimitKind):
         k = int(np.argmax(series))
         excess = float(series[k] / getattr(limits, self.name) - 1.0)
         return [Violation(excess, self.name, None, float(motion.time[k]))]
-
-    def statements(self, limits: Limits, robot: Robot) -> list[tuple[str, float, str]]:
-        """One line."""
-        phrase = f"{self.name.replace('_', ' ')} at most"
-        return [(phrase, getattr(limits, self.name), self.unit)]
