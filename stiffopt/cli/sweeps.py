@@ -56,6 +56,11 @@ def sweep(
             pool = employed(workers, scheduler)
             results, interrupted = run_sweep(loaded, folder, pool, progress)
         summary = SweepSummary(loaded, results, interrupted)
+        if set(summary.statuses()) == {"invalid"}:
+            first = next(each for each in results if each is not None)
+            raise InputError(
+                f"{file}: none of the cases can be stated. The first: {first['message']}"
+            )
         write_sweep(summary, stage)
         write_sweep_report(summary, stage)
     print_sweep(summary, folder)

@@ -230,3 +230,11 @@ def test_no_scheduler_is_an_error_of_the_command_line(tmp_path, capsys):
     assert run(["sweep", str(path), "--out", str(out), "--scheduler", "nonsense"]) == 2
     assert "no Dask scheduler answers" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_sweep_of_cases_that_cannot_be_stated_is_refused(tmp_path, capsys):
+    path = sweep_file(tmp_path, GRID.replace("motion.duration", "motion.duratoin"))
+    out = tmp_path / "out"
+    assert run(["sweep", str(path), "--out", str(out), "--workers", "1", "--quiet"]) == 2
+    assert "duratoin" in capsys.readouterr().err
+    assert not (out / "table.csv").exists()
