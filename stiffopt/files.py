@@ -219,6 +219,21 @@ def validate(model: type[Model], data: Mapping[str, Any], path: object) -> Model
     raise InputFileError(path, where, reason + more)
 
 
+def read_document(
+    path: str | os.PathLike[str], model: type[Model], kind: str, changes: Sequence[str] = ()
+) -> Model:
+    """Content of a TOML file of one kind, entries changed as `changes` says.
+
+    Raises
+    ------
+    InputFileError
+        What is wrong with the file, its header, an entry or a change.
+    """
+    data = with_changes(load_toml(path), changes, path)
+    check_header(data, path, kind)
+    return validate(model, data, path)
+
+
 def dotted(data: object, location: Sequence[str | int]) -> str:
     """Dotted key of a place in `data`; list items by their name if they have one, else from 1.
 

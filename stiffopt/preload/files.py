@@ -13,7 +13,7 @@ from stiffopt.connection import BoltedFlange
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.fastening.limits import check_preload
-from stiffopt.files import check_header, load_toml, validate, with_changes
+from stiffopt.files import read_document
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.load_sources import pose_case, trajectory_history
 from stiffopt.preload.problem import PreloadProblem
@@ -69,9 +69,7 @@ def load_study(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Loa
         With the file, the key, what is allowed and what to do next.
     """
     path = Path(path)
-    data = with_changes(load_toml(path), changes, path)
-    check_header(data, path, "preload")
-    document = validate(PreloadFile, data, path)
+    document = read_document(path, PreloadFile, "preload", changes)
     robot = read_robot(document.robot, document.payload, document.tool, path)
     with located(path, ""):
         problem = _build(document, robot, path)

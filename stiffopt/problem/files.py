@@ -12,7 +12,7 @@ import numpy as np
 
 from stiffopt.declaration import declared
 from stiffopt.errors import InputFileError
-from stiffopt.files import check_header, load_toml, validate, with_changes
+from stiffopt.files import read_document
 from stiffopt.problem.limit import LIMITS, Limits
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.schema import (
@@ -64,9 +64,7 @@ def load_problem(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> L
         With the file, the key, what is allowed and what to do next.
     """
     path = Path(path)
-    data = with_changes(load_toml(path), changes, path)
-    check_header(data, path, "trajectory")
-    document = validate(problem_file(), data, path)
+    document = read_document(path, problem_file(), "trajectory", changes)
     with located(path, ""):
         problem = _build(document, path)
     if document.expected is not None and len(problem.objectives) == 1:

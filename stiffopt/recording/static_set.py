@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from stiffopt.errors import InputFileError
-from stiffopt.files import check_header, load_toml, read_table, validate, with_changes
+from stiffopt.files import load_toml, read_document, read_table
 from stiffopt.recording.nominal_files import inside, load_arm, per_joint
 from stiffopt.recording.recorded_arm import RecordedArm
 from stiffopt.recording.schema import StaticFile
@@ -64,9 +64,7 @@ def load_static_set(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
     path = Path(path)
     if path.is_dir():
         path = path / FILE
-    data = with_changes(load_toml(path), changes, path)
-    check_header(data, path, "static")
-    document = validate(StaticFile, data, path)
+    document = read_document(path, StaticFile, "static", changes)
     n = len(document.joints)
     if len(document.position) != n:
         raise InputFileError(

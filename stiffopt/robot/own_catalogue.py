@@ -12,7 +12,7 @@ from pydantic import Field
 from stiffopt.declaration import POSITIVE, Doc, JointStiffness, Torque
 from stiffopt.drivetrain.catalogue import ReducerData
 from stiffopt.errors import InputFileError
-from stiffopt.files import Section, check_header, load_toml, validate
+from stiffopt.files import Section, read_document
 from stiffopt.robot.element_sections import Cited
 
 
@@ -49,9 +49,7 @@ def read_own_catalogue(path: str | os.PathLike[str]) -> tuple[ReducerData, ...]:
         What is wrong, where, and what is allowed.
     """
     path = Path(path)
-    data = load_toml(path)
-    check_header(data, path, "catalogue")
-    document = validate(CatalogueFile, data, path)
+    document = read_document(path, CatalogueFile, "catalogue")
     found: dict[str, ReducerData] = {}
     for section in document.reducer:
         where = f"reducer[{section.name}]"

@@ -19,7 +19,7 @@ from scipy.stats import qmc
 
 from stiffopt import __version__
 from stiffopt.errors import InputFileError
-from stiffopt.files import check_file, check_header, load_toml, validate, with_changes
+from stiffopt.files import check_file, load_toml, read_document, with_changes
 from stiffopt.recording.recording_set import FILE as RECORDINGS
 from stiffopt.sweep.schema import MOST_CASES, RangeSection, SweepFile
 from stiffopt.units import number_and_unit
@@ -109,9 +109,7 @@ def load_sweep(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Swe
         With the file, the key, what is allowed and what to do next.
     """
     path = Path(path)
-    data = with_changes(load_toml(path), changes, path)
-    check_header(data, path, "sweep")
-    document = validate(SweepFile, data, path)
+    document = read_document(path, SweepFile, "sweep", changes)
     names = [document.base] if isinstance(document.base, str) else document.base
     bases = [_base(path, name) for name in names]
     kinds = {kind for _, kind in bases}

@@ -52,7 +52,7 @@ from stiffopt.discovery.extended.made_for import require_same_robot
 from stiffopt.discovery.extended.schema import EffectSection, ExtendedFile, MadeForSection
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputFileError, nearest
-from stiffopt.files import check_header, load_toml, validate
+from stiffopt.files import read_document
 from stiffopt.recording.nominal_files import as_chains, check_nominal
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.schema import NominalSection
@@ -144,9 +144,7 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
     InputFileError
         What is wrong, where, and what is allowed.
     """
-    data = load_toml(path)
-    check_header(data, path, "extended")
-    document = validate(ExtendedFile, data, path)
+    document = read_document(path, ExtendedFile, "extended")
     n = len(document.joints)
     check_nominal(document.nominal, document.joints, Path(path))
     scales = {
