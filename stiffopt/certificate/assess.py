@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.certificate.rigid_body import rigid_body_history, tool_positions
-from stiffopt.certificate.violations import find_violations
+from stiffopt.certificate.rigid_body import link_torques, rigid_body_history, tool_positions
+from stiffopt.certificate.violations import find_drive_violations, find_violations
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.problem.objective import OBJECTIVES
-from stiffopt.result.assessment import Assessment, LowestStiffness
+from stiffopt.result.assessment import Assessment, DriveHistory, LowestStiffness, Violation
 from stiffopt.result.trajectory import JointMotion
 
 if TYPE_CHECKING:
@@ -65,10 +65,7 @@ def assess(
     body = rigid_body_history(robot, *moved)
     process = np.einsum("kij,i->kj", body.jacobian, np.asarray(problem.process_force, dtype=float))
     spring_torque = body.link_torque - process
-    # Rounding of a velocity that is zero must not switch dry friction on.
-    direction = np.where(np.abs(velocity) > _STANDSTILL, np.sign(velocity), 0.0)
-    friction = robot.coulomb * direction + robot.viscous * velocity
-    torque = spring_torque + robot.rotor_inertia * acceleration + friction
+    torque = _drive_torque(robot, spring_torque, velocity, acceleration)
 
     windup, static = joint_windup(robot, spring_torque), joint_windup(robot, body.gravity_torque)
     # Without a process force what lies between is one of the two.
@@ -116,6 +113,40 @@ def assess(
         command = MotorMotion(times, position, velocity)
         swing = simulate(arm, command, band=problem.active_limits.settling_band)
     return find_violations(problem, replace(assessment, integrals=named, swing=swing))
+
+
+def drive_violations(
+    problem: TrajectoryProblem, motion: JointMotion, times: np.ndarray | None = None
+) -> list[Violation]:
+    """Those violations of `assess` that are of the drives, worst first; at a tenth of the cost.
+
+    Parameters as of `assess`.
+    """
+    robot = problem.robot
+    if times is None:
+        times = fine_grid(motion)
+    position, velocity, acceleration, jerk = (np.asarray(motion(times, k)) for k in range(4))
+    link = getattr(motion, "link", None) or motion
+    moved = (np.asarray(link(times)), np.asarray(link(times, 1)), np.asarray(link(times, 2)))
+    if np.any(problem.process_force):
+        body = rigid_body_history(robot, *moved)
+        force = np.asarray(problem.process_force, dtype=float)
+        spring_torque = body.link_torque - np.einsum("kij,i->kj", body.jacobian, force)
+    else:
+        spring_torque = link_torques(robot, *moved)
+    torque = _drive_torque(robot, spring_torque, velocity, acceleration)
+    drives = DriveHistory(times, position, velocity, acceleration, jerk, torque)
+    return find_drive_violations(problem, drives)
+
+
+def _drive_torque(
+    robot: Robot, spring_torque: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
+) -> np.ndarray:
+    """Torques of the drives (K, n) [N m], rotors and friction included."""
+    # Rounding of a velocity that is zero must not switch dry friction on.
+    direction = np.where(np.abs(velocity) > _STANDSTILL, np.sign(velocity), 0.0)
+    friction = robot.coulomb * direction + robot.viscous * velocity
+    return np.asarray(spring_torque + robot.rotor_inertia * acceleration + friction)
 
 
 def _deflection(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -37,9 +37,7 @@ def rigid_body_history(
     robot: Robot, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
 ) -> RigidBodyHistory:
     """Evaluate pinocchio at every instant; arrays (K, n)."""
-    model = robot.model.copy()
-    # The rotor turns with the motor, in front of the spring: it loads the drive, not the spring.
-    model.armature = np.zeros(model.nv)
+    model = _without_rotors(robot)
     tool = pin.Frame(
         "stiffopt_tool",
         robot.tool.joint,
@@ -61,6 +59,23 @@ def rigid_body_history(
         pin.framesForwardKinematics(model, data, position[k])
         tool_position[k] = data.oMf[frame].translation
     return RigidBodyHistory(link_torque, gravity_torque, tool_position, jacobian)
+
+
+def link_torques(
+    robot: Robot, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
+) -> np.ndarray:
+    """`RigidBodyHistory.link_torque` alone; arrays (K, n)."""
+    model = _without_rotors(robot)
+    data = model.createData()
+    rows = zip(position, velocity, acceleration, strict=True)
+    return np.array([pin.rnea(model, data, *row) for row in rows])
+
+
+def _without_rotors(robot: Robot) -> Any:
+    model = robot.model.copy()
+    # The rotor turns with the motor, in front of the spring: it loads the drive, not the spring.
+    model.armature = np.zeros(model.nv)
+    return model
 
 
 def tool_positions(robot: Robot, position: np.ndarray) -> np.ndarray:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.certificate.rigid_body import tool_angle
-from stiffopt.result.assessment import Assessment, Violation
+from stiffopt.problem.limit import DriveLimit
+from stiffopt.result.assessment import Assessment, DriveHistory, Violation
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import Target, TrajectoryProblem
@@ -40,6 +41,14 @@ def find_violations(problem: TrajectoryProblem, motion: Assessment) -> Assessmen
     return replace(motion, violations=tuple(found))
 
 
+def find_drive_violations(problem: TrajectoryProblem, drives: DriveHistory) -> list[Violation]:
+    """Violations of the limits that drives have by themselves, worst first."""
+    limits = problem.active_limits
+    kinds = [kind for kind in limits.kinds if isinstance(kind, DriveLimit)]
+    found = [each for kind in kinds for each in kind.violations(limits, drives)]
+    return sorted(found, key=lambda violation: -violation.value)
+
+
 def _targets(problem: TrajectoryProblem, motion: Assessment) -> list[Violation]:
     """How far start, end and vias are missed, relative to their tolerance; vias in order."""
     found = []
@@ -47,10 +56,10 @@ def _targets(problem: TrajectoryProblem, motion: Assessment) -> list[Violation]:
     stops = [("start", problem.start, 0), ("end", problem.end, last)]
     first = 0
     for number, via in enumerate(problem.vias, start=1):
-        first += int(np.argmin(_miss(problem, via, motion)[first:]))
+        first += int(np.argmin(_miss(problem, via, motion, slice(first, None))))
         stops.append((f"via_{number}", via, first))
     for name, target, k in stops:
-        miss = _miss(problem, target, motion)[k]
+        miss = _miss(problem, target, motion, slice(k, k + 1))[0]
         found.append(Violation(float(miss - 1.0), name, None, float(motion.time[k])))
     return found
 
@@ -74,17 +83,20 @@ def _boundary(problem: TrajectoryProblem, motion: Assessment) -> list[Violation]
     return found
 
 
-def _miss(problem: TrajectoryProblem, target: Target, motion: Assessment) -> np.ndarray:
-    """Miss of a target over time, relative to its tolerance; of a pose the worse of its two."""
-    place = _distance(target, motion) / target.tolerance
+def _miss(
+    problem: TrajectoryProblem, target: Target, motion: Assessment, instants: slice
+) -> np.ndarray:
+    """Miss of a target at some instants, relative to its tolerance; of a pose the worse of two."""
+    place = _distance(target, motion, instants) / target.tolerance
     if target.rpy is None:
         return np.asarray(place)
-    turn = tool_angle(problem.robot, motion.position, target.rpy)
+    turn = tool_angle(problem.robot, motion.position[instants], target.rpy)
     return np.asarray(np.maximum(place, turn / target.angle_tolerance))
 
 
-def _distance(target: Target, motion: Assessment) -> np.ndarray:
-    """Distance to a target over time: [m] of the tool, or the largest joint angle [rad]."""
+def _distance(target: Target, motion: Assessment, instants: slice) -> np.ndarray:
+    """Distance to a target at some instants: [m] of the tool, or the largest joint angle [rad]."""
     if target.joints is not None:
-        return np.asarray(np.max(np.abs(motion.position - target.joints), axis=1))
-    return np.asarray(np.linalg.norm(motion.tool - target.position, axis=1))
+        away = np.abs(motion.position[instants] - target.joints)
+        return np.asarray(np.max(away, axis=1))
+    return np.asarray(np.linalg.norm(motion.tool[instants] - target.position, axis=1))

@@ -105,10 +105,14 @@ class EvenSprings:
         """Torques [N m] and tangent stiffnesses [N m/rad] at wind-ups, (B, n) each."""
         place = windup * self._scale + self._half
         # Beyond the table the spring goes on straight.
-        cell = np.clip(place.astype(np.int64), 0, 2 * self._half - 1)
+        cell = np.minimum(np.maximum(place.astype(np.int64), 0), 2 * self._half - 1)
         at = cell + self._offset
         rise = self._rise[at]
         return self._torque[at] + (place - cell) * rise, rise * self._scale
+
+    def torque(self, windup: np.ndarray) -> np.ndarray:
+        """Torques [N m] at wind-ups, (B, n) each."""
+        return self.at(windup)[0]
 
     def windup(self, torque: np.ndarray) -> np.ndarray:
         """Wind-ups at torques, (.., n) each; the inverse."""

@@ -120,7 +120,7 @@ class ManyArms:
         middle = 0.5 * (flight[:-1] + flight[1:])
         ends = [self._q[-1:], np.zeros_like(self._q[:1]), np.zeros_like(self._q[:1])]
         moving = [np.concatenate([plan(middle, k), end]) for k, end in enumerate(ends)]
-        self._bodies = BodiesAlong(arm, *moving)
+        self._steps = self._trapezoidal(BodiesAlong(arm, *moving))
         self._springs, self._damping = EvenSprings(arm), arm.damping
         self._rigid = np.flatnonzero(~arm.elastic)
         self._start = WeightAlong(arm, self._q[:1])
@@ -153,6 +153,17 @@ class ManyArms:
         last = values[-1:] if at_rest is None else np.full_like(values[-1:], at_rest)
         return np.concatenate([values, np.repeat(last, len(self.time) - len(values), axis=0)])
 
+    def _trapezoidal(self, bodies: BodiesAlong) -> np.ndarray:
+        """What the bodies are in the equation of each step (2, K, n, 3 n + 1).
+
+        Columns by the rate at its end, the rate at its beginning and the place there; the torque
+        that the plan needs.
+        """
+        step = self._step
+        inertia, turning = bodies.inertia / step, 0.5 * bodies.by_v + 0.25 * step * bodies.by_q
+        columns = [inertia + turning, inertia - turning, -bodies.by_q, bodies.torque[..., None]]
+        return np.concatenate(columns, axis=3)
+
     def _integrated(
         self,
         arms: _Arms,
@@ -160,33 +171,31 @@ class ManyArms:
         progress: Callable[[float], object] | None,
     ) -> np.ndarray:
         """Positions of the links less those of the plan (B, K, n)."""
-        bodies, springs, step = self._bodies, self._springs, self._step
+        springs, step, steps = self._springs, self._step, self._steps
         motors, own = self._motors(commands)
-        joints, rigid = np.arange(self._q.shape[1]), self._rigid
+        n, rigid = self._q.shape[1], self._rigid
+        joints = np.arange(n)
         damping = arms.damping * self._damping
-        turn = motors[own, 0, :1] - self._q[:1]
-        e = _hung(springs, self._start, arms, turn)[:, 0]
+        turn = motors[0, own, 0]
+        e = _hung(springs, self._start, arms, turn[:, None])[:, 0]
         rate = np.zeros_like(e)
-        found = np.empty((len(own), len(self.time), len(joints)))
+        found = np.empty((len(own), len(self.time), n))
         found[:, 0] = e
-        turn, drive = turn[:, 0], np.zeros_like(e)
+        drive = np.zeros_like(e)
         for k in range(1, len(self.time)):
-            middle = min(k - 1, self._flight - 1)
-            by_q, by_v = arms.of(bodies.by_q, middle), arms.of(bodies.by_v, middle)
-            inertia, needed = arms.of(bodies.inertia, middle), arms.of(bodies.torque, middle)
-            before = arms.stiffness * springs.at(turn - e)[0] + damping * (drive - rate)
-            before -= _times(by_q, e) + _times(by_v, rate)
-            turn = motors[own, 0, k] + arms.servo * motors[own, 2, k] - self._q[k]
-            drive = motors[own, 1, k] + arms.servo * motors[own, 3, k] - self._v[k]
+            parts = arms.of(steps, min(k - 1, self._flight - 1))
+            before = arms.stiffness * springs.torque(turn - e) + damping * (drive - rate)
+            now = motors[k, own]
+            turn = now[:, 0] + arms.servo * now[:, 2]
+            drive = now[:, 1] + arms.servo * now[:, 3]
             # Springs at the predicted place, straight from there to the end of the step.
-            predicted, fixed = e + step * rate, e + 0.5 * step * rate
-            torque, stiffness = springs.at(turn - predicted)
+            torque, stiffness = springs.at(turn - e - step * rate)
             torque, stiffness = arms.stiffness * torque, arms.stiffness * stiffness
-            ahead = torque + stiffness * (predicted - fixed) + damping * drive
-            ahead -= _times(by_q, fixed)
-            left = inertia / step + 0.5 * by_v + 0.25 * step * by_q
+            ahead = torque + 0.5 * step * stiffness * rate + damping * drive
+            right = _times(parts[:, :, n : 3 * n], np.concatenate([rate, e], axis=1))
+            right += 0.5 * (before + ahead) - parts[:, :, -1]
+            left = parts[:, :, :n]
             left[:, joints, joints] += 0.5 * damping + 0.25 * step * stiffness
-            right = _times(inertia, rate) / step + 0.5 * (before + ahead) - needed
             # Rigid joints do as their motors.
             left[:, rigid] = 0.0
             left[:, rigid, rigid], right[:, rigid] = 1.0, drive[:, rigid]
@@ -199,9 +208,10 @@ class ManyArms:
         return found
 
     def _motors(self, commands: Sequence[MotorMotion]) -> tuple[np.ndarray, np.ndarray]:
-        """Motions (C, 4, K, n) of the different commands, and which each member has (B,).
+        """Motions (K, C, 4, n) of the different commands, and which each member has (B,).
 
-        Position and velocity as commanded, and what the worst servo adds to either.
+        Position and velocity as commanded less those of the plan, and what the worst servo adds to
+        either.
         """
         different = list({id(command): command for command in commands}.values())
         places = {id(command): c for c, command in enumerate(different)}
@@ -212,7 +222,10 @@ class ManyArms:
             if self._servo is not None:
                 late = self._servo.follow(command, self.time[-1])
                 own[2], own[3] = late(self.time) - own[0], late(self.time, 1) - own[1]
-        return found, np.array([places[id(command)] for command in commands])
+        found[:, 0] -= self._q
+        found[:, 1] -= self._v
+        by_time = np.ascontiguousarray(found.transpose(2, 0, 1, 3))
+        return by_time, np.array([places[id(command)] for command in commands])
 
     def _hanging(self, arms: _Arms, references: Sequence[MotorMotion]) -> np.ndarray:
         """Links at rest at the positions of the references, less those of the plan (B, K, n)."""

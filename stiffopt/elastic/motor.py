@@ -45,8 +45,12 @@ class MotorMotion:
         self._end = float(self.time[-1])
         self._spline = CubicHermiteSpline(self.time, position, velocity)
         self._times = self.time.tolist()
-        # Highest power first, (K - 1, 4, n).
-        self._pieces = list(np.ascontiguousarray(self._spline.c.transpose(1, 0, 2)))
+        # Positions, then velocities, highest power first: (4, 2 n) each.
+        c3, c2, c1, c0 = self._spline.c
+        slopes = np.stack([np.zeros_like(c3), 3.0 * c3, 2.0 * c2, c1])
+        both = np.concatenate([np.stack([c3, c2, c1, c0]), slopes], axis=2)
+        self._pieces = list(np.ascontiguousarray(both.transpose(1, 0, 2)))
+        self._joints = both.shape[2] // 2
         self._last = np.array(position[-1], dtype=float)
         self._still = np.zeros_like(self._last)
         self.ends_at_rest = bool(np.max(np.abs(velocity[-1])) < _STANDSTILL)
@@ -73,9 +77,9 @@ class MotorMotion:
         if t > self._end:
             return self._last, self._still
         k = min(max(bisect_right(self._times, t) - 1, 0), len(self._pieces) - 1)
-        c3, c2, c1, c0 = self._pieces[k]
         x = t - self._times[k]
-        return c0 + x * (c1 + x * (c2 + x * c3)), c1 + x * (2.0 * c2 + x * (3.0 * c3))
+        both = np.dot(np.array((x * x * x, x * x, x, 1.0)), self._pieces[k])
+        return both[: self._joints], both[self._joints :]
 
     def acceleration(self, t: float) -> np.ndarray:
         """Acceleration (n,) at one instant."""
@@ -141,7 +145,7 @@ class Servo:
         times = 0.5 * step * np.arange(2 * count + 1)
         late = np.clip(times - self.delay, 0.0, None)
         wanted = command.position(late)
-        speeds = np.array([command.at(t)[1] for t in late])
+        speeds = command(late, 1)
         speeds[times < self.delay] = 0.0
         drive = self.feed_forward * speeds + gain * wanted
         position, velocity = (

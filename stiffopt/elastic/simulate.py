@@ -105,7 +105,11 @@ def simulate(
     q = np.where(arm.elastic, states[:, :n], followed)
     windup = followed - q
     torque = equations.spring_torque(windup, states[:, 2 * n :])
-    deviation = arm.tool(q) - arm.tool(arm.hanging(wanted))
+    # After arrival it would hang in one place.
+    moving = int(np.searchsorted(times, motion.duration)) + 1
+    places = arm.tool(arm.hanging(wanted[:moving]))
+    hanging = np.concatenate([places, np.repeat(places[-1:], len(times) - len(places), axis=0)])
+    deviation = arm.tool(q) - hanging
     return SimulatedMotion(
         time=times,
         duration=motion.duration,
@@ -140,6 +144,7 @@ class _Equations:
             ]
         )
         self._loops = np.flatnonzero(self._friction > 0.0)
+        self._pushed = bool(arm.process_force.any())
 
     def __call__(self, t: float, state: np.ndarray) -> np.ndarray:
         arm, n = self._arm, self._arm.robot.n
@@ -149,15 +154,17 @@ class _Equations:
             q, v = np.where(arm.elastic, q, motor), np.where(arm.elastic, v, speed)
         windup, rate = motor - q, speed - v
         torque = arm.damping * rate
+        # Numbers of Python's own: six springs one by one are quicker so than as arrays.
+        turns = windup.tolist()
         for j, spring in self._springs:
-            torque[j] += spring.torque_at(windup[j])[0]
+            torque[j] += spring.torque_at(turns[j])[0]
         slope = np.zeros(3 * n)
         if self._loops.size:
             loop, own = state[2 * n :], self._loops
             torque += self._friction * loop
             turned = rate[own] / arm.hysteresis[own]
             slope[2 * n + own] = turned - loop[own] * np.abs(turned)
-        if arm.process_force.any():
+        if self._pushed:
             torque += arm.force_torque(q)
         slope[:n] = v
         slope[n : 2 * n] = self._acceleration(t, q, v, torque)

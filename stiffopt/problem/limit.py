@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from stiffopt.problem.schema import LimitsSection
     from stiffopt.problem.stage_model import StageModel
     from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.result.assessment import Assessment
+    from stiffopt.result.assessment import Assessment, DriveHistory
     from stiffopt.result.simulation import SimulatedMotion
     from stiffopt.robot.robot import Robot
 
@@ -125,6 +125,14 @@ class LimitKind(ABC):
     def statements(self, limits: Limits, robot: Robot) -> list[tuple[str, float, str]]:
         """Phrase, value [SI] and unit of what is not in a report's table of joint limits."""
         return []
+
+
+class DriveLimit(LimitKind):
+    """A limit on what the drives do, whatever that does to the tool."""
+
+    @abstractmethod
+    def violations(self, limits: Limits, motion: DriveHistory) -> list[Violation]:
+        """As of `LimitKind`, of the drives alone."""
 
 
 LIMITS: Registry[LimitKind] = Registry("stiffopt.problem.limits")

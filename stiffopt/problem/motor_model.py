@@ -271,10 +271,12 @@ class MotorLaw:
         jumps = np.concatenate([late, moves + late])
         times = np.union1d(np.append(np.concatenate(inside), held.duration), jumps)
         times = times[np.concatenate([[True], np.diff(times) > _SLACK])]
-        motors = self._evaluated(link, times, smoothing)[:4]
+        at_once = self._evaluated(link, times, smoothing)
+        motors = at_once[:4]
         for own in np.unique(late):
             joints = late == own
-            motors[:, :, joints] += self._evaluated(link, times - own, smoothing)[4:, :, joints]
+            led = self._evaluated(link, times - own, smoothing) if own else at_once
+            motors[:, :, joints] += led[4:, :, joints]
         return Trajectory.through(times, motors, held)
 
     def _evaluated(self, link: Trajectory, at: np.ndarray, smoothing: float) -> np.ndarray:

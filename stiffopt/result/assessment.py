@@ -62,8 +62,8 @@ class LowestStiffness:
 
 
 @dataclass(frozen=True)
-class Assessment:
-    """Fine-grid evaluation of one motion with the unsmoothed model.
+class DriveHistory:
+    """What the drives do along a motion.
 
     Parameters
     ----------
@@ -71,6 +71,29 @@ class Assessment:
     position, velocity, acceleration, jerk : array (K, n) [rad, rad/s, rad/s^2, rad/s^3]
     torque : array (K, n)
         Drive torque [N m].
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+    torque: np.ndarray
+
+    @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return float(self.time[-1])
+
+
+@dataclass(frozen=True)
+class Assessment(DriveHistory):
+    """Fine-grid evaluation of one motion with the unsmoothed model.
+
+    Parameters
+    ----------
+    time, position, velocity, acceleration, jerk, torque : array
+        As of `DriveHistory`.
     spring_torque : array (K, n)
         Torque in the joint's spring [N m].
     stiffness, windup : array (K, n)
@@ -91,12 +114,6 @@ class Assessment:
         The motion on the elastic arm, where a limit or an objective is about its arrival.
     """
 
-    time: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    jerk: np.ndarray
-    torque: np.ndarray
     spring_torque: np.ndarray
     stiffness: np.ndarray
     windup: np.ndarray
@@ -108,11 +125,6 @@ class Assessment:
     integrals: dict[str, float] = field(default_factory=dict)
     link: np.ndarray | None = None
     swing: SimulatedMotion | None = None
-
-    @property
-    def duration(self) -> float:
-        """Duration [s]."""
-        return float(self.time[-1])
 
     @property
     def worst_violation(self) -> Violation:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.certificate.assess import assess
+from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.elastic.many_arms import ManyArms, Member, Swings
 from stiffopt.elastic.motor import MotorMotion
@@ -39,8 +39,6 @@ _SPACINGS = (0.005, 0.01, 0.02, 0.04)
 _SHARES = (1.0, 1.03, 1.06, 1.09)
 # Of the grid on which the splines are tried; the chosen one is judged on the certificate's.
 _COARSE = 1001
-# Limits of the motors; the others are of the plan, which the links keep.
-_OF_MOTORS = ("position", "velocity", "velocity_by_position", "acceleration", "jerk", "torque")
 
 Progress = Callable[[str], object]
 
@@ -71,11 +69,11 @@ def compensate(
     RobotError
         An uncertainty takes a joint's damping above critical.
     """
-    found = []
+    found, law = [], MotorLaw(problem.robot, problem.process_force)
     for motion in motions:
         if progress is not None:
             progress(motion.name)
-        found.append(compensated(problem, arm, motion))
+        found.append(_Compensator(problem, arm, motion, law).compensated())
     own, trajectory = found[0]
     refusal, command = _refusal(own.excess), None
     if not refusal:
@@ -93,7 +91,8 @@ def compensated(
     problem: TrajectoryProblem, arm: ElasticArm, motion: PlannedMotion
 ) -> tuple[CompensatedMotion, Trajectory]:
     """What compensation gives of one motion, and the motors' command; parameters as above."""
-    return _Compensator(problem, arm, motion).compensated()
+    law = MotorLaw(problem.robot, problem.process_force)
+    return _Compensator(problem, arm, motion, law).compensated()
 
 
 def _refusal(excess: tuple[Violation, ...]) -> str:
@@ -138,8 +137,10 @@ class _Lead:
 class _Compensator:
     """One planned motion on the many arms."""
 
-    def __init__(self, problem: TrajectoryProblem, arm: ElasticArm, motion: PlannedMotion) -> None:
-        self._problem, self._arm, self._motion = problem, arm, motion
+    def __init__(
+        self, problem: TrajectoryProblem, arm: ElasticArm, motion: PlannedMotion, law: MotorLaw
+    ) -> None:
+        self._problem, self._arm, self._motion, self._law = problem, arm, motion, law
         self._follows = MotorMotion(motion.time, motion.position, motion.velocity)
         self._plan = self._follows if motion.link is None else MotorMotion.of(motion.link)
         self._many = ManyArms(arm, self._plan, problem.uncertainty.servo)
@@ -214,9 +215,10 @@ class _Compensator:
             # At a limit it cannot lead by more; a smoother one beside it may.
             own = [_Lead(planned.link, planned, None)]
         links = [(smooth_motion(self._plan, each), each) for each in _SPACINGS]
-        law = MotorLaw(self._problem.robot, self._problem.process_force)
         smoothing = law_smoothing(self._problem)
-        splines = [_Lead(link, law.motion(link, smoothing), spacing) for link, spacing in links]
+        splines = [
+            _Lead(link, self._law.motion(link, smoothing), spacing) for link, spacing in links
+        ]
         return [*own, *splines]
 
     def _worst_signs(self, swings: Swings, count: int) -> list[Departure]:
@@ -250,10 +252,13 @@ class _Compensator:
         return all(each.limit in self._motion.exceeded for each in excess)
 
     def _excess(self, motors: Trajectory, points: int | None = None) -> tuple[Violation, ...]:
-        """Limits of the motors that a motion of theirs exceeds, worst first."""
+        """Limits of the motors that a motion of theirs exceeds, worst first.
+
+        The others are of the plan, which the links keep.
+        """
         times = None if points is None else np.linspace(0.0, motors.duration, points)
-        found = assess(self._problem, motors, times=times).violations
-        return tuple(v for v in found if v.limit in _OF_MOTORS and v.value > CERTIFIED)
+        found = drive_violations(self._problem, motors, times)
+        return tuple(each for each in found if each.value > CERTIFIED)
 
     def _simulated(self, command: MotorMotion, departure: Departure) -> SimulatedMotion:
         return simulate(self._arm.departed(departure), command, reference=self._plan)

@@ -11,7 +11,7 @@ from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import LIMITS, Limits
 from stiffopt.problem.limits.joint_magnitude import JointMagnitude
 from stiffopt.problem.stage_terms import PathRows
-from stiffopt.result.assessment import Assessment, Violation
+from stiffopt.result.assessment import DriveHistory, Violation
 
 if TYPE_CHECKING:
     from stiffopt.problem.stage_model import StageModel
@@ -31,7 +31,7 @@ class Jerk(JointMagnitude):
             "of motion.path."
         )
 
-    def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
+    def violations(self, limits: Limits, motion: DriveHistory) -> list[Violation]:
         """The worst joint, at a jump of the acceleration as steep as the grid can show it."""
         slope = np.abs(np.diff(motion.acceleration, axis=0)) / np.diff(motion.time)[:, None]
         jerk = np.abs(motion.jerk)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from stiffopt.errors import InputFileError
-from stiffopt.problem.limit import LimitKey, LimitKind, Limits
+from stiffopt.problem.limit import DriveLimit, LimitKey, Limits
 from stiffopt.problem.stage_terms import PathRows
-from stiffopt.result.assessment import Assessment, Violation
+from stiffopt.result.assessment import DriveHistory, Violation
 
 if TYPE_CHECKING:
     from stiffopt.problem.files import JointLists
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _LARGEST = 1e9
 
 
-class JointMagnitude(LimitKind):
+class JointMagnitude(DriveLimit):
     """|quantity| <= limit for every joint; the robot's own where the file gives none.
 
     Parameters
@@ -84,11 +84,11 @@ class JointMagnitude(LimitKind):
         bound = getattr(problem.active_limits, self.name)
         return [magnitude_rows(self.name, getattr(model, self.name), bound, margin)]
 
-    def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
+    def violations(self, limits: Limits, motion: DriveHistory) -> list[Violation]:
         """The worst joint and instant."""
         return [self._worst(limits, motion, np.abs(getattr(motion, self.name)))]
 
-    def _worst(self, limits: Limits, motion: Assessment, magnitude: np.ndarray) -> Violation:
+    def _worst(self, limits: Limits, motion: DriveHistory, magnitude: np.ndarray) -> Violation:
         return worst_joint(self.name, magnitude / getattr(limits, self.name) - 1.0, motion)
 
 
@@ -104,7 +104,7 @@ def magnitude_rows(name: str, values: Quantity, bound: np.ndarray, margin: float
     )
 
 
-def worst_joint(name: str, excess: np.ndarray, motion: Assessment) -> Violation:
+def worst_joint(name: str, excess: np.ndarray, motion: DriveHistory) -> Violation:
     """The largest entry of an excess (K, n)."""
     k, j = np.unravel_index(int(np.argmax(excess)), excess.shape)
     return Violation(float(excess[k, j]), name, int(j) + 1, float(motion.time[k]))

@@ -8,10 +8,10 @@ import numpy as np
 
 from stiffopt.declaration import JointPosition
 from stiffopt.errors import InputFileError
-from stiffopt.problem.limit import LIMITS, LimitKey, LimitKind, Limits
+from stiffopt.problem.limit import LIMITS, DriveLimit, LimitKey, Limits
 from stiffopt.problem.limits.joint_magnitude import worst_joint
 from stiffopt.problem.stage_terms import PathRows
-from stiffopt.result.assessment import Assessment, Violation
+from stiffopt.result.assessment import DriveHistory, Violation
 
 if TYPE_CHECKING:
     from stiffopt.problem.files import JointLists
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
 
 
-class Position(LimitKind):
+class Position(DriveLimit):
     """Lower and upper position; an excess or margin counts against the whole range."""
 
     name = "position"
@@ -76,7 +76,7 @@ class Position(LimitKind):
         """None: it bounds states, and a fixed path is checked when it is read."""
         return []
 
-    def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
+    def violations(self, limits: Limits, motion: DriveHistory) -> list[Violation]:
         """The worst joint, relative to its range."""
         span = limits.position_upper - limits.position_lower
         beyond = np.maximum(

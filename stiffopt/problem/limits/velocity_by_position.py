@@ -9,10 +9,10 @@ import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import read_table
-from stiffopt.problem.limit import LIMITS, LimitKey, LimitKind, Limits
+from stiffopt.problem.limit import LIMITS, DriveLimit, LimitKey, Limits
 from stiffopt.problem.limits.joint_magnitude import worst_joint
 from stiffopt.problem.stage_terms import PathRows
-from stiffopt.result.assessment import Assessment, Violation
+from stiffopt.result.assessment import DriveHistory, Violation
 
 if TYPE_CHECKING:
     from stiffopt.problem.files import JointLists
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from stiffopt.symbolic import Quantity
 
 
-class VelocityByPosition(LimitKind):
+class VelocityByPosition(DriveLimit):
     """|velocity| below a piecewise-linear function of the position, constant beyond its ends.
 
     The attribute `velocity_map` is (positions (k, n) [rad], velocities (k, n) [rad/s]) or None.
@@ -63,7 +63,7 @@ class VelocityByPosition(LimitKind):
                 labels.append(f"joint {j + 1} {side}")
         return [PathRows(name=self.name, labels=tuple(labels), expressions=tuple(expressions))]
 
-    def violations(self, limits: Limits, motion: Assessment) -> list[Violation]:
+    def violations(self, limits: Limits, motion: DriveHistory) -> list[Violation]:
         """The worst joint and instant."""
         allowed = velocity_at(limits.velocity_map, motion.position)
         return [worst_joint(self.name, np.abs(motion.velocity) / allowed - 1.0, motion)]
