@@ -282,6 +282,26 @@ def _from_stage(error: InputFileError, stage: Path, path: Path) -> InputFileErro
 
 
 @contextmanager
+def finishing() -> Iterator[None]:
+    """While an answer that took long is written: the first Ctrl-C waits, a second one ends it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def wait(*_: object) -> None:
+        signal.signal(signal.SIGINT, before)
+        print(
+            "stiffopt: the answer is being written; Ctrl-C again throws it away.", file=sys.stderr
+        )
+
+    before = signal.signal(signal.SIGINT, wait)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
 def _uninterrupted() -> Iterator[None]:
     """Ctrl-C waits for some milliseconds, and is then too late."""
     if threading.current_thread() is not threading.main_thread():

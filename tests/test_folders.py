@@ -3,6 +3,7 @@
 import json
 import os
 import resource
+import signal
 import subprocess
 import sys
 from contextlib import suppress
@@ -12,7 +13,7 @@ import pytest
 
 from stiffopt import folders
 from stiffopt.errors import InputFileError
-from stiffopt.folders import MANIFEST, check_result, output_folder
+from stiffopt.folders import MANIFEST, check_result, finishing, output_folder
 
 
 def tree(path):
@@ -180,6 +181,27 @@ def test_no_space_left(tmp_path, monkeypatch):
     assert error.value.path == str(tmp_path / "a.txt")
     monkeypatch.undo()
     assert tree(tmp_path) == {"a.txt": "old"}
+
+
+def test_ctrl_c_waits_for_an_answer_that_is_being_written(tmp_path, capsys):
+    with output_folder(tmp_path, "solve") as stage, finishing():
+        signal.raise_signal(signal.SIGINT)
+        (stage / "a.txt").write_text("new")
+    assert tree(tmp_path) == {"a.txt": "new"}
+    assert "Ctrl-C again throws it away" in capsys.readouterr().err
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_second_ctrl_c_throws_the_answer_away(tmp_path):
+    def twice():
+        with output_folder(tmp_path, "solve") as stage, finishing():
+            (stage / "a.txt").write_text("new")
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        twice()
+    assert tree(tmp_path) == {}
 
 
 def test_no_space_in_the_middle_of_a_report(tmp_path):

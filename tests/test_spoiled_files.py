@@ -1,6 +1,6 @@
 """Spoiled files of every kind through their loaders: accepted or one sentence, and nothing else.
 
-Ten thousand of them are counted by `python -m benchmarks.reliability mutants 10000`.
+Ten thousand of them are counted by `python -m benchmarks.reliability commands 10000`.
 """
 
 import pytest
@@ -13,13 +13,14 @@ EACH = 12
 
 @pytest.fixture(scope="module")
 def every(tmp_path_factory):
-    return subjects(tmp_path_factory.mktemp("spoiled"))
+    return subjects(tmp_path_factory.mktemp("spoiled"), with_answers=False)
 
 
 KINDS = (
-    "problem", "er3a_process_force", "er3a_preload_pins", "robot", "urdf", "contacts", "recordings",
-    "static", "poses", "extended", "table", "csv", "npz", "parquet", "bag of SQLite",
-    "bag of SQLite, metadata", "bag of MCAP", "mcap", "mcap of JSON",
+    "problem", "er3a_process_force", "er3a_preload_pins", "sweep", "robot", "urdf", "contacts",
+    "recordings", "static", "poses", "extended", "table", "csv", "npz", "parquet", "bag of SQLite",
+    "bag of SQLite, metadata", "bag of MCAP", "mcap", "mcap of JSON", "lerobot", "lerobot, rows",
+    "lerobot, names", "kuka", "kuka, values",
     "own urdf", "own table", "own catalogue",
 )  # fmt: skip
 

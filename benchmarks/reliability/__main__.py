@@ -1,13 +1,15 @@
-"""Count: `python -m benchmarks.reliability WHAT [NUMBER [FIRST]]`.
+"""Count: `python -m benchmarks.reliability WHAT [NUMBER [FIRST]] [--record FILE] [--minutes N]`.
 
 WHAT is faults (the folders of ../shared/faults), kills, interrupts, mutants (given to loaders) or
-commands (mutants given to whole commands).
+commands (mutants given to whole commands). FIRST is the first seed. With --record each verdict is a
+line of FILE: the same command goes on where it stopped, and its end counts all lines.
 """
 
 from __future__ import annotations
 
+import argparse
+import math
 import signal
-import sys
 import tempfile
 from collections import Counter
 from pathlib import Path
@@ -15,11 +17,18 @@ from pathlib import Path
 from benchmarks.reliability.commands import stiffopt
 from benchmarks.reliability.faults import cases
 from benchmarks.reliability.kills import ended
-from benchmarks.reliability.mutants import count
+from benchmarks.reliability.mutants import count, recorded
 
 
 def main() -> None:
-    what, number = sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 100
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=["faults", "kills", "interrupts", "mutants", "commands"])
+    parser.add_argument("number", type=int, nargs="?", default=100)
+    parser.add_argument("first", type=int, nargs="?", default=0)
+    parser.add_argument("--record", type=Path)
+    parser.add_argument("--minutes", type=float, default=math.inf)
+    asked = parser.parse_args()
+    what, limits = asked.what, {"record": asked.record, "seconds": 60.0 * asked.minutes}
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         if what == "faults":
@@ -30,12 +39,13 @@ def main() -> None:
                 last = (outcome.error.strip().splitlines() or [""])[-1]
                 print(f"{outcome.verdict:10} {outcome.seconds:5.1f} s  {case.folder.name}  {last}")
         elif what in ("kills", "interrupts"):
-            found = ended(place, number, signal.SIGKILL if what == "kills" else signal.SIGINT)
-        elif what in ("mutants", "commands"):
-            first = int(sys.argv[3]) if len(sys.argv) > 3 else 0
-            found = count(place, number, commands=what == "commands", first=first)
+            sign = signal.SIGKILL if what == "kills" else signal.SIGINT
+            found = ended(place, asked.number, sign, first=asked.first, **limits)
         else:
-            raise SystemExit(__doc__)
+            on_commands = what == "commands"
+            found = count(place, asked.number, commands=on_commands, first=asked.first, **limits)
+    if asked.record is not None:
+        found = recorded(asked.record)
     print("\n".join(f"{count:6} {name}" for name, count in sorted(found.items())))
 
 

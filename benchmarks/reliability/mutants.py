@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
+import io
 import os
+import pkgutil
 import resource
 import shutil
 import signal
 import sys
+import tempfile
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from benchmarks.reliability.commands import BYTES, SECONDS
-from benchmarks.reliability.subjects import Subject, subjects
+from benchmarks.reliability.subject import Subject
+from benchmarks.reliability.subjects import subjects
+
+
+class OptimisationBegins(BaseException):
+    """All that was asked for can be stated: an optimiser has been given the programme."""
+
+
+class FoundFaultError(Exception):
+    """What a command did that its exit code does not show."""
 
 
 def judged(work: Callable[[], object]) -> tuple[str, str]:
@@ -27,6 +41,8 @@ def judged(work: Callable[[], object]) -> tuple[str, str]:
         return ("told", "") if str(error).strip() else ("silent", type(error).__name__)
     except OSError as error:  # the command line says these as well
         return "told", type(error).__name__
+    except OptimisationBegins:
+        return "accepted", "an optimisation begins"
     except Exception as error:  # whatever else reaches a user is a fault
         frames = [f for f in traceback.extract_tb(error.__traceback__) if "stiffopt" in f.filename]
         place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "?"
@@ -34,24 +50,56 @@ def judged(work: Callable[[], object]) -> tuple[str, str]:
     return "accepted", ""
 
 
-def count(place: Path, number: int, *, commands: bool, first: int = 0) -> Counter[str]:
-    """Verdicts on so many mutants, the kinds in turn; faults are printed as they come."""
+def count(
+    place: Path,
+    number: int,
+    *,
+    commands: bool,
+    first: int = 0,
+    record: Path | None = None,
+    seconds: float = float("inf"),
+) -> Counter[str]:
+    """Verdicts on so many mutants, the kinds in turn; faults are printed as they come.
+
+    With a `record` each is a line there, and what it has already is not done again; after
+    `seconds` no more are begun.
+    """
     every = [s for s in subjects(place) if s.command or not commands]
+    if commands:
+        _import_all()
+    done = set() if record is None else {tuple(line.split("\t")[:2]) for line in _lines(record)}
     found: Counter[str] = Counter()
     began, worst = time.monotonic(), 0.0
     for k in range(number):
         subject, seed = every[k % len(every)], first + k // len(every)
+        if (subject.kind, str(seed)) in done:
+            continue
         since = time.monotonic()
+        if since - began > seconds:
+            break
         verdict, what = _mutant(subject, seed, commands)
-        worst = max(worst, time.monotonic() - since)
+        took = time.monotonic() - since
+        worst = max(worst, took)
         found[verdict] += 1
         found[f"{subject.kind}: {verdict}"] += 1
+        if record is not None:
+            line = (subject.kind, str(seed), verdict, f"{took:.2f}", " ".join(what.split()))
+            with record.open("a") as stream:
+                stream.write("\t".join(line) + "\n")
         if verdict not in ("accepted", "told"):
             print(f"{verdict}  {subject.kind} {seed}: {what}", flush=True)
-        if (k + 1) % 200 == 0:
-            kinds = {name: n for name, n in found.items() if ":" not in name}
-            print(f"{k + 1}: {kinds}, the longest {worst:.1f} s", flush=True)
-    print(f"{number} in {time.monotonic() - began:.0f} s, the longest {worst:.1f} s")
+    print(f"{sum(n for name, n in found.items() if ':' not in name)} in "
+          f"{time.monotonic() - began:.0f} s, the longest {worst:.1f} s")  # fmt: skip
+    return found
+
+
+def recorded(record: Path) -> Counter[str]:
+    """Verdicts of a record, all and by kind."""
+    found: Counter[str] = Counter()
+    for line in _lines(record):
+        kind, _, verdict, *_ = line.split("\t")
+        found[verdict] += 1
+        found[f"{kind}: {verdict}"] += 1
     return found
 
 
@@ -77,15 +125,59 @@ def alone(work: Callable[[], object], folder: Path) -> tuple[str, str]:
     return (verdict, what) if verdict else ("crash", f"exit {os.waitstatus_to_exitcode(status)}")
 
 
-def called(command: Sequence[str]) -> object:
-    """Run a command line; its exit code 2 or 3 is a `StiffoptError` again."""
+def called(command: Sequence[str], *, whole: bool = True) -> object:
+    """Run a command line; its exit code 2 or 3 is a `StiffoptError` again.
+
+    What stands on stderr is looked at too: a text of a traceback, a warning of a library, or exit
+    code 2 without a word are faults. Not `whole`: as soon as an optimisation begins it is the end.
+    """
     from stiffopt.cli import run
     from stiffopt.errors import StiffoptError
 
-    code = run(command)
+    with _stderr() as said, contextlib.nullcontext() if whole else _until_optimised():
+        code = run(command)
+    text = said.getvalue()
+    for word in ("Traceback (most recent call last)", "Warning:"):
+        if word in text:
+            raise FoundFaultError(f"stderr: {text[text.index(word) - 200 :][:400]}")
     if code in (2, 3):
+        if "stiffopt: " not in text and code == 2:
+            raise FoundFaultError(f"exit code {code} without a word")
         raise StiffoptError(f"exit code {code}")
     return code
+
+
+@contextlib.contextmanager
+def _stderr() -> Iterator[io.StringIO]:
+    """All that is written to stderr, by libraries in C as well."""
+    said = io.StringIO()
+    sys.stderr.flush()
+    kept = os.dup(2)
+    with tempfile.TemporaryFile() as stream:
+        os.dup2(stream.fileno(), 2)
+        try:
+            with contextlib.redirect_stderr(said):
+                yield said
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            stream.seek(0)
+            said.write(stream.read(10**6).decode(errors="replace"))
+
+
+@contextlib.contextmanager
+def _until_optimised() -> Iterator[None]:
+    from stiffopt.solver import ipopt
+
+    def begins(*_: object, **__: object) -> None:
+        raise OptimisationBegins
+
+    kept = ipopt.ca.nlpsol
+    ipopt.ca.nlpsol = begins
+    try:
+        yield
+    finally:
+        ipopt.ca.nlpsol = kept
 
 
 def _mutant(subject: Subject, seed: int, commands: bool) -> tuple[str, str]:
@@ -95,12 +187,25 @@ def _mutant(subject: Subject, seed: int, commands: bool) -> tuple[str, str]:
     path.write_bytes(subject.spoiled(sound, seed))
     try:
         if commands:
-            return alone(lambda: called(subject.command), subject.folder)
+            return alone(lambda: called(subject.command, whole=subject.whole), subject.folder)
         return alone(lambda: subject.read(path), subject.folder)
     finally:
         path.write_bytes(sound)
         for out in (subject.folder / "out", subject.folder.parent / "out"):
             shutil.rmtree(out, ignore_errors=True)
+
+
+def _lines(record: Path) -> list[str]:
+    return record.read_text().splitlines() if record.is_file() else []
+
+
+def _import_all() -> None:
+    """What commands import, once for all children."""
+    import stiffopt
+
+    for module in pkgutil.walk_packages(stiffopt.__path__, "stiffopt."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
 
 
 def _limited() -> None:

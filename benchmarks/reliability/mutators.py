@@ -62,7 +62,26 @@ def spoiled_toml(content: bytes, choice: random.Random) -> bytes:
     """A TOML document with one to three entries changed, or with spoiled text."""
     if choice.random() < 0.2:
         return spoiled_text(content, choice)
-    document = copy.deepcopy(tomllib.loads(content.decode()))
+    document = tomllib.loads(content.decode())
+    if not _spoil(document, choice):
+        return _nested(document)
+    return toml_text(document).encode()
+
+
+def spoiled_document(content: bytes, choice: random.Random) -> bytes:
+    """A JSON document with one to three entries changed, or with spoiled text."""
+    if choice.random() < 0.3:
+        return spoiled_text(content, choice)
+    document = json.loads(content)
+    try:
+        _spoil(document, choice)
+        return json.dumps(document, default=str).encode()
+    except RecursionError:  # deeper than this writer goes
+        return b"[" * 5000 + b"]" * 5000
+
+
+def _spoil(document: dict[str, Any], choice: random.Random) -> bool:
+    """Change one to three entries; False where the document is nested too deep to write."""
     for _ in range(choice.choice((1, 1, 1, 2, 3))):
         *above, last = choice.choice(_places(document))
         holder = document
@@ -80,12 +99,12 @@ def spoiled_toml(content: bytes, choice: random.Random) -> bytes:
         elif how < 0.47:
             for _ in range(choice.choice((30, 3000))):
                 holder[last] = [holder[last]]
-            return _nested(document)
+            return False
         else:
             holder[last] = copy.deepcopy(choice.choice(_VALUES))
         if not document:
             break
-    return toml_text(document).encode()
+    return True
 
 
 def _nested(document: dict[str, Any]) -> bytes:
@@ -245,8 +264,23 @@ def spoiled_urdf(content: bytes, choice: random.Random) -> bytes:
     return (bomb if choice.random() < 0.02 else head) + ET.tostring(root)
 
 
+def messages_of(arrays: dict[str, np.ndarray]) -> list[dict[str, Any]]:
+    """Joint states of a recorded run as a bridge to JSON writes them."""
+    columns = [arrays[name].tolist() for name in ("t", "q1", "q2", "qd1", "qd2", "tau1", "tau2")]
+    return [
+        {
+            "header": {"stamp": {"sec": int(t), "nanosec": round(t % 1 * 1e9)}},
+            "name": ["joint1", "joint2"],
+            "position": [q1, q2],
+            "velocity": [qd1, qd2],
+            "effort": [tau1, tau2],
+        }
+        for t, q1, q2, qd1, qd2, tau1, tau2 in zip(*columns, strict=True)
+    ]
+
+
 def json_messages() -> list[dict[str, Any]]:
-    """Joint states as a bridge to JSON writes them."""
+    """A few joint states, as `messages_of`."""
     return [
         {
             "header": {"stamp": {"sec": 100 + k // 50, "nanosec": k % 50 * 20_000_000}},
@@ -259,8 +293,8 @@ def json_messages() -> list[dict[str, Any]]:
     ]
 
 
-def mcap_of_json(messages: list[Any]) -> bytes:
-    """MCAP file of joint states in JSON."""
+def mcap_of_json(messages: list[Any], step: float = 0.02) -> bytes:
+    """MCAP file of joint states in JSON, one every `step` seconds by the log's clock."""
     from mcap.writer import Writer
 
     out = io.BytesIO()
@@ -270,14 +304,15 @@ def mcap_of_json(messages: list[Any]) -> bytes:
     channel = writer.register_channel("/joint_states", "json", schema)
     for k, message in enumerate(messages):
         data = message if isinstance(message, bytes) else json.dumps(message, default=str).encode()
-        writer.add_message(channel, 20_000_000 * k, data, 20_000_000 * k)
+        now = round(1e9 * step * k)
+        writer.add_message(channel, now, data, now)
     writer.finish()
     return out.getvalue()
 
 
-def spoiled_json(content: bytes, choice: random.Random) -> bytes:
+def spoiled_json(sound: list[dict[str, Any]], step: float, choice: random.Random) -> bytes:
     """MCAP file of JSON messages, some or all of them with one entry changed."""
-    messages: list[Any] = json_messages()
+    messages: list[Any] = copy.deepcopy(sound)
     places = _places(messages[0])
     *above, last = choice.choice(places)
     value = choice.choice((*_VALUES, None))
@@ -291,4 +326,44 @@ def spoiled_json(content: bytes, choice: random.Random) -> bytes:
         holder[last] = value
         if choice.random() < 0.05:
             messages[k] = choice.choice((b"", b"[" * 5000, b"null", b"3", b"\xff", b"9" * 5000))
-    return mcap_of_json(messages)
+    return mcap_of_json(messages, step)
+
+
+def spoiled_parquet(content: bytes, choice: random.Random) -> bytes:
+    """A table of vectors whose rows are short, empty or none in places, or of another type."""
+    import pyarrow as arrow
+    import pyarrow.parquet as parquet
+
+    table = parquet.read_table(io.BytesIO(content)).to_pydict()
+    name = choice.choice(list(table))
+    column = table[name]
+    other = choice.choice(
+        (None, [], [1.0], ["x"], [None, None], [math.nan, 1.0], [1e300, 1.0], [True, False],
+         [[1.0], [2.0]], "x", 1.0, -1, 2**62, {"a": 1.0}, [1.0] * 3000)
+    )  # fmt: skip
+    share = choice.choice((0.003, 0.5, 1.0))
+    table[name] = [other if choice.random() < share else value for value in column]
+    if choice.random() < 0.1:
+        del table[name]
+    out = io.BytesIO()
+    try:
+        parquet.write_table(arrow.table(table), out)
+    except (arrow.ArrowInvalid, arrow.ArrowTypeError, arrow.ArrowNotImplementedError):
+        return spoiled_bytes(content, choice)  # a mixture that no such file can hold
+    return out.getvalue()
+
+
+def spoiled_header(content: bytes, choice: random.Random) -> bytes:
+    """A header of lines "key,value" with other values, or with spoiled text."""
+    if choice.random() < 0.3:
+        return spoiled_text(content, choice)
+    lines = content.splitlines()
+    for _ in range(choice.choice((1, 1, 3))):
+        k = choice.randrange(len(lines))
+        key, comma, _ = lines[k].partition(b",")
+        if comma:
+            other = choice.choice((*_NUMBERS, "REAL32", "EXPLIZIT", "7", "1e300"))
+            lines[k] = key + comma + other.encode()
+        else:
+            del lines[k]
+    return b"\r\n".join(lines)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from stiffopt.cli.base import Changes, Open, Out, app, show_report
 from stiffopt.errors import InputError, InputFileError
-from stiffopt.folders import output_folder
+from stiffopt.folders import finishing, output_folder
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -88,13 +88,14 @@ def solve(
                 loop = solve_extended(stated, found, progress=progress)
                 stated = loop.problem
                 solution = with_simulation(stated, loop.solution, progress)
-        if solution.trajectory is not None:
-            times = export_times(solution.trajectory.duration)
-            exported = assess(stated, solution.trajectory, times=times)
-            write_trajectory(exported, stage)
-        write_command(solution.compensation, stage)
-        write_solve_report(stated, solution, stage)
-        write_result(solution, stage, problem, home=folder, stated=stated)
+        with finishing():
+            if solution.trajectory is not None:
+                times = export_times(solution.trajectory.duration)
+                exported = assess(stated, solution.trajectory, times=times)
+                write_trajectory(exported, stage)
+            write_command(solution.compensation, stage)
+            write_solve_report(stated, solution, stage)
+            write_result(solution, stage, problem, home=folder, stated=stated)
     print_solution(stated, solution, folder)
     show_report(folder, open_report)
     return solution.status.exit_code
@@ -139,9 +140,10 @@ def preload(
                 front_points=loaded.front_points,
                 progress=_study_progress(display),
             )
-        write_preload_report(result, stage)
-        write_curves(result, stage)
-        write_study(result, stage)
+        with finishing():
+            write_preload_report(result, stage)
+            write_curves(result, stage)
+            write_study(result, stage)
     print_study(result, folder)
     show_report(folder, open_report)
     return result.status.exit_code

@@ -10,7 +10,7 @@ from cyclopts import App, Parameter
 
 from stiffopt.cli.base import Changes, Open, Out, app, print_json, show_report
 from stiffopt.errors import InputFileError
-from stiffopt.folders import output_folder
+from stiffopt.folders import finishing, output_folder
 
 recording = App(name="recording", help="Look at recordings before they are used.")
 app.command(recording)
@@ -82,11 +82,12 @@ def diagnose(
                 progress=progress,
                 despite_doubts=despite_doubts,
             )
-        if report:
-            from stiffopt.report.diagnosis.page import write_diagnosis_report
+        with finishing():
+            if report:
+                from stiffopt.report.diagnosis.page import write_diagnosis_report
 
-            write_diagnosis_report(found, stage, png=png)
-        write_diagnosis(found, stage)
+                write_diagnosis_report(found, stage, png=png)
+            write_diagnosis(found, stage)
     print_diagnosis(found, chosen)
     show_report(chosen, open_report)
     return 130 if found.stopped else 0

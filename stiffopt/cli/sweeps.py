@@ -7,7 +7,7 @@ from pathlib import Path
 
 from stiffopt.cli.base import Changes, Open, Out, app, show_report
 from stiffopt.errors import InputError
-from stiffopt.folders import output_folder
+from stiffopt.folders import finishing, output_folder
 
 
 @app.command
@@ -61,8 +61,9 @@ def sweep(
             raise InputError(
                 f"{file}: none of the cases can be stated. The first: {first['message']}"
             )
-        write_sweep(summary, stage)
-        write_sweep_report(summary, stage)
+        with finishing():
+            write_sweep(summary, stage)
+            write_sweep_report(summary, stage)
     print_sweep(summary, folder)
     show_report(folder, open_report)
     return 130 if interrupted else 0

@@ -55,8 +55,10 @@ class RunEntry:
 
     @property
     def name(self) -> str:
-        """File name without its ending."""
-        return PurePosixPath(self.file).stem
+        """File name without its ending, and the number of the episode where one is named."""
+        path = PurePosixPath(self.file)
+        name, mark, episode = path.name.rpartition("#")
+        return f"{PurePosixPath(name).stem}_{episode}" if mark and name else path.stem
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

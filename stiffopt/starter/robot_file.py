@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,14 +11,28 @@ import numpy as np
 from stiffopt.drivetrain.catalogue import reducer, reducer_names, with_own
 from stiffopt.errors import InputFileError, RobotError, nearest
 from stiffopt.robot.body_tree import Body, body_tree
-from stiffopt.robot.estimated_masses import DENSITY, estimated_bodies
+from stiffopt.robot.estimated_masses import (
+    DENSITY,
+    ROD_DENSITY,
+    EstimatedBody,
+    estimated_bodies,
+    fitted_to_torques,
+)
 from stiffopt.robot.files import last_link
 from stiffopt.robot.frames import link_frame, link_names
 from stiffopt.robot.held_joints import arm_ends
 from stiffopt.robot.own_catalogue import read_own_catalogue
 from stiffopt.robot.rigid_body import RigidBodies
-from stiffopt.robot.urdf import UNLIMITED, LinkBody, LoadedUrdf, load_urdf
+from stiffopt.robot.urdf import UNLIMITED, LoadedUrdf, load_urdf
 from stiffopt.robot.urdf_tree import read_tree
+from stiffopt.starter.placeholders import (
+    Placeholder,
+    credible_torques,
+    questions,
+    speed_placeholders,
+    torque_placeholders,
+    without,
+)
 from stiffopt.starter.writing import beside, key, listed, number, quoted
 
 # Of a joint whose limits nobody states: full speed within the first time, full acceleration within
@@ -97,6 +111,15 @@ def robot_text(
     bodies = estimated_bodies(arm, urdf, tool)
     if bodies:
         arm = load_urdf(urdf, tip=tip, limited=None, followers=True, bodies=bodies)
+        fitted = fitted_to_torques(bodies, _weights(arm), credible_torques(arm))
+        if fitted != bodies:
+            bodies = fitted
+            arm = load_urdf(urdf, tip=tip, limited=None, followers=True, bodies=bodies)
+    doubted = speed_placeholders(arm, tool)
+    arm = without(arm, doubted)
+    demands = _demands(arm)
+    doubted += (further := torque_placeholders(arm, demands))
+    arm = without(arm, further)
     lines = [
         f"# Robot file of {urdf.name}, written by `stiffopt init robot`. Position, velocity and"
         " torque",
@@ -115,14 +138,20 @@ def robot_text(
         lines.append(f"catalogue = {quoted(beside(catalogue, folder))}")
     for link, body in bodies.items():
         lines += ["", *_link(link, body)]
-    demands = _demands(arm)
     with with_own(() if catalogue is None else read_own_catalogue(catalogue)):
         for j, each in enumerate(body_tree(arm.model).bodies):
-            lines += ["", *_joint(arm, j, each, float(demands[j]))]
-    return StartedRobot(text="\n".join(lines) + "\n", notes=tuple(_notes(arm, bodies, tool.link)))
+            own = {p.quantity: p for p in doubted if p.joint == each.name}
+            lines += ["", *_joint(arm, j, each, float(demands[j]), own)]
+    notes = _notes(arm, bodies, tool.link, doubted)
+    return StartedRobot(text="\n".join(lines) + "\n", notes=tuple(notes))
 
 
-def _notes(arm: LoadedUrdf, bodies: Mapping[str, LinkBody], tool: str) -> Iterator[str]:
+def _notes(
+    arm: LoadedUrdf,
+    bodies: Mapping[str, EstimatedBody],
+    tool: str,
+    doubted: Sequence[Placeholder],
+) -> Iterator[str]:
     """What was guessed or left out, a sentence each."""
     yield f"The arm: {', '.join(arm.joints)}; its tool is fixed to {tool}."
     if arm.held:
@@ -133,13 +162,7 @@ def _notes(arm: LoadedUrdf, bodies: Mapping[str, LinkBody], tool: str) -> Iterat
             f"{', '.join(coupled)} cannot move with the joint that is followed: where that lies on"
             " the way to the tool, the arm is not the real one."
         )
-    if bodies:
-        total = sum(body.mass for body in bodies.values())
-        yield (
-            f"GUESSED: the URDF gives no mass to {', '.join(bodies)}; {total:.3g} kg together, by"
-            f" the volume of their shapes at {DENSITY:g} kg/m^3. Every torque rests on it: put in"
-            " your own."
-        )
+    yield from _guessed_masses(bodies)
     names = list(arm.joints)
     turning = ~body_tree(arm.model).prismatic
     reach = np.maximum(-arm.model.lowerPositionLimit, arm.model.upperPositionLimit)
@@ -153,42 +176,93 @@ def _notes(arm: LoadedUrdf, bodies: Mapping[str, LinkBody], tool: str) -> Iterat
     if arm.unlimited:
         yield f"GUESSED: limits of position of {', '.join(arm.unlimited)}."
     for what in ("effort", "velocity"):
+        taken = {p.joint: p for p in doubted if p.quantity == what}
         silent = [name for name, stated in arm.joints.items() if not stated[what]]
+        silent = [name for name in silent if name not in taken]
         if silent:
             yield f"GUESSED: the URDF has no {what} for {', '.join(silent)}."
+        if taken:
+            said = "; ".join(f"{name}: {each}" for name, each in taken.items())
+            yield (
+                f"QUESTION: the {what} of {len(taken)} joints is a placeholder: {said}. Guessed"
+                f" values stand in the file, marked estimated: put those of the data sheet."
+            )
+    yield from questions(arm, _weights(arm), bodies)
 
 
-def _link(name: str, body: LinkBody) -> Iterator[str]:
+def _guessed_masses(bodies: Mapping[str, EstimatedBody]) -> Iterator[str]:
+    """Which masses are guessed, from what, and how far off that can be."""
+    shaped = {name: body for name, body in bodies.items() if body.shaped}
+    rods = {name: body for name, body in bodies.items() if not body.shaped}
+    for own, how, off in (
+        (shaped, f"by the volume of their shapes at {DENSITY:g} kg/m^3", "a factor of two"),
+        (rods, f"without any shape: {_how_rods(rods)}", "a factor of two, single links of three"),
+    ):
+        if own:
+            total = sum(body.mass for body in own.values())
+            yield (
+                f"GUESSED: the URDF gives no mass to {', '.join(own)}; {total:.3g} kg together,"
+                f" {how}. They can be off by {off}, and every torque rests on them: put in your"
+                " own."
+            )
+
+
+def _how_rods(rods: Mapping[str, EstimatedBody]) -> str:
+    scale = next((body.scale for body in rods.values()), 1.0)
+    said = f"housings and rods from joint to joint, thick at the base, at {ROD_DENSITY:g} kg/m^3"
+    if scale == 1.0:
+        return said
+    return f"{said}, times {scale:.2g} for what the torque limits would hold"
+
+
+def _link(name: str, body: EstimatedBody) -> Iterator[str]:
     yield "[[link]]"
     yield f"name = {quoted(name)}"
     yield f"mass = {number(body.mass, 3)}  # [kg], estimated: the URDF has none"
     yield f"com = {listed(number(round(float(x), 4)) for x in body.com)}  # [m]"
     yield f"inertia = {listed(number(float(x), 3) for x in np.diag(body.inertia))}  # [kg m^2]"
     yield 'provenance = "estimated"'
-    yield f'source = "init robot: volume of its shapes times {DENSITY:g} kg/m^3"'
+    how = f"volume of its shapes times {DENSITY:g} kg/m^3" if body.shaped else _how_rods({"": body})
+    yield f'source = "init robot: {how}"'
 
 
 def _demands(arm: LoadedUrdf) -> np.ndarray:
     """Torque (n,) that full acceleration and the weight take, at most of random poses."""
+    speed = np.array([stated["velocity"] or _SPEED for stated in arm.joints.values()])
+    bodies = RigidBodies(arm.model)
+    most = np.zeros(len(speed))
+    for q in _poses(arm):
+        own = np.diag(bodies.inertia_matrix(q)) * speed / _TO_SPEED
+        most = np.maximum(most, np.abs(bodies.gravity_torque(q)) + own)
+    return most
+
+
+def _weights(arm: LoadedUrdf) -> np.ndarray:
+    """Torque (n,) that the weight takes, at most of random poses."""
+    bodies = RigidBodies(arm.model)
+    most = np.zeros(len(arm.joints))
+    for q in _poses(arm):
+        most = np.maximum(most, np.abs(bodies.gravity_torque(q)))
+    return most
+
+
+def _poses(arm: LoadedUrdf) -> np.ndarray:
+    """Random poses (K, n) within the limits."""
     low, high = (np.array(x) for x in (arm.model.lowerPositionLimit, arm.model.upperPositionLimit))
     endless = (low <= -UNLIMITED) | (high >= UNLIMITED)
     slides = body_tree(arm.model).prismatic
     reach = np.where(slides, 0.5 * _SLIDE, np.pi)
     low, high = np.where(endless, -reach, low), np.where(endless, reach, high)
-    speed = np.array([stated["velocity"] or _SPEED for stated in arm.joints.values()])
-    bodies, random = RigidBodies(arm.model), np.random.default_rng(1)
-    most = np.zeros(len(low))
-    for q in random.uniform(low, high, (_POSES, len(low))):
-        own = np.diag(bodies.inertia_matrix(q)) * speed / _TO_SPEED
-        most = np.maximum(most, np.abs(bodies.gravity_torque(q)) + own)
-    return most
+    return np.random.default_rng(1).uniform(low, high, (_POSES, len(low)))
 
 
 def _whys(arm: LoadedUrdf) -> str:
     return "; ".join(dict.fromkeys(h.why for h in arm.held))
 
 
-def _joint(arm: LoadedUrdf, j: int, body: Body, demand: float) -> Iterator[str]:
+def _joint(
+    arm: LoadedUrdf, j: int, body: Body, demand: float, doubted: Mapping[str, Placeholder]
+) -> Iterator[str]:
     stated = arm.joints[body.name]
     low, high = float(arm.model.lowerPositionLimit[j]), float(arm.model.upperPositionLimit[j])
     unit = ("m", "m/s", "N") if body.prismatic else ("rad", "rad/s", "N m")
@@ -209,9 +283,11 @@ def _joint(arm: LoadedUrdf, j: int, body: Body, demand: float) -> Iterator[str]:
         ("torque_max", torque, "effort", unit[2]),
         ("velocity_max", speed, "velocity", unit[1]),
     ):
-        where = "URDF" if stated[key_] else f"GUESSED: the URDF has no {key_}"
-        if key_ == "effort" and not stated[key_]:
-            where += "; its weight and full acceleration with room"
+        where = "URDF"
+        if not stated[key_]:
+            where = f"GUESSED: {doubted.get(key_, f'the URDF has no {key_}')}"
+            if key_ == "effort":
+                where += "; this is its weight and full acceleration with room"
         yield f"{name} = {number(value)}  # [{per}], {where}"
     yield f"acceleration_max = {number(acceleration, 3)}  # estimated: full speed in 0.25 s"
     yield f"jerk_max = {number(acceleration / _TO_ACCELERATION, 3)}  # estimated: that in 50 ms"
@@ -219,7 +295,9 @@ def _joint(arm: LoadedUrdf, j: int, body: Body, demand: float) -> Iterator[str]:
         if stated[key_]:
             yield f"{name} = {number(stated[key_])}  # URDF"
     yield 'provenance = "estimated"'
-    yield 'source = "URDF; acceleration and jerk are guesses of init robot"'
+    guesses = [name for name, key_ in (("torque", "effort"), ("speed", "velocity"))
+               if not stated[key_]]  # fmt: skip
+    yield f'source = "URDF; {", ".join([*guesses, "acceleration"])} and jerk are guesses"'
     if body.prismatic:
         yield '# A slide: describe its elements, such as type = "constant" with its stiffness.'
         return

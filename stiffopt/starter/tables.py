@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import check_file
+from stiffopt.starter.clocks import stamps, with_joined_stamps
 
 # Words for units as loggers write them, and what `[signals.scale]` calls them; "" is SI. What is no
 # unit of the kind there ("A", "%", "counts") needs a factor that only the user knows.
@@ -27,7 +27,6 @@ UNITS = {
     "n": "", "kn": "kN", "-": "",
 }  # fmt: skip
 _MARKS = (";", "\t", ",", "|")
-_DAY_FIRST = re.compile(r"^\d{2}[./]\d{2}[./]\d{4}")
 _NUMBER = re.compile(r"^[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?$")
 # Far above what one recording holds.
 _LARGEST = 2**30
@@ -113,9 +112,9 @@ def _text(path: Path) -> dict[str, np.ndarray]:
     cells = rows[first:]
     table = np.array([_numbers(row, width) for row in cells])
     for k in np.flatnonzero(np.all(np.isnan(table), axis=0)):
-        stamps = _stamps([row[k] if k < len(row) else "" for row in cells])
-        if stamps is not None:
-            table[:, k] = stamps
+        seconds = stamps([row[k] if k < len(row) else "" for row in cells])
+        if seconds is not None:
+            table[:, k] = seconds
     keep = ~np.all(np.isnan(table), axis=0)
     return _checked({name: table[:, k] for k, name in enumerate(names) if keep[k]}, path)
 
@@ -132,33 +131,6 @@ def _names(head: list[list[str]], comments: list[str], width: int, mark: str) ->
         units = [unit.strip("[]() ") for unit in names]
         names = [f"{n} [{u}]" if u else n for n, u in zip(words[-2], units, strict=True)]
     return names
-
-
-def _stamps(cells: list[str]) -> np.ndarray | None:
-    """Seconds since the first of dates or times of day; None where the cells are neither."""
-    found = [_stamp(cell) for cell in cells]
-    known = [stamp for stamp in found if stamp is not None]
-    if len(known) < 0.9 * len(cells):
-        return None
-    seconds = np.array([np.nan if s is None else (s - known[0]).total_seconds() for s in found])
-    # Times of day begin anew at midnight.
-    days = np.cumsum(np.diff(seconds, prepend=seconds[0]) < -43200.0)
-    return np.asarray(seconds + 86400.0 * days)
-
-
-def _stamp(cell: str) -> datetime | None:
-    text = cell.strip().replace(",", ".")
-    if _DAY_FIRST.match(text):
-        day, month, year = re.split(r"[./]", text[:10])
-        text = f"{year}-{month}-{day}{text[10:]}"
-    # More digits than microseconds are cut.
-    text = re.sub(r"(\.\d{6})\d+", r"\1", text)
-    for form in (text, f"2000-01-01 {text}"):
-        try:
-            return datetime.fromisoformat(form).replace(tzinfo=None)
-        except ValueError:
-            continue
-    return None
 
 
 def _decoded(raw: bytes) -> str:
@@ -206,6 +178,7 @@ def _number(cell: str) -> float:
 
 
 def _checked(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
+    columns = with_joined_stamps(columns)
     lengths = {len(column) for column in columns.values()}
     if len(columns) < 3 or len(lengths) != 1:
         raise InputFileError(

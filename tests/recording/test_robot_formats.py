@@ -11,6 +11,7 @@ from recording_sets import Columns, motion
 
 from stiffopt.errors import InputFileError
 from stiffopt.recording.readers.read import read_columns
+from stiffopt.recording.recording_set import RunEntry
 from stiffopt.recording.signals import Signals
 
 
@@ -146,6 +147,14 @@ def test_episodes_of_a_lerobot_dataset(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found["observation.state[pan.pos]"], run["q1"])
         np.testing.assert_array_equal(found["observation.state[1]"], run["q2"])
         np.testing.assert_array_equal(found["observation.effort[lift]"], run["tau2"])
+
+
+def test_episodes_of_one_file_are_runs_of_one_set() -> None:
+    names = [
+        RunEntry(file=file, role="train", session_time=None, temperature=None).name
+        for file in ("data/file-000.parquet#0", "data/file-000.parquet#12", "data/file-000.parquet")
+    ]
+    assert names == ["file-000_0", "file-000_12", "file-000"]
 
 
 def test_what_a_lerobot_dataset_lacks_is_named(tmp_path: Path) -> None:

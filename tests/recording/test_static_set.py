@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from recording_sets import URDF
 
-from benchmarks.reliability.subjects import static_toml
+from benchmarks.reliability.documents import static_toml
 from stiffopt.errors import InputFileError
 from stiffopt.recording.static_set import load_static_set
 

@@ -63,9 +63,14 @@ def test_heads(text, tmp_path):
     assert not any(found.units.values())
 
 
-@pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M:%S.%f", "%H:%M:%S.%f", "%d.%m.%Y %H:%M:%S.%f"])
-def test_clocks(form, tmp_path):
-    begin = datetime(2024, 5, 1, 23, 59, 58)
+@pytest.mark.parametrize(
+    "form",
+    ["%Y-%m-%d %H:%M:%S.%f", "%H:%M:%S.%f", "%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %I:%M:%S.%f %p",
+     "%I:%M:%S.%f %p"],
+)  # fmt: skip
+@pytest.mark.parametrize("hour", [11, 23])
+def test_clocks(form, hour, tmp_path):
+    begin = datetime(2024, 5, 1, hour, 59, 58)
     stamps = [(begin + timedelta(seconds=float(t))).strftime(form) for t in TIME]
     text = [row.split(",", 1)[1] for row in lines(names=None)]
     head = [
@@ -74,6 +79,37 @@ def test_clocks(form, tmp_path):
     ]
     found = table(tmp_path, head)
     assert found["t"] == pytest.approx(TIME, abs=1e-6)
+
+
+def test_midnight_in_a_gap(tmp_path):
+    """The stamps about midnight are missing."""
+    begin = datetime(2024, 5, 1, 23, 59, 58)
+    stamps = [f"{begin + timedelta(seconds=float(t)):%H:%M:%S.%f}" for t in TIME]
+    stamps[395:405] = [""] * 10
+    rows = [row.split(",", 1)[1] for row in lines(names=None)]
+    text = [",".join(NAMES), *(f"{s},{r}" for s, r in zip(stamps, rows, strict=True))]
+    found = table(tmp_path, text)["t"]
+    there = np.isfinite(found)
+    assert np.sum(~there) == 10
+    assert found[there] == pytest.approx(TIME[there], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("second", "rest", "name"),
+    [
+        ("header.stamp.sec", "header.stamp.nanosec", "header.stamp"),
+        ("sec", "nsec", "stamp"),
+        ("%time.secs", "time.nsecs", "time"),
+    ],
+)
+def test_seconds_with_nanoseconds_are_one_clock(second, rest, name, tmp_path):
+    whole = np.floor(TIME)
+    columns = [whole + 1.7e9, np.round(1e9 * (TIME - whole)), *VALUES]
+    text = lines([second, rest, *NAMES[1:]], columns, form="{:.12g}")
+    found = guessed(tmp_path, text)
+    assert (found.time, found.units["time"]) == (name, "")
+    assert found.rate == pytest.approx(200.0)
+    assert table(tmp_path, text)[name] == pytest.approx(TIME, abs=1e-9)
 
 
 def test_rows_that_are_counted_are_no_time(tmp_path, capsys):

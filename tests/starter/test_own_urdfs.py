@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import re
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 from gripper_arm import write_gripper_urdf
 
+import stiffopt.robot
 from stiffopt.cli import run
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
 from stiffopt.errors import InputError, NotSimulatedError, ProblemError, RobotError
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.resolve import resolve
+from stiffopt.robot.estimated_masses import estimated_bodies, fitted_to_torques
 from stiffopt.robot.files import load_robot
+from stiffopt.robot.frames import link_frame
+from stiffopt.robot.urdf import load_urdf
+from stiffopt.starter.placeholders import credible_torques
 
 MASS = (
     '<inertial><origin xyz="0 0 0.1"/><mass value="3"/><inertia ixx="0.03" ixy="0" ixz="0"'
@@ -114,7 +120,9 @@ def test_an_arm_without_masses(tmp_path, capsys):
     urdf = written(tmp_path, chain(6, mass=bar, inside=silent).replace(bar, "", 1))
     assert run(["init", "robot", str(urdf)]) == 0
     said = capsys.readouterr().out
-    assert "gives no mass to link1, link2" in said
+    assert "gives no mass to link2, link3" in said
+    assert "gives no mass to link1;" in said
+    assert "without any shape" in said
     assert "no effort for 1, 2, 3, 4, 5, 6" in said
     path = tmp_path / "arm_robot.toml"
     links = {link["name"]: link for link in tomllib.loads(path.read_text())["link"]}
@@ -262,3 +270,67 @@ def test_a_limit_without_effort_is_silent_about_it(tmp_path, capfd):
     assert "no effort for 1, 2, 3" in found.out
     # Nothing of the library below.
     assert found.err == ""
+
+
+def limits(effort, velocity):
+    return f'<limit lower="-2" upper="2" effort="{effort}" velocity="{velocity}"/>'
+
+
+@pytest.mark.parametrize(
+    ("effort", "velocity", "said"),
+    [
+        ("1e6", "2", r"the effort of 6 joints is a placeholder: 1: the URDF says 1e\+06 N m"),
+        ("80", "100", r"the velocity of 6 joints is a placeholder: 1: the URDF says 100 rad/s"),
+        ("1e6", "100", r"the effort of 6 joints is a placeholder"),
+    ],
+)
+def test_placeholders_are_questioned_by_name_and_guessed(effort, velocity, said, tmp_path, capsys):
+    urdf = written(tmp_path, chain(6, inside=limits(effort, velocity)))
+    assert run(["init", "robot", str(urdf)]) == 0
+    assert re.search(f"QUESTION: {said}", capsys.readouterr().out)
+    text = (tmp_path / "arm_robot.toml").read_text()
+    assert "GUESSED: the URDF says" in text
+    arm = load_robot(tmp_path / "arm_robot.toml")
+    assert np.all(arm.torque_max < 1000.0)
+    assert np.all(arm.velocity_max <= 2.0)
+    assert all('provenance = "estimated"' in part for part in text.split("[[joint]]")[1:])
+
+
+def test_what_may_be_true_is_kept_and_asked_about(tmp_path, capsys):
+    """One torque for all joints, and one that does not bear the weight of three links of 3 kg."""
+    assert run(["init", "robot", str(written(tmp_path, chain(6)))]) == 0
+    assert "the torque 80 N m for all 6 joints" in capsys.readouterr().out
+    parts = chain(3).split('effort="80"')
+    weak = parts[0] + 'effort="80"' + parts[1] + 'effort="4"' + parts[2] + 'effort="60"' + parts[3]
+    urdf = written(tmp_path, weak)
+    (tmp_path / "arm_robot.toml").unlink()
+    assert run(["init", "robot", str(urdf)]) == 0
+    assert "the torque of 2 (4 N m, the weight takes" in capsys.readouterr().out
+    assert load_robot(tmp_path / "arm_robot.toml").torque_max[1] == 4.0
+
+
+def test_true_limits_are_not_questioned(tmp_path, capsys):
+    ur10 = Path(stiffopt.robot.__file__).parent / "data" / "ur10" / "robot.urdf"
+    assert run(["init", "robot", str(ur10), "--out", str(tmp_path / "r.toml")]) == 0
+    out = capsys.readouterr().out
+    assert "QUESTION" not in out
+    assert "GUESSED" not in out
+
+
+def test_guessed_rods_are_scaled_to_what_the_drives_hold(tmp_path):
+    """The same arm without masses, with weak and with strong drives."""
+    masses = []
+    for effort in (10, 400):
+        parts = chain(3, mass="", inside=limits(effort, 2)).replace(f'"{effort}"', '"5"', 1)
+        arm = load_urdf(written(tmp_path, parts), limited=None)
+        tool = link_frame(arm.model, "link3")
+        rods = estimated_bodies(arm, tmp_path / "arm.urdf", tool)
+        weight = np.array([0.0, 60.0, 20.0])
+        found = fitted_to_torques(rods, weight, credible_torques(arm))
+        assert not any(body.shaped for body in found.values())
+        masses.append(sum(body.mass for body in found.values()))
+        for name, body in found.items():
+            ratio = body.mass / rods[name].mass
+            assert body.inertia == pytest.approx(ratio * rods[name].inertia)
+    # Drives that hold a sixth of the weight and six times of it; half way, a factor of two at most.
+    assert masses[1] / masses[0] == pytest.approx(np.sqrt(400.0 / 60.0 / 2.0) / 0.5)

@@ -61,8 +61,9 @@ def stiffness_figure(result: StaticStiffness) -> Figure:
         units = " or ".join(sorted({j.unit for j in result.joints}))
         axes.set_xlabel(f"stiffness [{units}]")
         axes.grid(visible=False, axis="y")
-        below = -0.3 / figure.get_figheight()
-        figure.legend(loc="upper left", ncols=3, bbox_to_anchor=(0.03, below))
+        if axes.get_legend_handles_labels()[0]:  # not where nothing could be identified
+            below = -0.3 / figure.get_figheight()
+            figure.legend(loc="upper left", ncols=3, bbox_to_anchor=(0.03, below))
         figure.subplots_adjust(left=0.04, right=0.97)
         return figure
 

@@ -1,0 +1,98 @@
+"""Clocks in tables that are no column of seconds: dates, times of day, seconds with nanoseconds."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from datetime import datetime, timedelta
+
+import numpy as np
+
+_DATE = re.compile(r"^(\d{1,2})[./-](\d{1,2})[./-](\d{4})\b")
+_HALF_DAY = re.compile(r"\s*([ap])\.?m\.?$", re.IGNORECASE)
+# Of twelve hours: a step back by more is midnight.
+_NOON = 43200.0
+_SECONDS = ("s", "sec", "secs", "second", "seconds")
+_NANOSECONDS = ("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanosecond", "nanoseconds")
+_MICROSECONDS = ("us", "usec", "usecs", "microsec", "microseconds")
+
+
+def stamps(cells: list[str]) -> np.ndarray | None:
+    """Seconds since the first of dates or times of day; None where the cells are neither.
+
+    Of dates that may begin with the day or with the month, the reading with the shorter span is
+    taken; times of day begin anew at midnight.
+    """
+    readings = [
+        seconds
+        for day_first in (True, False)
+        if (seconds := _seconds([_stamp(cell, day_first) for cell in cells])) is not None
+    ]
+    return min(readings, key=lambda seconds: float(np.nanmax(seconds)), default=None)
+
+
+def _seconds(found: list[datetime | None]) -> np.ndarray | None:
+    known = [stamp for stamp in found if stamp is not None]
+    if not known or len(known) < 0.9 * len(found):
+        return None
+    seconds = np.array([np.nan if s is None else (s - known[0]).total_seconds() for s in found])
+    there = np.isfinite(seconds)
+    own = seconds[there]
+    seconds[there] = own + 86400.0 * np.cumsum(np.diff(own, prepend=own[0]) < -_NOON)
+    return seconds
+
+
+def _stamp(cell: str, day_first: bool) -> datetime | None:
+    text = cell.strip().replace(",", ".")
+    half = _HALF_DAY.search(text)
+    if half is not None:
+        text = text[: half.start()]
+    date = _DATE.match(text)
+    if date is not None:
+        one, two, year = date.groups()
+        day, month = (one, two) if day_first else (two, one)
+        text = f"{year}-{int(month):02}-{int(day):02}{text[date.end() :]}"
+    # Hours as "7:05:01", and more digits than microseconds, are none of ISO's.
+    text = re.sub(r"(^|[ T])(\d):", r"\g<1>0\2:", text)
+    text = re.sub(r"(\.\d{6})\d+", r"\1", text)
+    for form in (text, f"2000-01-01 {text}"):
+        try:
+            stamp = datetime.fromisoformat(form).replace(tzinfo=None)
+        except ValueError:
+            continue
+        if half is None:
+            return stamp
+        if not 1 <= stamp.hour <= 12:
+            return None
+        late = half[1].lower() == "p"
+        return stamp + timedelta(hours=12 * (late - (stamp.hour == 12)))
+    return None
+
+
+def with_joined_stamps(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Columns with whole seconds and the rest of them, as ROS has stamps, made one of seconds.
+
+    "header.stamp.sec" and "header.stamp.nanosec" become "header.stamp", counted from the first.
+    """
+    found = dict(columns)
+    split = {name: re.split(r"[._/\s:]+", name.strip().lower()) for name in columns}
+    for name, words in split.items():
+        if words[-1] not in _SECONDS:
+            continue
+        for kinds, factor in ((_NANOSECONDS, 1e-9), (_MICROSECONDS, 1e-6)):
+            rest = [n for n, w in split.items() if w[:-1] == words[:-1] and w[-1] in kinds]
+            if len(rest) != 1 or len(columns[rest[0]]) != len(columns[name]):
+                continue
+            if not _is_rest(columns[rest[0]], factor):
+                continue
+            whole = columns[name]
+            cut = name.strip()[: -len(words[-1])].rstrip("._/ :") or "stamp"
+            joined = whole - whole[0] + factor * columns[rest[0]]
+            found = {cut: joined} | {n: v for n, v in found.items() if n not in (name, rest[0])}
+    return found
+
+
+def _is_rest(values: np.ndarray, factor: float) -> bool:
+    """Whether the values are parts of a second."""
+    known = values[np.isfinite(values)]
+    return known.size > 0 and bool(np.all((known >= 0.0) & (factor * known < 1.0)))

@@ -1,0 +1,149 @@
+"""Limits of a URDF that stand there because something had to, told from real ones by the arm.
+
+An arm moves its tool at some metres a second, and bears a few times its own weight. What is far
+beyond both is taken as not stated, by name; what is only doubtful is kept and asked about.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stiffopt.robot.body_tree import BodyTree, body_tree
+from stiffopt.robot.frames import LinkFrame
+from stiffopt.robot.urdf import LoadedUrdf
+
+# No arm moves its tool by one joint alone at this speed [m/s], turns a joint at the second [rad/s]
+# (the spindle of the fastest SCARA: 52) or slides at the first.
+_TOOL_SPEED, _SPINDLE = 30.0, 60.0
+# The largest arms have 4e4 N m at their base, and 1e5 N at a slide [N m or N].
+_LARGEST_TORQUE = 1e5
+# Above so many times the largest torque of any joint at full acceleration, and this [N m].
+_MANY, _FLOOR = 15.0, 200.0
+# From so many joints on, one torque for all is a number that somebody typed once.
+_ALIKE = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placeholder:
+    """A limit that is taken as not stated.
+
+    Parameters
+    ----------
+    joint : str
+    quantity : "velocity" or "effort"
+    value : float
+        Of the URDF, in its unit.
+    unit : str
+    why : str
+    """
+
+    joint: str
+    quantity: str
+    value: float
+    unit: str
+    why: str
+
+    def __str__(self) -> str:
+        return f"the URDF says {self.value:g} {self.unit}, {self.why}"
+
+
+def speed_placeholders(arm: LoadedUrdf, tool: LinkFrame) -> tuple[Placeholder, ...]:
+    """Speeds that no arm of this length has."""
+    tree = body_tree(arm.model)
+    lengths = _lengths(tree, tool)
+    found = []
+    for j, (name, stated) in enumerate(arm.joints.items()):
+        speed, slides = stated["velocity"], bool(tree.prismatic[j])
+        at_tool = speed if slides else speed * lengths[j]
+        if at_tool > _TOOL_SPEED:
+            why = f"which moves the tool at {at_tool:.3g} m/s"
+        elif not slides and speed > _SPINDLE:
+            why = "faster than any joint of an arm"
+        else:
+            continue
+        unit = "m/s" if slides else "rad/s"
+        found.append(Placeholder(joint=name, quantity="velocity", value=speed, unit=unit, why=why))
+    return tuple(found)
+
+
+def torque_placeholders(arm: LoadedUrdf, demands: np.ndarray) -> tuple[Placeholder, ...]:
+    """Torques far beyond what the weight and full acceleration take of any joint.
+
+    Parameters
+    ----------
+    arm : LoadedUrdf
+    demands : array (n,)
+        Torque of each joint for both, at most; forces of slides.
+    """
+    slides = body_tree(arm.model).prismatic
+    found = []
+    for j, (name, stated) in enumerate(arm.joints.items()):
+        alike = demands[slides == slides[j]]
+        most = max(_MANY * float(np.max(alike)), _FLOOR)
+        if stated["effort"] <= min(most, _LARGEST_TORQUE):
+            continue
+        unit = "N" if slides[j] else "N m"
+        why = f"the arm's weight and full acceleration take {np.max(alike):.3g} {unit} at most"
+        found.append(
+            Placeholder(joint=name, quantity="effort", value=stated["effort"], unit=unit, why=why)
+        )
+    return tuple(found)
+
+
+def without(arm: LoadedUrdf, found: tuple[Placeholder, ...]) -> LoadedUrdf:
+    """The arm with these limits not stated."""
+    joints = {name: dict(stated) for name, stated in arm.joints.items()}
+    for each in found:
+        joints[each.joint][each.quantity] = 0.0
+    return replace(arm, joints=joints)
+
+
+def credible_torques(arm: LoadedUrdf) -> np.ndarray:
+    """Torque limits (n,) that can tell how heavy an arm is [N m]; nan where they cannot."""
+    torques = np.array([stated["effort"] for stated in arm.joints.values()])
+    slides = body_tree(arm.model).prismatic
+    if len(torques) >= _ALIKE and len(set(torques)) == 1:
+        return np.full(len(torques), np.nan)
+    known = (torques > 0.0) & (torques < _LARGEST_TORQUE) & ~slides
+    return np.where(known, torques, np.nan)
+
+
+def questions(arm: LoadedUrdf, weight: np.ndarray, guessed: Mapping[str, object]) -> Iterator[str]:
+    """What is kept and must be asked about, a sentence each.
+
+    Parameters
+    ----------
+    arm : LoadedUrdf
+    weight : array (n,)
+        Torque that the weight alone takes of each joint, at most.
+    guessed : mapping
+        Links whose masses are guessed: then a weak drive may be a heavy guess.
+    """
+    torques = {name: stated["effort"] for name, stated in arm.joints.items()}
+    if len(torques) >= _ALIKE and len(set(torques.values())) == 1 and any(torques.values()):
+        yield (
+            f"QUESTION: the URDF has the torque {next(iter(torques.values())):g} N m for all"
+            f" {len(torques)} joints. Arms have a tenth at the wrist: is it a placeholder? Put"
+            " torque_max of the data sheet."
+        )
+    weak = [
+        f"{name} ({torques[name]:g} N m, the weight takes {float(w):.3g})"
+        for name, w in zip(torques, weight, strict=True)
+        if 0.0 < torques[name] < w
+    ]
+    if weak:
+        reason = " or the guessed masses" if guessed else " or the masses"
+        yield (
+            f"QUESTION: the torque of {', '.join(weak)} does not bear the arm's own weight in every"
+            f" pose: the limit{reason} of the URDF must be wrong, unless springs help."
+        )
+
+
+def _lengths(tree: BodyTree, tool: LinkFrame) -> np.ndarray:
+    """Length of the chain behind each joint (n,) [m]."""
+    steps = [float(np.linalg.norm(body.translation)) for body in tree.bodies[1:]]
+    steps.append(float(np.linalg.norm(tool.offset)))
+    return np.cumsum(steps[::-1])[::-1]
