@@ -2,7 +2,8 @@
 
 A fit follows recordings up to its filter's cutoff. An amplifier that cannot follow, or that gives
 less than it is asked for, leaves the slow motion alone and shows for milliseconds. Where the links'
-swing is predicted, so is the torque above the cutoff, up to short errors at reversals.
+swing is predicted, so is the torque above the cutoff, up to short errors at reversals and what the
+links swing already when a run begins.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stiffopt.discovery.comparison.channel_noise import KnownNoise
 from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.swing import MOTOR_CUTOFF
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.proof.predict import Predictor
@@ -26,6 +29,8 @@ _NORMAL = 1.4826
 _SHARE = 0.1
 # Of a filter's length, left out at either end of a run, over its period.
 _ENDS = 1.5
+# Residual over its usual size beyond which a sample counts less, and rounds of weighing.
+_FAR, _WEIGHINGS = 3.0, 4
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,7 @@ def bursts(
         # Where the filter of the motion reaches beyond the record.
         ends = _ENDS / MOTOR_CUTOFF
         used &= ((run.time > run.time[0] + ends) & (run.time < run.time[-1] - ends))[:, None]
+        left -= _begun_with(predictor.nominal, run.time, left, used, training.noise)
         for j, own in enumerate(parts):
             kept = used[:, j]
             followed = {
@@ -101,6 +107,32 @@ def bursts(
         ratio=held[name][1],
         brief=True,
     )
+
+
+def _begun_with(
+    prepared: PreparedRun, time: np.ndarray, left: np.ndarray, used: np.ndarray, noise: KnownNoise
+) -> np.ndarray:
+    """Part of a residual over noise (K, n) that the swing may be which the run begins with."""
+    assert prepared.swing is not None
+    signals = prepared.signals
+    wound = signals.motor_position - signals.link_position
+    torque, _ = prepared.swing.unknown_start(wound, MOTOR_CUTOFF)
+    swings = [
+        np.column_stack([np.interp(time, prepared.time, column) for column in each.T])
+        / noise.channels.torque
+        for each in np.moveaxis(torque, 2, 0)
+    ]
+    if not swings or not used.any():
+        return np.zeros_like(left)
+    columns, target = np.stack([each[used] for each in swings], axis=1), left[used]
+    # Reversals and bursts lie far off and are no part of it.
+    weight = np.ones(target.size)
+    for _ in range(_WEIGHINGS):
+        sizes = np.linalg.lstsq(weight[:, None] * columns, weight * target)[0]
+        off = np.abs(target - columns @ sizes)
+        far = _FAR * _NORMAL * max(float(np.median(off)), 1e-12)
+        weight = np.minimum(1.0, far / np.maximum(off, far))
+    return np.tensordot(sizes, np.stack(swings), axes=1)
 
 
 def _joined(parts: Sequence[_Channel]) -> _Channel:

@@ -1,0 +1,57 @@
+"""A run that begins while its links swing is no drive with bursts; a swing out of nothing is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated_sets import COULOMB, simulated
+
+from benchmarks.simulator import write_case
+from stiffopt.discovery.judging.bursts import bursts
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import train
+from stiffopt.recording.recording_set import load_recordings
+
+pytestmark = pytest.mark.slow
+
+# Of the first run, where both joints move, and a later instant [s].
+BEGIN, LATER = 1.0, 3.0
+# Over noise.
+SIZE = 30.0
+
+
+@pytest.fixture(scope="module")
+def begun_moving(tmp_path_factory):
+    """Training of a set with nothing missing whose first run begins while its joints move."""
+    folder = write_case(
+        simulated(replace(COULOMB, effects=())), tmp_path_factory.mktemp("begun") / "set"
+    )
+    file = folder / "train_1.npz"
+    with np.load(file) as columns:
+        late = columns["t"] >= BEGIN
+        cut = {name: columns[name][late] for name in columns.files}
+    np.savez(file, **cut)
+    return train(load_recordings(folder), Settings())
+
+
+def swinging(training, begin):
+    """The training with a free swing of the lowest mode in the first run, from an instant on."""
+    run, swing = training.recorded[0], training.runs[0].swing
+    shape = swing.response.modes(0)[1][:, 0]
+    torque, _ = swing.left_alone(np.append(shape, 0.0 * shape)[:, None])
+    torque = torque[..., 0] * SIZE * training.noise.channels.torque[0] / abs(torque[0, 0])
+    late = np.searchsorted(run.time, begin)
+    added = np.zeros_like(run.torque)
+    added[late:] = torque[: len(added) - late]
+    shaken = replace(run, torque=run.torque + added)
+    return replace(training, recorded=(shaken, *training.recorded[1:]))
+
+
+def test_a_swing_that_a_run_begins_with_is_no_burst(begun_moving):
+    assert bursts(swinging(begun_moving, BEGIN), (), Settings()) is None
+
+
+def test_a_swing_out_of_nothing_is_a_burst(begun_moving):
+    found = bursts(swinging(begun_moving, LATER), (), Settings())
+    assert found is not None
+    assert found.channels[0] in ("torque_1", "torque_2")
