@@ -74,9 +74,37 @@ def _parsed(unit: str) -> Any:
         raise ValueError(f"the unit {unit!r} cannot be read") from error
 
 
+# Units that most files are written in, by dimension: pint takes half a second to begin, and is
+# asked only for others. Each is what pint says.
+_USUAL = {
+    "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6},
+    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
+    "mass": {"kg": 1.0, "g": 1e-3},
+    "inertia": {"kg*m^2": 1.0},
+    "force": {"N": 1.0, "kN": 1e3},
+    "torque": {"N*m": 1.0, "Nm": 1.0},
+    "time": {"s": 1.0, "ms": 1e-3},
+    "frequency": {"Hz": 1.0},
+    "pressure": {"Pa": 1.0, "MPa": 1e6, "GPa": 1e9},
+    "speed": {"m/s": 1.0, "mm/s": 1e-3},
+    "acceleration": {"m/s^2": 1.0},
+    "jerk": {"m/s^3": 1.0},
+    "angular velocity": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
+    "angular acceleration": {"rad/s^2": 1.0, "deg/s^2": math.pi / 180.0},
+    "angular jerk": {"rad/s^3": 1.0, "deg/s^3": math.pi / 180.0},
+    "stiffness": {"N*m/rad": 1.0, "Nm/rad": 1.0, "N*m/arcmin": 10800.0 / math.pi},
+    "viscous friction": {"N*m*s/rad": 1.0},
+}
+
+
 @functools.lru_cache(maxsize=1024)
 def _factor(unit: str, dimension: Dimension) -> float:
     """Factor from `unit` to the SI unit of `dimension`; raises ValueError with the reason."""
+    usual = _USUAL.get(dimension.name, {}).get(unit)
+    return _by_pint(unit, dimension) if usual is None else usual
+
+
+def _by_pint(unit: str, dimension: Dimension) -> float:
     parsed = _parsed(unit)
     if dimension.unit == "degC" and unit != "degC":
         raise ValueError(f"temperatures are given in degC, not in {unit!r}")
@@ -147,6 +175,9 @@ def convert(value: float, unit: str, target: str) -> float:
     """
     if unit == target:
         return value
+    for usual in _USUAL.values():
+        if unit in usual and target in usual:
+            return value * (usual[unit] / usual[target])
     import pint
 
     try:

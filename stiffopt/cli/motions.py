@@ -54,8 +54,6 @@ def solve(
     """
     from stiffopt.certificate.assess import assess
     from stiffopt.problem.files import load_problem
-    from stiffopt.report.solve.page import write_solve_report
-    from stiffopt.report.solve.terminal import print_solution
     from stiffopt.result.compensation_store import write_command
     from stiffopt.result.store import (
         TRAJECTORY_FILE,
@@ -89,6 +87,10 @@ def solve(
                 stated = loop.problem
                 solution = with_simulation(stated, loop.solution, progress)
         with finishing():
+            # Figures need a while to load: not before the solve.
+            from stiffopt.report.solve.page import write_solve_report
+            from stiffopt.report.solve.terminal import print_solution
+
             if solution.trajectory is not None:
                 times = export_times(solution.trajectory.duration)
                 exported = assess(stated, solution.trajectory, times=times)

@@ -19,6 +19,9 @@ from stiffopt.errors import InputError, StiffoptError
 
 _LONGEST_SEARCH = 200
 _TOLERANCE = 1e-14
+# Pressures that are tabulated to begin from, logarithms: 1 mPa to 10 TPa.
+_MIDDLE, _AROUND = np.log(1e5), np.log(1e8)
+_ENTRIES = 2001
 
 
 @dataclass(frozen=True)
@@ -109,28 +112,50 @@ class FractalLaw:
                 "fractal law: the largest spot exists for finite pressures above 0 only; "
                 f"the smallest given is {np.min(target):g} Pa."
             )
-        goal = np.log(target)
-        # If every spot were plastic the load would be hardness times real area.
-        dimension = self.surface.fractal_dimension
-        area = target * self.surface.reference_area / self.surface.softer.hardness
-        start = np.log(area * (3 - dimension) / (dimension - 1) / self.extension_factor)
-        lower, upper = self._bracket(start, goal)
-        x = np.clip(start, lower, upper)
+        return np.asarray(np.exp(self._log_spot(np.log(target))))
+
+    def _log_spot(self, goal: np.ndarray) -> np.ndarray:
+        """Logarithm of the largest spot for logarithms of pressures, by bracketed Newton steps."""
+        x, lower, upper = self._start(goal)
         for _ in range(_LONGEST_SEARCH):
-            excess = np.log(self.pressure(np.exp(x))) - goal
+            largest = np.exp(x)
+            pressure = self.pressure(largest)
+            excess = np.log(pressure) - goal
             lower = np.where(excess < 0.0, x, lower)
             upper = np.where(excess > 0.0, x, upper)
             # Slope of ln P over ln a_L: the distribution's own growth plus the newest spots.
-            step = excess / self._log_slope(x)
+            step = excess / self._log_slope(largest, pressure)
             following = x - step
-            inside = (following > lower) & (following < upper)
-            following = np.where(inside, following, 0.5 * (lower + upper))
-            following = np.where(excess == 0.0, x, following)
-            done = np.all(np.abs(following - x) <= _TOLERANCE * np.maximum(1.0, np.abs(x)))
-            x = following
-            if done:
-                return np.asarray(np.exp(x))
+            # What has arrived stays there, though its last step may end on the bracket.
+            arrived = np.abs(step) <= _TOLERANCE * np.maximum(1.0, np.abs(x))
+            inside = arrived | ((following > lower) & (following < upper))
+            x = np.where(inside, following, 0.5 * (lower + upper))
+            if np.all(arrived):
+                return np.asarray(x)
         raise StiffoptError("fractal law: the largest spot could not be found.")
+
+    def _start(self, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where to begin, and a bracket: from a table of usual pressures, or searched for."""
+        if np.all(np.abs(goal - _MIDDLE) < _AROUND):
+            spots, goals = self._table
+            right = np.searchsorted(goals, goal, side="right")
+            return np.interp(goal, goals, spots), spots[right - 1], spots[right]
+        return self._searched(goal)
+
+    def _searched(self, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        # If every spot were plastic the load would be hardness times real area.
+        dimension = self.surface.fractal_dimension
+        area = np.exp(goal) * self.surface.reference_area / self.surface.softer.hardness
+        start = np.log(area * (3 - dimension) / (dimension - 1) / self.extension_factor)
+        lower, upper = self._bracket(start, goal)
+        return np.clip(start, lower, upper), lower, upper
+
+    @cached_property
+    def _table(self) -> tuple[np.ndarray, np.ndarray]:
+        """Logarithms of largest spots, evenly, and of their pressures, beyond the usual ones."""
+        _, lower, upper = self._searched(_MIDDLE + np.array([-_AROUND, _AROUND]))
+        spots = np.linspace(lower[0], upper[1], _ENTRIES)
+        return spots, np.log(self.pressure(np.exp(spots)))
 
     def _bracket(self, start: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         lower, upper = start - 1.0, start + 1.0
@@ -145,15 +170,14 @@ class FractalLaw:
             upper = np.where(high, start + reach, upper)
         return lower, upper
 
-    def _log_slope(self, x: np.ndarray) -> np.ndarray:
-        largest = np.exp(x)
+    def _log_slope(self, largest: np.ndarray, pressure: np.ndarray) -> np.ndarray:
         half = (self.surface.fractal_dimension - 1) / 2
         force = np.zeros_like(largest)
         for law in self.spots:
             inside = (largest > law.lower) & (largest <= law.upper)
             force = np.where(inside, law.force_factor * largest**law.force_exponent, force)
         newest = half * force * self.extension_factor / self.surface.reference_area
-        return np.asarray(half + newest / self.pressure(largest))
+        return np.asarray(half + newest / pressure)
 
     def normal_stiffness_per_area(self, pressure: np.ndarray) -> np.ndarray:
         """Exact k_n(p) [N/m^3] for nominal pressures p [Pa], shape as `pressure`.

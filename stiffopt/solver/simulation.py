@@ -216,7 +216,11 @@ def _part(
 
 def check_simulation(problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
     """Raise `RobotError` where damping or hysteresis is of no joint: before a long solve."""
-    if problem.robot.yields:
+    stated = (problem.robot.damping, problem.robot.hysteresis)
+    # What is not stated cannot be wrong.
+    if problem.robot.yields and any(
+        np.any(np.nan_to_num(each)) for each in stated if each is not None
+    ):
         with suppress(NotSimulatedError):
             elastic_arm(problem, motion.start)
 
