@@ -68,13 +68,13 @@ def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
         near = _joints(problem, _with_orientation(problem, via, start, end), where, near)
         vias.append(near)
     motion = ResolvedMotion(
-        start, end, tuple(vias), _is_fixed(problem.start), _is_fixed(problem.end)
+        start, end, tuple(vias), problem.start.fixes_pose, problem.end.fixes_pose
     )
     for where, target, angles in (
         ("motion.start", problem.start, start),
         ("motion.end", problem.end, end),
     ):
-        if _is_fixed(target):
+        if target.fixes_pose:
             _check_range(problem, where, angles)
             _check_rest(problem, where, angles)
     _check_boundary_velocity(problem)
@@ -82,11 +82,6 @@ def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
         if via.joints is not None:
             _check_range(problem, f"motion.via[{number}]", angles)
     return motion
-
-
-def _is_fixed(target: Target) -> bool:
-    """Whether the target leaves no freedom of the joints."""
-    return target.joints is not None or target.rpy is not None
 
 
 def _joints(

@@ -56,6 +56,11 @@ class Target:
     tolerance: float = 1e-4
     angle_tolerance: float = 0.01
 
+    @property
+    def fixes_pose(self) -> bool:
+        """Whether it leaves the joints no freedom."""
+        return self.joints is not None or self.rpy is not None
+
     def __post_init__(self) -> None:
         for name in ("joints", "position", "rpy", "near"):
             value = getattr(self, name)
@@ -125,6 +130,13 @@ class Method:
         Ratio, Bounds(above=0.0, most=1e-2), Doc("Relative tolerance of IPOPT.")
     ] = 1e-8
     seed: Annotated[int, Bounds(least=0), Doc("Of the further initial guesses.")] = 1
+    collisions: Annotated[
+        Literal["avoid", "check"],
+        Doc(
+            "Whether a motion that would collide is led around what it meets, or only told. On a "
+            "fixed path it is only told."
+        ),
+    ] = "avoid"
 
     def __post_init__(self) -> None:
         check_fields(self, "method", ProblemError)
@@ -272,6 +284,12 @@ class TrajectoryProblem:
     def stated_cell(self) -> Cell:
         """The cell, an empty one where none is stated."""
         return Cell() if self.cell is None else self.cell
+
+    @property
+    def avoids_collisions(self) -> bool:
+        """Whether a motion that would collide is led around."""
+        free = self.path is None and self.method.collisions == "avoid"
+        return free and bool(self.clearance_model.pairs)
 
     @cached_property
     def clearance_model(self) -> ClearanceModel:

@@ -27,8 +27,20 @@ _POSES = 60
 
 
 @dataclass(frozen=True)
-class _Solid:
-    """Something with a form, fixed to a joint's frame; joint 0 is the base with the cell."""
+class Solid:
+    """Something with a form, fixed to a joint's frame; joint 0 is the base with the cell.
+
+    Parameters
+    ----------
+    name : str
+    joint : int
+    placement : pinocchio.SE3
+        In the frame of the joint.
+    geometry : coal.CollisionGeometry
+    of_cell : bool
+    guessed : bool
+        Whether it is a rod of a guessed radius.
+    """
 
     name: str
     joint: int
@@ -57,13 +69,21 @@ class ClearanceModel:
         Links that are rods of a guessed radius.
     missing : tuple of str
         Meshes of the URDF that were not found or are none.
+    solids : list of Solid
+        Links first.
+    couples : list of (int, int)
+        Numbers of the solids whose distances are taken; a thing of the cell comes second.
+    pair_of : array (len(couples),)
+        Which pair each belongs to.
+    arm : float
+        Length of the arm with its links' shapes, slides not extended [m].
     """
 
     def __init__(self, robot: Robot, cell: Cell) -> None:
         self._model = robot.model.copy()
         missing: list[str] = []
         links = list(_links(robot, cell, missing))
-        solids = [*links, *_obstacles(cell)]
+        self.solids = solids = [*links, *_obstacles(cell)]
         self.missing = tuple(dict.fromkeys(missing))
         self.guessed = tuple(dict.fromkeys(each.name for each in links if each.guessed))
         self._geometry = pin.GeometryModel()
@@ -82,12 +102,15 @@ class ClearanceModel:
         designed = self._touching_by_design(robot, np.array(own, dtype=bool), named)
         for a, b in [pair for pair, name in zip(chosen, named, strict=True) if name in designed]:
             self._geometry.removeCollisionPair(pin.CollisionPair(a, b))
+        self.couples = [
+            pair for pair, name in zip(chosen, named, strict=True) if name not in designed
+        ]
         named = [name for name in named if name not in designed]
         self._make_data()
         self.pairs = list(dict.fromkeys(named))
         index = {pair: k for k, pair in enumerate(self.pairs)}
-        self._pair = np.array([index[name] for name in named], dtype=int)
-        self._arm = reach(robot.tree, robot.tool) + max(map(_extent, links), default=0.0)
+        self.pair_of = np.array([index[name] for name in named], dtype=int)
+        self.arm = reach(robot.tree, robot.tool) + max(map(_extent, links), default=0.0)
         self._prismatic = robot.prismatic
 
     def _make_data(self) -> None:
@@ -105,20 +128,27 @@ class ClearanceModel:
         high = np.where(np.isfinite(high), high, np.pi)
         poses = np.random.default_rng(1).uniform(low, high, (_POSES, robot.n))
         nearest: dict[tuple[str, str], np.ndarray] = {}
-        every = np.array([self._all(q) for q in poses])
+        every = np.array([self.couple_distances(q) for q in poses])
         for k in np.flatnonzero(own):
             nearest[named[k]] = np.minimum(nearest.get(named[k], np.inf), every[:, k])
         return {pair for pair, each in nearest.items() if np.all(each < 0.0)}
 
-    def _all(self, q: np.ndarray) -> np.ndarray:
+    def couple_distances(self, q: np.ndarray) -> np.ndarray:
+        """Distance of every couple (len(couples),) at joint positions (n,) [m]."""
         pin.computeDistances(self._model, self._data, self._geometry, self._geometry_data, q)
         return np.array([each.min_distance for each in self._geometry_data.distanceResults])
 
     def distances(self, q: np.ndarray) -> np.ndarray:
         """Distance of every pair (len(pairs),) at joint positions (n,); overlap is negative [m]."""
         nearest = np.full(len(self.pairs), np.inf)
-        np.minimum.at(nearest, self._pair, self._all(q))
+        np.minimum.at(nearest, self.pair_of, self.couple_distances(q))
         return nearest
+
+    def placements(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rotation (n + 1, 3, 3) and origin (n + 1, 3) of the joint frames, the base first."""
+        pin.forwardKinematics(self._model, self._data, q)
+        frames = list(self._data.oMi)
+        return np.array([f.rotation for f in frames]), np.array([f.translation for f in frames])
 
     def fastest(self, speed: np.ndarray, position: np.ndarray) -> np.ndarray:
         """Bound (K,) on how fast any distance changes [m/s], of joint speeds and positions (K, n).
@@ -126,11 +156,11 @@ class ClearanceModel:
         No point of the arm is farther from an axis than the arm is long, slides included.
         """
         slides = np.abs(position[:, self._prismatic]).sum(axis=1)
-        arms = np.where(self._prismatic, 1.0, (self._arm + slides)[:, None])
+        arms = np.where(self._prismatic, 1.0, (self.arm + slides)[:, None])
         return np.asarray(np.sum(np.abs(speed) * arms, axis=1))
 
 
-def _links(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[_Solid]:
+def _links(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[Solid]:
     """Shapes of links: collision, else visual, else rods; adds to `missing` what has no form."""
     shown: set[int] = set()
     purposes: tuple[Purpose, ...] = ("collision", "visual")
@@ -143,7 +173,7 @@ def _links(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[_Solid]:
                 continue
             shown.add(each.joint)
             at = pin.SE3(each.rotation, each.offset)
-            yield _Solid(each.shape.link, each.joint, at, form)
+            yield Solid(each.shape.link, each.joint, at, form)
     for rod in capsules(robot.tree, robot.tool):
         if rod.joint in shown or rod.joint == 0:
             continue
@@ -151,7 +181,7 @@ def _links(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[_Solid]:
         along = rod.end - rod.begin
         length = float(np.linalg.norm(along))
         turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along / length)
-        yield _Solid(
+        yield Solid(
             first_link_of(robot.model, rod.joint),
             rod.joint,
             pin.SE3(turn.matrix(), 0.5 * (rod.begin + rod.end)),
@@ -160,7 +190,7 @@ def _links(robot: Robot, cell: Cell, missing: list[str]) -> Iterator[_Solid]:
         )
 
 
-def _extent(solid: _Solid) -> float:
+def _extent(solid: Solid) -> float:
     """How far a link goes beyond the origin of its joint [m]."""
     form = solid.geometry
     form.computeLocalAABB()
@@ -190,18 +220,18 @@ def coal_form(shape: LinkShape) -> Any:
     return mesh.convex
 
 
-def _obstacles(cell: Cell) -> Iterator[_Solid]:
+def _obstacles(cell: Cell) -> Iterator[Solid]:
     """What stands around the arm, all fixed to the base."""
     up = np.array([0.0, 0.0, 1.0])
     if cell.floor is not None:
-        yield _Solid("floor", 0, pin.SE3.Identity(), coal.Halfspace(up, cell.floor), of_cell=True)
+        yield Solid("floor", 0, pin.SE3.Identity(), coal.Halfspace(up, cell.floor), of_cell=True)
     for plane in cell.plane:
         normal = np.array(plane.normal) / np.linalg.norm(plane.normal)
         solid = coal.Halfspace(normal, float(normal @ plane.point))
-        yield _Solid(plane.name, 0, pin.SE3.Identity(), solid, of_cell=True)
+        yield Solid(plane.name, 0, pin.SE3.Identity(), solid, of_cell=True)
     for box in cell.box:
         at = pin.SE3(rotation_from_rpy(box.rpy), np.array(box.position))
-        yield _Solid(box.name, 0, at, coal.Box(*box.size), of_cell=True)
+        yield Solid(box.name, 0, at, coal.Box(*box.size), of_cell=True)
     for mesh in cell.mesh:
         check_file(mesh.file)
         try:
@@ -210,10 +240,10 @@ def _obstacles(cell: Cell) -> Iterator[_Solid]:
             reason = f"cannot be read as a mesh: {shortened(error)}."
             raise InputFileError(Path(mesh.file), "", reason) from error
         at = pin.SE3(rotation_from_rpy(mesh.rpy), np.array(mesh.position))
-        yield _Solid(mesh.name, 0, at, solid, of_cell=True)
+        yield Solid(mesh.name, 0, at, solid, of_cell=True)
 
 
-def _pairs(robot: Robot, cell: Cell, solids: list[_Solid]) -> Iterator[tuple[int, int]]:
+def _pairs(robot: Robot, cell: Cell, solids: list[Solid]) -> Iterator[tuple[int, int]]:
     """Numbers of solids that can collide: links with the cell, links that are no neighbours."""
     parents = {j + 1: body.parent for j, body in enumerate(robot.tree.bodies)}
     for a, one in enumerate(solids):

@@ -24,6 +24,7 @@ from stiffopt.certificate.objective_value import (
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.problem.bounds import check_bounds, shortest_duration
+from stiffopt.problem.clear_poses import check_clear_poses
 from stiffopt.problem.files import LoadedProblem
 from stiffopt.problem.formulation import Scales
 from stiffopt.problem.resolve import ResolvedMotion, resolve
@@ -52,6 +53,7 @@ from stiffopt.solver.unsolved import (
     solver_record,
 )
 from stiffopt.solver.verdict import beyond_limits, verdict
+from stiffopt.solver.way_around import led_around
 from stiffopt.transcription.ocp import Guess
 
 
@@ -122,6 +124,7 @@ def solve_keeping(
     motion = resolve(problem)
     # Meshes of the cell that cannot be read are told before the solve.
     _ = problem.clearance_model
+    check_clear_poses(problem, motion)
     if simulate:
         check_simulation(problem, motion)
     notes = notes_before(problem, motion)
@@ -145,6 +148,10 @@ def solve_keeping(
                 begin = _perturbed(begin, problem, random)
             outcome = _best_of_starts(run, begin, rival)
             kept = (run, outcome)
+            if problem.avoids_collisions:
+                outcome = led_around(run, outcome, rival, searches=problem.method.starts)
+                # Its rows are of this motion only: nothing else can be solved from there.
+                kept = None if run.avoidance else (run, outcome)
             solution = solution_of(run, outcome, beside, notes, compare=compare)
         except KeyboardInterrupt:
             solution = only_baseline(run, beside, notes)
@@ -258,7 +265,7 @@ def solution_of(
 ) -> Solution:
     """The solution of an outcome; `compare` looks for the baseline that keeps every limit."""
     problem, assessment = run.problem, with_collisions(run.problem, outcome.assessment)
-    end = beyond_limits(problem, assessment, verdict(problem, outcome, beside))
+    end = beyond_limits(problem, assessment, verdict(problem, outcome, beside), run.unavoided)
     value = objective_value(problem, assessment)
     rival = better_baseline(problem, beside)
     ratio = None

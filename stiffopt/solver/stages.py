@@ -24,6 +24,7 @@ from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.avoidance import Avoidance
 from stiffopt.solver.ipopt import FEASIBLE, IpoptOptions, IpoptSolver, Multipliers, RawSolution
 from stiffopt.solver.monitor import Progress
 from stiffopt.solver.phase_one import least_excess
@@ -41,6 +42,9 @@ _PATIENCE = 100
 # that on a coarse mesh which no finer one mends.
 _CONFLICT = 1e-4
 _HOPELESS = 0.5
+# How often planes are laid anew at most; the objective has settled when it falls by no more.
+_ROUNDS = 12
+_SETTLED = 1e-4
 
 
 @dataclass(frozen=True)
@@ -122,7 +126,8 @@ ProgressCallback = Callable[[SolveProgress], object]
 class SolveRun:
     """One solve in progress: its clock, its record and what it found so far.
 
-    `at_rest` says that nothing may swing on after arrival, whatever limits allow.
+    `at_rest` says that nothing may swing on after arrival, whatever limits allow; `avoidance`, once
+    it is there, keeps the motion clear of collisions; `unavoided` says what was tried in vain.
     """
 
     problem: TrajectoryProblem
@@ -130,6 +135,8 @@ class SolveRun:
     scales: Scales
     progress: ProgressCallback | None
     at_rest: bool = False
+    avoidance: Avoidance | None = None
+    unavoided: str = ""
     begin: float = field(default_factory=time.perf_counter)
     build_s: float = 0.0
     solve_s: float = 0.0
@@ -303,18 +310,22 @@ def _solved(
     while index <= last:
         stage = plan[index]
         if made is None or raw is None:
-            made = build_programme(run, ocp, mesh or _uniform(ocp, stage, guess))
+            made = build_programme(run, ocp, mesh or _uniform(ocp, stage, guess), guess)
             x = made.transcription.pack(guess)
         elif stage.new_mesh:
             guess = made.transcription.guess_from(raw.x)
             made = build_programme(
-                run, ocp, refine_mesh(made.transcription, raw.x, stage.intervals)
+                run, ocp, refine_mesh(made.transcription, raw.x, stage.intervals), guess
             )
             x, warm = made.transcription.pack(guess), None
         else:
             x, warm = raw.x, raw if raw.converged else None
-        raw = solve_stage(run, made, stage, x, warm, f"stage {index + 1} of {len(plan)}")
+        label = f"stage {index + 1} of {len(plan)}"
+        raw = solve_stage(run, made, stage, x, warm, label)
         raw, hopeless = _looked_into(run, made, stage, x, raw, last=index == last)
+        if run.avoidance is not None:
+            rounds = _ROUNDS if index == last else 1
+            made, raw = _relaid(run, run.avoidance, made, stage, raw, label, rounds)
         yield made, stage, raw
         if hopeless or raw.status in ("interrupted", "time_limit"):
             break
@@ -355,6 +366,40 @@ def _looked_into(
         again = solve_stage(run, made, stage, found.x, None, "from a feasible motion")
         return (again if again.converged else raw), False
     return raw, False
+
+
+def _relaid(
+    run: SolveRun,
+    avoidance: Avoidance,
+    made: Programme,
+    stage: SolveStage,
+    raw: RawSolution,
+    label: str,
+    rounds: int,
+) -> tuple[Programme, RawSolution]:
+    """A stage solved again with its planes laid anew, until the objective falls no more."""
+    for number in range(1, rounds + 1):
+        if not raw.converged:
+            break
+        begin = time.perf_counter()
+        transcription, same = avoidance.renewed(made.transcription, raw.x)
+        if same:
+            made.solver.rebound(transcription.nlp)
+            again = Programme(transcription, made.solver)
+        else:
+            again = _solvable(run, transcription)
+        run.build_s += time.perf_counter() - begin
+        text = f"{label}, clear of collisions, round {number}"
+        found = solve_stage(run, again, stage, raw.x, raw if same else None, text)
+        if not found.converged:
+            made.solver.rebound(made.transcription.nlp)
+            ended = found.status in ("interrupted", "time_limit")
+            return made, replace(raw, status=found.status) if ended else raw
+        fell = raw.objective - found.objective
+        made, raw = again, found
+        if same and fell <= _SETTLED * abs(found.objective):
+            break
+    return made, raw
 
 
 def solve_stage(
@@ -424,13 +469,24 @@ class Programme:
     solver: IpoptSolver
 
 
-def build_programme(run: SolveRun, ocp: OptimalControlProblem, mesh: Mesh) -> Programme:
-    """Transcribe a problem on a mesh and set up its solver."""
+def build_programme(
+    run: SolveRun, ocp: OptimalControlProblem, mesh: Mesh, guess: Guess | None = None
+) -> Programme:
+    """Transcribe a problem on a mesh and set up its solver.
+
+    Where the motion is to be kept clear of collisions, `guess` says what comes near.
+    """
     begin = time.perf_counter()
     transcription = transcribe(ocp, run.problem.method.transcription, mesh)
-    made = Programme(transcription, IpoptSolver(transcription.nlp, solver_options(run.problem)))
+    if run.avoidance is not None and guess is not None:
+        transcription = run.avoidance.added(transcription, transcription.pack(guess))
+    made = _solvable(run, transcription)
     run.build_s += time.perf_counter() - begin
     return made
+
+
+def _solvable(run: SolveRun, transcription: Transcription) -> Programme:
+    return Programme(transcription, IpoptSolver(transcription.nlp, solver_options(run.problem)))
 
 
 def solver_options(problem: TrajectoryProblem) -> IpoptOptions:

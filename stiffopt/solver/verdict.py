@@ -55,7 +55,9 @@ def verdict(problem: TrajectoryProblem, outcome: Outcome, beside: dict[str, Base
     )
 
 
-def beyond_limits(problem: TrajectoryProblem, motion: Assessment, found: Verdict) -> Verdict:
+def beyond_limits(
+    problem: TrajectoryProblem, motion: Assessment, found: Verdict, tried: str = ""
+) -> Verdict:
     """The verdict of a motion that may collide; a usable one says what that was checked for.
 
     Parameters
@@ -64,6 +66,8 @@ def beyond_limits(problem: TrajectoryProblem, motion: Assessment, found: Verdict
     motion : Assessment
         With the rows of its collisions.
     found : Verdict
+    tried : str
+        What was done in vain to avoid them.
     """
     hits = [v for v in motion.violations if v.limit == COLLISION and v.value > CERTIFIED]
     if hits and found.status.usable:
@@ -71,7 +75,8 @@ def beyond_limits(problem: TrajectoryProblem, motion: Assessment, found: Verdict
         return Verdict(
             SolveStatus.CERTIFICATE_FAILED,
             "Every other limit holds on the fine grid, but the motion does not keep "
-            f"{listed}. Do not run it; lead it around by motion.via, or change its start or end.",
+            f"{listed}. {tried} Do not run it; lead it around by motion.via, or change its start "
+            "or end.".replace("  ", " "),
         )
     if not found.status.usable:
         return found

@@ -1,0 +1,234 @@
+"""Planes that keep two convex solids apart while the arm goes from one pose to another.
+
+A plane is fixed to the second solid. All of the first solid, in all poses of the step, lies on its
+far side, as far from it as can be: the plane is that of the least distance between the second solid
+and the hull of what the first one sweeps, by coal. A motion whose steps all keep their planes keeps
+the distance, and planes that are laid anew on it are kept by it as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import coal
+import numpy as np
+
+if TYPE_CHECKING:
+    from stiffopt.robot.clearance import ClearanceModel, Solid
+
+# Points of the hull that coal is given; those that it lacks are added while they lie lower than
+# this [m].
+_AXES = np.vstack([np.eye(3), -np.eye(3)])
+_LOWER = 1e-6
+_PASSES = 20
+# coal searches the points of a shape one by one up to so many, and needs no edges then.
+_MOST = 32
+# Points on the rim of a round face, for the direction alone: distances are exact.
+_RIM = 8
+# Supports of a solid that a plane is kept by, and those that a turn by so much [rad] can make the
+# nearest.
+_SUPPORTS = 6
+_TURN = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Support:
+    """What a convex solid reaches to in any direction: points, balls and discs.
+
+    Parameters
+    ----------
+    centre : array (m, 3)
+        In the frame of the joint [m].
+    axis : array (m, 3)
+        Unit vector along the axis of a disc; zero for a ball or a point.
+    radius : array (m,)
+        [m]
+    """
+
+    centre: np.ndarray
+    axis: np.ndarray
+    radius: np.ndarray
+
+    def lowest(self, normal: np.ndarray) -> np.ndarray:
+        """How low each reaches along a direction (3,) (m,) [m]."""
+        along = self.axis @ normal
+        return np.asarray(
+            self.centre @ normal - self.radius * np.sqrt(np.maximum(1.0 - along**2, 0.0))
+        )
+
+    def moved(self, rotation: np.ndarray, origin: np.ndarray) -> Support:
+        """The same in another frame."""
+        return Support(self.centre @ rotation.T + origin, self.axis @ rotation.T, self.radius)
+
+    def points(self) -> np.ndarray:
+        """Points (k, 3) whose hull, but for the radius of balls, is nearly the solid."""
+        rims: list[np.ndarray] = [self.centre[~self._discs]]
+        for centre, axis, radius in zip(
+            self.centre[self._discs], self.axis[self._discs], self.radius[self._discs], strict=True
+        ):
+            first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+            first /= np.linalg.norm(first)
+            angle = np.arange(_RIM) * 2.0 * np.pi / _RIM
+            second = np.cross(axis, first)
+            rims.append(
+                centre + radius * (np.outer(np.cos(angle), first) + np.outer(np.sin(angle), second))
+            )
+        return np.asarray(np.concatenate(rims))
+
+    @property
+    def _discs(self) -> np.ndarray:
+        return np.asarray(np.any(self.axis != 0.0, axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class SeparatingPlane:
+    """A plane in the frame of the second solid's joint, and what of the first one keeps to it.
+
+    Parameters
+    ----------
+    normal : array (3,)
+        Towards the first solid.
+    height : float
+        Of the second solid along the normal [m].
+    near : Support
+        Of the first solid, in the frame of its own joint.
+    distance : float
+        Between plane and the first solid, in all poses [m].
+    """
+
+    normal: np.ndarray
+    height: float
+    near: Support
+    distance: float
+
+
+class Separation:
+    """Separating planes of the couples of a clearance model.
+
+    Parameters
+    ----------
+    model : ClearanceModel
+    """
+
+    def __init__(self, model: ClearanceModel) -> None:
+        self.model = model
+        self._supports = [support_of(solid) for solid in model.solids]
+
+    def plane(
+        self,
+        couple: int,
+        placements: Sequence[tuple[np.ndarray, np.ndarray]],
+    ) -> SeparatingPlane:
+        """The plane of a couple over a step.
+
+        Parameters
+        ----------
+        couple : int
+            Its number.
+        placements : sequence of (array (n + 1, 3, 3), array (n + 1, 3))
+            Of the joints, in every pose of the step.
+        """
+        a, b = self.model.couples[couple]
+        first, second = self.model.solids[a], self.model.solids[b]
+        support = self._supports[a]
+        assert support is not None
+        swept = [support.moved(*_relative(each, first.joint, second.joint)) for each in placements]
+        normal, witness = self._normal(swept, second)
+        other = self._supports[b]
+        height = witness
+        if other is not None:
+            height = -float(other.lowest(-normal).min())
+        lowest = np.min([each.lowest(normal) for each in swept], axis=0)
+        return SeparatingPlane(
+            normal,
+            height,
+            _near(support, lowest),
+            float(lowest.min()) - height,
+        )
+
+    def _normal(self, swept: list[Support], second: Solid) -> tuple[np.ndarray, float]:
+        """Direction from the second solid to what the first one sweeps, height of the second."""
+        at = second.placement
+        if isinstance(second.geometry, coal.Halfspace):
+            normal = at.rotation @ np.asarray(second.geometry.n)
+            return normal, float(second.geometry.d + normal @ at.translation)
+        points = np.concatenate([each.points() for each in swept])
+        chosen = list(dict.fromkeys(int(k) for k in np.argmax(points @ _AXES.T, axis=0)))
+        if len(points) <= _MOST:
+            chosen = list(range(len(points)))
+        request, result = coal.DistanceRequest(), coal.DistanceResult()
+        placed = coal.Transform3s(at.rotation, at.translation)
+        for _ in range(_PASSES):
+            result.clear()
+            coal.distance(
+                _hull(points[chosen]),
+                coal.Transform3s.Identity(),
+                second.geometry,
+                placed,
+                request,
+                result,
+            )
+            # From the first to the second.
+            normal = -np.asarray(result.normal)
+            low = points @ normal
+            lowest = int(np.argmin(low))
+            if low[lowest] > low[chosen].min() - _LOWER or len(chosen) == _MOST:
+                break
+            chosen.append(lowest)
+        return normal, float(normal @ np.asarray(result.getNearestPoint2()))
+
+
+def support_of(solid: Solid) -> Support | None:
+    """The support of a solid in the frame of its joint; None of one that is not convex or ends."""
+    form = solid.geometry
+    axes = np.zeros((1, 3))
+    up = np.array([0.0, 0.0, 1.0])
+    if isinstance(form, coal.Sphere):
+        own = Support(np.zeros((1, 3)), axes, np.array([form.radius]))
+    elif isinstance(form, coal.Capsule | coal.Cylinder):
+        ends = np.outer([-form.halfLength, form.halfLength], up)
+        disc = up if isinstance(form, coal.Cylinder) else np.zeros(3)
+        own = Support(ends, np.tile(disc, (2, 1)), np.full(2, form.radius))
+    elif isinstance(form, coal.Box):
+        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
+        own = _points(signs * np.asarray(form.halfSide))
+    elif isinstance(form, coal.ConvexBase):
+        own = _points(np.array([form.point(k) for k in range(form.num_points)]))
+    else:
+        return None
+    return own.moved(solid.placement.rotation, solid.placement.translation)
+
+
+def _points(points: np.ndarray) -> Support:
+    return Support(points, np.zeros_like(points), np.zeros(len(points)))
+
+
+def _relative(
+    placed: tuple[np.ndarray, np.ndarray], first: int, second: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frame of one joint in that of another."""
+    rotation, origin = placed
+    back = rotation[second].T
+    return back @ rotation[first], back @ (origin[first] - origin[second])
+
+
+def _near(support: Support, lowest: np.ndarray) -> Support:
+    """What lies lowest, or can come to lie so when the solid turns a little."""
+    order = np.argsort(lowest)
+    away = np.linalg.norm(support.centre - support.centre[order[0]], axis=1)
+    lift = lowest - lowest[order[0]]
+    kept = [k for k in order if lift[k] <= _TURN * away[k] + _LOWER][:_SUPPORTS]
+    return Support(support.centre[kept], support.axis[kept], support.radius[kept])
+
+
+def _hull(points: np.ndarray) -> Any:
+    """Hull of a few points, flat or not, as coal has it."""
+    corners, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    for point in points:
+        corners.append(point)
+    count = len(points)
+    for k in range(count):
+        faces.append(coal.Triangle(k, (k + 1) % count, (k + 2) % count))
+    return coal.Convex(corners, faces)

@@ -1,0 +1,221 @@
+"""A path free of collisions, to start a solve from: one pose between, else a tree of poses.
+
+Every edge is free all along: no distance changes faster than the joints can move the farthest point
+of the arm, so that between two poses it cannot fall below what that leaves of both.
+
+Source: Kuffner, LaValle (2000), "RRT-connect: an efficient approach to single-query path planning".
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt.result.joint_path import JointPath
+
+if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
+
+# Poses tried as the only one between, spread about the straight line by these shares of the range.
+_BETWEEN = 1500
+_SPREADS = (0.05, 0.1, 0.2, 0.4)
+# Steps of the tree, in shares of the joints' ranges; edges are looked at down to this step [rad].
+_STEP = 0.15
+_FINEST = 0.01
+_SHORTCUTS = 60
+# Of the spline through a path: instants looked at, and how often its corners are drawn sharper.
+_ALONG = 60
+_SHARPER = 4
+
+
+class FreeSpace:
+    """Poses of a problem's arm that keep the clearance, and paths through them.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+    seed : int
+    seconds : float
+        Time after which the search is given up.
+    """
+
+    def __init__(self, problem: TrajectoryProblem, seed: int, seconds: float) -> None:
+        self._model = problem.clearance_model
+        self._clearance = problem.stated_cell.clearance
+        self._random = np.random.default_rng(seed)
+        self._until = time.perf_counter() + seconds
+        limits = problem.active_limits
+        low, high = limits.position_lower, limits.position_upper
+        self._low = np.where(np.isfinite(low), low, -np.pi)
+        self._high = np.where(np.isfinite(high), high, np.pi)
+        speed = limits.velocity
+        self._speed = np.where(np.isfinite(speed), speed, 1.0)
+        # Poses that were tried.
+        self.tried = 0
+
+    def path(self, points: np.ndarray) -> np.ndarray | None:
+        """Poses (k, n) whose spline leads through all of `points` (m, n); None where none is found.
+
+        Poses of `points` that collide are led through as they are: what is near them cannot be
+        helped.
+        """
+        found = [points[0]]
+        for start, end in pairwise(points):
+            leg = self._leg(start, end)
+            if leg is None:
+                return None
+            found += leg[1:]
+        return self._rounded(found)
+
+    def _leg(self, start: np.ndarray, end: np.ndarray) -> list[np.ndarray] | None:
+        if self._free(start, end):
+            return [start, end]
+        between = self._one_between(start, end)
+        if between is not None:
+            return [start, between, end]
+        tree = self._connected(start, end)
+        return None if tree is None else self._shortened(tree)
+
+    def _one_between(self, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
+        """The pose that makes the shortest free path of two straight edges."""
+        count = _BETWEEN
+        width = self._high - self._low
+        spread = np.repeat(_SPREADS, count // len(_SPREADS))[:, None]
+        along = self._random.uniform(0.2, 0.8, (len(spread), 1))
+        poses = start + along * (end - start)
+        poses = poses + spread * width * self._random.normal(size=poses.shape)
+        poses = np.clip(poses, self._low, self._high)
+        length = self._time(poses - start) + self._time(end - poses)
+        for pose in poses[np.argsort(length)]:
+            if time.perf_counter() > self._until:
+                return None
+            if self._gap(pose) > 0.0 and self._free(start, pose) and self._free(pose, end):
+                return np.asarray(pose)
+        return None
+
+    def _connected(self, start: np.ndarray, end: np.ndarray) -> list[np.ndarray] | None:
+        """A path by two trees that grow towards each other."""
+        trees: list[_Tree] = [_Tree(start), _Tree(end)]
+        while time.perf_counter() < self._until:
+            aim = self._random.uniform(self._low, self._high)
+            reached = self._grown(trees[0], aim, once=True)
+            if reached is not None:
+                other = self._grown(trees[1], trees[0].poses[reached], once=False)
+                if other is not None and np.allclose(
+                    trees[1].poses[other], trees[0].poses[reached]
+                ):
+                    one, two = trees[0].to_root(reached), trees[1].to_root(other)
+                    whole = [*one[::-1], *two[1:]]
+                    return whole if np.array_equal(whole[0], start) else whole[::-1]
+            trees.reverse()
+        return None
+
+    def _grown(self, tree: _Tree, aim: np.ndarray, *, once: bool) -> int | None:
+        """Number of the last pose of a tree grown towards an aim; None where it is blocked."""
+        width = self._high - self._low
+        nearest = tree.nearest(aim, width)
+        found = None
+        while time.perf_counter() < self._until:
+            away = aim - tree.poses[nearest]
+            share = _STEP / max(float(np.linalg.norm(away / width)), 1e-12)
+            pose = aim if share >= 1.0 else tree.poses[nearest] + share * away
+            if not self._free(tree.poses[nearest], pose):
+                return found
+            nearest = found = tree.add(pose, nearest)
+            if once or share >= 1.0:
+                return found
+        return None
+
+    def _shortened(self, path: list[np.ndarray]) -> list[np.ndarray]:
+        """The path without detours that straight edges can replace."""
+        for _ in range(_SHORTCUTS):
+            if len(path) < 3 or time.perf_counter() > self._until:
+                break
+            i, j = sorted(self._random.choice(len(path), 2, replace=False))
+            if j - i > 1 and self._free(path[i], path[j]):
+                path = [*path[: i + 1], *path[j:]]
+        return path
+
+    def _rounded(self, path: list[np.ndarray]) -> np.ndarray:
+        """Poses whose spline is free, as near to the path as it needs."""
+        poses = np.array(path)
+        for _ in range(_SHARPER):
+            spline = JointPath.through(poses, "chord")
+            if self._all_free(spline(np.linspace(0.0, 1.0, _ALONG + 1))):
+                break
+            middle = 0.5 * (poses[:-1] + poses[1:])
+            sharper = np.empty((len(poses) + len(middle), poses.shape[1]))
+            sharper[::2], sharper[1::2] = poses, middle
+            poses = sharper
+        return poses
+
+    def _all_free(self, poses: np.ndarray) -> bool:
+        return all(self._free(one, other) for one, other in pairwise(poses))
+
+    def _free(self, start: np.ndarray, end: np.ndarray) -> bool:
+        """Whether a straight edge keeps the clearance all along, its ends apart."""
+        stack: list[Sequence[float]] = [(0.0, 1.0)]
+        travel = self._travel(start, end)
+        size = float(np.max(np.abs(end - start), initial=0.0))
+        gaps: dict[float, float] = {}
+
+        def gap(share: float) -> float:
+            if share not in gaps:
+                gaps[share] = self._gap(start + share * (end - start))
+            return gaps[share]
+
+        while stack:
+            first, second = stack.pop()
+            if (
+                gap(first) + gap(second) > travel * (second - first)
+                or size * (second - first) < _FINEST
+            ):
+                continue
+            middle = 0.5 * (first + second)
+            if gap(middle) <= 0.0 or time.perf_counter() > self._until:
+                return False
+            stack += [(first, middle), (middle, second)]
+        return True
+
+    def _travel(self, start: np.ndarray, end: np.ndarray) -> float:
+        """Bound on how far any distance changes along a straight edge [m]."""
+        poses = np.stack([start, end])
+        moved = np.abs(end - start)
+        return float(self._model.fastest(np.stack([moved, moved]), poses).max())
+
+    def _gap(self, pose: np.ndarray) -> float:
+        """Least distance beyond the clearance [m]."""
+        self.tried += 1
+        return float(self._model.couple_distances(pose).min()) - self._clearance
+
+    def _time(self, step: np.ndarray) -> np.ndarray:
+        """Time that steps (k, n) take at full speed (k,)."""
+        return np.asarray(np.max(np.abs(step) / self._speed, axis=-1))
+
+
+class _Tree:
+    """Poses, each with the one it was reached from."""
+
+    def __init__(self, root: np.ndarray) -> None:
+        self.poses = [root]
+        self._from = [-1]
+
+    def add(self, pose: np.ndarray, before: int) -> int:
+        self.poses.append(pose)
+        self._from.append(before)
+        return len(self.poses) - 1
+
+    def nearest(self, aim: np.ndarray, width: np.ndarray) -> int:
+        away = (np.array(self.poses) - aim) / width
+        return int(np.argmin(np.sum(away**2, axis=1)))
+
+    def to_root(self, last: int) -> list[np.ndarray]:
+        path = []
+        while last >= 0:
+            path.append(self.poses[last])
+            last = self._from[last]
+        return path

@@ -1,0 +1,183 @@
+"""A solve whose motion collides, solved again clear of collisions.
+
+A motion that only grazes something is pushed off it. Else a free path is sought from pose to pose,
+and the solve begins with a motion along it. The certificate judges what comes out; where it still
+finds too little distance between two nodes, the pair is kept further apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from stiffopt.baseline.baselines import quintic_law
+from stiffopt.baseline.toppra_motion import toppra_baseline
+from stiffopt.certificate.assess import assess
+from stiffopt.certificate.collisions import LIMIT as COLLISION
+from stiffopt.certificate.collisions import with_collisions
+from stiffopt.certificate.objective_value import is_maximised, objective_value
+from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.result.assessment import Assessment, Violation
+from stiffopt.result.joint_path import JointPath
+from stiffopt.result.solution import Baseline
+from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.avoidance import Avoidance
+from stiffopt.solver.free_path import FreeSpace
+from stiffopt.solver.guess import guess_along
+from stiffopt.solver.refinement import refined, stopped
+from stiffopt.solver.stages import (
+    Outcome,
+    SolveProgress,
+    SolveRun,
+    SolveStage,
+    run_stages,
+    stages,
+)
+from stiffopt.transcription.mesh import Mesh
+from stiffopt.transcription.ocp import Guess
+
+# Overlaps up to this are pushed apart as they are [m].
+_GRAZED = 0.01
+# How often pairs are kept further apart; by more than the certificate misses, up to this [m].
+_WIDENED = 4
+_MORE, _LEAST, _MOST = 1.2, 2e-5, 0.01
+# Of the time that is left, for one search of a free path, and seconds at most.
+_SHARE, _SECONDS = 0.2, 20.0
+
+
+@dataclass(frozen=True)
+class _Start:
+    """Where a solve clear of collisions begins."""
+
+    plan: tuple[SolveStage, ...]
+    guess: Guess
+    mesh: Mesh | None
+
+
+def led_around(
+    run: SolveRun, plain: Outcome, rival: Baseline | None, *, searches: int = 1
+) -> Outcome:
+    """The outcome itself where it does not collide, else the best one found clear of collisions.
+
+    Parameters
+    ----------
+    run : SolveRun
+        Says in `unavoided` what was tried in vain.
+    plain : Outcome
+        Solved without regard to collisions.
+    rival : Baseline or None
+    searches : int
+        Paths that are tried.
+    """
+    hits = collisions(run, plain)
+    if not hits or not plain.raw.converged:
+        return plain
+    best: Outcome | None = None
+    try:
+        for start in _starts(run, plain, hits, searches):
+            run.avoidance = Avoidance(run.problem)
+            found = _kept_clear(run, start, rival)
+            if best is None or _rank(run, found) < _rank(run, best):
+                best = found
+            if found.raw.status in ("interrupted", "time_limit"):
+                break
+            # One that was pushed off what it grazed needs no search.
+            if start.mesh is not None and _is_good(run, found):
+                break
+    except KeyboardInterrupt:
+        return stopped(plain if best is None else best)
+    if best is None or not (_is_good(run, best) or best.raw.status == "interrupted"):
+        return plain
+    run.unavoided = ""
+    return best
+
+
+def collisions(run: SolveRun, outcome: Outcome) -> list[Violation]:
+    """What the certificate finds too near, the worst first."""
+    motion = with_collisions(run.problem, outcome.assessment)
+    return [v for v in motion.violations if v.limit == COLLISION and v.value > CERTIFIED]
+
+
+def _starts(
+    run: SolveRun, plain: Outcome, hits: list[Violation], searches: int
+) -> Iterator[_Start]:
+    problem = run.problem
+    names = " and ".join(hits[0].pair or ())
+    if all((hit.distance or 0.0) > -_GRAZED for hit in hits):
+        before = plain.transcription
+        stage = SolveStage(len(before.intervals), plain.smoothing)
+        yield _Start((stage,), before.guess_from(plain.raw.x), before.mesh)
+    tried = 0
+    for number in range(searches):
+        _tell(run, f"seeking a way around {names}", plain)
+        seconds = min(_SECONDS, _SHARE * run.remaining)
+        space = FreeSpace(problem, problem.method.seed + number, seconds)
+        poses = space.path(run.motion.points)
+        tried += space.tried
+        if poses is None:
+            run.unavoided = f"No way around was found in {tried} poses that were tried."
+            continue
+        run.unavoided = "A way around was found, but no motion along it that keeps every limit."
+        motion = _along(run, JointPath.through(poses, "chord"))
+        guess = guess_along(problem, run.motion, motion)
+        yield _Start(stages(problem, problem.method.intervals), guess, None)
+
+
+def _kept_clear(run: SolveRun, start: _Start, rival: Baseline | None) -> Outcome:
+    """Solved from a start, pairs kept further apart while the certificate finds them too near."""
+    avoidance = run.avoidance
+    assert avoidance is not None
+    found = refined(run, run_stages(run, start.plan, start.guess, {}, start.mesh), rival)
+    for _ in range(_WIDENED):
+        hits = collisions(run, found)
+        if not hits or not found.raw.converged:
+            break
+        for hit in hits:
+            assert hit.pair is not None
+            assert hit.distance is not None
+            missing = run.problem.stated_cell.clearance - hit.distance
+            avoidance.widen(hit.pair, min(_MORE * missing + _LEAST, _MOST))
+        before = found.transcription
+        stage = SolveStage(len(before.intervals), found.smoothing)
+        guess = before.guess_from(found.raw.x)
+        try:
+            again = refined(run, run_stages(run, (stage,), guess, {}, before.mesh), rival)
+        except KeyboardInterrupt:
+            return stopped(found)
+        if not again.raw.converged and again.raw.status not in ("interrupted", "time_limit"):
+            break
+        found = again
+    return found
+
+
+def _along(run: SolveRun, path: JointPath) -> Assessment:
+    """A motion along a path within the duration, quick as far as that is free."""
+    problem = run.problem
+    shortest, longest = problem.duration
+    fixed = shortest if shortest == longest else None
+    quick = toppra_baseline(
+        problem.robot, problem.active_limits, path, fixed, problem.process_force, intervals=200
+    )
+    motion: Trajectory | None = quick.motion
+    if motion is None:
+        motion = path.follow(quintic_law(float(np.clip(quick.fastest or 1.0, *problem.duration))))
+    elif not shortest <= motion.duration <= longest:
+        motion = motion.scaled_to(float(np.clip(motion.duration, *problem.duration)))
+    return assess(problem, motion)
+
+
+def _rank(run: SolveRun, outcome: Outcome) -> tuple[bool, float]:
+    value = objective_value(run.problem, outcome.assessment).value
+    return not _is_good(run, outcome), -value if is_maximised(run.problem) else value
+
+
+def _is_good(run: SolveRun, outcome: Outcome) -> bool:
+    return outcome.assessment.feasible(CERTIFIED) and not collisions(run, outcome)
+
+
+def _tell(run: SolveRun, stage: str, plain: Outcome) -> None:
+    if run.progress is not None:
+        value = run.in_si(plain.raw.objective)
+        run.progress(SolveProgress(stage, 0, value, 0.0, "", run.elapsed))
