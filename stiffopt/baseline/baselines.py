@@ -66,7 +66,7 @@ def slowed_quintic(problem: TrajectoryProblem, motion: ResolvedMotion) -> Assess
         middle = 0.5 * (low + high) if high > 2.0 * low else float(np.sqrt(low * high))
         low, high = (low, middle) if excess(middle, _COARSE) <= CERTIFIED else (middle, high)
     # Between the points of the coarse grid there may be a little more.
-    assessment = assess(problem, path.follow(quintic_law(1.001 * high)))
+    assessment = with_collisions(problem, assess(problem, path.follow(quintic_law(1.001 * high))))
     return assessment if assessment.feasible(CERTIFIED) else None
 
 

@@ -63,12 +63,16 @@ def _nearest(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Instant and distance at which each pair is nearest; instants of the motion's grid."""
     last = len(motion.time) - 1
-    speed = model.fastest(motion.velocity, motion.position)
+    position, velocity = motion.position, motion.velocity
+    if motion.link is not None:
+        # Where the links' own motion is planned, it is they that meet something.
+        position, velocity = motion.link, np.gradient(motion.link, motion.time, axis=0)
+    speed = model.fastest(velocity, position)
     known: dict[int, np.ndarray] = {}
 
     def at(k: int) -> np.ndarray:
         if k not in known:
-            known[k] = model.distances(motion.position[k])
+            known[k] = model.distances(position[k])
         return known[k]
 
     open_ = np.unique(np.linspace(0, last, min(_COARSE, last) + 1).astype(int))

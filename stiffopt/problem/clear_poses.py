@@ -16,8 +16,26 @@ def check_clear_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> Non
     """Raise `ProblemError` where a given pose is nearer to something than the clearance."""
     if not problem.avoids_collisions:
         return
-    model, clearance = problem.clearance_model, problem.stated_cell.clearance
-    given: list[tuple[str, Target, np.ndarray]] = [
+    clearance = problem.stated_cell.clearance
+    for where, pose in _given(problem, motion):
+        distance = problem.clearance_model.distances(pose)
+        k = int(np.argmin(distance))
+        if distance[k] < clearance - _EXACT:
+            met = _met(problem, problem.clearance_model.pairs[k], float(distance[k]))
+            raise ProblemError(f"{where}: {met}")
+
+
+def room_at_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
+    """The largest clearance that the given poses keep [m]."""
+    model = problem.clearance_model
+    return min(
+        (float(model.distances(q).min()) for _, q in _given(problem, motion)), default=np.inf
+    )
+
+
+def _given(problem: TrajectoryProblem, motion: ResolvedMotion) -> list[tuple[str, np.ndarray]]:
+    """The poses that leave the joints no freedom, and where they stand in files."""
+    every: list[tuple[str, Target, np.ndarray]] = [
         ("motion.start", problem.start, motion.start),
         *(
             (f"motion.via[{k}]", via, pose)
@@ -25,22 +43,19 @@ def check_clear_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> Non
         ),
         ("motion.end", problem.end, motion.end),
     ]
-    for where, target, pose in given:
-        distance = model.distances(pose)
-        k = int(np.argmin(distance))
-        if target.fixes_pose and distance[k] < clearance - _EXACT:
-            one, other = model.pairs[k]
-            raise ProblemError(f"{where}: {_met(one, other, distance[k], clearance)}")
+    return [(where, pose) for where, target, pose in every if target.fixes_pose]
 
 
-def _met(one: str, other: str, distance: float, clearance: float) -> str:
-    advice = (
-        f"Choose another pose, correct the place of {other}, or plan all the same with "
-        "method.collisions = 'check'."
-    )
+def _met(problem: TrajectoryProblem, pair: tuple[str, str], distance: float) -> str:
+    one, other = pair
+    choices = ["Choose another pose"]
+    if other in problem.stated_cell.names:
+        choices.append(f"correct the place of {other}")
+    advice = ", ".join([*choices, "or plan all the same with method.collisions = 'check'."])
     if distance < 0.0:
         deep = f"{one} is {-1e3 * distance:.1f} mm deep in {other} there"
         return f"{deep}, so no motion is free of collisions. {advice}"
+    clearance = problem.stated_cell.clearance
     return (
         f"{one} is {1e3 * distance:.1f} mm from {other} there, nearer than cell.clearance, "
         f"{1e3 * clearance:.1f} mm. Lower the clearance. {advice}"

@@ -116,6 +116,12 @@ class Separation:
         self.model = model
         self._supports = [support_of(solid) for solid in model.solids]
 
+    def supports(self, couple: int) -> int:
+        """Of how many points, balls and discs the first solid of a couple is the hull."""
+        support = self._supports[self.model.couples[couple][0]]
+        assert support is not None
+        return len(support.radius)
+
     def plane(
         self,
         couple: int,

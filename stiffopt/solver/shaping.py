@@ -20,6 +20,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from stiffopt.baseline.baselines import better_baseline, strict_baseline
 from stiffopt.certificate.assess import assess
+from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import improvement, objective_value
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.elastic.arm import ElasticArm
@@ -27,6 +28,7 @@ from stiffopt.elastic.modes import modes
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import ProblemError
 from stiffopt.problem.bounds import shortest_duration
+from stiffopt.problem.clear_poses import room_at_poses
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.motor_model import MotorLaw
 from stiffopt.problem.objective import Objective
@@ -79,11 +81,12 @@ def solve_shaped(
     swing = _swing(problem, motion)
     inner = _shorter(problem, motion, swing)
     found = solve(inner)
+    room = room_at_poses(problem, motion) if problem.avoids_collisions else 0.0
     shaped = _shaped(problem, found, swing)
     for number in range(_ROUNDS):
         # What is left after two rounds is drawn in by twice as much.
         more = _MORE if number < 2 else 2.0 * _MORE
-        tightened = None if shaped is None else _tightened(problem, inner, shaped[1], more)
+        tightened = None if shaped is None else _tightened(problem, inner, shaped[1], more, room)
         if tightened is None or found.status is SolveStatus.INTERRUPTED:
             break
         tried = solve(tightened)
@@ -177,33 +180,49 @@ def _shaped(
     law = MotorLaw(problem.robot, problem.process_force)
     for spacing in _SPACINGS:
         motors = law.motion(smooth_motion(averaged, spacing), WINDUP_SMOOTHING[-1])
-        tried.append((motors, assess(problem, motors)))
+        tried.append((motors, with_collisions(problem, assess(problem, motors))))
         if tried[-1][1].feasible(CERTIFIED):
             break
     return min(tried, key=lambda pair: max(pair[1].worst_violation.value, CERTIFIED))
 
 
 def _tightened(
-    problem: TrajectoryProblem, inner: TrajectoryProblem, assessment: Assessment, more: float
+    problem: TrajectoryProblem,
+    inner: TrajectoryProblem,
+    assessment: Assessment,
+    more: float,
+    room: float,
 ) -> TrajectoryProblem | None:
     """The inner problem drawn tighter by what vias are missed and limits exceeded by, if any are.
+
+    What an average brings nearer to something is kept further from it before, as far as the given
+    poses leave `room` [m].
 
     Motors that lead the links have a little more acceleration than these.
     """
     excess = {each.limit: each.value for each in assessment.violations if each.value > CERTIFIED}
     limits, vias = inner.active_limits, []
+    near = [
+        problem.stated_cell.clearance - each.distance
+        for each in assessment.violations
+        if each.distance is not None and each.value > CERTIFIED
+    ]
+    cell = inner.cell
+    wider = min(inner.stated_cell.clearance + more * max(near, default=0.0), room)
+    if wider > inner.stated_cell.clearance:
+        cell = replace(inner.stated_cell, clearance=wider)
     drawn = {
         name: getattr(limits, name) * max(1.0 - more * excess[name], _TIGHTEST)
         for name in _DRAWN
         if name in excess
     }
     missed = any(name.startswith("via_") for name in excess)
-    if not drawn and not missed:
+    if not drawn and not missed and cell is inner.cell:
         return None
     for number, (given, own) in enumerate(zip(problem.vias, inner.vias, strict=True), start=1):
         less = own.tolerance - more * excess.get(f"via_{number}", 0.0) * given.tolerance
         vias.append(replace(own, tolerance=max(less, _TIGHTEST * given.tolerance)))
-    return replace(inner, vias=tuple(vias), limits=Limits(limits.values, **drawn))
+    return replace(inner, vias=tuple(vias), limits=Limits(limits.values, **drawn), cell=cell)
 
 
 def _halfway(loose: TrajectoryProblem, tight: TrajectoryProblem) -> TrajectoryProblem:

@@ -43,8 +43,10 @@ _PATIENCE = 100
 _CONFLICT = 1e-4
 _HOPELESS = 0.5
 # How often planes are laid anew at most; the objective has settled when it falls by no more.
-_ROUNDS = 12
+_ROUNDS, _COARSE_ROUNDS = 12, 2
 _SETTLED = 1e-4
+# What planes exceed falls to this share, or they are not laid anew.
+_NEARER = 0.7
 
 
 @dataclass(frozen=True)
@@ -324,8 +326,8 @@ def _solved(
         raw = solve_stage(run, made, stage, x, warm, label)
         raw, hopeless = _looked_into(run, made, stage, x, raw, last=index == last)
         if run.avoidance is not None:
-            rounds = _ROUNDS if index == last else 1
-            made, raw = _relaid(run, run.avoidance, made, stage, raw, label, rounds)
+            rounds = _ROUNDS if index == last else _COARSE_ROUNDS
+            made, raw = _kept_clear(run, made, stage, x, raw, label, rounds)
         yield made, stage, raw
         if hopeless or raw.status in ("interrupted", "time_limit"):
             break
@@ -368,36 +370,46 @@ def _looked_into(
     return raw, False
 
 
-def _relaid(
+def _kept_clear(
     run: SolveRun,
-    avoidance: Avoidance,
     made: Programme,
     stage: SolveStage,
+    x: np.ndarray,
     raw: RawSolution,
     label: str,
     rounds: int,
 ) -> tuple[Programme, RawSolution]:
-    """A stage solved again with its planes laid anew, until the objective falls no more."""
+    """A stage from `x` solved again with its planes laid anew, until the objective has settled."""
+    avoidance = run.avoidance
+    assert avoidance is not None
     for number in range(1, rounds + 1):
-        if not raw.converged:
+        if raw.status in ("interrupted", "time_limit"):
             break
         begin = time.perf_counter()
-        transcription, same = avoidance.renewed(made.transcription, raw.x)
+        same, clear = False, not avoidance.ran_into(raw.x)
+        if clear or not raw.converged:
+            # Where planes leave no motion, those of the nearest one may.
+            x = raw.x
+            transcription, same = avoidance.renewed(made.transcription, x)
+        else:
+            # On from where it was clear, with rows for what it ran into.
+            transcription = avoidance.begun_again(x)
         if same:
             made.solver.rebound(transcription.nlp)
-            again = Programme(transcription, made.solver)
-        else:
-            again = _solvable(run, transcription)
+        again = Programme(transcription, made.solver) if same else _solvable(run, transcription)
         run.build_s += time.perf_counter() - begin
         text = f"{label}, clear of collisions, round {number}"
-        found = solve_stage(run, again, stage, raw.x, raw if same else None, text)
-        if not found.converged:
+        warm = raw if same and raw.converged else None
+        found = solve_stage(run, again, stage, x, warm, text, "adaptive")
+        ended = found.status in ("interrupted", "time_limit")
+        if raw.converged and not found.converged:
             made.solver.rebound(made.transcription.nlp)
-            ended = found.status in ("interrupted", "time_limit")
             return made, replace(raw, status=found.status) if ended else raw
         fell = raw.objective - found.objective
+        settled = raw.converged and same and fell <= _SETTLED * abs(found.objective)
+        stuck = not found.converged and found.violation > _NEARER * raw.violation
         made, raw = again, found
-        if same and fell <= _SETTLED * abs(found.objective):
+        if settled or stuck:
             break
     return made, raw
 

@@ -8,7 +8,7 @@ finds too little distance between two nodes, the pair is kept further apart.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,27 +33,36 @@ from stiffopt.solver.stages import (
     SolveRun,
     SolveStage,
     run_stages,
+    solve_again,
     stages,
 )
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.ocp import Guess
 
-# Overlaps up to this are pushed apart as they are [m].
-_GRAZED = 0.01
+# Overlaps up to this share of the arm's length are pushed apart as they are.
+_GRAZED = 0.02
 # How often pairs are kept further apart; by more than the certificate misses, up to this [m].
 _WIDENED = 4
 _MORE, _LEAST, _MOST = 1.2, 2e-5, 0.01
+# How often planes are laid anew after corrections; the objective has settled when it falls by less.
+_RELAID, _SETTLED = 5, 1e-3
 # Of the time that is left, for one search of a free path, and seconds at most.
 _SHARE, _SECONDS = 0.2, 20.0
 
 
 @dataclass(frozen=True)
 class _Start:
-    """Where a solve clear of collisions begins."""
+    """Where a solve clear of collisions begins; `mesh` None for a uniform one."""
 
     plan: tuple[SolveStage, ...]
     guess: Guess
-    mesh: Mesh | None
+    mesh: Mesh | None = None
+
+    def finer(self) -> _Start:
+        """The same in half the steps: what is swept in one leaves no room, it may in two."""
+        plan = tuple(replace(stage, intervals=2 * stage.intervals) for stage in self.plan)
+        mesh = None if self.mesh is None else [np.repeat(0.5 * part, 2) for part in self.mesh]
+        return replace(self, plan=plan, mesh=mesh)
 
 
 def led_around(
@@ -77,14 +86,16 @@ def led_around(
     best: Outcome | None = None
     try:
         for start in _starts(run, plain, hits, searches):
-            run.avoidance = Avoidance(run.problem)
-            found = _kept_clear(run, start, rival)
-            if best is None or _rank(run, found) < _rank(run, best):
-                best = found
-            if found.raw.status in ("interrupted", "time_limit"):
-                break
+            for tried in (start, start.finer()):
+                run.avoidance = Avoidance(run.problem, [hit.pair for hit in hits if hit.pair])
+                found = _kept_clear(run, tried, rival)
+                if best is None or _rank(run, found) < _rank(run, best):
+                    best = found
+                if found.raw.status != "infeasible":
+                    break
+            ended = found.raw.status in ("interrupted", "time_limit")
             # One that was pushed off what it grazed needs no search.
-            if start.mesh is not None and _is_good(run, found):
+            if ended or (start.mesh is not None and _is_good(run, found)):
                 break
     except KeyboardInterrupt:
         return stopped(plain if best is None else best)
@@ -105,7 +116,8 @@ def _starts(
 ) -> Iterator[_Start]:
     problem = run.problem
     names = " and ".join(hits[0].pair or ())
-    if all((hit.distance or 0.0) > -_GRAZED for hit in hits):
+    shallow = -_GRAZED * problem.clearance_model.arm
+    if all((hit.distance or 0.0) > shallow for hit in hits):
         before = plain.transcription
         stage = SolveStage(len(before.intervals), plain.smoothing)
         yield _Start((stage,), before.guess_from(plain.raw.x), before.mesh)
@@ -122,7 +134,7 @@ def _starts(
         run.unavoided = "A way around was found, but no motion along it that keeps every limit."
         motion = _along(run, JointPath.through(poses, "chord"))
         guess = guess_along(problem, run.motion, motion)
-        yield _Start(stages(problem, problem.method.intervals), guess, None)
+        yield _Start(stages(problem, problem.method.intervals), guess)
 
 
 def _kept_clear(run: SolveRun, start: _Start, rival: Baseline | None) -> Outcome:
@@ -130,6 +142,8 @@ def _kept_clear(run: SolveRun, start: _Start, rival: Baseline | None) -> Outcome
     avoidance = run.avoidance
     assert avoidance is not None
     found = refined(run, run_stages(run, start.plan, start.guess, {}, start.mesh), rival)
+    if run.problem.plans_links:
+        found = _after_corrections(run, avoidance, found)
     for _ in range(_WIDENED):
         hits = collisions(run, found)
         if not hits or not found.raw.converged:
@@ -149,6 +163,35 @@ def _kept_clear(run: SolveRun, start: _Start, rival: Baseline | None) -> Outcome
         if not again.raw.converged and again.raw.status not in ("interrupted", "time_limit"):
             break
         found = again
+    return found
+
+
+def _after_corrections(run: SolveRun, avoidance: Avoidance, found: Outcome) -> Outcome:
+    """Planes laid anew where corrections have led the links away from them, bounds as corrected."""
+    for _ in range(_RELAID):
+        if not _is_good(run, found) or not found.raw.converged:
+            break
+        transcription, same = avoidance.renewed(found.transcription, found.raw.x)
+        if not same:
+            break
+        corrected, anew = found.solver.nlp, transcription.nlp
+        own = avoidance.rows_before
+        nlp = replace(
+            anew,
+            lower_g=np.append(corrected.lower_g[:own], anew.lower_g[own:]),
+            upper_g=np.append(corrected.upper_g[:own], anew.upper_g[own:]),
+        )
+        before = replace(found, transcription=replace(transcription, nlp=nlp))
+        try:
+            again = refined(run, solve_again(run, before, nlp, found.smoothing), None)
+        except KeyboardInterrupt:
+            return stopped(found)
+        if not _is_good(run, again) or _rank(run, again) >= _rank(run, found):
+            break
+        gain = 1.0 - again.raw.objective / found.raw.objective
+        found = again
+        if gain < _SETTLED:
+            break
     return found
 
 

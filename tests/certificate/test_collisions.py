@@ -136,7 +136,10 @@ def test_clearance_is_a_limit_of_its_own(tmp_path):
 
 
 def test_a_solve_that_collides_fails_its_certificate(tmp_path, capsys):
-    problem_of(tmp_path, '[cell]\nfloor = "-0.3 m"\n')
+    # The end lies 0.15 m below the floor.
+    problem_of(
+        tmp_path, '[cell]\nfloor = "-0.3 m"\n', method='intervals = 20\ncollisions = "check"'
+    )
     out = tmp_path / "out"
     code = run(["solve", str(tmp_path / "problem.toml"), "--out", str(out), "--quiet"])
     printed = capsys.readouterr().out

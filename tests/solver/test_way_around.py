@@ -1,0 +1,234 @@
+"""Motions led around what they would meet: optima known in closed form, and what cannot be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gantry_arm import CLEARANCE, HALF, ROUND, TOP, write_gantry
+from gripper_arm import write_gripper_urdf
+from small_arms import PLANAR, problem_text, write_robot
+
+from stiffopt import solve
+from stiffopt.certificate.collisions import LIMIT
+from stiffopt.cli import run
+from stiffopt.errors import ProblemError
+from stiffopt.problem.files import load_problem
+from stiffopt.solver import way_around
+
+WALLS = """[[cell.box]]
+name = "wall"
+size = [0.02, 4.0, 0.4]
+position = [0.2, 0.0, 0.0]
+"""
+
+
+# Rods of 0.4 m with half a turn about y, so that they lie along x.
+ROD = (
+    '<collision><origin xyz="0.2 0 0" rpy="0 1.5707963267948966 0"/>'
+    '<geometry><cylinder radius="0.01" length="0.4"/></geometry></collision>'
+)
+
+
+def gantry_problem(folder, **pieces):
+    return load_problem(write_gantry(folder, **pieces)).problem
+
+
+def nearest(problem, motion):
+    positions = motion.position if motion.link is None else motion.link
+    return min(float(problem.clearance_model.distances(q).min()) for q in positions[::10])
+
+
+def least_force(top):
+    """Integral of the squared acceleration past a point at height `top`, in 1 s from rest to rest.
+
+    Cubics in both halves, at rest along y in the middle. Where they bend less than the post they
+    touch it at its top alone.
+    """
+    bend = 24.0 * top / (3.0 * HALF) ** 2
+    assert bend < 1.0 / ROUND
+    return (12.0 * (2.0 * HALF) ** 2 + 192.0 * top**2) / 10.0**2
+
+
+@pytest.mark.parametrize(("lowest", "top"), [(-0.05, TOP), (-1.0, 2.0 * ROUND - TOP)])
+def test_least_force_around_a_post_is_the_exact_one(tmp_path, lowest, top):
+    # The way below is shorter; where the slide does not go there, the one above is taken.
+    problem = gantry_problem(tmp_path, lowest=lowest)
+    found = solve(problem)
+    assert found.status == "optimal"
+    # Chords of 40 steps around the post keep up to 0.2 mm away from it.
+    assert found.objective.value == pytest.approx(least_force(top), rel=1.5e-3)
+    assert found.objective.value > least_force(top) * (1 - 1e-5)
+    assert CLEARANCE - 1e-5 < nearest(problem, found.assessment) < CLEARANCE + 3e-4
+    assert not any(v.value > 0.005 for v in found.assessment.violations if v.limit == LIMIT)
+
+
+def test_shortest_duration_around_a_post_is_the_exact_one(tmp_path):
+    # Full acceleration up and down again, turned over at quarters, decides; x takes less.
+    most = 10.0
+    found = solve(
+        gantry_problem(
+            tmp_path,
+            lowest=-0.05,
+            acceleration=most,
+            start="{ joints = [-0.3, 0.0] }",
+            end="{ joints = [0.3, 0.0] }",
+            minimise='objective = "duration"',
+            duration="{ lower = 0.1, upper = 3.0 }",
+            limits='jerk = "none"\ntorque = "none"',
+        )
+    )
+    exact = 4.0 * np.sqrt(TOP / most)
+    assert exact > 2.0 * np.sqrt(0.6 / most)
+    assert exact < found.objective.value < 1.004 * exact
+
+
+def test_a_motion_that_collides_with_nothing_is_solved_as_before(tmp_path):
+    far = '[[cell.box]]\nname = "far"\nsize = [0.1, 0.1, 0.1]\nposition = [0.0, 3.0, 0.0]\n'
+    pieces = {"start": "{ joints = [-0.4, -0.5] }", "end": "{ joints = [0.4, -0.5] }"}
+    problem = gantry_problem(tmp_path, cell=far, **pieces)
+    found = solve(problem)
+    plain = solve(replace(problem, method=replace(problem.method, collisions="check")))
+    assert found.objective.value == plain.objective.value
+    assert found.solver.iterations == plain.solver.iterations
+
+
+def test_asked_to_check_it_leads_nothing_around(tmp_path):
+    problem = gantry_problem(tmp_path, method='intervals = 20\ncollisions = "check"')
+    found = solve(problem, throw=False)
+    assert found.status == "certificate_failed"
+    assert "base and hand" in found.message
+    assert nearest(problem, found.assessment) == pytest.approx(
+        -(ROUND - 0.05) + CLEARANCE, abs=1e-3
+    )
+
+
+@pytest.mark.parametrize(
+    ("pieces", "words"),
+    [
+        ({"start": "{ joints = [0.0, 0.1] }"}, r"motion.start: base is 90.0 mm deep in hand there"),
+        ({"end": "{ joints = [0.0, 0.195] }"}, r"motion.end: .* nearer than cell.clearance, 10.0"),
+        ({"motion": "via = [{ joints = [0.0, 0.1] }]"}, r"motion.via\[1\]: base is"),
+        ({"cell": WALLS, "end": "{ joints = [0.2, 0.3] }"}, "correct the place of wall"),
+    ],
+)  # fmt: skip
+def test_poses_that_collide_are_refused(tmp_path, capsys, pieces, words):
+    path = write_gantry(tmp_path, **pieces)
+    with pytest.raises(ProblemError, match=words):
+        solve(load_problem(path).problem)
+    assert run(["solve", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_what_cannot_be_passed_is_named(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(way_around, "_SECONDS", 1.0)
+    path = write_gantry(tmp_path, cell=WALLS, method="intervals = 20")
+    assert run(["solve", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == 3
+    said = " ".join(capsys.readouterr().out.split())
+    assert "the clearance of hand and wall at 0.6" in said
+    assert "No way around was found" in said
+    assert "motion.via" in said
+
+
+def test_interrupted_while_it_seeks_it_keeps_the_motion(tmp_path, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(way_around.FreeSpace, "path", stop)
+    found = solve(gantry_problem(tmp_path), throw=False)
+    assert found.status == "interrupted"
+    assert found.trajectory is not None
+
+
+def test_progress_says_what_is_sought_and_which_round_it_is(tmp_path):
+    said = []
+    solve(gantry_problem(tmp_path), progress=lambda event: said.append(event.stage))
+    assert "seeking a way around base and hand" in said
+    assert any("clear of collisions, round 1" in stage for stage in said)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "objective", ["torque_squared", "dynamic_deflection", "tool_deviation", "shaped_deviation"]
+)
+def test_every_kind_of_objective_keeps_clear(tmp_path, objective):
+    urdf = PLANAR
+    for name in ("upper", "fore"):
+        urdf = urdf.replace(f'<link name="{name}">', f'<link name="{name}">{ROD}')
+    write_robot(tmp_path, urdf_text=urdf)
+    stop = (
+        '[cell]\nclearance = "5 mm"\n[[cell.box]]\nname = "stop"\nsize = [0.15, 0.4, 0.1]\n'
+        "position = [0.58, 0.0, -0.1]\n"
+    )
+    path = tmp_path / "problem.toml"
+    text = problem_text(
+        duration="0.8", minimise=f'objective = "{objective}"', method="intervals = 20"
+    )
+    path.write_text(text + stop)
+    problem = load_problem(path).problem
+    unaware = solve(
+        replace(problem, method=replace(problem.method, collisions="check")), throw=False
+    )
+    assert unaware.status == "certificate_failed"
+    found = solve(problem)
+    assert found.status.usable
+    assert nearest(problem, found.assessment) > 5e-3 - 2e-5
+
+
+SHELF = """[cell]
+clearance = "10 mm"
+floor = "0 m"
+[[cell.box]]
+name = "lower board"
+size = [0.3, 0.8, 0.02]
+position = [0.65, 0.0, 0.3]
+[[cell.box]]
+name = "upper board"
+size = [0.3, 0.8, 0.02]
+position = [0.65, 0.0, 0.65]
+"""
+
+
+@pytest.mark.slow
+def test_seven_axes_go_from_the_top_of_a_shelf_to_the_board_below(tmp_path):
+    # The hand would go straight through the upper board.
+    write_gripper_urdf(tmp_path)
+    urdf = tmp_path / "seven.urdf"
+    text = urdf.read_text()
+    for link, place, shape in (
+        ("base", "0 0 0.1", '<cylinder radius="0.08" length="0.2"/>'),
+        ("link_3", "0 0 -0.12", '<cylinder radius="0.05" length="0.2"/>'),
+        ("link_5", "0 0 -0.15", '<cylinder radius="0.055" length="0.3"/>'),
+        ("link_7", "0 0 0.05", '<cylinder radius="0.045" length="0.1"/>'),
+        ("hand", "0 0 0.03", '<box size="0.05 0.2 0.06"/>'),
+    ):
+        text = text.replace(
+            f'<link name="{link}">',
+            f'<link name="{link}"><collision><origin xyz="{place}"/><geometry>{shape}</geometry>'
+            "</collision>",
+        )
+    urdf.write_text(text)
+    (tmp_path / "seven.toml").write_text(
+        'schema = 1\nkind = "robot"\nname = "seven"\nurdf = "seven.urdf"\n'
+        'tool = { link = "hand" }\nlock = { finger_1 = 0.02 }\n'
+    )
+    start, end = (
+        f'{{ position = [0.62, {y}, {z}], rpy = ["180 deg", "-90 deg", "0 deg"], '
+        "near = [0, 0.3, 0, -1.8, 0, 3.0, 0] }"
+        for y, z in ((0.1, 0.85), (-0.1, 0.48))
+    )
+    path = tmp_path / "problem.toml"
+    path.write_text(
+        problem_text(
+            "seven.toml",
+            start=start,
+            end=end,
+            duration="2.0",
+            limits='jerk = "none"\nacceleration = "none"',
+            method="intervals = 30",
+        )
+        + SHELF
+    )
+    problem = load_problem(path).problem
+    found = solve(problem)
+    assert found.status.usable
+    assert nearest(problem, found.assessment) > 0.01 - 5e-5
