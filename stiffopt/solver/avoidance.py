@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.dynamics.height_over_plane import NUMBERS, height_over_plane
-from stiffopt.robot.separation import SeparatingPlane, Separation
+from stiffopt.robot.separating_planes import SeparatingPlane, SeparatingPlanes
 from stiffopt.transcription.node_rows import NodeRows, renumbered, with_node_rows
 from stiffopt.transcription.ocp import Rows
 from stiffopt.transcription.transcription import Transcription
@@ -52,7 +52,7 @@ class Avoidance:
     def __init__(self, problem: TrajectoryProblem, met: Collection[tuple[str, str]]) -> None:
         self.problem = problem
         self.model = problem.clearance_model
-        self._separation = Separation(self.model)
+        self._planes = SeparatingPlanes(self.model)
         # By how much more than the clearance each pair is kept apart [m].
         self._more = np.zeros(len(self.model.pairs))
         pairs = {self.model.pairs.index(pair) for pair in met}
@@ -129,7 +129,7 @@ class Avoidance:
         blocks = []
         for couple in sorted({k for k, _ in self._active}):
             own = sorted(i for k, i in self._active if k == couple)
-            planes = [self._separation.plane(couple, [placed[c] for c in columns[i]]) for i in own]
+            planes = [self._planes.plane(couple, [placed[c] for c in columns[i]]) for i in own]
             blocks.append(self._rows(couple, planes, columns[own], free, _positions(plain)))
         return blocks
 
@@ -142,7 +142,7 @@ class Avoidance:
         positions: list[int],
     ) -> NodeRows:
         """Rows of one couple: every plane at all nodes of its interval."""
-        most = min(_ROWS, self._separation.supports(couple))
+        most = min(_ROWS, self._planes.supports(couple))
         count = np.arange(most)
         numbers = np.zeros((*columns.shape, most, NUMBERS))
         kept = np.zeros((*columns.shape, most), dtype=bool)

@@ -8,7 +8,7 @@ from small_arms import SPATIAL
 from stiffopt.dynamics.height_over_plane import height_over_plane
 from stiffopt.robot.cell import Box, Cell, MeshObstacle, Plane
 from stiffopt.robot.clearance import ClearanceModel
-from stiffopt.robot.separation import Separation
+from stiffopt.robot.separating_planes import SeparatingPlanes
 
 POST = '<geometry><box size="0.08 0.08 1.2"/></geometry>'
 UPPER = '<geometry><cylinder radius="0.03" length="0.3"/></geometry>'
@@ -48,7 +48,7 @@ def poses(robot, count, seed=0):
 def test_planes_are_as_far_as_coal_measures(model):
     robot, cell = model
     clear = ClearanceModel(robot, cell)
-    separation = Separation(clear)
+    separating = SeparatingPlanes(clear)
     seen = set()
     for q in poses(robot, 20):
         distances = clear.couple_distances(q)
@@ -56,7 +56,7 @@ def test_planes_are_as_far_as_coal_measures(model):
         for k, distance in enumerate(distances):
             if distance > 1e-3:
                 # The rim of a round face gives the direction nearly.
-                plane = separation.plane(k, [placed])
+                plane = separating.plane(k, [placed])
                 assert plane.distance <= distance + 1e-6
                 assert plane.distance == pytest.approx(distance, rel=0.01, abs=3e-3)
                 assert np.linalg.norm(plane.normal) == pytest.approx(1.0)
@@ -68,26 +68,26 @@ def test_planes_are_as_far_as_coal_measures(model):
 def test_a_step_keeps_its_plane_all_along(model):
     robot, cell = model
     clear = ClearanceModel(robot, cell)
-    separation = Separation(clear)
+    separating = SeparatingPlanes(clear)
     for q in poses(robot, 15, seed=1):
         other = q + np.random.default_rng(2).normal(scale=0.05, size=robot.n)
         ends = [clear.placements(q), clear.placements(other)]
         between = clear.couple_distances(0.5 * (q + other))
         for k in range(len(clear.couples)):
-            plane = separation.plane(k, ends)
+            plane = separating.plane(k, ends)
             # Between the ends links bend away by less than (step^2 / 8) times the arm.
             assert between[k] > plane.distance - 2e-3 or plane.distance < 0.0
-            assert plane.distance <= separation.plane(k, ends[:1]).distance + 1e-4
+            assert plane.distance <= separating.plane(k, ends[:1]).distance + 1e-4
 
 
 def test_rows_are_the_height_over_the_plane(model):
     robot, cell = model
     clear = ClearanceModel(robot, cell)
-    separation = Separation(clear)
+    separating = SeparatingPlanes(clear)
     for q in poses(robot, 5, seed=3):
         placed = clear.placements(q)
         for k, (a, b) in enumerate(clear.couples):
-            plane = separation.plane(k, [placed])
+            plane = separating.plane(k, [placed])
             row = height_over_plane(robot.tree, clear.solids[a].joint, clear.solids[b].joint)
             near = plane.near
             heights = [

@@ -104,7 +104,7 @@ class SeparatingPlane:
     distance: float
 
 
-class Separation:
+class SeparatingPlanes:
     """Separating planes of the couples of a clearance model.
 
     Parameters
