@@ -26,6 +26,8 @@ HEALTHY = CaseSpec(
 )  # fmt: skip
 LOADED = replace(HEALTHY, effects=(("payload", None, 3.0),))
 SOFTER = replace(HEALTHY, effects=(("stiffness_linear", 2, 2.0),))
+# The first sample lies within a corner of a sharp motion, and swings at 13 and 20 Hz.
+SHARP = replace(HEALTHY, seed=770104, payload=5.723, smoothing=0.2)
 MOVING = 0.03
 # Of the noise: more than an eighth would be added to it.
 HALF = 0.5
@@ -95,6 +97,12 @@ def test_links_swing_as_the_simulated_ones_do(folder):
     assert link < 0.25
     assert slow_torque > 1.5 * torque
     assert slow_link > 2.0 * link
+
+
+def test_links_begin_within_a_corner_of_the_motion(folder):
+    torque, link = _errors(SHARP, folder)
+    assert torque < 0.46
+    assert link < 0.22
 
 
 def test_a_payload_that_was_found_makes_them_swing_slower(folder):

@@ -34,10 +34,18 @@ _FEWEST = 25
 _GROWING = 4
 # Gap of a round over that of the round before from which springs are taken anew.
 _SLOW = 0.4
-# Behind the settling of the filter, over which links begin without swing as far as can be [s].
-_START = 0.25
+# Behind the settling of the filter, over which links begin without swing as far as can be [s]:
+# longer than most corners of a motion.
+_START = 0.6
+# Times that links are begun anew.
+_BEGUN = 2
+# Modes that ring longer than that filter takes to settle [Hz].
+_RINGING = 80.0
 # Of a swing, by which positions and velocities are compared [rad/s].
 _RATE = 60.0
+# Rounds of weights in which a sum of distances becomes least, and the distance, of a usual one,
+# below which all count alike.
+_WEIGHINGS, _ALIKE = 8, 1e-2
 # Slope of a wind-up with what was found over the nominal one; beyond, a wave or a gap is no
 # spring's.
 _SOFTER = (0.3, 10.0)
@@ -127,20 +135,31 @@ class Swing:
     def begun_near(self, links: LinkMotion, near: LinkMotion, window: slice) -> LinkMotion:
         """Link motion that begins otherwise, so that it is nearest to another one in a window.
 
-        In slow modes; fast ones fall off before it.
+        In modes that have not fallen off before it. The sum of distances counts, not of their
+        squares: a corner of the motion swings links aside and passes, what a run began with rings
+        on.
         """
-        states = self._states(SLOW_CUTOFF)
+        states = self._states(_RINGING)
         if not states.size:
             return links
         free = self.response.free(states)
-        basis = np.concatenate([_RATE * free[0][window], free[1][window]])
+        basis = np.concatenate([_RATE * free[0][window], free[1][window]], axis=1)
         away = np.concatenate(
             [
                 _RATE * (near.position - links.position)[window],
                 (near.velocity - links.velocity)[window],
-            ]
+            ],
+            axis=1,
         )
-        state = np.linalg.lstsq(basis.reshape(away.size, -1), away.ravel())[0]
+        weight = np.ones(len(away))
+        for _ in range(_WEIGHINGS):
+            weighted = (basis * weight[:, None, None]).reshape(away.size, -1)
+            state = np.linalg.lstsq(weighted, (away * weight[:, None]).ravel())[0]
+            distance = np.linalg.norm(away - basis @ state, axis=1)
+            usual = float(np.sqrt(np.mean(distance**2)))
+            if not usual:
+                break
+            weight = 1.0 / np.sqrt(np.maximum(distance / usual, _ALIKE))
         return links.moved(*(part @ state for part in free))
 
     def unknown_start(self, deflection: np.ndarray, band: float) -> tuple[np.ndarray, np.ndarray]:
@@ -274,10 +293,15 @@ class Springs:
         """
         links = self.follow(begin, swing, added, softer)
         first = slow_filter(self.dt).settling
-        if links is None or len(self.motor) <= first + 2:
-            return links
         window = slice(first, first + max(2, round(_START / self.dt)))
-        return self.follow(swing.begun_near(links, begin, window), swing, added, softer)
+        for _ in range(_BEGUN if len(self.motor) > first + 2 else 0):
+            if links is None:
+                break
+            # Springs bend: about the motion as it is by now.
+            ratio = swing.softer if softer is None else softer(links)
+            about = self.swing(links, ratio, swing.heavier, swing)
+            links = self.follow(about.begun_near(links, begin, window), about, added, softer)
+        return links
 
     def follow(
         self,
