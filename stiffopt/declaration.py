@@ -293,9 +293,15 @@ class Declared:
 
 
 @functools.cache
+def _hints(cls: type) -> Mapping[str, Any]:
+    """Annotations of a class with their markers."""
+    return typing.get_type_hints(cls, include_extras=True)
+
+
+@functools.cache
 def declared(cls: type) -> Mapping[str, Declared]:
     """Fields of a dataclass that have a `Doc`, by name."""
-    hints = typing.get_type_hints(cls, include_extras=True)
+    hints = _hints(cls)
     return {
         field.name: Declared(hints[field.name], field.default, field.default_factory)
         for field in dataclasses.fields(cls)
@@ -305,13 +311,13 @@ def declared(cls: type) -> Mapping[str, Declared]:
 
 def unit(cls: type, name: str) -> Unit:
     """Unit of a field of a dataclass or a section."""
-    parts = _parts(typing.get_type_hints(cls, include_extras=True)[name])
+    parts = _parts(_hints(cls)[name])
     return next(part for part in parts if isinstance(part, Unit))
 
 
 def bounds(cls: type, name: str) -> Bounds:
     """Bounds of a field of a dataclass or a section."""
-    parts = _parts(typing.get_type_hints(cls, include_extras=True)[name])
+    parts = _parts(_hints(cls)[name])
     return next(part for part in parts if isinstance(part, Bounds))
 
 

@@ -225,9 +225,7 @@ def stage_windup(stage: Stage, torque: np.ndarray, preloads: Preloads) -> np.nda
     base = stage.element.torque_max
     # Whole octaves of the largest torque meant, so that one curve serves many calls.
     octaves = max(0, math.ceil(math.log2(largest / base))) if largest > base else 0
-    # Without the name, so that equal elements share a curve.
-    unnamed = replace(stage.element, name="")
-    curve = _curve(unnamed, _preload(stage, preloads), base * 2.0**octaves)
+    curve = _curve(_unnamed(stage.element), _preload(stage, preloads), base * 2.0**octaves)
     return _turn(stage) * curve(own)
 
 
@@ -244,6 +242,12 @@ def _turn(stage: Stage) -> float:
 
 def _preload(stage: Stage, preloads: Preloads) -> float | None:
     return (preloads or {}).get(stage.element.name)
+
+
+@functools.lru_cache(maxsize=512)
+def _unnamed(element: Connection) -> Connection:
+    """The element without its name, so that equal ones share a curve."""
+    return replace(element, name="")
 
 
 @functools.lru_cache(maxsize=512)
