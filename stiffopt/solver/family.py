@@ -36,7 +36,7 @@ from stiffopt.solver.stages import (
 from stiffopt.solver.verdict import TRUE_OBJECTIVE
 from stiffopt.transcription.build import adapted
 from stiffopt.transcription.mesh import Mesh
-from stiffopt.transcription.nlp import Nlp
+from stiffopt.transcription.nlp import BlockScales, Nlp
 
 # Programmes that are kept; those used last stay.
 _KEPT = 4
@@ -49,11 +49,14 @@ class WarmStart:
     Parameters
     ----------
     x, multipliers_x, multipliers_g : array
-        Of the last programme, in units: the programme that starts from them may have other scales.
+        Of the last programme, in units.
     mesh : list of array
     smoothing : float
     scales : mapping of objective name to float
         Its programme was scaled by.
+    block_scales : BlockScales
+        Likewise. What starts from here keeps all scales: so the last digits of its answer do not
+        depend on what else has been solved.
     method : str
         Transcription and intervals that its problem asked for.
     """
@@ -64,6 +67,7 @@ class WarmStart:
     mesh: Mesh
     smoothing: float
     scales: Mapping[str, float]
+    block_scales: BlockScales
     method: str
 
     def to_bytes(self) -> bytes:
@@ -71,6 +75,8 @@ class WarmStart:
         stream = io.BytesIO()
         arrays = {f"mesh{k}": share for k, share in enumerate(self.mesh)}
         arrays |= {f"scale_{name}": np.array(value) for name, value in self.scales.items()}
+        arrays |= {f"of_x{k}": each for k, each in enumerate(self.block_scales.variables)}
+        arrays |= {f"of_g{k}": each for k, each in enumerate(self.block_scales.rows)}
         np.savez(
             stream,
             x=self.x,
@@ -86,14 +92,19 @@ class WarmStart:
     def from_bytes(cls, content: bytes) -> WarmStart:
         """Read what `to_bytes` wrote."""
         with np.load(io.BytesIO(content)) as held:
-            phases = sum(name.startswith("mesh") for name in held.files)
+
+            def numbered(name: str) -> list[np.ndarray]:
+                count = sum(each.startswith(name) for each in held.files)
+                return [held[f"{name}{k}"] for k in range(count)]
+
             return cls(
                 held["x"],
                 held["multipliers_x"],
                 held["multipliers_g"],
-                [held[f"mesh{k}"] for k in range(phases)],
+                numbered("mesh"),
                 float(held["smoothing"]),
                 {n[6:]: float(held[n]) for n in held.files if n.startswith("scale_")},
+                BlockScales(tuple(numbered("of_x")), tuple(numbered("of_g"))),
                 str(held["method"]),
             )
 
@@ -109,7 +120,7 @@ class ProblemFamily:
     """
 
     def __init__(self) -> None:
-        self._programmes: OrderedDict[str, Programme] = OrderedDict()
+        self._programmes: OrderedDict[tuple[str, bytes], Programme] = OrderedDict()
 
     def solve(
         self,
@@ -190,16 +201,25 @@ class ProblemFamily:
         """The programme on the mesh of a warm start, with the bounds and numbers of a problem."""
         ocp = formulate(run.problem, run.motion, run.scales)
         options = solver_options(run.problem)
+        wanted = warm.block_scales.tobytes()
         for made in reversed(self._programmes.values()):
-            found = adapted(made.transcription, ocp) if made.solver.options == options else None
-            if found is not None and _equal(found.mesh, warm.mesh):
+            first = made.transcription
+            if (
+                made.solver.options != options
+                or not _equal(first.mesh, warm.mesh)
+                or BlockScales.of(first.nlp).tobytes() != wanted
+            ):
+                continue
+            found = adapted(first, ocp)
+            if found is not None:
                 made.solver.rebound(found.nlp)
                 return self._keep(Programme(found, made.solver))
-        return self._keep(build_programme(run, ocp, warm.mesh))
+        return self._keep(build_programme(run, ocp, warm.mesh, scales=warm.block_scales))
 
     def _keep(self, made: Programme) -> Programme:
-        self._programmes[made.transcription.structure] = made
-        self._programmes.move_to_end(made.transcription.structure)
+        key = (made.transcription.structure, BlockScales.of(made.transcription.nlp).tobytes())
+        self._programmes[key] = made
+        self._programmes.move_to_end(key)
         while len(self._programmes) > _KEPT:
             self._programmes.popitem(last=False)
         return made
@@ -214,6 +234,7 @@ def _end(run: SolveRun, outcome: Outcome) -> WarmStart:
         mesh=outcome.transcription.mesh,
         smoothing=outcome.smoothing,
         scales=run.scales.values,
+        block_scales=BlockScales.of(outcome.transcription.nlp),
         method=_method(run.problem),
     )
 

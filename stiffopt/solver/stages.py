@@ -30,7 +30,7 @@ from stiffopt.solver.monitor import Progress
 from stiffopt.solver.phase_one import least_excess
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import Mesh, uniform_mesh
-from stiffopt.transcription.nlp import Nlp
+from stiffopt.transcription.nlp import BlockScales, Nlp
 from stiffopt.transcription.ocp import Guess, OptimalControlProblem
 from stiffopt.transcription.refine import refine_mesh
 from stiffopt.transcription.transcription import Transcription
@@ -482,14 +482,18 @@ class Programme:
 
 
 def build_programme(
-    run: SolveRun, ocp: OptimalControlProblem, mesh: Mesh, guess: Guess | None = None
+    run: SolveRun,
+    ocp: OptimalControlProblem,
+    mesh: Mesh,
+    guess: Guess | None = None,
+    scales: BlockScales | None = None,
 ) -> Programme:
-    """Transcribe a problem on a mesh and set up its solver.
+    """Transcribe a problem on a mesh, with its own scales or given ones, and set up its solver.
 
     Where the motion is to be kept clear of collisions, `guess` says what comes near.
     """
     begin = time.perf_counter()
-    transcription = transcribe(ocp, run.problem.method.transcription, mesh)
+    transcription = transcribe(ocp, run.problem.method.transcription, mesh, scales=scales)
     if run.avoidance is not None and guess is not None:
         transcription = run.avoidance.added(transcription, transcription.pack(guess))
     made = _solvable(run, transcription)

@@ -12,7 +12,7 @@ from stiffopt.errors import ProblemError, nearest
 from stiffopt.transcription.hermite_simpson import HermiteSimpson
 from stiffopt.transcription.integrator_chain import IntegratorChain
 from stiffopt.transcription.mesh import Mesh, checked_mesh
-from stiffopt.transcription.nlp import Block, Blocks, Nlp, Places
+from stiffopt.transcription.nlp import Block, Blocks, BlockScales, Nlp, Places
 from stiffopt.transcription.nlp_derivatives import composed
 from stiffopt.transcription.node_derivatives import NumberedStage, numbered
 from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
@@ -49,6 +49,7 @@ def transcribe(
     method: str = "piecewise_linear",
     mesh: Sequence[np.ndarray] = (),
     degree: int = 3,
+    scales: BlockScales | None = None,
 ) -> Transcription:
     """Turn an optimal-control problem into an NLP.
 
@@ -64,11 +65,16 @@ def transcribe(
         Interval fractions of each phase; see `uniform_mesh`.
     degree : int
         Points in each interval of "radau".
+    scales : BlockScales, optional
+        Of another programme of the same blocks, in place of the problem's own.
     """
     integrators = len(ocp.chains[0]) - 1 if ocp.chains else 2
     scheme = scheme_of(method, degree, integrators)
     stage = numbered(ocp.stage, ocp.intermediate)
-    return _Builder(ocp, scheme, checked_mesh(mesh, ocp.phases), stage).build()
+    if scales is not None:
+        states, controls, statics = scales.variables[:3]
+        ocp = replace(ocp, state_scale=states, control_scale=controls, static_scale=statics)
+    return _Builder(ocp, scheme, checked_mesh(mesh, ocp.phases), stage, scales=scales).build()
 
 
 def adapted(first: Transcription, ocp: OptimalControlProblem) -> Transcription | None:
@@ -92,9 +98,13 @@ class _Builder:
         mesh: Mesh,
         stage: NumberedStage,
         like: Transcription | None = None,
+        scales: BlockScales | None = None,
     ) -> None:
         self.own_stage = stage
         self.like = like
+        if like is not None:
+            scales = BlockScales.of(like.nlp)
+        self.row_scales = () if scales is None else scales.rows
         self.ocp, self.scheme, self.mesh = ocp, scheme, mesh
         self.intervals = Intervals.of(mesh)
         self.variables, self.rows = Blocks(), Blocks()
@@ -285,9 +295,9 @@ class _Builder:
     def _row(
         self, rows: Rows, expression: ca.MX, places: Places | None, structural: bool = False
     ) -> Block:
-        if self.like is not None:
-            first = self.like.nlp.rows.items[len(self.rows.items)].rows
-            rows = replace(rows, scale=first.scale)
+        place = len(self.rows.items)
+        if place < len(self.row_scales) and len(self.row_scales[place]) == len(rows):
+            rows = replace(rows, scale=self.row_scales[place])
         block = self.rows.add(rows, places, structural=structural)
         column = ca.vec(ca.densify(expression))
         if not np.all(rows.scale == 1.0):

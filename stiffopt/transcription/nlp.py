@@ -185,6 +185,31 @@ class Blocks:
         raise IndexError(f"entry {index} of {self.size}")
 
 
+@dataclass(frozen=True, eq=False)
+class BlockScales:
+    """Scales of a programme, one array a block.
+
+    Parameters
+    ----------
+    variables : tuple of array
+        Of states, controls, static variables and durations.
+    rows : tuple of array
+    """
+
+    variables: tuple[np.ndarray, ...]
+    rows: tuple[np.ndarray, ...]
+
+    @classmethod
+    def of(cls, nlp: Nlp) -> BlockScales:
+        """Those of a programme."""
+        both = ([block.rows.scale for block in own.items] for own in (nlp.variables, nlp.rows))
+        return cls(*map(tuple, both))
+
+    def tobytes(self) -> bytes:
+        """All of them, to be compared."""
+        return b"".join(each.tobytes() for each in (*self.variables, *self.rows))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Nlp:
     """minimise f(x, p) subject to lower_x <= x <= upper_x, lower_g <= g(x, p) <= upper_g.

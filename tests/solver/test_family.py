@@ -1,5 +1,7 @@
 """Problems of one programme: solved from one another, with the answer of a solve of their own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_arms import ROOT
@@ -74,9 +76,7 @@ def test_an_end_goes_through_a_file(first):
 def test_a_start_that_leads_nowhere_is_left(first):
     family, _, end = first
     x = np.full_like(end.x, np.nan)
-    wrong = WarmStart(
-        x, end.multipliers_x, end.multipliers_g, end.mesh, end.smoothing, end.scales, end.method
-    )
+    wrong = replace(end, x=x)
     solution, _ = family.solve(problem("payload.mass=0.33"), wrong)
     assert solution.status.usable
     assert solution.solver.intervals == 40
