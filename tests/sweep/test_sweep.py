@@ -173,11 +173,9 @@ def test_a_killed_sweep_goes_on_and_ends_as_an_undisturbed_one(tmp_path):
     assert run(["sweep", str(path), "--out", str(undisturbed), "--workers", "1"]) == 0
     one, other = rows(out), rows(undisturbed)
     assert len(one) == len(other) == 12
-    for name in ("case", "motion.duration", "status", "message"):
+    # To the last digit: no case begins from what its worker did before.
+    for name in ("case", "motion.duration", "status", "message", "objective"):
         assert [row[name] for row in one] == [row[name] for row in other]
-    # Scales are those of the first case of a worker: the last digits differ, as the solver's do.
-    values = [[float(row["objective"]) for row in table] for table in (one, other)]
-    assert values[0] == pytest.approx(values[1], rel=1e-7)
 
 
 @pytest.mark.slow
