@@ -9,7 +9,7 @@ from typing import Annotated
 from cyclopts import App, Parameter
 
 from stiffopt.cli.base import Changes, Open, Out, app, print_json, show_report
-from stiffopt.errors import InputFileError
+from stiffopt.errors import InputError, InputFileError
 from stiffopt.folders import finishing, output_folder
 
 recording = App(name="recording", help="Look at recordings before they are used.")
@@ -19,7 +19,7 @@ app.command(recording)
 @app.command
 def diagnose(
     recordings: Path,
-    *,
+    *more: Path,
     out: Out | None = None,
     model: Path | None = None,
     effects: Path | None = None,
@@ -27,6 +27,8 @@ def diagnose(
     report: bool = True,
     png: bool = False,
     despite_doubts: Annotated[bool, Parameter(negative=())] = False,
+    workers: int | None = None,
+    scheduler: str | None = None,
     changes: Changes = (),
     open_report: Open = False,
     quiet: bool = False,
@@ -34,14 +36,18 @@ def diagnose(
     """Find what the nominal model of recordings lacks, and prove it on runs never fitted to.
 
     Writes diagnosis.json, extended.toml, report.html and the predictions of test and extrapolation
-    runs. Ctrl-C ends the search and keeps what was found so far.
+    runs. Ctrl-C ends the search and keeps what was found so far. Of several sets, such as a fleet:
+    cases/KEY.json for each as it is done, then a table and report.html, as `stiffopt sweep` does;
+    the same command goes on where a killed or interrupted one stopped.
 
     Parameters
     ----------
     recordings
         A recording set: its folder or its recordings.toml.
+    more
+        Further sets.
     out
-        Default: out/NAME of the folder of the set.
+        Default: out/NAME of the folder of the set; of several, out/fleet.
     model
         extended.toml of an earlier diagnosis, to start from in place of the nominal model.
     effects
@@ -55,9 +61,34 @@ def diagnose(
         Write the figures of the report as PNG beside SVG.
     despite_doubts
         Go on where units, signs or orders contradict the recordings; the answer tells the doubts.
+    workers
+        Of several sets: processes; default one a core.
+    scheduler
+        Of several sets: address of a Dask scheduler whose workers see the same files.
     quiet
         No progress display.
     """
+    if more:
+        of_one = {
+            "--model": model,
+            "--effects": effects,
+            "--png": png,
+            "--despite-doubts": despite_doubts,
+            "--no-experiment": not experiment,
+            "--no-report": not report,
+        }
+        for option, given in of_one.items():
+            if given:
+                raise InputError(f"{option} is of one recording set, not of {1 + len(more)}.")
+        from stiffopt.cli.sweeps import swept
+        from stiffopt.sweep.cases import fleet_of
+
+        fleet = fleet_of([recordings, *more], changes)
+        folder = out or Path("out") / "fleet"
+        return swept(fleet, folder, workers, scheduler, open_report=open_report, quiet=quiet)
+    for option, other in (("--workers", workers), ("--scheduler", scheduler)):
+        if other is not None:
+            raise InputError(f"{option} is of several recording sets; this is one.")
     from stiffopt.discovery.diagnose import diagnose as find
     from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
     from stiffopt.discovery.store import write_diagnosis

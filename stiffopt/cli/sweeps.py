@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from stiffopt.cli.base import Changes, Open, Out, app, show_report
 from stiffopt.errors import InputError
 from stiffopt.folders import finishing, output_folder
+
+if TYPE_CHECKING:
+    from stiffopt.sweep.cases import Sweep
 
 
 @app.command
@@ -39,9 +43,25 @@ def sweep(
     quiet
         No progress display.
     """
+    from stiffopt.sweep.cases import load_sweep
+
+    loaded = load_sweep(file, changes)
+    folder = out or Path("out") / file.stem
+    return swept(loaded, folder, workers, scheduler, open_report=open_report, quiet=quiet)
+
+
+def swept(
+    sweep: Sweep,
+    folder: Path,
+    workers: int | None,
+    scheduler: str | None,
+    *,
+    open_report: bool,
+    quiet: bool,
+) -> int:
+    """Solve the cases of a sweep and write what it found; exit code."""
     from stiffopt.report.sweep.page import write_sweep_report
     from stiffopt.report.sweep.terminal import SweepDisplay, print_sweep
-    from stiffopt.sweep.cases import load_sweep
     from stiffopt.sweep.run import run_sweep
     from stiffopt.sweep.store import PARQUET_FILE, write_sweep
     from stiffopt.sweep.summary import SweepSummary
@@ -49,17 +69,15 @@ def sweep(
 
     if workers is not None and workers < 1:
         raise InputError(f"--workers {workers}: at least 1 is needed.")
-    loaded = load_sweep(file, changes)
-    folder = out or Path("out") / file.stem
     with output_folder(folder, "sweep", maybe=(PARQUET_FILE,)) as stage:
-        with nullcontext() if quiet else SweepDisplay(loaded.title) as progress:
+        with nullcontext() if quiet else SweepDisplay(sweep.title) as progress:
             pool = employed(workers, scheduler)
-            results, interrupted = run_sweep(loaded, folder, pool, progress)
-        summary = SweepSummary(loaded, results, interrupted)
+            results, interrupted = run_sweep(sweep, folder, pool, progress)
+        summary = SweepSummary(sweep, results, interrupted)
         if set(summary.statuses()) == {"invalid"}:
             first = next(each for each in results if each is not None)
             raise InputError(
-                f"{file}: none of the cases can be stated. The first: {first['message']}"
+                f"{sweep.path}: none of the cases can be stated. The first: {first['message']}"
             )
         with finishing():
             write_sweep(summary, stage)

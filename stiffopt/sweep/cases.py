@@ -47,6 +47,8 @@ class Case:
     baselines : bool
     key : str
         Names the case by all that its result depends on.
+    common : tuple of str
+        Changes that all cases have, as `--set` takes them.
     """
 
     number: int
@@ -56,11 +58,12 @@ class Case:
     start: int
     baselines: bool
     key: str
+    common: tuple[str, ...] = ()
 
     @property
     def settings(self) -> tuple[str, ...]:
         """The changes as `load_problem` takes them."""
-        return _settings(self.changes)
+        return (*self.common, *_settings(self.changes))
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,45 @@ def load_sweep(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Swe
         With the file, the key, what is allowed and what to do next.
     """
     path = Path(path)
-    document = read_document(path, SweepFile, "sweep", changes)
+    return sweep_of(read_document(path, SweepFile, "sweep", changes), path)
+
+
+def fleet_of(sets: Sequence[Path], changes: Sequence[str] = ()) -> Sweep:
+    """Recording sets as cases of a sweep, each with the changes of `--set`.
+
+    Raises
+    ------
+    InputFileError
+        A set cannot be read, is named twice, or is none.
+    """
+    here = Path.cwd()
+    places = [(here / each).resolve() for each in sets]
+    bases = [each / RECORDINGS if each.is_dir() else each for each in places]
+    for base in bases:
+        if bases.count(base) > 1:
+            raise InputFileError(base, "", "is named twice; once is enough.")
+    document = SweepFile.model_validate(
+        {
+            "schema": 1,
+            "kind": "sweep",
+            "title": f"Diagnosis of {len(bases)} recording sets",
+            "base": [str(base) for base in bases],
+        }
+    )
+    sweep = sweep_of(document, here / "fleet", changes)
+    if sweep.kind != "recordings":
+        raise InputFileError(bases[0], "", "is no recording set.")
+    return sweep
+
+
+def sweep_of(document: SweepFile, path: Path, changes: Sequence[str] = ()) -> Sweep:
+    """The cases of a sweep file at a path; `changes` are of every base file, beside its own.
+
+    Raises
+    ------
+    InputFileError
+        As of `load_sweep`.
+    """
     names = [document.base] if isinstance(document.base, str) else document.base
     bases = [_base(path, name) for name in names]
     kinds = {kind for _, kind in bases}
@@ -127,15 +168,18 @@ def load_sweep(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Swe
         content = load_toml(base)
         for parts in itertools.product(*axes):
             own = tuple(change for part in parts for change in part)
-            changed = with_changes(copy.deepcopy(content), _settings(own), base)
-            chosen = _named(base.parent, [value for _, value in own])
+            changed = with_changes(copy.deepcopy(content), [*changes, *_settings(own)], base)
+            given = [change.partition("=")[2].strip(" \"'") for change in changes]
+            chosen = _named(base.parent, [value for _, value in own] + given)
             inputs = "".join(digest(each) for each in (base, *chosen))
             for start in range(document.starts):
                 facts = [__version__, kind, changed, inputs, start, document.baselines]
                 text = json.dumps(facts, sort_keys=True, default=str)
                 key = hashlib.sha256(text.encode()).hexdigest()[:20]
                 number = len(cases) + 1
-                cases.append(Case(number, kind, base, own, start, document.baselines, key))
+                cases.append(
+                    Case(number, kind, base, own, start, document.baselines, key, tuple(changes))
+                )
     return Sweep(
         path=path,
         title=document.title or path.stem,

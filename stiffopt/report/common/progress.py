@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from typing import Self
 
 from rich.console import Console
 from rich.live import Live
@@ -152,8 +153,8 @@ class StudyProgress:
             self._display(SolveProgress(stage=self._stage, **values))
 
 
-class StepDisplay(ExitStack):
-    """Context manager that is called with a sentence at every step.
+class StatusLine(ExitStack):
+    """Context manager that shows a line: on a terminal one that moves, elsewhere each on its own.
 
     Parameters
     ----------
@@ -162,10 +163,6 @@ class StepDisplay(ExitStack):
         None: standard error, so that standard output stays free for results.
     clock : callable
         Seconds; replaced in tests.
-
-    Notes
-    -----
-    On a terminal the step stands in one line that moves; elsewhere each is a line of its own.
     """
 
     def __init__(
@@ -178,23 +175,37 @@ class StepDisplay(ExitStack):
         self._title = title
         self._console = Console(stderr=True) if console is None else console
         self._clock = clock
-        self._begin = clock()
         self._status: Status | None = None
 
-    def __enter__(self) -> StepDisplay:
+    def __enter__(self) -> Self:
         if self._console.is_terminal:
             self._status = self.enter_context(self._console.status(Text(self._title)))
         return self
 
+    @property
+    def moves(self) -> bool:
+        """Whether there is one line that moves."""
+        return self._status is not None
+
+    def show(self, line: str, *, stays: bool = False) -> None:
+        """Show a line; on a terminal one that `stays` is left on the screen as well."""
+        if self._status is not None:
+            self._status.update(Text(f"{self._title}: {line}"))
+        if self._status is None or stays:
+            self._console.print(Text(line), soft_wrap=True)
+
+
+class StepDisplay(StatusLine):
+    """A status line that is called with a sentence at every step."""
+
+    def __enter__(self) -> Self:
+        self._begin = self._clock()
+        return super().__enter__()
+
     def __call__(self, sentence: str) -> None:
         """Show a step; what was found stays on the screen."""
         line = f"{self._clock() - self._begin:.1f} s  {sentence}"
-        if self._status is None:
-            self._console.print(Text(line), soft_wrap=True)
-            return
-        self._status.update(Text(f"{self._title}: {line}"))
-        if sentence.startswith("found "):
-            self._console.print(Text(line), soft_wrap=True)
+        self.show(line, stays=sentence.startswith("found "))
 
 
 def _fields(event: SolveProgress, unit: str) -> list[tuple[str, str]]:

@@ -3,15 +3,9 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
-from contextlib import ExitStack
 from pathlib import Path
 
-from rich.console import Console
-from rich.status import Status
-from rich.text import Text
-
+from stiffopt.report.common.progress import StatusLine
 from stiffopt.report.common.terminal import print_lines
 from stiffopt.report.sweep.page import headline, knee_sentence, spread_sentence
 from stiffopt.sweep.run import SweepProgress
@@ -21,45 +15,17 @@ from stiffopt.sweep.summary import SweepSummary
 PLAIN_INTERVAL = 5.0
 
 
-class SweepDisplay(ExitStack):
-    """Context manager that is called with each event: one line that moves, or one now and then.
+class SweepDisplay(StatusLine):
+    """A status line that is called with each event of a sweep; without a terminal now and then."""
 
-    Parameters
-    ----------
-    title : str
-    console : rich.console.Console or None
-        None: standard error, so that standard output stays free for results.
-    clock : callable
-        Seconds; replaced in tests.
-    """
-
-    def __init__(
-        self,
-        title: str,
-        console: Console | None = None,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        super().__init__()
-        self._title, self._clock = title, clock
-        self._console = Console(stderr=True) if console is None else console
-        self._status: Status | None = None
-        self._printed_at = -math.inf
-
-    def __enter__(self) -> SweepDisplay:
-        if self._console.is_terminal:
-            self._status = self.enter_context(self._console.status(Text(self._title)))
-        return self
+    _printed_at = -math.inf
 
     def __call__(self, event: SweepProgress) -> None:
         """Show how far the sweep is, and the time left."""
-        line = progress_line(event)
-        if self._status is not None:
-            self._status.update(Text(f"{self._title}: {line}"))
-            return
         now = self._clock()
-        if now - self._printed_at >= PLAIN_INTERVAL or event.done == event.total:
+        if self.moves or now - self._printed_at >= PLAIN_INTERVAL or event.done == event.total:
             self._printed_at = now
-            self._console.print(Text(line), soft_wrap=True)
+            self.show(progress_line(event))
 
 
 def progress_line(event: SweepProgress) -> str:

@@ -1,0 +1,75 @@
+"""`stiffopt diagnose SET...`: recording sets of a fleet, by the machinery of sweeps."""
+
+import csv
+import json
+import shutil
+
+import pytest
+from small_arms import ROOT
+
+from stiffopt.cli import run
+from stiffopt.sweep.cases import fleet_of
+
+SET = ROOT / "problems" / "recordings" / "two_link_friction"
+
+
+@pytest.fixture
+def sets(tmp_path):
+    places = [tmp_path / name for name in ("one", "other")]
+    for place in places:
+        shutil.copytree(SET, place)
+    text = (places[1] / "recordings.toml").read_text()
+    (places[1] / "recordings.toml").write_text(f'title = "The other arm"\n{text}')
+    return places
+
+
+def test_sets_are_cases_with_the_changes_of_all(sets):
+    fleet = fleet_of([sets[0], sets[1] / "recordings.toml"], ["title=Arm"])
+    assert fleet.kind == "recordings"
+    assert [case.base for case in fleet.cases] == [each / "recordings.toml" for each in sets]
+    assert all(case.settings == ("title=Arm",) for case in fleet.cases)
+    # What a case is named by is all that it holds: the title is now the same.
+    assert len({case.key for case in fleet_of(sets).cases}) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--model", "m.toml"], "--model is of one recording set, not of 2"),
+        (["--no-report"], "--no-report is of one recording set"),
+        (["--workers", "0"], "at least 1"),
+    ],
+)
+def test_what_is_of_one_set_is_refused(sets, capsys, arguments, named):
+    assert run(["diagnose", *map(str, sets), *arguments]) == 2
+    assert named in capsys.readouterr().err
+
+
+def test_one_set_takes_no_workers_and_no_set_is_named_twice(sets, capsys):
+    assert run(["diagnose", str(sets[0]), "--workers", "2"]) == 2
+    assert "--workers is of several recording sets" in capsys.readouterr().err
+    assert run(["diagnose", str(sets[0]), str(sets[0] / "recordings.toml")]) == 2
+    assert "named twice" in capsys.readouterr().err
+    problem = ROOT / "problems" / "two_link.toml"
+    assert run(["diagnose", str(problem), str(ROOT / "problems" / "ur10_fixed_path.toml")]) == 2
+    assert "no recording set" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_fleet_ends_with_a_table_and_goes_on(sets, tmp_path, capsys):
+    out = tmp_path / "fleet"
+    command = ["diagnose", *map(str, sets), "--out", str(out), "--workers", "1", "--quiet"]
+    assert run(command) == 0
+    with (out / "table.csv").open() as stream:
+        table = list(csv.DictReader(stream))
+    assert [row["findings"] for row in table] == ["coulomb of 2"] * 2
+    assert {row["base"] for row in table} == {"one/recordings", "other/recordings"}
+    assert (out / "report.html").is_file()
+    files = sorted((out / "cases").glob("*.json"))
+    times = [each.stat().st_mtime_ns for each in files]
+    # One of them is as a diagnosis of its own says.
+    assert run(["diagnose", str(sets[0]), "--out", str(tmp_path / "own"), "--quiet"]) == 0
+    alone = json.loads((tmp_path / "own" / "diagnosis.json").read_text())
+    assert alone["findings"] in [json.loads(e.read_text())["result"]["findings"] for e in files]
+    assert run(command) == 0
+    assert [each.stat().st_mtime_ns for each in files] == times
