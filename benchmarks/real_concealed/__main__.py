@@ -24,7 +24,7 @@ from benchmarks.blind.sets import Columns, write_set
 from benchmarks.blind.variants import Job, answers
 
 from .draw import WEIGHTS, Plan, plans
-from .hide import hidden, unit_size
+from .hide import hidden, softer, unit_size
 from .motion import PublicSet
 from .page import page
 
@@ -84,6 +84,10 @@ def _run(plan: Plan, s: PublicSet, folder: Path) -> None:
     if not stopped:
         model = first.out / "extended.toml"
         out = folder / plan.name / "answer"
+        if plan.kind is not None and plan.kind.where == "stiffness":
+            # The model brings the nominal values that it was made with.
+            out.mkdir(parents=True, exist_ok=True)
+            model = softer(model, joint, amount, out / "softer.toml")
         (answer,) = answers([Job("whole", case, out, model=model)], 1, _say)
     shutil.rmtree(case, ignore_errors=True)
     kept = {

@@ -287,6 +287,22 @@ def hidden(s: PublicSet, kind: Kind, joint: int, amount: float, target: Path) ->
     return write_set(s.folder, target, told, turned)
 
 
+def softer(model: Path, joint: int, factor: float, target: Path) -> Path:
+    """An extended.toml with the nominal stiffness of a joint times a factor."""
+
+    def scaled(line: str) -> str:
+        key, _, values = line.partition(" = ")
+        if key not in ("K1", "K2", "K3"):
+            return line
+        numbers = [float(v) for v in values.strip("[]").split(",")]
+        numbers[joint] *= factor
+        return f"{key} = {numbers!r}"
+
+    lines = model.read_text(encoding="utf-8").splitlines()
+    target.write_text("\n".join(map(scaled, lines)) + "\n", encoding="utf-8")
+    return target
+
+
 def unit_size(s: PublicSet, kind: Kind, joint: int) -> np.ndarray:
     """What a unit of a kind adds to every torque, root mean square on runs left out (n,)."""
     assert kind.added is not None

@@ -27,8 +27,10 @@ from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.judging.carried_over import not_carried_over
 from stiffopt.discovery.judging.detection import detection_limits
 from stiffopt.discovery.judging.held_out import HeldOut
+from stiffopt.discovery.judging.left_open import open_section
 from stiffopt.discovery.judging.modes import mode_shifts
 from stiffopt.discovery.judging.next_recording import next_recording
+from stiffopt.discovery.judging.other_band import doubted_by_band
 from stiffopt.discovery.judging.shares import Share, parts_of
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, channel_name
 from stiffopt.discovery.judging.variance_explained import variance_explained
@@ -37,6 +39,7 @@ from stiffopt.discovery.sanity.gate import doubts
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.identifiable_effects import (
     identifiable_effects,
+    of_changes,
     unstated_effects,
     without_bounds,
 )
@@ -139,6 +142,7 @@ def diagnose(
         selected, parameters = from_all_samples(
             training, settings, start, result.comparison, selected
         )
+        parameters = doubted_by_band(training, result.comparison, parameters)
     else:
         parameters = estimate(result.comparison, tuple(s.located for s in selected))
     located = tuple(s.located for s in selected)
@@ -150,6 +154,7 @@ def diagnose(
         unexplained = bursts(training, (*start, found), settings)
     new = [s for s in selected if s.located.effect.nominal not in recordings.unstated]
     pair = leading_pair(new or selected) if experiment else None
+    whole = found if base is None else base.extension.followed_by(found)
     stopped = [_STOPPED] if result.stopped else []
     plan = None
     try:
@@ -171,7 +176,8 @@ def diagnose(
         model=None if base is None else base.source,
         verdict=_verdict(findings, unexplained),
         findings=findings,
-        extension=found if base is None else base.extension.followed_by(found),
+        extension=whole,
+        left_open=open_section(training, whole, asked),
         training=training,
         search=result,
         held_out=proofs,
@@ -226,9 +232,10 @@ def _searched(
     about: Extension | None = None,
 ) -> SearchResult:
     """What was found in training runs, from another answer on where one is given."""
+    changes = base is not None and training.least is not None
     return search(
         training.comparison(),
-        without_bounds(asked, recordings),
+        without_bounds(of_changes(asked) if changes else asked, recordings),
         start=(
             unstated_effects(
                 asked, recordings, training.constants.joints, usual=training.free_bodies

@@ -11,6 +11,7 @@ from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import ExperimentPlan
+from stiffopt.discovery.extended.schema import LeftOpenSection
 from stiffopt.discovery.judging.black_box import MeasuringRod
 from stiffopt.discovery.judging.carried_over import NotCarriedOver
 from stiffopt.discovery.judging.detection import DetectionLimit
@@ -161,6 +162,8 @@ class Diagnosis(Shown):
         The strongest first; fixed before any test run was opened.
     extension : Extension
         All that the extended model has beyond the nominal one.
+    left_open : LeftOpenSection
+        What it leaves of the training runs.
     training : Training
         Prepared training runs, noise, tolerances, constants.
     search : SearchResult
@@ -202,6 +205,7 @@ class Diagnosis(Shown):
     verdict: Verdict
     findings: tuple[Finding, ...]
     extension: Extension
+    left_open: LeftOpenSection
     training: Training
     search: SearchResult
     held_out: tuple[RunProof, ...]

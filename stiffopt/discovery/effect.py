@@ -90,6 +90,8 @@ class Amplitude:
         deviation.
     lower, upper : float
         Physical bounds over the scale.
+    changed : float
+        How many times larger it is typically where it has changed since a model was made.
     """
 
     name: str
@@ -97,6 +99,7 @@ class Amplitude:
     scale: Callable[[Any], float] | float = 1.0
     lower: float = -float("inf")
     upper: float = float("inf")
+    changed: float = 1.0
 
     def size(self, constants: Constants) -> float:
         """Typical size for a joint or robot."""

@@ -42,6 +42,19 @@ NARROW = Tolerance(
     com=1e-3,
     encoder_zero=2e-4,
 )
+# Of those whose own misfit is known and counts as noise: what has changed is an effect, however
+# little, and no value that is moved without being said.
+FIXED = Tolerance(
+    mass=0.0,
+    rotor_inertia=0.0,
+    coulomb=0.0,
+    viscous=0.0,
+    stiffness=0.0,
+    joint_damping=0.0,
+    torque_constant=0.0,
+    com=0.0,
+    encoder_zero=0.0,
+)
 
 
 @dataclass(frozen=True, kw_only=True)

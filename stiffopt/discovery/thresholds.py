@@ -48,6 +48,12 @@ BORNE_OUT_SHARE = 0.5
 # Share of its channel's squares that a finding takes away in recordings left out, and share of them
 # in which it helps.
 LEFT_OUT_SHARE, LEFT_OUT_FOLDS = 0.01, 0.6
+# The share where an extended model was started from: what that model left open varies from one part
+# of its own recordings to another by nearly as much, and is no change. From the second on it need
+# not help in most parts, but in more than one: a stop is reached seldom.
+CHANGE_SHARE, CHANGE_SEEN_SELDOM = 0.15, 0.5
+# Candidates for a change whose shapes are fitted, and those that are tried where the best fails.
+CHANGES_REFINED, CHANGES_TRIED = 12, 4
 
 # A finding that adds more than this to its channel, over what the nominal model leaves there (root
 # mean squares), only balances another.
@@ -62,6 +68,13 @@ TEMPERED_SHARE, TEMPERED_MOST = 0.01, 30.0
 RIVAL_LOG_ODDS = 3.0
 # Log prior odds for every parameter that the data determine: of two that fit alike the plainer.
 PARAMETER_LOG_PRICE = 1.0
+# Parameters that a change since an extended model was made counts as at most.
+ONE_THING = 3.0
+# A difference counts there over so many times the evidence that what the model left open gives to
+# the formula that it favours most.
+SUSPECT_WIDTH = 2.0
+# How far from the centre of a body a mass that is added to it typically is [m].
+NEAR_CENTRE = 0.1
 # How often a likelier explanation takes the place of what was found before both are dropped.
 EXCHANGES = 3
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,8 +16,9 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import merged
 from stiffopt.discovery.comparison.prepare import PreparedRun, prepare
 from stiffopt.discovery.comparison.signals import RobotConstants
+from stiffopt.discovery.extended.left_open import least_factors, with_bands
 from stiffopt.discovery.extended.model import ExtendedModel, check_extended
-from stiffopt.discovery.settings import PREDICTED_CUTOFF, Settings
+from stiffopt.discovery.settings import FIXED, PREDICTED_CUTOFF, Settings
 from stiffopt.discovery.thresholds import MOST_EFFECTS, MOST_EFFECTS_FREE
 from stiffopt.errors import InputFileError
 from stiffopt.recording.nominal import Tolerance
@@ -43,7 +44,7 @@ class Training:
     runs : tuple of PreparedRun
         With the nominal model.
     start : Extension
-        Of the model that the diagnosis started from.
+        Of the model that the diagnosis started from, as its fit found it.
     recorded : tuple of RecordedRun
         The same runs as they were read.
     constants : RobotConstants
@@ -62,6 +63,10 @@ class Training:
     settings : Settings
         With the bands that were chosen.
     assumptions : tuple of str
+    least : array (2 n,), optional
+        Factors on the noise that make it what the model that is started from left open.
+    suspects : mapping of str to float
+        What that hints at by itself, with log evidence for a row.
     """
 
     robot: RobotModel
@@ -77,6 +82,8 @@ class Training:
     most: int
     settings: Settings
     assumptions: tuple[str, ...]
+    least: np.ndarray | None = None
+    suspects: Mapping[str, float] = field(default_factory=dict)
 
     def comparison(self) -> Comparison:
         """The comparison that a search starts from."""
@@ -87,6 +94,8 @@ class Training:
             self.tolerance,
             start=self.start,
             box=self.box,
+            least=self.least,
+            suspects=self.suspects,
         )
 
 
@@ -124,6 +133,8 @@ def train(
         See `prepare`.
     """
     robot = RobotModel(recordings)
+    left_open = None if model is None else model.left_open
+    settings = with_bands(settings, left_open)
     opened: list[RecordedRun] = []
     prepared: list[PreparedRun] = []
     notes: list[str] = []
@@ -163,20 +174,23 @@ def train(
     ready = [replace(run, signals=replace(run.signals, constants=ranged)) for run in prepared]
     noise = known_noise(recordings.noise, ready)
     _check_noise(recordings, noise, ready)
+    # Where the model is vouched for, all that it leaves is to be explained.
+    least = least_factors(left_open, noise.channels) if free else None
     if len(ready) < FEW_RUNS:
         notes.append(
             f"With {len(ready)} training run{'s' * (len(ready) > 1)}, candidates are"
             " cross-validated over stretches of runs instead of whole runs."
         )
     # A model that was fitted to this robot is nearer to it than one that nobody has compared.
-    tolerance = merged(stated, settings.tolerance if model is None else settings.after_model)
+    default = settings.tolerance if model is None else settings.after_model
+    tolerance = merged(stated, default if least is None else FIXED)
     if free and stated.encoder_zero is None:
         # Encoders' offsets are fitted and said, not hidden by a tolerance.
         tolerance = replace(tolerance, encoder_zero=0.0)
     return Training(
         robot=robot,
         runs=tuple(ready),
-        start=Extension() if model is None else model.extension,
+        start=Extension() if model is None else model.extension.fitted,
         recorded=tuple(opened),
         constants=ranged,
         noise=noise,
@@ -187,6 +201,8 @@ def train(
         most=_most(settings.effects, free),
         settings=settings,
         assumptions=(*recordings.assumptions, *noise.assumptions(), *notes),
+        least=least,
+        suspects={} if left_open is None or least is None else left_open.suspects,
     )
 
 

@@ -187,7 +187,7 @@ LOAD_FRICTION = Effect(
     needs=("torque", "moves", "reverses"),
     reference="BittencourtAxelsson2014",
     term=load_friction_term,
-    amplitudes=(Amplitude(name="mu", unit="", scale=0.1, lower=0.0, upper=3.0),),
+    amplitudes=(Amplitude(name="mu", unit="", scale=0.1, lower=0.0, upper=6.0),),
     separate="Repeat one path with two payloads, in both directions: a gain error keeps its sign"
     " when the motion turns round.",
 )

@@ -22,6 +22,8 @@ from stiffopt.symbolic import Quantity
 # Inertial parameters of a body in a regressor: mass, three first moments, six of the inertia.
 _A_BODY = 10
 _REACH = 0.1  # [m], how far off a centre of mass typically is
+# A body that was changed: its mass over what one is wrong by, and how much farther out it is.
+_CHANGED, _FARTHER = 3.0, 3.0
 
 
 def rotor_inertia_term(
@@ -109,7 +111,14 @@ def _some_moment(constants: RobotConstants) -> float:
 
 def _moments(*names: str) -> tuple[Amplitude, ...]:
     return tuple(
-        Amplitude(name=name, unit="kg m", scale=_some_moment, lower=-20.0, upper=20.0)
+        Amplitude(
+            name=name,
+            unit="kg m",
+            scale=_some_moment,
+            lower=-40.0,
+            upper=40.0,
+            changed=_CHANGED * _FARTHER,
+        )
         for name in names
     )
 
@@ -120,10 +129,17 @@ def _some_inertia(constants: RobotConstants) -> float:
 
 # Of the body about the origin of its joint, in the regressor's order.
 _INERTIA = tuple(
-    Amplitude(name=name, unit="kg m^2", scale=_some_inertia, lower=-20.0, upper=20.0)
+    Amplitude(
+        name=name,
+        unit="kg m^2",
+        scale=_some_inertia,
+        lower=-40.0,
+        upper=40.0,
+        changed=_CHANGED * _FARTHER**2,
+    )
     for name in ("dIxx", "dIxy", "dIyy", "dIxz", "dIyz", "dIzz")
 )
-_MASS = Amplitude(name="dm", unit="kg", scale=_some_mass, lower=-20.0, upper=20.0)
+_MASS = Amplitude(name="dm", unit="kg", scale=_some_mass, lower=-40.0, upper=40.0, changed=_CHANGED)
 
 ROTOR_INERTIA = Effect(
     name="rotor_inertia",
@@ -137,7 +153,11 @@ ROTOR_INERTIA = Effect(
     needs=("torque", "moves"),
     change_robot=add_to_nominal_value,
     term=rotor_inertia_term,
-    amplitudes=(Amplitude(name="dJ", unit="kg m^2", scale=_quarter_rotor, lower=-2.0, upper=4.0),),
+    amplitudes=(
+        Amplitude(
+            name="dJ", unit="kg m^2", scale=_quarter_rotor, lower=-2.0, upper=40.0, changed=_CHANGED
+        ),
+    ),
     separate="Accelerate hard in several postures: the inertia of links changes with posture and"
     " winds the joint up, the rotor's does neither.",
 )

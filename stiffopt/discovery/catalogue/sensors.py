@@ -104,7 +104,7 @@ TORQUE_GAIN = Effect(
     phrase="torque reading off by a factor",
     needs=("torque", "moves"),
     term=torque_gain_term,
-    amplitudes=(Amplitude(name="eps", unit="", scale=0.1, lower=-3.0, upper=3.0),),
+    amplitudes=(Amplitude(name="eps", unit="", scale=0.1, lower=-6.0, upper=6.0),),
     separate="Fasten a known mass and move fast and slowly: a wrong mass leaves friction and rotor"
     " inertia as they are, a gain scales everything.",
 )

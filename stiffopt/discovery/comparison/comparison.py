@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -24,6 +25,9 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.rows import ChannelNoise
 from stiffopt.recording.nominal import Tolerance
+
+# Of a nominal model that nobody has compared yet.
+_NOTHING: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +83,11 @@ class Comparison:
         Factor on the noise of every channel, for what the model leaves unexplained there.
     box : float
         Nominal values stay within so many standard deviations.
+    least : array (2 n,), optional
+        Least of these factors: what the model that is started from left of its own recordings.
+    suspects : mapping of str to float
+        Effects by their labels that this hints at by itself, with log evidence for a row: of them
+        as much is no evidence.
     columns : Columns, optional
         Of these runs, about what was found already.
     """
@@ -93,6 +102,8 @@ class Comparison:
         start: Extension | None = None,
         inflation: np.ndarray | None = None,
         box: float = 4.0,
+        least: np.ndarray | None = None,
+        suspects: Mapping[str, float] = _NOTHING,
         columns: Columns | None = None,
     ) -> None:
         self.robot, self.noise, self.tolerance, self.box = robot, noise, tolerance, box
@@ -103,7 +114,10 @@ class Comparison:
         self.runs, self.rows = self.columns.runs, self.columns.rows
         self.constants = self.runs[0].signals.constants
         self.blocks = int(self.rows.block.max()) + 1
-        self.inflation = np.ones(2 * robot.n) if inflation is None else inflation
+        self.after_model = least is not None
+        self._least, self.suspects = least, suspects
+        self.least = np.ones(2 * robot.n) if least is None else least
+        self.inflation = self.least if inflation is None else inflation
 
     @cached_property
     def _weight(self) -> np.ndarray:
@@ -120,7 +134,7 @@ class Comparison:
             Rms over noise of what links may do otherwise before they are followed anew.
         """
         left = np.nan_to_num(self.channel_ratio(fit.residual), nan=1.0)
-        return self.moved(self.found(fit), np.maximum(1.0, left), near)
+        return self.moved(self.found(fit), np.maximum(self.least, left), near)
 
     def found(self, fit: Fit) -> Extension:
         """Values and effects of a fit."""
@@ -143,6 +157,8 @@ class Comparison:
             start=self.start,
             inflation=inflation,
             box=self.box,
+            least=self._least,
+            suspects=self.suspects,
             columns=self.columns.about(found, near),
         )
 
@@ -166,8 +182,19 @@ class Comparison:
             start=self.start,
             inflation=self.inflation,
             box=self.box,
+            least=self._least,
+            suspects=self.suspects,
             columns=self.columns.with_bodies(bodies),
         )
+
+    def suspected(self, located: LocatedEffect) -> float:
+        """Log evidence for an effect that the model which was started from left behind."""
+        return self.suspects.get(located.label, 0.0) * self.rows.size
+
+    @property
+    def most_suspected(self) -> float:
+        """The largest of these."""
+        return max(self.suspects.values(), default=0.0) * self.rows.size
 
     # ---- columns, weighted
 

@@ -49,10 +49,19 @@ class EstimatedEffect:
     located : LocatedEffect
     amplitudes : tuple of float
         In the amplitudes' own units.
+    step : float
+        Of the first amplitude, from what the fit found to what all moving samples say.
     """
 
     located: LocatedEffect
     amplitudes: tuple[float, ...]
+    step: float = 0.0
+
+    @property
+    def fitted(self) -> EstimatedEffect:
+        """The effect as the fit found it."""
+        first, *others = self.amplitudes
+        return replace(self, amplitudes=(first - self.step, *others), step=0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,6 +103,11 @@ class Extension:
             },
             effects=(*self.effects, *taken),
         )
+
+    @property
+    def fitted(self) -> Extension:
+        """The extension as the fit found it, without steps to all moving samples."""
+        return replace(self, effects=tuple(each.fitted for each in self.effects))
 
     @property
     def empty(self) -> bool:

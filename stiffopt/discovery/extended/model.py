@@ -18,6 +18,12 @@
     [calibration]                    # nominal values moved within their tolerances: relative, or
     "coulomb 2" = 0.012              # [m] for "com", [rad] for "encoder_zero"
 
+    [left_open]                      # of its own recordings: counts as noise where it is started
+    cutoff = 12.0                    # from; bands [Hz]
+    predict = [20.0, 20.0]
+    torque = [0.31, 0.12]            # one standard deviation, as unfiltered noise [N m], [rad]
+    link_position = [0.0, 0.0]
+
     [[effect]]
     name = "coulomb"                 # of the catalogue or of a user's file
     joint = 2                        # from 1; left out where it is the whole robot
@@ -49,7 +55,12 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.made_for import require_same_robot
-from stiffopt.discovery.extended.schema import EffectSection, ExtendedFile, MadeForSection
+from stiffopt.discovery.extended.schema import (
+    EffectSection,
+    ExtendedFile,
+    LeftOpenSection,
+    MadeForSection,
+)
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.files import read_document
@@ -85,6 +96,8 @@ class ExtendedModel:
         Reported values of every effect of the extension that the file states.
     deviations : tuple of dict of str to float
         Their standard deviations, where the file states them.
+    left_open : LeftOpenSection or None
+        What it leaves of its own recordings; None where the file does not say.
     """
 
     source: str
@@ -97,6 +110,7 @@ class ExtendedModel:
     extension: Extension
     parameters: tuple[dict[str, float], ...]
     deviations: tuple[dict[str, float], ...] = ()
+    left_open: LeftOpenSection | None = None
 
     def applied_to(self, recordings: RecordingSet) -> RecordingSet:
         """The set with this model's nominal values.
@@ -173,6 +187,7 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
             {name: entry.sd for name, entry in section.parameters.items() if entry.sd is not None}
             for section in document.effect
         ),
+        left_open=_left_open(document.left_open, n, path),
     )
 
 
@@ -204,6 +219,14 @@ def _per_joint(values: Sequence[float], n: int, path: object, where: str) -> tup
     if len(values) != n:
         raise InputFileError(path, where, f"needs one number a joint ({n}), got {len(values)}.")
     return tuple(values)
+
+
+def _left_open(section: LeftOpenSection | None, n: int, path: object) -> LeftOpenSection | None:
+    for name in ("predict", "torque", "link_position"):
+        values = None if section is None else getattr(section, name)
+        if values is not None:
+            _per_joint(values, n, path, f"left_open.{name}")
+    return section
 
 
 def _effect(
@@ -238,6 +261,7 @@ def _effect(
     return EstimatedEffect(
         located=LocatedEffect(effect=effect, shapes=shapes, **place),
         amplitudes=tuple(section.term[a.name] for a in effect.amplitudes),
+        step=section.step,
     )
 
 

@@ -6,9 +6,16 @@ from typing import Annotated
 
 from pydantic import Field
 
-from stiffopt.declaration import POSITIVE, Doc, Unit
+from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Doc, Frequency, Unit
 from stiffopt.files import Section
-from stiffopt.recording.schema import JointTorque, JointVelocity, Names, NominalSection, Ratio
+from stiffopt.recording.schema import (
+    JointPosition,
+    JointTorque,
+    JointVelocity,
+    Names,
+    NominalSection,
+    Ratio,
+)
 
 
 class ParameterSection(Section):
@@ -27,6 +34,10 @@ class EffectSection(Section):
     link: Annotated[str | None, Doc("Link of the URDF.")] = None
     run: Annotated[str | None, Doc("Run that it belongs to.")] = None
     probability: Annotated[Ratio | None, Doc("Of the effect against its rivals.")] = None
+    step: Annotated[
+        Ratio,
+        Doc("Of the first amplitude, from what the fit found to what all moving samples say."),
+    ] = 0.0
     term: Annotated[
         dict[str, Ratio],
         Doc("Amplitudes and shapes of the effect's terms, over the scales; read by `solve`."),
@@ -61,6 +72,28 @@ class MadeForSection(Section):
     ]
 
 
+class LeftOpenSection(Section):
+    """What the model leaves of the recordings that it was fitted to."""
+
+    cutoff: Annotated[Frequency, POSITIVE, Doc("Of the filter that it was fitted through.")]
+    predict: Annotated[
+        tuple[Annotated[Frequency, POSITIVE], ...] | None,
+        Doc("Of the motion that the torque of each joint is predicted from."),
+    ] = None
+    torque: Annotated[
+        tuple[Annotated[JointTorque, NOT_NEGATIVE], ...],
+        Doc("One standard deviation of each torque, as unfiltered noise; 0 where none is."),
+    ]
+    link_position: Annotated[
+        tuple[Annotated[JointPosition, NOT_NEGATIVE], ...],
+        Doc("Likewise of each link encoder."),
+    ]
+    suspects: Annotated[
+        dict[str, Ratio],
+        Doc("Effects that what is left hints at, with log evidence for a row of the fit."),
+    ] = Field(default_factory=dict)
+
+
 class ExtendedFile(Section):
     """The nominal model with what a diagnosis found."""
 
@@ -78,4 +111,5 @@ class ExtendedFile(Section):
         dict[str, Ratio],
         Doc("Nominal values as estimated within their tolerances, over their tolerances."),
     ] = Field(default_factory=dict)
+    left_open: LeftOpenSection | None = None
     effect: Annotated[tuple[EffectSection, ...], Doc("Effects that were found.")] = ()

@@ -11,6 +11,7 @@ import numpy as np
 from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.extended.made_for import made_for
+from stiffopt.discovery.extended.schema import LeftOpenSection
 from stiffopt.recording.schema import NominalSection
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ def extended_text(diagnosis: Diagnosis) -> str:
             },
         ),
         _table("calibration", {k: v for k, v in diagnosis.extension.calibration.items() if v}),
+        *_left_open(diagnosis.left_open),
     ]
     for each in diagnosis.extension.effects:
         parts.append(_effect(each, constants, spread.get(id(each), {}), likely.get(id(each))))
@@ -62,6 +64,14 @@ def nominal_tables(stated: NominalSection) -> Iterable[str]:
         yield _table("nominal.reducer", reducer)
     for balance in balances if isinstance(balances, tuple) else (balances,):
         yield _table("[nominal.counterbalance]", balance)
+
+
+def _left_open(section: LeftOpenSection) -> Iterable[str]:
+    entries = section.model_dump(exclude_none=True)
+    suspects = entries.pop("suspects")
+    yield _table("left_open", entries)
+    if suspects:
+        yield _table("left_open.suspects", suspects)
 
 
 def _effect(
@@ -80,6 +90,8 @@ def _effect(
         head["run"] = located.run
     if probability is not None:
         head["probability"] = probability
+    if each.step:
+        head["step"] = each.step
     names = [a.name for a in effect.amplitudes] + [s.name for s in effect.shapes]
     term = dict(zip(names, (*each.amplitudes, *located.shapes), strict=True))
     reported = effect.parameters(each.amplitudes, located.shapes, located.constants(constants))

@@ -78,12 +78,18 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
     """
     after = np.nan_to_num(result.after, nan=0.0)
     before = np.nan_to_num(result.calibrated, nan=0.0)
+    # What an extended model that was started from had left of its own recordings is no new riddle.
+    least = result.comparison.least
     remaining = [c for c in np.argsort(-after) if after[c] > UNEXPLAINED_RATIO]
     if not remaining:
         return result.selected, None if result.selected else _faint(result, after)
-    excess = np.maximum(before**2 - 1.0, 1e-9)
-    share = 1.0 - (after**2 - 1.0) / excess
-    poor = {int(c) for c in remaining if share[c] < EXPLAINED_SHARE}
+    excess = np.maximum(before**2 - least**2, 1e-9)
+    share = 1.0 - (after**2 - least**2) / excess
+    poor = {
+        int(c)
+        for c in remaining
+        if share[c] < EXPLAINED_SHARE and after[c] > UNEXPLAINED_RATIO * least[c]
+    }
     unstated = result.comparison.robot.recordings.unstated
     # A value that the nominal model does not give at all is there, however much else is missing.
     kept = tuple(
@@ -247,7 +253,8 @@ def _period(
         y, t = residual[own], time[own]
         for i, f in enumerate(frequencies):
             wave = np.column_stack([np.sin(2 * np.pi * f * t), np.cos(2 * np.pi * f * t)])
-            power[i] += float((wave.T @ y) @ np.linalg.solve(wave.T @ wave, wave.T @ y))
+            # Few samples of a block may all lie on the nodes of a wave.
+            power[i] += float((wave.T @ y) @ np.linalg.lstsq(wave.T @ wave, wave.T @ y)[0])
     best = int(np.argmax(power))
     excess = float(np.sum(residual**2)) - len(residual)
     blocks = len(np.unique(block))

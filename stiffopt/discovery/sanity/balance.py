@@ -21,7 +21,7 @@ _LOAD_FRICTION = 0.4
 _OFFSET = 0.5
 # Mass at the end of the arm that its model may lack or have in excess, share of the arm's; and how
 # far it may reach out [m].
-_PAYLOAD, _LEVER = 0.5, 0.5
+_PAYLOAD, _LEVER = 1.0, 0.5
 # Weight that a spring may carry, over the largest there is.
 _BALANCED = 0.9
 # Fewer moving instants, or less travel, decide nothing.
@@ -179,7 +179,7 @@ def may_have(robot: RobotModel, motion: Motion, joint: int) -> Additions:
     rows = zip(at, motion.velocity, motion.acceleration, strict=True)
     body = 10 * last
     payload = [
-        robot.body_regressor(q[None], v[None], a[None])[0, joint, body : body + 4]
+        robot.body_regressor(q[None], v[None], a[None])[0, joint, body : body + 10]
         for q, v, a in rows
     ]
     masses = robot.constants.masses
@@ -188,9 +188,10 @@ def may_have(robot: RobotModel, motion: Motion, joint: int) -> Additions:
     spring = _BALANCED * max(float(np.abs(weight).max()), 1e-9)
     moment = mass * _LEVER
     stretch = spring / max(float(np.abs(angle).max()), 1e-9)
-    lower = [-stretch, -spring, -spring, -float(masses[last]), -moment, -moment, -moment]
+    inertia = moment * _LEVER
+    body_lower = [-float(masses[last]), *[-moment] * 3, *[-inertia] * 6]
     return Additions(
         columns=np.column_stack([angle, np.sin(angle), np.cos(angle), np.array(payload)]),
-        lower=np.array(lower),
-        upper=np.array([stretch, spring, spring, mass, moment, moment, moment]),
+        lower=np.array([-stretch, -spring, -spring, *body_lower]),
+        upper=np.array([stretch, spring, spring, mass, *[moment] * 3, *[inertia] * 6]),
     )

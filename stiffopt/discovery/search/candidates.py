@@ -125,7 +125,10 @@ class Scorer:
             located=located,
             amplitudes=mean,
             covariance=covariance,
-            evidence=found.log_evidence - self.start.log_evidence - price,
+            evidence=found.log_evidence
+            - self.start.log_evidence
+            - price
+            - self.comparison.suspected(located),
             deviations=float(np.sqrt(max(mean[kept] @ np.linalg.solve(inner, mean[kept]), 0.0))),
             gained=lambda: self._gained(located, kept),
             change=lambda: self._changed(located, found.base_mean, mean),

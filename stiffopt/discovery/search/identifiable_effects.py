@@ -8,7 +8,7 @@ from typing import Any
 
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.signals import JointConstants
-from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.effect import Amplitude, Effect
 from stiffopt.discovery.identifiable import EffectCheck
 from stiffopt.recording.recording_set import RecordingSet
 
@@ -70,6 +70,22 @@ def without_bounds(catalogue: Sequence[Effect], recordings: RecordingSet) -> tup
     """The catalogue, where what the nominal model does not state may be of any size."""
     return tuple(
         _unbounded(each) if _stands_for_unstated(each, recordings) else each for each in catalogue
+    )
+
+
+def of_changes(catalogue: Sequence[Effect]) -> tuple[Effect, ...]:
+    """The catalogue as a change since an extended model was made may be: by far larger at times.
+
+    Tools are exchanged and bodies rebuilt; what nobody has weighed yet is off by less.
+    """
+
+    def wider(each: Amplitude) -> Amplitude:
+        own, times = each.scale, each.changed
+        scale = (lambda constants: times * own(constants)) if callable(own) else times * own
+        return replace(each, scale=scale)
+
+    return tuple(
+        replace(entry, amplitudes=tuple(map(wider, entry.amplitudes))) for entry in catalogue
     )
 
 

@@ -16,10 +16,18 @@ from stiffopt.discovery.comparison.columns import FEW_RUNS
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.prepare import PreparedRun
-from stiffopt.discovery.thresholds import BALANCING_RATIO, LEFT_OUT_FOLDS, LEFT_OUT_SHARE
+from stiffopt.discovery.thresholds import (
+    BALANCING_RATIO,
+    CHANGE_SEEN_SELDOM,
+    CHANGE_SHARE,
+    LEFT_OUT_FOLDS,
+    LEFT_OUT_SHARE,
+)
 
 # Parts of all runs that are left out one after another where runs are few.
 _PARTS = 6
+# Share of the largest change of a fold from which a fold has a say.
+_ACTED = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +67,8 @@ def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[
     -----
     Those that only balance others go first; then the one that helps least is taken away and all
     others are judged anew, each by a fit without it. An effect of one run cannot be seen in others
-    and stays.
+    and stays. Where an extended model was started from, what changed must stand out of what that
+    model left open.
     """
     effects = without_balancing(comparison, effects)
     if not effects:
@@ -74,7 +83,8 @@ def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[
             k: _excess(
                 errors,
                 sums.errors(np.flatnonzero(inside & (owner != k))),
-                plain=bool(effects[k].effect.nominal),
+                changed=comparison.after_model,
+                plain=bool(effects[k].effect.nominal) and not comparison.after_model,
             )
             for k in judged
             if k in kept
@@ -146,7 +156,9 @@ def _summed(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[_
     return _sums(comparison, np.column_stack([nuisance, *parts]), prior), owner
 
 
-def _excess(errors: np.ndarray, without: np.ndarray, plain: bool = False) -> float:
+def _excess(
+    errors: np.ndarray, without: np.ndarray, *, plain: bool = False, changed: bool = False
+) -> float:
     """Share of the squares of its best channel that an effect takes away, over what it should.
 
     -1 where it helps in few folds, or in one alone. What is plain, as friction that every joint
@@ -161,9 +173,13 @@ def _excess(errors: np.ndarray, without: np.ndarray, plain: bool = False) -> flo
     share = float(falls[:, own].sum() / without[:, own].sum())
     if plain:
         return share
-    if np.mean(by_fold > 0.0) < LEFT_OUT_FOLDS or total <= float(by_fold.max()):
+    if changed:
+        # Where it hardly acts, as a stop that is seldom reached, it can help nothing.
+        by_fold = by_fold[np.abs(by_fold) > _ACTED * np.abs(by_fold).max()]
+    few = np.mean(by_fold > 0.0) < LEFT_OUT_FOLDS and not (changed and share > CHANGE_SEEN_SELDOM)
+    if few or total <= float(by_fold.max()):
         return -1.0
-    return share - LEFT_OUT_SHARE
+    return share - (CHANGE_SHARE if changed else LEFT_OUT_SHARE)
 
 
 def _sums(comparison: Comparison, columns: np.ndarray, prior: np.ndarray) -> _Sums:

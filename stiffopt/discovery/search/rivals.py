@@ -13,8 +13,11 @@ from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
 from stiffopt.discovery.thresholds import (
+    NEAR_CENTRE,
+    ONE_THING,
     PARAMETER_LOG_PRICE,
     RIVAL_LOG_ODDS,
+    SUSPECT_WIDTH,
     TEMPERED_MOST,
     TEMPERED_SHARE,
 )
@@ -74,10 +77,13 @@ def ranked_among_rivals(
     every = scan(scorer, catalogue, about=located, tell=tell)
     found = [c for c in every if not c.located.same_place(located)]
     width = float(np.clip(TEMPERED_SHARE * own.evidence, 1.0, TEMPERED_MOST))
+    # What a model left open gives to some formula by chance is a unit that evidence counts in.
+    width = max(width, SUSPECT_WIDTH * comparison.most_suspected)
     constants = comparison.constants
-    own_prior = _log_prior(own, constants)
+    priors = [_log_prior(c, constants, comparison.after_model) for c in (own, *found)]
     odds = [
-        (c.evidence - own.evidence) / width + _log_prior(c, constants) - own_prior for c in found
+        (c.evidence - own.evidence) / width + prior - priors[0]
+        for c, prior in zip(found, priors[1:], strict=True)
     ]
     near = sorted(zip(odds, found, strict=True), key=lambda pair: -pair[0])[:3]
     near = [(o, c) for o, c in near if o > -RIVAL_LOG_ODDS]
@@ -88,12 +94,34 @@ def ranked_among_rivals(
     return Ranked(selected, near[0][1].located if near and near[0][0] > 0.0 else located)
 
 
-def _log_prior(candidate: Candidate, constants: RobotConstants) -> float:
+def _log_prior(candidate: Candidate, constants: RobotConstants, changed: bool) -> float:
     """Log prior odds: plainer effects, and those usual at their joint, are likelier.
 
-    An amplitude counts as far as the data determine it.
+    An amplitude counts as far as the data determine it. Where something has changed, a body is one
+    thing, however many of its ten parameters show.
     """
     located = candidate.located
     size = len(located.effect.shapes) + float(np.sum(1.0 - np.diag(candidate.covariance)))
+    if changed:
+        size = min(size, ONE_THING) + _misplaced(candidate, constants)
     usual = located.effect.log_prior
     return (usual(located.constants(constants)) if usual else 0.0) - PARAMETER_LOG_PRICE * size
+
+
+def _misplaced(candidate: Candidate, constants: RobotConstants) -> float:
+    """How unlikely it is that a body has changed by a mass so far from its centre; 0 of others.
+
+    Masses on neighbouring links can hardly be told apart; most sit on the body that they are near.
+    """
+    located = candidate.located
+    if located.effect.family != "inertial" or located.joint is not None:
+        return 0.0
+    mass, *moment = (candidate.amplitudes * located.sizes(constants))[:4]
+    if len(moment) < 3 or not mass:
+        return 0.0
+    body = len(constants.masses) - 1 if located.link is None else located.link
+    sd = float(np.sqrt(candidate.covariance[0, 0]))
+    known = max(1.0 - sd / abs(float(candidate.amplitudes[0])), 0.0)
+    away = np.array(moment) / mass - constants.centres[body]
+    unlikely = 0.5 * float(away @ away) / NEAR_CENTRE**2
+    return known * min(unlikely, ONE_THING)

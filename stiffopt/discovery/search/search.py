@@ -20,6 +20,8 @@ from stiffopt.discovery.search.uncertainty import significance
 from stiffopt.discovery.thresholds import (
     AT_ONCE,
     BORNE_OUT_SHARE,
+    CHANGES_REFINED,
+    CHANGES_TRIED,
     CONFIRMED_DEVIATIONS,
     DETERMINED_DEVIATIONS,
     EXCHANGES,
@@ -30,6 +32,7 @@ from stiffopt.discovery.thresholds import (
     SETTLED,
     SETTLED_DEVIATIONS,
     SETTLING_ROUNDS,
+    SPARSE_SHARE,
     STRICT_DEVIATIONS,
 )
 
@@ -106,7 +109,7 @@ def search(
     say = report or (lambda _: None)
     tell = paced(say)
     target = comparison.target
-    before = comparison.channel_ratio(target)
+    before = comparison.inflation * comparison.channel_ratio(target)
     calibrated = comparison.channel_ratio(comparison.fit().residual)
     current, effects = _not_stated(comparison, list(start), say)
     rigid = None
@@ -122,10 +125,13 @@ def search(
         comparison = comparison.moved(about)
         current, effects = _fitted_jointly(comparison, [each.located for each in about.effects])
         effects = _pruned(current, effects)
-    together = AT_ONCE if strict else 1
-    current, effects, stopped = _forward(
-        comparison, current, effects, catalogue, most, together, say, tell
-    )
+    if comparison.after_model:
+        current, effects, stopped = _changes(comparison, current, catalogue, most, say, tell)
+    else:
+        together = AT_ONCE if strict else 1
+        current, effects, stopped = _forward(
+            comparison, current, effects, catalogue, most, together, say, tell
+        )
     if effects:
         say(f"confirm what was found ({len(effects)}) on stretches left out")
     confirmed = _confirmed(current, effects, strict=strict)
@@ -288,6 +294,51 @@ def _forward(
         if best[0].located.label not in [e.label for e in effects]:
             break
     return *_fitted_jointly(comparison, effects), stopped
+
+
+def _changes(
+    comparison: Comparison,
+    current: Comparison,
+    catalogue: Sequence[Effect],
+    most: int,
+    say: Callable[[str], object],
+    tell: Callable[[str], object],
+) -> tuple[Comparison, list[LocatedEffect], bool]:
+    """What has changed since the model was made: one thing after another, each borne out.
+
+    Where one change predicts recordings left out nearly as well as several, it is that one.
+    """
+    effects: list[LocatedEffect] = []
+    first: list[Candidate] = []
+    nothing = current
+    while len(effects) < most:
+        scorer = Scorer(current, effects)
+        try:
+            found = scan(scorer, catalogue, refined=CHANGES_REFINED, tell=tell)
+        except KeyboardInterrupt:
+            if not effects:
+                raise
+            say("stopped: what was found so far is weighed")
+            return current, effects, True
+        first = first or found
+        passing = [c for c in found if _passes(c, scorer)]
+        for candidate in sorted(passing, key=lambda c: -c.evidence)[:CHANGES_TRIED]:
+            wider, tried = _fitted_jointly(comparison, [*effects, candidate.located])
+            kept = borne_out(wider, _confirmed(wider, tried, strict=True))
+            if len(kept) == len(tried):
+                say(f"found {candidate.located.label} (log evidence {candidate.evidence:.0f})")
+                current, effects = wider, tried
+                break
+        else:
+            break
+    if len(effects) > 1:
+        alone, all_ = Scorer(nothing), Scorer(nothing, effects)
+        gained = float(np.sum(all_.by_block) - np.sum(alone.by_block))
+        best = max(first[:CHANGES_REFINED], key=lambda c: c.gain)
+        if best.gain > SPARSE_SHARE * gained:
+            say(f"one change does nearly as well: {best.located.label}")
+            return *_fitted_jointly(comparison, [best.located]), False
+    return current, effects, False
 
 
 def _exchanged(

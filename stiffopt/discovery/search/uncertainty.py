@@ -103,7 +103,11 @@ class Estimate:
         change = np.zeros(len(self.covariance))
         change[first] = steps
         effects = tuple(
-            replace(each, amplitudes=(each.amplitudes[0] + step * size[0], *each.amplitudes[1:]))
+            replace(
+                each,
+                amplitudes=(each.amplitudes[0] + step * size[0], *each.amplitudes[1:]),
+                step=step * size[0],
+            )
             for each, step, size in zip(self.effects, steps, self.sizes, strict=True)
         )
         more = np.diag(change**2)
@@ -111,6 +115,22 @@ class Estimate:
             self,
             values=self.values + change[: len(self.values)],
             effects=effects,
+            covariance=self.covariance + more,
+            spread=self.spread + more,
+            between=self.between + more,
+        )
+
+    def doubted(self, away: np.ndarray) -> Estimate:
+        """The estimate where another fit finds amplitudes that are so far away, over their sizes.
+
+        Each counts as one standard deviation more.
+        """
+        change = np.zeros(len(self.covariance))
+        first = len(self.nuisance)
+        change[first : first + len(away)] = away
+        more = np.diag(change**2)
+        return replace(
+            self,
             covariance=self.covariance + more,
             spread=self.spread + more,
             between=self.between + more,

@@ -1,0 +1,52 @@
+"""How sure values are where the law is not quite right: fitted again in half the band.
+
+A law that holds gives the same values in every band. One that does not, such as an inertia that a
+flexible joint hides from fast motion, gives others, and how far they differ no noise tells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.prepare import prepare
+from stiffopt.discovery.search.uncertainty import Estimate
+from stiffopt.discovery.training import Training
+
+# Of the cutoff.
+_NARROWER = 0.5
+# Share of its prior variance from which an amplitude is not seen, so that all it can be is likely;
+# without bounds, over its typical size.
+_UNSEEN, _WIDEST = 0.5, 100.0
+
+
+def doubted_by_band(training: Training, comparison: Comparison, parameters: Estimate) -> Estimate:
+    """The estimate, where what half the band says otherwise counts as one standard deviation.
+
+    Parameters
+    ----------
+    training : Training
+    comparison : Comparison
+        With the noise that the effects leave.
+    parameters : Estimate
+    """
+    if not parameters.effects:
+        return parameters
+    settings = replace(training.settings, cutoff=_NARROWER * training.settings.fit_band)
+    runs = [
+        prepare(training.robot, run, k, training.constants, settings)
+        for k, run in enumerate(training.recorded)
+    ]
+    if not all((run.torque_used.any() or run.deflection_used.any()) for run in runs):
+        return parameters
+    other = replace(training, runs=tuple(runs)).comparison().with_bodies(comparison.bodies)
+    other = other.moved(comparison.columns.found, comparison.inflation)
+    fit = other.fit([each.located for each in parameters.effects])
+    first = len(parameters.nuisance)
+    away = fit.amplitudes() - parameters.values[first:]
+    own = np.diag(parameters.covariance)[first : first + len(away)]
+    bounds = np.concatenate([e.located.bounds(training.constants) for e in parameters.effects])
+    range_ = np.minimum(bounds[:, 1] - bounds[:, 0], _WIDEST)
+    return parameters.doubted(np.where(own > _UNSEEN, range_ / np.sqrt(12.0), away))
