@@ -1,0 +1,68 @@
+"""A diagnosis that starts from an extended model: what that model left open is no change."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stiffopt.discovery.catalogue import CATALOGUE
+from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.rows import ChannelNoise
+from stiffopt.discovery.extended.left_open import least_factors, left_open, with_bands
+from stiffopt.discovery.extended.schema import LeftOpenSection
+from stiffopt.discovery.search.identifiable_effects import of_changes
+from stiffopt.discovery.settings import Settings
+from stiffopt.files import validate
+
+NOISE = ChannelNoise(np.array([0.1, 0.2]), np.array([np.nan, 1e-5]))
+CHOSEN = Settings(cutoff=8.0, predict=(6.0, 20.0))
+
+
+def section() -> LeftOpenSection:
+    ratio = np.array([5.0, 0.5, np.nan, 3.0])
+    return left_open(ratio, NOISE, CHOSEN, {"stribeck of joint 1": 0.01})
+
+
+def test_what_is_left_comes_back_as_factors_of_at_least_one():
+    np.testing.assert_allclose(section().torque, [0.5, 0.1])
+    np.testing.assert_allclose(section().link_position, [0.0, 3e-5])
+    np.testing.assert_allclose(least_factors(section(), NOISE), [5.0, 1.0, 1.0, 3.0])
+    assert least_factors(None, NOISE) is None
+
+
+def test_bands_of_the_model_are_taken_unless_others_are_asked_for():
+    assert with_bands(Settings(), section()) == CHOSEN
+    assert with_bands(Settings(cutoff=5.0), section()).cutoff == 5.0
+    # Where links swing no bands are chosen, and none are taken over.
+    unchosen = section().model_copy(update={"predict": None})
+    assert with_bands(Settings(), unchosen) == Settings()
+
+
+def test_the_section_is_read_as_it_is_written():
+    again = validate(LeftOpenSection, section().model_dump(exclude_none=True), Path("x"))
+    assert again == section()
+
+
+def test_a_step_to_all_moving_samples_is_taken_back_for_the_fit():
+    effect = next(each for each in CATALOGUE if each.name == "coulomb")
+    found = EstimatedEffect(
+        located=LocatedEffect(effect=effect, joint=0), amplitudes=(13.0,), step=-2.5
+    )
+    (fitted,) = Extension(effects=(found,)).fitted.effects
+    assert fitted.amplitudes == (15.5,)
+    assert fitted.step == 0.0
+
+
+@pytest.mark.parametrize("name", ["payload", "inertial_error"])
+def test_bodies_change_by_more_than_what_nobody_has_weighed_is_off(name):
+    class Arm:
+        masses = np.array([10.0, 5.0])
+
+    (usual,) = [each for each in CATALOGUE if each.name == name]
+    (wide,) = of_changes([usual])
+    times = [
+        new.size(Arm()) / old.size(Arm())
+        for old, new in zip(usual.amplitudes, wide.amplitudes, strict=True)
+    ]
+    np.testing.assert_allclose(times, [3.0] + 3 * [9.0] + 6 * [27.0])
