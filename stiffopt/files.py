@@ -59,6 +59,11 @@ def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     path = Path(path)
     text = read_text(path)
+    if text.lstrip("\ufeff \t\r\n").startswith("<"):
+        raise InputFileError(
+            path, "", "is no TOML but XML, such as a URDF. `stiffopt init robot URDF` writes a"
+            " robot file of it, and `stiffopt init problem ROBOT` a problem to solve."
+        )  # fmt: skip
     key = _LONG_KEY.search(text)
     if key is not None:
         line = text.count("\n", 0, key.start()) + 1
@@ -168,6 +173,8 @@ def load_json(path: str | os.PathLike[str]) -> Any:
     """Content of a JSON file; raises `InputFileError` where there is none."""
     try:
         return json.loads(read_text(path))
+    except InputFileError:
+        raise
     except (ValueError, RecursionError) as error:
         raise InputFileError(path, "", f"is no JSON text: {shortened(error)}.") from error
 
@@ -179,6 +186,8 @@ def check_file(path: str | os.PathLike[str]) -> None:
         return
     if path.is_dir():
         raise InputFileError(path, "", "is a folder. Give the file inside it.")
+    if path.parent.is_file():
+        raise InputFileError(path.parent, "", "is a file: give the folder of the results.")
     if not path.parent.is_dir():
         raise InputFileError(path, "", f"there is no folder {path.parent}. Check the path.")
     here = sorted(p.name for p in path.parent.iterdir() if p.is_file())
@@ -189,11 +198,16 @@ def check_file(path: str | os.PathLike[str]) -> None:
     raise InputFileError(path, "", f"no such file.{there} Check the path.")
 
 
+# What turns a file of one kind into one of another.
+_NEXT = {("robot", "trajectory"): " `stiffopt init problem ROBOT` writes a problem for it."}
+
+
 def check_header(data: Mapping[str, Any], path: object, kind: str, schema: int = 1) -> None:
     """Check the two keys that every file has: `schema` and `kind`."""
     if data.get("kind") != kind:
         got = f"got {shortened(data['kind'])}" if "kind" in data else "the key is missing"
-        raise InputFileError(path, "kind", f'this place needs kind = "{kind}", {got}.')
+        step = _NEXT.get((str(data.get("kind")), kind), "")
+        raise InputFileError(path, "kind", f'this place needs kind = "{kind}", {got}.{step}')
     if data.get("schema") != schema or isinstance(data.get("schema"), bool):
         got = f"got {shortened(data['schema'])}" if "schema" in data else "the key is missing"
         raise InputFileError(path, "schema", f"this version reads schema = {schema}, {got}.")
@@ -320,6 +334,10 @@ def _fault(model: type[BaseModel], where: str, error: Any) -> tuple[str, str]:
         allowed = re.findall(r"'([^']*)'", error["ctx"]["expected"])
         if allowed:
             return where, f"got {shortened(given)}. {nearest(str(given), allowed)}"
+    if kind in ("model_type", "dataclass_type", "model_attributes_type"):
+        allowed = ", ".join(_fields(model, error["loc"]))
+        keys = f" Its keys: {allowed}." if allowed else ""
+        return where, f"needs a section with keys of its own, got {shortened(given)}.{keys}"
     if kind == "value_error":
         cause = error["ctx"]["error"]
         if isinstance(cause, InputError):

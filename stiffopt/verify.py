@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -97,27 +97,36 @@ def problem_files(path: Path) -> list[Path]:
     return found
 
 
-def check_problem(path: Path) -> None:
+def check_problem(path: Path, changes: Sequence[str] = ()) -> None:
     """Read a problem or study file; raise `InputFileError` where it cannot be used."""
     if _is_study(path):
-        load_study(path)
+        load_study(path, changes)
     else:
-        load_problem(path)
+        load_problem(path, changes)
 
 
-def verify(path: Path, progress: StudyCallback | None = None) -> tuple[Check, ...]:
-    """Solve one problem or study file; a check for each value that it expects."""
-    return verify_study(path, progress) if _is_study(path) else (verify_file(path, progress),)
+def verify(
+    path: Path, progress: StudyCallback | None = None, changes: Sequence[str] = ()
+) -> tuple[Check, ...]:
+    """Solve one problem or study file; a check for each value that it expects.
+
+    `changes` of entries are those of `load_problem`.
+    """
+    if _is_study(path):
+        return verify_study(path, progress, changes)
+    return (verify_file(path, progress, changes),)
 
 
 def _is_study(path: Path) -> bool:
     return load_toml(path).get("kind") == "preload"
 
 
-def verify_study(path: Path, progress: StudyCallback | None = None) -> tuple[Check, ...]:
+def verify_study(
+    path: Path, progress: StudyCallback | None = None, changes: Sequence[str] = ()
+) -> tuple[Check, ...]:
     """Run one preload study and compare; a file without expected values never passes."""
     begin = time.perf_counter()
-    loaded = load_study(path)
+    loaded = load_study(path, changes)
     wants_knee = any(name.startswith("knee_") for name in loaded.expected)
     study = preload_study(
         loaded.problem,
@@ -166,10 +175,12 @@ def verify_study(path: Path, progress: StudyCallback | None = None) -> tuple[Che
     return tuple(checks)
 
 
-def verify_file(path: Path, progress: ProgressCallback | None = None) -> Check:
+def verify_file(
+    path: Path, progress: ProgressCallback | None = None, changes: Sequence[str] = ()
+) -> Check:
     """Solve one trajectory problem file and compare; a file without [expected] never passes."""
     begin = time.perf_counter()
-    loaded = load_problem(path)
+    loaded = load_problem(path, changes)
     solution = solve(loaded.problem, progress=progress, throw=False)
     expected, value = loaded.expected, solution.objective
     if expected is None:

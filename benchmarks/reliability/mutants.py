@@ -28,7 +28,17 @@ class OptimisationBegins(BaseException):
 
 
 class FoundFaultError(Exception):
-    """What a command did that its exit code does not show."""
+    """What a command did that its exit code does not show.
+
+    Parameters
+    ----------
+    verdict : "traceback", "warning" or "silent"
+    text : str
+    """
+
+    def __init__(self, verdict: str, text: str) -> None:
+        super().__init__(text)
+        self.verdict = verdict
 
 
 def judged(work: Callable[[], object]) -> tuple[str, str]:
@@ -43,6 +53,8 @@ def judged(work: Callable[[], object]) -> tuple[str, str]:
         return "told", type(error).__name__
     except OptimisationBegins:
         return "accepted", "an optimisation begins"
+    except FoundFaultError as fault:
+        return fault.verdict, str(fault)
     except Exception as error:  # whatever else reaches a user is a fault
         frames = [f for f in traceback.extract_tb(error.__traceback__) if "stiffopt" in f.filename]
         place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "?"
@@ -137,12 +149,12 @@ def called(command: Sequence[str], *, whole: bool = True) -> object:
     with _stderr() as said, contextlib.nullcontext() if whole else _until_optimised():
         code = run(command)
     text = said.getvalue()
-    for word in ("Traceback (most recent call last)", "Warning:"):
+    for word, verdict in (("Traceback (most recent", "traceback"), ("Warning:", "warning")):
         if word in text:
-            raise FoundFaultError(f"stderr: {text[text.index(word) - 200 :][:400]}")
+            raise FoundFaultError(verdict, text[max(text.index(word) - 100, 0) :][:300])
     if code in (2, 3):
         if "stiffopt: " not in text and code == 2:
-            raise FoundFaultError(f"exit code {code} without a word")
+            raise FoundFaultError("silent", f"exit code {code} without a word")
         raise StiffoptError(f"exit code {code}")
     return code
 

@@ -7,6 +7,8 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
+from stiffopt.errors import InputError, shortened
+
 # `stiffopt --install-completion` installs the completion of the shell that it runs in.
 app = App(
     name="stiffopt",
@@ -54,3 +56,16 @@ def number_or_text(argument: str) -> float | str:
         return float(argument)
     except ValueError:
         return argument.strip()
+
+
+# Of commands that take a folder of results: understood, and refused with a reason.
+NoChanges = Annotated[tuple[str, ...], Parameter(name="--set", negative=(), show=False)]
+
+
+def refuse_changes(changes: tuple[str, ...]) -> None:
+    """Raise `InputError` where entries of a folder of results were to be changed."""
+    if changes:
+        raise InputError(
+            f"--set {shortened(changes[0])}: a folder of results is what was solved, and has no"
+            " entries to change. Solve, study or diagnose again with --set."
+        )

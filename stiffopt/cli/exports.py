@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from stiffopt.cli.base import Out, app
+from stiffopt.cli.base import NoChanges, Out, app, refuse_changes
 from stiffopt.errors import InputError, nearest
 from stiffopt.files import atomic_write
 from stiffopt.folders import output_folder
@@ -25,6 +25,7 @@ def export(
     recordings: Path | None = None,
     effects: Path | None = None,
     out: Out | None = None,
+    changes: NoChanges = (),
 ) -> int:
     """Write a solved motion, or a robot with what was found, as others read it.
 
@@ -47,6 +48,7 @@ def export(
     from stiffopt.export.model_format import MODEL_FORMATS
     from stiffopt.export.motion import read_motion
 
+    refuse_changes(changes)
     if to in MODEL_FORMATS:
         if recordings is None:
             raise InputError(

@@ -152,8 +152,10 @@ def preload(
 
 
 @app.command
-def verify(problems: Path, *, quiet: bool = False) -> int:
+def verify(problems: Path, *, changes: Changes = (), quiet: bool = False) -> int:
     """Solve problem and study files anew and compare with the values they expect.
+
+    With --set the expected values stay those of the file: to see what a change does to them.
 
     Parameters
     ----------
@@ -173,12 +175,12 @@ def verify(problems: Path, *, quiet: bool = False) -> int:
     paths = verification.problem_files(problems)
     # A fault in the last file must not cost the time of the others.
     for path in paths:
-        verification.check_problem(path)
+        verification.check_problem(path, changes)
     for number, path in enumerate(paths, start=1):
         if not quiet:
             print_check_begins(path, number, len(paths))
         with _named_progress(path.stem, quiet) as display, _about(path):
-            found = verification.verify(path, _study_progress(display))
+            found = verification.verify(path, _study_progress(display), changes)
         checks += found
         if not quiet:
             print_check_ends(found)

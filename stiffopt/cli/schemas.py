@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from stiffopt.cli.base import app, print_json
+from stiffopt.cli.base import NoChanges, app, print_json, refuse_changes
 
 
 @app.command
@@ -82,7 +82,7 @@ def catalogue(
 
 
 @app.command
-def compare(first: Path, second: Path) -> int:
+def compare(first: Path, second: Path, *, changes: NoChanges = ()) -> int:
     """Compare the answers of two result folders: every entry that differs.
 
     Parameters
@@ -95,6 +95,7 @@ def compare(first: Path, second: Path) -> int:
     from stiffopt.report.common.terminal import print_lines, print_table
     from stiffopt.report.compare import compared
 
+    refuse_changes(changes)
     name, rows = compared(first, second)
     if rows:
         print_table((name, str(first), str(second), "change"), rows)

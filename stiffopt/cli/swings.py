@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from stiffopt.cli.base import Changes, Open, Out, app, number_or_text, show_report
+from stiffopt.cli.base import (
+    Changes,
+    NoChanges,
+    Open,
+    Out,
+    app,
+    number_or_text,
+    refuse_changes,
+    show_report,
+)
 from stiffopt.errors import InputError
 from stiffopt.folders import output_folder
 
@@ -29,6 +38,7 @@ def simulate(
     bandwidth: float | None = None,
     feed_forward: float = 1.0,
     delay: str = "0 s",
+    changes: NoChanges = (),
     open_report: Open = False,
 ) -> int:
     """Simulate a solved motion and its baselines on the elastic arm.
@@ -62,6 +72,7 @@ def simulate(
     from stiffopt.solver.stored import read_result
     from stiffopt.units import to_si
 
+    refuse_changes(changes)
     settled = to_si(number_or_text(band), "length", "--band")
     late = to_si(number_or_text(delay), "time", "--delay")
     if settled <= 0.0:
@@ -85,7 +96,9 @@ def simulate(
 
 
 @app.command
-def view(result: Path, *, problem: Path | None = None, port: int = 8080) -> int:
+def view(
+    result: Path, *, problem: Path | None = None, port: int = 8080, changes: NoChanges = ()
+) -> int:
     """Show a solved motion live in the browser, until Ctrl-C; needs the extra `view`.
 
     Parameters
@@ -101,6 +114,7 @@ def view(result: Path, *, problem: Path | None = None, port: int = 8080) -> int:
     from stiffopt.report.scene.poses import stored_poses
     from stiffopt.solver.stored import read_result
 
+    refuse_changes(changes)
     stored = read_result(result, problem)
     own, *others = stored.motions()
     ghost = next((each for each in others if each.name == "toppra"), None)
@@ -144,8 +158,7 @@ def modes(
     if path.is_dir():
         if at is not None:
             raise InputError("a folder of a solve has its own poses: leave --at out.")
-        if changes:
-            raise InputError("a folder of a solve is what was solved: --set is of files.")
+        refuse_changes(changes)
         stored = read_result(path)
         rows = modes_along(stored.problem.robot, stored.optimised.time, stored.optimised.position)
         folder = out or path

@@ -29,6 +29,8 @@ ROD_DENSITY = 850.0
 _HOUSING = 2.7
 # What arms can bear over what the weight takes, at the joint that carries most of it.
 _USUAL_STRENGTH = 2.0
+# Less than this, and an arm could hardly move.
+_LEAST_STRENGTH = 1.2
 _MOST_SCALE = 2.0
 # A larger hull [m^3] is in millimetres, or no link.
 _LARGEST = 8.0
@@ -43,7 +45,7 @@ class EstimatedBody(LinkBody):
     shaped : bool
         Whether the URDF has a shape of the link; else it is a rod to the next joint.
     scale : float
-        Of a rod: what the torque limits made of its mass.
+        What the torque limits made of its mass.
     """
 
     shaped: bool = True
@@ -87,7 +89,10 @@ def estimated_bodies(arm: LoadedUrdf, urdf: Path, tool: LinkFrame) -> dict[str, 
 def fitted_to_torques(
     bodies: Mapping[str, EstimatedBody], weight: np.ndarray, torques: np.ndarray
 ) -> dict[str, EstimatedBody]:
-    """Rods made heavier or lighter, half way (by logarithms) to what the drives would usually hold.
+    """Guessed bodies made heavier or lighter by what the drives would usually hold.
+
+    Rods go half way there (by logarithms). Shapes are trusted more: they are changed, then all the
+    way, only where the drives could not hold them, since shapes may be envelopes of safety.
 
     Parameters
     ----------
@@ -100,14 +105,19 @@ def fitted_to_torques(
     carrier = int(np.argmax(weight))
     if not (weight[carrier] > 0.0 and np.isfinite(torques[carrier])):
         return dict(bodies)
-    strength = torques[carrier] / weight[carrier]
-    scale = float(np.clip(np.sqrt(strength / _USUAL_STRENGTH), 1.0 / _MOST_SCALE, _MOST_SCALE))
-    return {
-        name: body
-        if body.shaped
-        else replace(body, mass=scale * body.mass, inertia=scale * body.inertia, scale=scale)
-        for name, body in bodies.items()
-    }
+    strength = float(torques[carrier] / weight[carrier])
+    usual = strength / _USUAL_STRENGTH
+    rods = float(np.clip(np.sqrt(usual), 1.0 / _MOST_SCALE, _MOST_SCALE))
+    shapes = 1.0
+    if strength < _LEAST_STRENGTH:
+        shapes, rods = usual, min(rods, strength / _LEAST_STRENGTH)
+    return {name: _scaled(body, shapes if body.shaped else rods) for name, body in bodies.items()}
+
+
+def _scaled(body: EstimatedBody, scale: float) -> EstimatedBody:
+    if scale == 1.0:
+        return body
+    return replace(body, mass=scale * body.mass, inertia=scale * body.inertia, scale=scale)
 
 
 def _of_shapes(link: str, shapes: tuple[LinkShape, ...]) -> EstimatedBody | None:

@@ -194,25 +194,27 @@ def _guessed_masses(bodies: Mapping[str, EstimatedBody]) -> Iterator[str]:
     """Which masses are guessed, from what, and how far off that can be."""
     shaped = {name: body for name, body in bodies.items() if body.shaped}
     rods = {name: body for name, body in bodies.items() if not body.shaped}
-    for own, how, off in (
-        (shaped, f"by the volume of their shapes at {DENSITY:g} kg/m^3", "a factor of two"),
-        (rods, f"without any shape: {_how_rods(rods)}", "a factor of two, single links of three"),
-    ):
+    for own, off in ((shaped, "a factor of two"), (rods, "a factor of two, single links of three")):
         if own:
             total = sum(body.mass for body in own.values())
             yield (
-                f"GUESSED: the URDF gives no mass to {', '.join(own)}; {total:.3g} kg together,"
-                f" {how}. They can be off by {off}, and every torque rests on them: put in your"
-                " own."
+                f"GUESSED: the URDF gives no mass to {', '.join(own)}; {total:.3g} kg together, by"
+                f" {_how(next(iter(own.values())))}. They can be off by {off}, and every torque"
+                " rests on them: put in your own."
             )
 
 
-def _how_rods(rods: Mapping[str, EstimatedBody]) -> str:
-    scale = next((body.scale for body in rods.values()), 1.0)
-    said = f"housings and rods from joint to joint, thick at the base, at {ROD_DENSITY:g} kg/m^3"
-    if scale == 1.0:
+def _how(body: EstimatedBody) -> str:
+    """What a mass was guessed from."""
+    said = f"the volume of their shapes at {DENSITY:g} kg/m^3"
+    if not body.shaped:
+        said = (
+            "housings and rods from joint to joint, thick at the base, for want of any shape, at"
+            f" {ROD_DENSITY:g} kg/m^3"
+        )
+    if body.scale == 1.0:
         return said
-    return f"{said}, times {scale:.2g} for what the torque limits would hold"
+    return f"{said}, times {body.scale:.2g} for what the torque limits can hold"
 
 
 def _link(name: str, body: EstimatedBody) -> Iterator[str]:
@@ -222,8 +224,7 @@ def _link(name: str, body: EstimatedBody) -> Iterator[str]:
     yield f"com = {listed(number(round(float(x), 4)) for x in body.com)}  # [m]"
     yield f"inertia = {listed(number(float(x), 3) for x in np.diag(body.inertia))}  # [kg m^2]"
     yield 'provenance = "estimated"'
-    how = f"volume of its shapes times {DENSITY:g} kg/m^3" if body.shaped else _how_rods({"": body})
-    yield f'source = "init robot: {how}"'
+    yield f'source = "init robot: {_how(body)}"'
 
 
 def _demands(arm: LoadedUrdf) -> np.ndarray:

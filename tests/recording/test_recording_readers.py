@@ -344,3 +344,12 @@ def test_a_library_that_is_not_installed_is_named(
     monkeypatch.setattr(read, "import_module", absent)
     with pytest.raises(InputError, match=r"'mcap'.*pip install 'stiffopt\[recordings\]'"):
         read_columns(tmp_path / "run.mcap", JOINTS)
+
+
+def test_numbers_that_no_sensor_gives_are_told(tmp_path: Path) -> None:
+    """Bytes that were lost or shifted; their squares would be infinite."""
+    run = short()
+    run["q2"][30] = -1.7e274
+    np.savez(tmp_path / "run.npz", **run)
+    with pytest.raises(InputFileError, match=r"q2: holds -1.7e\+274 in row 31: no measurement"):
+        read_columns(tmp_path / "run.npz", PLAIN)

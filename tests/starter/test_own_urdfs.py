@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -122,7 +123,7 @@ def test_an_arm_without_masses(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "gives no mass to link2, link3" in said
     assert "gives no mass to link1;" in said
-    assert "without any shape" in said
+    assert "for want of any shape" in said
     assert "no effort for 1, 2, 3, 4, 5, 6" in said
     path = tmp_path / "arm_robot.toml"
     links = {link["name"]: link for link in tomllib.loads(path.read_text())["link"]}
@@ -317,20 +318,27 @@ def test_true_limits_are_not_questioned(tmp_path, capsys):
     assert "GUESSED" not in out
 
 
-def test_guessed_rods_are_scaled_to_what_the_drives_hold(tmp_path):
-    """The same arm without masses, with weak and with strong drives."""
-    masses = []
-    for effort in (10, 400):
-        parts = chain(3, mass="", inside=limits(effort, 2)).replace(f'"{effort}"', '"5"', 1)
-        arm = load_urdf(written(tmp_path, parts), limited=None)
-        tool = link_frame(arm.model, "link3")
-        rods = estimated_bodies(arm, tmp_path / "arm.urdf", tool)
-        weight = np.array([0.0, 60.0, 20.0])
-        found = fitted_to_torques(rods, weight, credible_torques(arm))
-        assert not any(body.shaped for body in found.values())
-        masses.append(sum(body.mass for body in found.values()))
+def test_guessed_masses_are_scaled_to_what_the_drives_hold(tmp_path):
+    """The same arm without masses, with weak, usual and strong drives."""
+    arm = load_urdf(written(tmp_path, chain(3, mass="")), limited=None)
+    rods = estimated_bodies(arm, tmp_path / "arm.urdf", link_frame(arm.model, "link3"))
+    assert not any(body.shaped for body in rods.values())
+    shapes = {name: replace(body, shaped=True) for name, body in rods.items()}
+    weight = np.array([0.0, 60.0, 20.0])
+
+    def scale(bodies, torque):
+        found = fitted_to_torques(bodies, weight, np.array([5.0, torque, np.nan]))
         for name, body in found.items():
-            ratio = body.mass / rods[name].mass
-            assert body.inertia == pytest.approx(ratio * rods[name].inertia)
-    # Drives that hold a sixth of the weight and six times of it; half way, a factor of two at most.
-    assert masses[1] / masses[0] == pytest.approx(np.sqrt(400.0 / 60.0 / 2.0) / 0.5)
+            assert body.inertia == pytest.approx(body.mass / rods[name].mass * rods[name].inertia)
+        return sum(body.mass for body in found.values()) / sum(b.mass for b in rods.values())
+
+    # Half way to twice the weight, a factor of two at most.
+    assert scale(rods, 240.0) == pytest.approx(np.sqrt(2.0))
+    assert scale(rods, 2400.0) == pytest.approx(2.0)
+    # The drives hold it in the end.
+    assert scale(rods, 15.0) == pytest.approx(15.0 / 60.0 / 1.2)
+    # Shapes only where the drives could not hold them: as the safety envelopes of the Panda.
+    assert scale(shapes, 240.0) == 1.0
+    assert scale(shapes, 30.0) == pytest.approx(0.25)
+    # One torque for all joints tells nothing.
+    assert np.all(np.isnan(credible_torques(load_urdf(written(tmp_path, chain(6)), limited=None))))

@@ -24,6 +24,9 @@ from stiffopt.recording.readers.limits import (
 from stiffopt.recording.readers.messages import Message
 from stiffopt.recording.signals import Signals
 
+# Far beyond any measurement, stamps in nanoseconds included; larger ones overflow when squared.
+LARGEST = 1e30
+
 Columns = dict[str, np.ndarray]
 Read = TypeVar("Read")
 
@@ -82,6 +85,14 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name}: {count}" for name, count in lengths.items())
         raise InputFileError(path, "", f"the columns have unequal lengths: {listed}.")
+    for name, column in columns.items():
+        senseless = np.isfinite(column) & (np.abs(column) > LARGEST)
+        if senseless.any():
+            row = int(np.argmax(senseless))
+            raise InputFileError(
+                path, name, f"holds {column[row]:.3g} in row {row + 1}: no measurement is so large."
+                " Mend the file, or put nan where nothing was measured."
+            )  # fmt: skip
     return columns
 
 
