@@ -146,6 +146,8 @@ class Bounds:
         Bounds that are included.
     finite : bool
         Whether it must be finite.
+    hint : str
+        Sentence on what is usually meant by a number beyond them.
     """
 
     above: float = -math.inf
@@ -153,6 +155,7 @@ class Bounds:
     most: float = math.inf
     below: float = math.inf
     finite: bool = True
+    hint: str = ""
 
     def check(self, name: str, value: object) -> None:
         """Raise `InputError` unless every number in `value` lies within; others pass."""
@@ -181,7 +184,7 @@ class Bounds:
         raise InputError(
             f"{name} = {number:g} cannot be used; allowed is {kind}{comma} "
             f"{' and '.join(words)}. Correct {name.rpartition(' ')[2]}"
-            f"{'' if isinstance(number, int) else ' (SI units)'}."
+            f"{'' if isinstance(number, int) else ' (SI units)'}.{self.hint and ' ' + self.hint}"
         )
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
@@ -248,6 +251,8 @@ class Named:
 
 
 POSITIVE = Bounds(above=0.0)
+# A length of a machine part [m]: larger ones were written in millimetres without saying so.
+PART = Bounds(above=0.0, most=3.0, hint='A bare number is in m: write a text such as "63 mm".')
 NOT_NEGATIVE = Bounds(least=0.0)
 FRACTION = Bounds(above=0.0, most=1.0)
 

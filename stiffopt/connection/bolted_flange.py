@@ -13,14 +13,14 @@ from stiffopt.contact.shear import ShearLaw, shear_softening, shear_travel
 from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
 from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
 from stiffopt.contact.validate import require_ordered
-from stiffopt.declaration import POSITIVE, Bounds, Doc, Length, Ratio, Torque
+from stiffopt.declaration import PART, POSITIVE, Bounds, Doc, Length, Ratio, Torque
 from stiffopt.symbolic import Quantity
 
 # Ring faces of reducers are pressed harder than key flanks.
 _HIGHEST_PRESSURE = 1e9
 
 BoltCount = Annotated[int, POSITIVE, Doc("Number of bolts.")]
-CircleDiameter = Annotated[Length, POSITIVE, Doc("Pitch circle of the bolts.")]
+CircleDiameter = Annotated[Length, PART, Doc("Pitch circle of the bolts.")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +42,8 @@ class BoltedFlange(ContactConnection):
     needs_preload: ClassVar[bool] = True
     bolt_count: BoltCount
     circle_diameter: CircleDiameter
-    inner_radius: Annotated[Length, POSITIVE, Doc("Inner radius Ri of the pressed ring.")]
-    outer_radius: Annotated[Length, POSITIVE, Doc("Outer radius Ro of the pressed ring.")]
+    inner_radius: Annotated[Length, PART, Doc("Inner radius Ri of the pressed ring.")]
+    outer_radius: Annotated[Length, PART, Doc("Outer radius Ro of the pressed ring.")]
     surface: Annotated[SurfacePair, Doc("Pair of surfaces of the ring.")]
     friction: Annotated[
         Ratio | None, Doc("Coefficient of friction of the ring; default that of the surface.")
@@ -82,7 +82,7 @@ class BoltedFlange(ContactConnection):
         Doc("Whether a purchased part fixes size, number and circle of the bolts."),
     ] = False
     roughness: Annotated[
-        Length, POSITIVE, Doc("Rz of the faces; sets how far they settle, not the stiffness.")
+        Length, PART, Doc("Rz of the faces; sets how far they settle, not the stiffness.")
     ] = 16e-6
     interfaces: Annotated[
         int, Bounds(least=1), Doc("Faces between the clamped parts that settle.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from stiffopt.declaration import POSITIVE, Bounds, Doc, Length, Named, check_fields
+from stiffopt.declaration import PART, POSITIVE, Bounds, Doc, Length, Named, check_fields
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +58,7 @@ class Bolt:
 class FlangeRing:
     """Flange that is not rigid: a ring, and how its link is joined to it."""
 
-    thickness: Annotated[Length, POSITIVE, Doc("Thickness of the flange, along the joint's axis.")]
+    thickness: Annotated[Length, PART, Doc("Thickness of the flange, along the joint's axis.")]
     supports: Annotated[
         int,
         Bounds(least=3),

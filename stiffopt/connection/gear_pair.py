@@ -13,7 +13,7 @@ from stiffopt.connection.connection import ContactConnection
 from stiffopt.contact.hertz import mean_pressure
 from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
 from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
-from stiffopt.declaration import POSITIVE, Angle, Bounds, Doc, Length, Ratio, WidthStiffness
+from stiffopt.declaration import PART, POSITIVE, Angle, Bounds, Doc, Length, Ratio, WidthStiffness
 from stiffopt.symbolic import Quantity
 
 _HIGHEST_PRESSURE = 2e9
@@ -35,10 +35,10 @@ class GearPair(ContactConnection):
     """
 
     kind: ClassVar[str] = "gear_pair"
-    module: Annotated[Length, POSITIVE, Doc("Module: pitch diameter over number of teeth.")]
+    module: Annotated[Length, PART, Doc("Module: pitch diameter over number of teeth.")]
     teeth: Annotated[int, POSITIVE, Doc("Teeth of the first gear, on the motor's side.")]
     teeth_driven: Annotated[int, POSITIVE, Doc("Teeth of the second gear.")]
-    face_width: Annotated[Length, POSITIVE, Doc("Width of the teeth in mesh.")]
+    face_width: Annotated[Length, PART, Doc("Width of the teeth in mesh.")]
     surface: Annotated[SurfacePair, Doc("Pair of surfaces of the flanks.")]
     pressure_angle: Annotated[
         Angle, Bounds(above=0.0, below=math.pi / 4), Doc("Pressure angle alpha.")

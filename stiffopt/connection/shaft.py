@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 
 from stiffopt.connection.linear import LinearConnection
 from stiffopt.contact.validate import require_ordered
-from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Doc, Length, Pressure
+from stiffopt.declaration import NOT_NEGATIVE, PART, POSITIVE, Doc, Length, Pressure
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,8 +16,8 @@ class Shaft(LinearConnection):
     """Round shaft, solid or hollow, stiffness G pi (d^4 - d_i^4)/(32 L)."""
 
     kind: ClassVar[str] = "shaft"
-    diameter: Annotated[Length, POSITIVE, Doc("Outer diameter d.")]
-    length: Annotated[Length, POSITIVE, Doc("Length L between the two ends that twist.")]
+    diameter: Annotated[Length, PART, Doc("Outer diameter d.")]
+    length: Annotated[Length, PART, Doc("Length L between the two ends that twist.")]
     shear_modulus: Annotated[Pressure, POSITIVE, Doc("Shear modulus G; default steel.")] = 80e9
     bore: Annotated[Length, NOT_NEGATIVE, Doc("Inner diameter d_i, 0 for a solid shaft.")] = 0.0
 

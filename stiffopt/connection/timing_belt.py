@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from stiffopt.connection.linear import LinearConnection
-from stiffopt.declaration import POSITIVE, Angle, Bounds, Doc, Force, Length, Pressure, Ratio
+from stiffopt.declaration import PART, POSITIVE, Angle, Bounds, Doc, Force, Length, Pressure, Ratio
 from stiffopt.symbolic import Quantity
 
 _TURN = Bounds(above=0.0, below=2 * math.pi)
@@ -34,12 +34,12 @@ class TimingBelt(LinearConnection):
     takes_preload: ClassVar[bool] = True
     teeth: Annotated[int, POSITIVE, Doc("Teeth of the first pulley, on the motor's side.")]
     teeth_driven: Annotated[int, POSITIVE, Doc("Teeth of the second pulley.")]
-    pitch: Annotated[Length, POSITIVE, Doc("Pitch of the belt.")]
-    width: Annotated[Length, POSITIVE, Doc("Width b of the belt.")]
-    tooth_height: Annotated[Length, POSITIVE, Doc("Height h of a belt tooth.")]
-    tooth_root_width: Annotated[Length, POSITIVE, Doc("Width w of a belt tooth at its root.")]
+    pitch: Annotated[Length, PART, Doc("Pitch of the belt.")]
+    width: Annotated[Length, PART, Doc("Width b of the belt.")]
+    tooth_height: Annotated[Length, PART, Doc("Height h of a belt tooth.")]
+    tooth_root_width: Annotated[Length, PART, Doc("Width w of a belt tooth at its root.")]
     span_stiffness: Annotated[Force, POSITIVE, Doc("Force per unit strain of one span.")]
-    span_length: Annotated[Length, POSITIVE, Doc("Free length of one span.")]
+    span_length: Annotated[Length, PART, Doc("Free length of one span.")]
     wrap: Annotated[Angle, _TURN, Doc("Wrap angle on the first pulley.")] = math.pi
     wrap_driven: Annotated[Angle, _TURN, Doc("Wrap angle on the second pulley.")] = math.pi
     flank_angle: Annotated[

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
+from stiffopt.declaration import PART
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError, nearest
 from stiffopt.starter.writing import number, quoted, write_new
@@ -34,6 +36,14 @@ def write_flange(
     for name, value in (("--torque", torque), ("--circle", circle), ("--count", count)):
         if not value > 0.0:
             raise InputError(f"{name} must be above 0, got {value:g}.")
+    PART.check("--circle", circle)
+    room = circle * math.sin(math.pi / count) if count > 1 else circle
+    if room < data.head_diameter:
+        raise InputError(
+            f"--count: {count} heads of {1e3 * data.head_diameter:g} mm do not fit on a circle of"
+            f" {1e3 * circle:g} mm: {1e3 * room:.3g} mm from bolt to bolt. Fewer or smaller bolts,"
+            " or a larger circle."
+        )
     if circle <= 4.0 * bolt:
         raise InputError(f"--circle: {circle:g} m is too small for {count} bolts {size}.")
     inner, outer = circle / 2.0 - 1.5 * bolt, circle / 2.0 + 1.5 * bolt

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from stiffopt.preload.sensitivity import WindupShare
     from stiffopt.preload.solution import PreloadSolution
 
+# Below this share of what holds against slip the loads are nothing, or in another unit.
+_IDLE = 0.05
 # Below this relative change of stiffness the preload is set by something else.
 _SMALL = 0.02
 # Marks an estimated number.
@@ -138,6 +140,19 @@ def what_binds(problem: PreloadProblem, solution: PreloadSolution) -> str:
     """Sentence on the limits at which the design lies."""
     if not solution.status.usable:
         return ""
+    said = _what_binds(problem, solution)
+    slip = [row.utilisation for row in solution.rows if row.kind == "slip safety"]
+    if slip and max(slip) < _IDLE:
+        said += (
+            f" Against slip there is {1.0 / max(slip):.3g} times what is required: no load decides"
+            " here. Are the loads in the unit that was meant?"
+            if max(slip) > 0.0
+            else " No load turns a joint."
+        )
+    return said
+
+
+def _what_binds(problem: PreloadProblem, solution: PreloadSolution) -> str:
     counts: dict[str, int] = {}
     for element in problem.elements:
         why = set_by(solution, element.key, element.joint)
