@@ -31,6 +31,8 @@ from stiffopt.recording.signals import Signals, as_signals
 from stiffopt.robot.robot import Robot
 
 FILE = "recordings.toml"
+# Endings of recordings as they come from a logger.
+_RUNS = (".csv", ".txt", ".tsv", ".npz", ".parquet", ".mcap", ".db3", ".dat", ".log")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -152,9 +154,7 @@ def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
     InputFileError, RobotError
         What is wrong, where, and what is allowed.
     """
-    path = Path(path)
-    if path.is_dir():
-        path = path / FILE
+    path = _described(Path(path))
     data = with_changes(load_toml(path), changes, path)
     if data.get("schema") != 1 or isinstance(data.get("schema"), bool):
         got = f"got {data['schema']!r}" if "schema" in data else "the key is missing"
@@ -223,6 +223,23 @@ def require_usable(recordings: RecordingSet, usable: Set[str]) -> None:
                 f'no run of the role "{role}" can be used: in {", ".join(files)} a joint has no'
                 " position that can be trusted. Record anew, or give other runs that role.",
             )
+
+
+def _described(path: Path) -> Path:
+    """The recordings.toml of a set; says what to do with recordings that have none yet."""
+    file = path / FILE if path.is_dir() else path
+    if path.is_file() and path.suffix.lower() in _RUNS:
+        raise InputFileError(
+            path, "", "is a recording, not a recording set, which says what its columns are:"
+            f" `stiffopt init recording {path} --urdf ROBOT.urdf` writes one."
+        )  # fmt: skip
+    bare = path.is_dir() and not file.exists()
+    if bare and any(each.suffix.lower() in _RUNS for each in path.iterdir()):
+        raise InputFileError(
+            path, "", f"holds recordings, but no {FILE} that says what their columns are:"
+            f" `stiffopt init recording {path} --urdf ROBOT.urdf` writes one."
+        )  # fmt: skip
+    return file
 
 
 def _entry(section: RunSection, n: int, number: int, path: Path) -> RunEntry:

@@ -48,7 +48,10 @@ class ScaleSection(Section):
     link_position: Annotated[Factors | None, Doc("Of the encoders on the link's side.")] = None
     torque: Annotated[
         Factors | None,
-        Doc('Of torques: "mN*m", or N m per recorded unit, as of a motor current in A.'),
+        Doc(
+            'Of torques: "mN*m", or N m per recorded unit, as of a motor current in A; "A" where '
+            "that is not known yet, to be told what the arm's weight suggests."
+        ),
     ] = None
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -39,6 +39,8 @@ class Signals:
         What columns are multiplied with to be SI; left out where they are.
     torque_delay : float
         By which torques were recorded later than positions [s].
+    currents : bool
+        Whether torques are stated in A, without what one A is at the joint.
 
     Notes
     -----
@@ -55,6 +57,7 @@ class Signals:
     torque_side: Literal["motor", "link"] = "motor"
     scale: Mapping[str, np.ndarray] = field(default_factory=dict)
     torque_delay: float = 0.0
+    currents: bool = False
 
     def scale_of(self, kind: str, n: int) -> np.ndarray:
         """Factors (n,) that columns of a kind are multiplied with to be SI."""
@@ -121,7 +124,12 @@ def as_signals(section: SignalsSection, n: int, path: Path) -> Signals:
         torque_side=section.torque_side or "motor",
         scale=_scale(section.scale, n, path),
         torque_delay=section.torque_delay,
+        currents=any(entry in _CURRENTS for entry in _entries(section.scale.torque)),
     )
+
+
+# Currents [A] may stand for torques, but nothing is diagnosed from them until they are torques.
+_CURRENTS = {"A": 1.0, "mA": 1e-3}
 
 
 def _scale(section: ScaleSection, n: int, path: Path) -> dict[str, np.ndarray]:
@@ -132,16 +140,27 @@ def _scale(section: ScaleSection, n: int, path: Path) -> dict[str, np.ndarray]:
         if entry is None:
             continue
         where = f"signals.scale.{kind}"
-        entries = (
-            list(entry) if isinstance(entry, tuple) else [entry] * (1 if kind == "time" else n)
-        )
+        entries = _entries(entry)
+        if len(entries) == 1 and not isinstance(entry, tuple):
+            entries = entries * (1 if kind == "time" else n)
         if kind != "time" and len(entries) != n:
             raise InputFileError(
                 path, where, f"needs one entry, or one a joint ({n}), got {len(entries)}."
             )
-        values = [_factor(one, dimension, path, where) for one in entries]
+        values = [
+            _CURRENTS[str(one)]
+            if kind == "torque" and one in _CURRENTS
+            else _factor(one, dimension, path, where)
+            for one in entries
+        ]
         factors[kind] = np.array(values[0] if kind == "time" else values)
     return factors
+
+
+def _entries(entry: Any) -> list[float | str]:
+    if entry is None:
+        return []
+    return list(entry) if isinstance(entry, tuple) else [entry]
 
 
 def _factor(entry: float | str, dimension: str, path: Path, where: str) -> float:

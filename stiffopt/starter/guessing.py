@@ -15,20 +15,32 @@ from stiffopt.starter.tables import UNITS
 KINDS = ("velocity", "torque", "link_position", "position")
 # Words of each kind, the first that fits wins; a name is cut at what is neither letter nor digit.
 _WORDS = {
-    "velocity": ("velocity", "velocities", "vel", "speed", "qd", "dq", "omega", "geschwindigkeit"),
+    "velocity": ("velocity", "velocities", "vel", "speed", "qd", "dq", "omega", "geschwindigkeit",
+                 "drehzahl", "speeds"),
     "torque": (
         "torque", "torques", "tau", "trq", "moment", "effort", "drehmoment", "current", "currents",
         "strom", "amps", "tq", "load",
     ),
     "link_position": ("link", "linkside", "ql", "secondary", "outputside"),
-    "position": ("position", "positions", "pos", "q", "angle", "angles", "theta", "winkel", "ist",
-                 "axis", "joint", "a", "j"),
+    "position": ("position", "positions", "pos", "q", "angle", "angles", "theta", "winkel", "lage",
+                 "ist", "axis", "joint", "a", "j"),
 }  # fmt: skip
 _CURRENT = ("current", "currents", "strom", "amps", "i")
 _TIME = ("t", "time", "timestamp", "stamp", "zeit", "seconds", "clock")
 # Of several columns of one kind: measured before wanted.
 _WANTED = ("target", "cmd", "command", "desired", "des", "soll", "ref", "reference", "setpoint")
-_OTHER = ("temperature", "temp", "voltage", "acceleration", "accel", "acc", "qdd", "mode", "status")
+_OTHER = (
+    "temperature",
+    "temp",
+    "temperatur",
+    "voltage",
+    "acceleration",
+    "accel",
+    "acc",
+    "qdd",
+    "mode",
+    "status",
+)
 # What only the user can turn into SI, and what to put there.
 FACTORS = {
     "A": "a current: put N m per A at the joint (torque constant times gear ratio)",

@@ -163,10 +163,7 @@ def _text(
     if scaled:
         lines += ["", "[signals.scale]"]
         for kind, unit in scaled.items():
-            if unit in ("A", "mA"):
-                factor = "1.0" if unit == "A" else "0.001"
-                lines.append(f"{kind} = {factor}  # {FACTORS[unit]} here")
-            elif unit in FACTORS:
+            if unit in FACTORS:
                 # Stops whoever reads it until a factor stands there.
                 lines.append(f"{kind} = {quoted(unit)}  # {FACTORS[unit]} here")
             else:

@@ -127,10 +127,32 @@ def _names(head: list[list[str]], comments: list[str], width: int, mark: str) ->
     if not words:
         return None
     names = words[-1]
-    if len(words) > 1 and all(cell.strip("[]() ").lower() in UNITS or not cell for cell in names):
+    if len(words) > 1 and _is_units(names):
         units = [unit.strip("[]() ") for unit in names]
         names = [f"{n} [{u}]" if u else n for n, u in zip(words[-2], units, strict=True)]
-    return names
+    return _distinct(names)
+
+
+def _is_units(cells: list[str]) -> bool:
+    """Whether a row holds units: in brackets or known, and half of them known."""
+    there = [cell for cell in cells if cell]
+    known = [cell for cell in there if cell.strip("[]() ").lower() in UNITS]
+    bracketed = [cell for cell in there if cell[0] in "[(" and cell[-1] in ")]"]
+    return 2 * len(known) >= len(there) > 0 and len({*known, *bracketed}) == len(set(there))
+
+
+def _distinct(names: list[str]) -> list[str]:
+    """Names with a number behind those that several columns have: none may hide another."""
+    count = Counter(names)
+    seen: Counter[str] = Counter()
+    found = []
+    for name in names:
+        seen[name] += 1
+        unit = re.search(r"\s*[\[(][^\])]*[\])]\s*$", name)
+        cut = unit.start() if unit is not None else len(name)
+        own = f"{name[:cut]} {seen[name]}{name[cut:]}".strip() if count[name] > 1 else name
+        found.append(own)
+    return found
 
 
 def _decoded(raw: bytes) -> str:

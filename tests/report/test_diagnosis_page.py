@@ -18,6 +18,7 @@ from stiffopt.report.diagnosis.residuals import (
     direction,
     regimes,
 )
+from stiffopt.report.diagnosis.terminal import print_diagnosis
 from stiffopt.report.diagnosis.words import (
     channels_in_words,
     headline,
@@ -70,6 +71,22 @@ def test_page_says_what_was_found(friction, tmp_path):
     names = {path.stem for path in tmp_path.glob("*.svg")}
     assert {"diagnosis_balances", "diagnosis_regimes_1", "diagnosis_extrapolate"} <= names
     assert {path.stem for path in tmp_path.glob("*.png")} == names
+
+
+def test_named_findings_that_leave_much_say_so(friction, tmp_path, capsys):
+    """As of a torque constant that is off by a factor of two."""
+    left = unexplained_in(friction, ratio=42.0, left=0.4).unexplained
+    found = replace(friction, unexplained=left)
+    text = page_of(found, tmp_path).text
+    assert "42 times the noise stays open in the torque of joint 2" in text
+    assert "the most is named, much stays open" in text
+    print_diagnosis(found, tmp_path)
+    said = " ".join(capsys.readouterr().out.split())
+    assert "what it is was found" not in said
+    assert "Look first whether unit, torque constant and masses are right" in said
+    near = replace(friction, unexplained=replace(left, ratio=3.0))
+    print_diagnosis(near, tmp_path)
+    assert "what it is was found" in " ".join(capsys.readouterr().out.split())
 
 
 def test_page_of_what_the_catalogue_lacks(friction, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from datetime import datetime, timedelta
 
@@ -222,3 +223,63 @@ def test_the_unit_of_speeds_is_claimed_where_positions_show_it(
 def test_names_of_messages_that_are_none_of_joints(name):
     found = _fields("/t", {"name": name, "position": [1.0, 2.0]}, ["a", "b"])
     assert found == ["/t.position[0]", "/t.position[1]"]
+
+
+def german(folder, factor=(9.5, 4.2)):
+    """Logs of the shipped arm as a test bench writes them: two heads, ms, degrees, currents."""
+    shipped = URDF.parent
+    for k, run_ in enumerate(("train_1", "train_2", "train_3", "test_1"), start=1):
+        with np.load(shipped / f"{run_}.npz") as stored:
+            every = {name: stored[name][::2] for name in stored.files}
+        angles = [np.degrees(every[q]) for q in ("q1", "q2")]
+        currents = [every[f"tau{j}"] / factor[j - 1] for j in (1, 2)]
+        warmth = np.full(len(every["t"]), 31.5)
+        columns = [1e3 * every["t"], *angles, *currents, warmth]
+        head = [f"Prüfstand 7;Messung {k}",
+                "Zeit;Achse 1 Winkel;Achse 2 Winkel;Achse 1 Strom;Achse 2 Strom;Achse 1 Temperatur",
+                "[ms];[°];[°];[A];[A];[°C]"]  # fmt: skip
+        body = [";".join(f"{v:.9g}" for v in row).replace(".", ",")
+                for row in np.column_stack(columns)]  # fmt: skip
+        (folder / f"messung_{k}.csv").write_text("\n".join([*head, *body]), encoding="latin-1")
+    return [str(folder / f"messung_{k}.csv") for k in range(1, 5)]
+
+
+def test_a_german_test_bench_to_a_set_in_three_commands(tmp_path, capsys):
+    files = german(tmp_path)
+    assert run(["diagnose", files[0]]) == 2
+    assert "`stiffopt init recording" in capsys.readouterr().err
+    assert run(["diagnose", str(tmp_path)]) == 2
+    assert "holds recordings, but no recordings.toml" in capsys.readouterr().err
+    folder = tmp_path / "set"
+    assert run(["init", "recording", *files, "--urdf", str(URDF), "--out", str(folder)]) == 0
+    said = capsys.readouterr().out
+    assert "in ms by its name" in said
+    assert "in deg by their names" in said
+    assert "not used: Achse 1 Temperatur" in said
+    signals = tomllib.loads((folder / "recordings.toml").read_text())["signals"]
+    assert signals["position"] == ["Achse 1 Winkel [°]", "Achse 2 Winkel [°]"]
+    assert signals["scale"] == {"time": "ms", "position": "deg", "torque": "A"}
+    # Currents are no torques; what the arm's weight makes of them is told.
+    assert run(["recording", "check", str(folder)]) == 2
+    errors = capsys.readouterr().err
+    assert "Give N m per A at each joint" in errors
+    first, second = re.search(r"write torque = \[([\d.]+), ([\d.]+)\]", errors).groups()
+    assert float(first) == pytest.approx(9.5, rel=0.02)
+    assert float(second) == pytest.approx(4.2, rel=0.02)
+    scale = "signals.scale.torque=[9.5,4.2]"
+    assert run(["recording", "check", str(folder), "--set", scale]) == 0
+
+
+def test_currents_near_one_newton_metre_an_ampere_are_stopped_too(tmp_path, capsys):
+    """No gain shows there: only that nobody has said what one A is."""
+    files, folder = german(tmp_path, factor=(1.1, 0.9)), tmp_path / "set"
+    assert run(["init", "recording", *files, "--urdf", str(URDF), "--out", str(folder)]) == 0
+    assert run(["recording", "check", str(folder)]) == 2
+    assert "Give N m per A at each joint" in capsys.readouterr().err
+
+
+def test_columns_of_one_name_do_not_hide_each_other(tmp_path):
+    text = lines(["t", "Winkel [deg]", "Winkel [deg]", "Moment", "Moment"])
+    found = guessed(tmp_path, text)
+    assert found.columns["position"] == ("Winkel 1 [deg]", "Winkel 2 [deg]")
+    assert found.columns["torque"] == ("Moment 1", "Moment 2")

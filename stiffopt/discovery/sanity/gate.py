@@ -45,7 +45,7 @@ def doubts(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[Doubt
     """
     if not any(body.mass > 0.0 for body in recordings.robot.tree.bodies):
         return (_without_masses(recordings),)
-    found = list(_second_sensors(recordings, runs))
+    found = [*_currents(recordings), *_second_sensors(recordings, runs)]
     samples = sampled(runs)
     explanation = None
     if samples is not None:
@@ -67,6 +67,19 @@ def _without_masses(recordings: RecordingSet) -> Doubt:
         " if only roughly: all else is judged beside the weight.",
         line="",
     )
+
+
+def _currents(recordings: RecordingSet) -> Iterator[Doubt]:
+    """Torques that nobody has made of currents yet."""
+    if recordings.signals.currents:
+        yield Doubt(
+            kind="torque unit",
+            joints=(),
+            evidence="The torques are stated as currents in A. Give N m per A at each joint (the"
+            " motor's torque constant times the gear ratio) as torque in [signals.scale]; what the"
+            " weight of the nominal model suggests, if anything, is told here as well.",
+            line="",
+        )
 
 
 # ---- by the torques

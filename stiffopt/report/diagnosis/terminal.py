@@ -18,6 +18,7 @@ from stiffopt.report.diagnosis.words import (
     new_and_unstated,
     place,
     prismatic,
+    stays_open,
     unexplained_sentence,
 )
 from stiffopt.units import joint_unit
@@ -72,11 +73,20 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
 
 def _verdict(diagnosis: Diagnosis) -> str:
     left = diagnosis.unexplained
-    if diagnosis.findings and diagnosis.verdict == "outside_catalogue" and left is not None:
+    if left is not None and stays_open(diagnosis):
+        much = (
+            f"{significant(left.ratio, 2)} times the noise stays open in"
+            f" {channels_in_words(left.channels[:1])}"
+        )
+        if diagnosis.verdict == "outside_catalogue":
+            return (
+                f"Something is missing in the nominal model; part of it was found, but {much}, so"
+                " that no finding is more than a start."
+            )
         return (
-            "Something is missing in the nominal model; part of it was found, but"
-            f" {significant(left.ratio, 2)} times the noise stays open in"
-            f" {channels_in_words(left.channels[:1])}, so that no finding is more than a start."
+            f"Something is missing in the nominal model; the most of it was found, but {much}:"
+            " findings there may stand for something else. Look first whether unit, torque constant"
+            " and masses are right."
         )
     return _VERDICTS[diagnosis.verdict]
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.discovery.thresholds import OPEN_RATIO
 from stiffopt.report.common.text import capital, listed, significant, words
 
 if TYPE_CHECKING:
@@ -78,10 +79,18 @@ def headline(diagnosis: Diagnosis) -> str:
     return capital(text) + _open_words(diagnosis)
 
 
-def _open_words(diagnosis: Diagnosis) -> str:
-    """That most is open, where findings leave many times the noise."""
+def stays_open(diagnosis: Diagnosis) -> bool:
+    """Whether findings leave so much that they may stand for something else."""
     left = diagnosis.unexplained
-    if diagnosis.verdict != "outside_catalogue" or left is None:
+    if not diagnosis.findings or left is None:
+        return False
+    return diagnosis.verdict == "outside_catalogue" or left.ratio >= OPEN_RATIO
+
+
+def _open_words(diagnosis: Diagnosis) -> str:
+    """That much is open, where findings leave many times the noise."""
+    left = diagnosis.unexplained
+    if left is None or not stays_open(diagnosis):
         return ""
     where = channels_in_words(left.channels[:1])
     return f"; {significant(left.ratio, 2)} times the noise stays open in {where}"
@@ -91,6 +100,8 @@ def verdict_words(diagnosis: Diagnosis) -> str:
     """The verdict, and beside findings that it is not all."""
     if diagnosis.findings and diagnosis.verdict == "outside_catalogue":
         return "named in part, much stays open"
+    if stays_open(diagnosis):
+        return "the most is named, much stays open"
     return VERDICTS[diagnosis.verdict]
 
 
