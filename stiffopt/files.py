@@ -335,8 +335,8 @@ def _fault(model: type[BaseModel], where: str, error: Any) -> tuple[str, str]:
         if allowed:
             return where, f"got {shortened(given)}. {nearest(str(given), allowed)}"
     if kind in ("model_type", "dataclass_type", "model_attributes_type"):
-        allowed = ", ".join(_fields(model, error["loc"]))
-        keys = f" Its keys: {allowed}." if allowed else ""
+        inside = ", ".join(_fields(model, error["loc"]))
+        keys = f" Its keys: {inside}." if inside else ""
         return where, f"needs a section with keys of its own, got {shortened(given)}.{keys}"
     if kind == "value_error":
         cause = error["ctx"]["error"]
