@@ -36,6 +36,8 @@ from stiffopt.transcription.refine import refine_mesh
 from stiffopt.transcription.transcription import Transcription
 
 _LEAST_INTERVALS = 16
+# Intervals of the first and the second mesh of a deflection's peak, however fine the last is.
+_MOST_COARSE, _MOST_MIDDLE = 60, 100
 # Iterations without a point that keeps all rows, after which it is asked whether there is any.
 _PATIENCE = 100
 # Excess of all rows together, relative to their scales, from which on they are in conflict; and
@@ -79,8 +81,9 @@ def stages(problem: TrajectoryProblem, intervals: int) -> tuple[SolveStage, ...]
         return (SolveStage(coarse, widths[1]), SolveStage(intervals, widths[-1], new_mesh=True))
     if widths == WINDUP_SMOOTHING:
         # Each mesh follows the motion before it. A middle one costs less than a second fine one,
-        # and its peaks are as low.
-        middle = max(2 * intervals // 3, coarse)
+        # and its peaks are as low. Neither has to grow with the last one.
+        coarse = min(coarse, _MOST_COARSE)
+        middle = max(min(2 * intervals // 3, _MOST_MIDDLE), coarse)
         between = float(np.sqrt(widths[-2] * widths[-1]))
         return (
             SolveStage(coarse, widths[0]),
@@ -514,6 +517,10 @@ def solver_options(problem: TrajectoryProblem) -> IpoptOptions:
     if problem.plans_links:
         # Long chains take half the time where MUMPS orders by minimum degree.
         extra["mumps_pivot_order"] = 0
+    elif len(smoothing_stages(problem)) == 1:
+        # Smooth programmes are well scaled as they are. What MUMPS does to them costs steps, on
+        # fine meshes with a free duration half of all.
+        extra |= {"mumps_pivot_order": 0, "mumps_permuting_scaling": 0, "mumps_scaling": 0}
     return IpoptOptions(
         tol=method.tolerance,
         max_iterations=method.max_iterations,

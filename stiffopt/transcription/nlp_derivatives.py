@@ -74,7 +74,8 @@ def composed(
     bent = stage.hessian(variables, p, ca.reshape(weights, *v.shape))
     hessian = l_xx + cross + cross.T
     hessian += ca.mtimes([slope.T, l_vv, slope]) + ca.mtimes([inner.T, bent, inner])
-    gradient = f_x + ca.mtimes(f_v, slope).T
+    # Two products with a vector, not one of two matrices.
+    gradient = f_x + ca.mtimes(ca.mtimes(f_v, jacobian), inner).T
     return (
         f,
         g,
