@@ -13,6 +13,15 @@ from stiffopt.symbolic import Quantity
 
 _GEAR_ORDERS = (1, 2, 4)
 _RIPPLE_ORDERS = (1, 6)
+# Waves at this share of the samples' rate are half taken, faster ones hardly: sampled, they look
+# like slow ones, and the motor's inertia carries them, which its recorded motion does not show.
+_TAKEN, _STEEP = 0.24, 8
+
+
+def _shown(signals: JointSignals, order: float) -> Quantity:
+    """Share of a wave of this order of the joint's angle that samples can show."""
+    rate = order * signals.motor_velocity / (2.0 * np.pi)
+    return 1.0 / (1.0 + (rate * signals.dt / _TAKEN) ** _STEEP)
 
 
 def transmission_error_term(
@@ -28,8 +37,9 @@ def transmission_error_term(
     for k, order in enumerate(_GEAR_ORDERS):
         turn = order * ratio * signals.motor_position
         a, b = amplitudes[2 * k], amplitudes[2 * k + 1]
-        error = error + a * np.sin(turn) + b * np.cos(turn)
-        slope = slope + order * ratio * (a * np.cos(turn) - b * np.sin(turn))
+        shown = _shown(signals, order * ratio)
+        error = error + shown * (a * np.sin(turn) + b * np.cos(turn))
+        slope = slope + shown * order * ratio * (a * np.cos(turn) - b * np.sin(turn))
     return Term(deflection=error, drive_torque=-signals.spring_torque * slope)
 
 
@@ -38,11 +48,12 @@ def torque_ripple_term(
 ) -> Term:
     """Ripple of the motor at 1 and 6 times the electrical angle."""
     constants = signals.constants
-    electrical = (constants.pole_pairs or 1.0) * constants.ratio * signals.motor_position
+    turns = (constants.pole_pairs or 1.0) * constants.ratio
     ripple: Quantity = 0.0
     for k, order in enumerate(_RIPPLE_ORDERS):
-        turn = order * electrical
-        ripple = ripple + amplitudes[2 * k] * np.sin(turn) + amplitudes[2 * k + 1] * np.cos(turn)
+        turn = order * turns * signals.motor_position
+        wave = amplitudes[2 * k] * np.sin(turn) + amplitudes[2 * k + 1] * np.cos(turn)
+        ripple = ripple + _shown(signals, order * turns) * wave
     return Term(drive_torque=ripple)
 
 
