@@ -164,10 +164,13 @@ def diagnose(
         stopped.append("Stopped by the user: no experiment was designed.")
     # The findings are fixed: from here on other runs may be opened, and change nothing above.
     opened = HeldOut(training, settings, start, found, parts_of(found, recordings.unstated))
+    interrupted = False
     try:
         opened.predict_all(recordings, say)
     except KeyboardInterrupt:
-        stopped.append("Stopped by the user: not all held-out runs were predicted.")
+        interrupted = True
+        if not opened.left:
+            stopped.append("Stopped by the user: the last held-out run was not shared out.")
     proofs, taken = tuple(opened.proofs), opened.shares.found()
     every = (*training.recorded, *(proof.run for proof in proofs))
     return Diagnosis(
@@ -189,11 +192,16 @@ def diagnose(
         detection_limits=limits,
         unexplained=unexplained,
         next_experiment=_next_experiment(findings, plan, unexplained, taken, recordings.unstated),
-        assumptions=(*stopped, *_despite(doubted), *training.assumptions),
+        assumptions=(
+            *stopped,
+            *opened.not_predicted(),
+            *_despite(doubted),
+            *training.assumptions,
+        ),
         faults=tuple((run.name, fault) for run in every for fault in run.faults),
         experiment=plan,
         doubts=doubted,
-        stopped=bool(stopped),
+        stopped=interrupted or bool(stopped),
     )
 
 

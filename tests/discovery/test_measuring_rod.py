@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from stiffopt.discovery.settings import MOVING, Settings
 from stiffopt.discovery.training import Training, train
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.recording.run import RecordedRun
+from stiffopt.report.diagnosis.mismatch import rod_sentence
 
 SET = Path(__file__).parents[2] / "problems" / "recordings" / "two_link_friction"
 # What the nominal model of the set lacks.
@@ -109,3 +111,21 @@ def test_a_value_that_one_run_has_of_its_own_is_said(kind: str, value: float) ->
 def _proof(training: Training, predictor: Predictor, run: RecordedRun) -> RunProof:
     before, after = predictor.predict(), predictor.predict(LACKS)
     return prove(run, predictor.velocity, before, after, training.noise)
+
+
+def test_a_channel_without_any_mismatch_has_no_share() -> None:
+    box = object.__new__(BlackBox)
+    box._boxes = [None, None]
+    box._squares = np.array([[0.0, 0.0, 0.0, 50.0], [4.0, np.nan, 1.0, 50.0]])
+    assert box.found() is None
+    box._squares[1] = (4.0, 8.0, 8.0, 50.0)
+    found = box.found()
+    assert found is not None
+    assert set(found.channels) == {"torque_2"}
+    assert found.explained == 0.0
+    assert "nothing of what is explainable" in rod_sentence(SimpleNamespace(rod=found))
+
+
+def test_a_model_that_does_harm_has_explained_nothing() -> None:
+    found = MeasuringRod(explained=-0.4, channels={"torque_1": (2.0, 1.0)}, depends=())
+    assert "Explained: nothing of" in rod_sentence(SimpleNamespace(rod=found))

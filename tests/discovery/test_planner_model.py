@@ -157,10 +157,13 @@ def test_the_standard_deviation_of_a_payload_bounds_it_in_planning(
     )
     carrying = arm.with_payload(2.0, [0.0, 0.0, 0.05], [0.01, 0.01, 0.01])
     planner = planner_model(carrying, heavier)
-    # What was found counts as payload: of 2.5 kg.
-    assert planner.payload_deviation == pytest.approx(0.02)
+    # What was found is of the last link: the 2 kg of the payload vary by as many kilograms.
+    assert planner.payload_deviation == pytest.approx(0.025)
+    varied = planner.robot.with_payload_times(1.0 + planner.payload_deviation)
+    added = varied.model.inertias[6].mass - planner.robot.model.inertias[6].mass
+    assert added == pytest.approx(0.05)
     unsure = of_deviations(Uncertainty(), planner.stiffness_deviation, planner.payload_deviation)
-    assert unsure.payload == pytest.approx(0.04)
+    assert unsure.payload == pytest.approx(0.05)
     assert np.isnan(planner_model(carrying, model).payload_deviation)
 
 

@@ -120,7 +120,7 @@ def plan_experiment(
     pair : (LocatedEffect, LocatedEffect)
         The explanations, such as a finding and its strongest rival.
     seconds : float
-        That the design may take.
+        Of processor time that the design may take, so that it is the same beside other work.
     say : callable
         Called with a sentence at every step.
 
@@ -136,7 +136,7 @@ def plan_experiment(
     where both effects are formulas of the instant (no memory). Whatever is better by the full
     criterion is kept.
     """
-    begin = time.perf_counter()
+    begin, began = time.process_time(), time.perf_counter()
     first, second = pair
     say(f"design the motion that separates {first.label} from {second.label}")
     others = tuple(e for e in result.effects if e.key not in (first.key, second.key))
@@ -156,7 +156,12 @@ def plan_experiment(
         return separation.of(run, step=step)
 
     def left() -> float:
-        return seconds - (time.perf_counter() - begin)
+        return seconds - (time.process_time() - begin)
+
+    def on_the_clock(own: float) -> float:
+        """Seconds of the clock in which this process gets so many of its own."""
+        passed, worked = time.perf_counter() - began, time.process_time() - begin
+        return own * max(1.0, passed / max(worked, 1e-3))
 
     best, value = _searched(training, limits, duration, rated, lambda: left() > 0.6 * seconds)
     method = f"best of {_MOTIONS} Fourier motions"
@@ -174,7 +179,7 @@ def plan_experiment(
                 prepared_motion(training, training.constants, motion, settings),
                 motion,
                 limits,
-                seconds=share * left(),
+                seconds=on_the_clock(share * left()),
             )
             if better is None or limits.excess(training.robot, better) > 1.0 / USED:
                 break

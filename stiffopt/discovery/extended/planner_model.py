@@ -42,8 +42,9 @@ class PlannerModel:
     stiffness_deviation : array (n,)
         Relative standard deviation of each joint's stiffness; NaN where the model states none.
     payload_deviation : float
-        Standard deviation of the payload's mass, relative to the robot's payload with what was
-        found; NaN where the model states none, or nothing is carried.
+        Standard deviation of the mass that was found as payload, relative to the payload of the
+        robot, which is what varies in planning (found masses are of the last link); NaN where the
+        model states none, or the robot carries none.
     """
 
     robot: Robot
@@ -167,12 +168,11 @@ class _Planner:
         return found
 
     def payload_deviation(self) -> float:
-        """Relative standard deviation of the payload's mass, where one was found."""
+        """Standard deviation of a payload that was found over the payload that planning varies."""
         carried = 0.0 if self.robot.payload is None else float(self.robot.payload[0])
-        for located, values, deviations in self._stated():
-            mass = carried + values.get("dm", 0.0)
-            if located.effect.name == "payload" and "dm" in deviations and mass > 0.0:
-                return float(deviations["dm"] / mass)
+        for located, _, deviations in self._stated():
+            if located.effect.name == "payload" and "dm" in deviations and carried > 0.0:
+                return float(deviations["dm"] / carried)
         return float("nan")
 
     def _stated(self) -> Iterator[tuple[LocatedEffect, Mapping[str, float], Mapping[str, float]]]:

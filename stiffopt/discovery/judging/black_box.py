@@ -124,10 +124,16 @@ class BlackBox:
 
     def found(self) -> MeasuringRod | None:
         """What runs left out say; None without any."""
-        seen = np.flatnonzero(self._squares[:, 3] > 0)
+        squares = self._squares
+        # A channel without a finite or any mismatch has no share that could be told.
+        seen = np.flatnonzero(
+            (squares[:, 3] > 0)
+            & np.isfinite(squares).all(axis=1)
+            & (squares[:, :2] > 0).all(axis=1)
+        )
         if not seen.size:
             return None
-        before, after, box, count = self._squares[seen].T
+        before, after, box, count = squares[seen].T
         # Where the box knows less than the model, the model is what can be explained.
         possible = 1.0 - np.mean(np.minimum(after, box) / before)
         explained = 1.0 - np.mean(after / before)

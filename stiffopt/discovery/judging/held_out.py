@@ -37,6 +37,8 @@ class HeldOut:
     velocities : list of array (K, n)
         Of the joints in these runs.
     shares : Shares
+    left, unusable : list of str
+        Files of runs that were not predicted: not opened yet, and without a joint's position.
     """
 
     def __init__(
@@ -53,31 +55,52 @@ class HeldOut:
         self.proofs: list[RunProof] = []
         self.velocities: list[np.ndarray] = []
         self.shares = Shares(parts)
+        self.left: list[str] = []
+        self.unusable: list[str] = []
 
     def predict_all(self, recordings: RecordingSet, say: Say) -> None:
         """Open one run after another; what an interruption leaves is whole."""
         training, settings = self._training, self._settings
         extensions = (*self._start, self._found)
+        entries = recordings.with_role("test", "extrapolate")
+        self.left = [entry.file for entry in entries]
         if training.free_bodies and not training.robot.swings:
             say("fit a black box to what is left, as a measuring rod")
             self._box = BlackBox(training, settings, extensions, say)
         swinging = _predicted_swinging(training, settings, extensions)
-        for entry in recordings.with_role("test", "extrapolate"):
+        for entry in entries:
             say(f"predict {entry.file}")
             run = recordings.open(entry)
             if not run.usable:
+                self.left.remove(entry.file)
+                self.unusable.append(entry.file)
                 continue
             predictor = Predictor(
                 training.robot, run, training.constants, settings, swinging=swinging
             )
             before, after = predictor.predict(*self._start), predictor.predict(*extensions)
             proof = prove(run, predictor.velocity, before, after, training.noise)
+            self.proofs.append(proof)
+            self.velocities.append(predictor.velocity)
+            self.left.remove(entry.file)
             say(f"share out what changes in {entry.file}")
             self.shares.add(predictor, self._start, self._found, proof)
             if self._box is not None:
                 self._box.add(predictor, before, after)
-            self.proofs.append(proof)
-            self.velocities.append(predictor.velocity)
+
+    def not_predicted(self) -> list[str]:
+        """Sentences about runs without a prediction."""
+        found = []
+        if self.left:
+            found.append(
+                "Stopped by the user: not all held-out runs were predicted; without a prediction:"
+                f" {', '.join(self.left)}."
+            )
+        if self.unusable:
+            found.append(
+                f"Not predicted, since a joint has no position: {', '.join(self.unusable)}."
+            )
+        return found
 
     def rod(self) -> MeasuringRod | None:
         """What is explained of what can be; None where nobody asked a box."""

@@ -116,17 +116,20 @@ class Shares:
         without = [predictor.predict(*start, part.left_out_of(found)) for part in self._parts]
         run = predictor.run
         judged = {(each.kind, each.joint): each for each in proof.channels}
+        gram, samples = self._gram.copy(), self._samples
         for kind, joint, used in used_samples(run, predictor.velocity):
             if used is None or (kind, joint) not in judged:
                 continue
             channel = judged[kind, joint]
-            self._samples += channel.samples
+            samples += channel.samples
             places = np.searchsorted(run.stamps, run.time)[used]
             own = getattr(proof.after, kind)[places, joint]
             left = getattr(run, kind)[used, joint] - own
             added = [own - getattr(each, kind)[places, joint] for each in without]
             columns = np.column_stack([left, *added]) / channel.noise
-            self._gram += columns.T @ columns
+            gram += columns.T @ columns
+        # The whole run or, where an interruption comes before, none of it.
+        self._gram, self._samples = gram, samples
 
     def found(self) -> tuple[Share, ...]:
         """Shares in the order of what they take away, what is open last; may be none."""

@@ -86,8 +86,9 @@ def rod_sentence(diagnosis: Diagnosis) -> str:
     rod = diagnosis.rod
     if rod is None:
         return ""
+    share = f"{100 * rod.explained:.0f} %" if rod.explained > 0.0 else "nothing"
     text = (
-        f"Explained: {100 * rod.explained:.0f} % of what is explainable, measured by a black box"
+        f"Explained: {share} of what is explainable, measured by a black box"
         " that was fitted to what is left in the training runs"
     )
     if not rod.depends:
