@@ -1,8 +1,9 @@
 """Gallery of the shipped problems, `.github/gallery.md`: `python -m benchmarks.gallery RESULTS`.
 
-Pictures of motions show the arm along the baseline to beat, which takes no solve; those of preload
-studies are taken from `report.html` of RESULTS/NAME, as `stiffopt preload` writes it to `out`. The
-values are those that `stiffopt verify problems/` holds the project to.
+Pictures show the optimised motion, which is solved for; those of preload studies are taken from
+`report.html` of RESULTS/NAME, as `stiffopt preload` writes it to `out`. Names of problems after
+RESULTS: pictures of these alone are drawn. The values are those that `stiffopt verify problems/`
+holds the project to.
 """
 
 from __future__ import annotations
@@ -14,21 +15,19 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.reliability.commands import ROOT
-from stiffopt.baseline.baselines import baselines
 from stiffopt.problem.files import load_problem
-from stiffopt.problem.resolve import resolve
 from stiffopt.report.common.svg import extent_of, to_svg
 from stiffopt.report.scene.poses import poses_along
 from stiffopt.report.scene.still import still_figure
+from stiffopt.solver.solve import solve
 
 _PAGE = ROOT / ".github" / "gallery.md"
 _IMAGES = ROOT / ".github" / "images"
 _HEAD = """# Gallery
 
 The shipped problems and what they give; each solves with the command below it, and in its
-`report.html` the arm turns and moves. Motions are drawn along toppra's, the one to beat: the tool's
-path in blue, as
-the arm yields in red. The values are checked by `stiffopt verify problems/`.
+`report.html` the arm turns and moves. The tool's path is blue, as the arm yields red; boxes of the
+cell are grey. The values are checked by `stiffopt verify problems/`.
 """
 _SVG = re.compile(r"<svg [^>]*aria-label=\"([^\"]*)\".*?</svg>", re.DOTALL)
 # The figure of a study that shows most at a glance.
@@ -36,13 +35,18 @@ _FLANGES = "Load of each bolt"
 
 
 def main() -> None:
-    results, parts = Path(sys.argv[1]), [_HEAD]
+    results, names, parts = Path(sys.argv[1]), sys.argv[2:], [_HEAD]
     for problem in sorted((ROOT / "problems").glob("*.toml")):
         document = tomllib.loads(problem.read_text(encoding="utf-8"))
         image = _IMAGES / f"gallery_{problem.stem}.svg"
-        if document["kind"] == "trajectory":
+        drawn = not names or problem.stem in names
+        if document["kind"] == "trajectory" and drawn:
             image.write_text(on_white(motion_picture(problem)), encoding="utf-8")
-        elif (results / problem.stem / "report.html").is_file():
+        elif (
+            document["kind"] == "preload"
+            and drawn
+            and (results / problem.stem / "report.html").is_file()
+        ):
             page = (results / problem.stem / "report.html").read_text(encoding="utf-8")
             figures = {found[1]: found[0] for found in _SVG.finditer(page)}
             image.write_text(
@@ -54,13 +58,14 @@ def main() -> None:
 
 
 def motion_picture(path: Path) -> str:
-    """The arm along the better known motion of a problem, bent by its largest deflection."""
+    """The arm along the optimised motion, bent by its largest deflection."""
     problem = load_problem(path).problem
-    found = baselines(problem, resolve(problem))
-    motion = next(b.assessment for b in (found["toppra"], found["quintic"]) if b.assessment)
+    motion = solve(problem).assessment
+    assert motion is not None
     poses = poses_along(problem, motion)
     part = "dynamic" if "dynamic" in poses.bend else next(iter(poses.bend), "")
-    figure = still_figure(problem.robot.tree, problem.robot.tool, [poses], part, 200.0)
+    robot = problem.robot
+    figure = still_figure(robot.tree, robot.tool, [poses], part, 200.0, problem.cell)
     return to_svg(figure, f"gallery_{path.stem}", f"The arm of {path.stem}", extent_of(figure))
 
 

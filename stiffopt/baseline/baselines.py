@@ -16,6 +16,8 @@ from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
 from stiffopt.result.trajectory import Trajectory
 
+# Limits that toppra cannot take.
+_BEYOND_TOPPRA = ("jerk", "start_acceleration", "end_acceleration")
 # Instants at which a slowed motion is tried.
 _COARSE = 301
 
@@ -39,11 +41,27 @@ def baselines(problem: TrajectoryProblem, motion: ResolvedMotion) -> dict[str, B
             fastest = BaselineMotion(name="toppra", motion=stretched, fastest=fastest.fastest)
     quintic = BaselineMotion(name="quintic", motion=path.follow(quintic_law(duration)))
     return {
-        "toppra": _assessed(
-            problem, fastest, ignored=("jerk", "start_acceleration", "end_acceleration")
-        ),
+        "toppra": _assessed(problem, fastest, ignored=_BEYOND_TOPPRA),
         "quintic": _assessed(problem, quintic),
     }
+
+
+def detour_baseline(problem: TrajectoryProblem, path: JointPath) -> Baseline:
+    """Toppra's motion along a path that avoids what the straight one meets, within the duration.
+
+    Where toppra finds none, the quintic motion on that path.
+    """
+    shortest, longest = problem.duration
+    fixed = shortest if shortest == longest else None
+    quick = toppra_baseline(
+        problem.robot, problem.active_limits, path, fixed, problem.process_force, intervals=200
+    )
+    motion = quick.motion
+    if motion is None:
+        motion = path.follow(quintic_law(float(np.clip(quick.fastest or 1.0, shortest, longest))))
+    elif not shortest <= motion.duration <= longest:
+        motion = motion.scaled_to(float(np.clip(motion.duration, shortest, longest)))
+    return _assessed(problem, BaselineMotion(name="detour", motion=motion), ignored=_BEYOND_TOPPRA)
 
 
 def slowed_quintic(problem: TrajectoryProblem, motion: ResolvedMotion) -> Assessment | None:

@@ -75,7 +75,7 @@ class Solution(Shown):
     objective : ObjectiveValue or None
         Evaluated on the certificate's grid.
     baselines : dict
-        "toppra" and "quintic".
+        "toppra" and "quintic"; "detour" where a path around what they meet was sought.
     ratio_to_better_baseline : float or None
         Objective over the objective of the better feasible baseline; below one is a gain where the
         objective is minimised. None where no baseline is feasible.

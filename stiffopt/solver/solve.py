@@ -152,6 +152,7 @@ def solve_keeping(
                 outcome = led_around(run, outcome, rival, searches=problem.method.starts)
                 # Its rows are of this motion only: nothing else can be solved from there.
                 kept = None if run.avoidance else (run, outcome)
+                beside |= {} if run.detour is None else {run.detour.name: run.detour}
             solution = solution_of(run, outcome, beside, notes, compare=compare)
         except KeyboardInterrupt:
             solution = only_baseline(run, beside, notes)

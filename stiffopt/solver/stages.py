@@ -23,6 +23,7 @@ from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.joint_path import JointPath
+from stiffopt.result.solution import Baseline
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.avoidance import Avoidance
 from stiffopt.solver.ipopt import FEASIBLE, IpoptOptions, IpoptSolver, Multipliers, RawSolution
@@ -46,7 +47,7 @@ _CONFLICT = 1e-4
 _HOPELESS = 0.5
 # How often planes are laid anew at most; the objective has settled when it falls by no more.
 _ROUNDS, _COARSE_ROUNDS = 12, 2
-_SETTLED = 1e-4
+_SETTLED = 2e-5
 # What planes exceed falls to this share, or they are not laid anew.
 _NEARER = 0.7
 
@@ -132,7 +133,8 @@ class SolveRun:
     """One solve in progress: its clock, its record and what it found so far.
 
     `at_rest` says that nothing may swing on after arrival, whatever limits allow; `avoidance`, once
-    it is there, keeps the motion clear of collisions; `unavoided` says what was tried in vain.
+    it is there, keeps the motion clear of collisions; `unavoided` says what was tried in vain,
+    `detour` is the motion along a path around.
     """
 
     problem: TrajectoryProblem
@@ -142,6 +144,7 @@ class SolveRun:
     at_rest: bool = False
     avoidance: Avoidance | None = None
     unavoided: str = ""
+    detour: Baseline | None = None
     begin: float = field(default_factory=time.perf_counter)
     build_s: float = 0.0
     solve_s: float = 0.0

@@ -12,17 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.baseline.baselines import quintic_law
-from stiffopt.baseline.toppra_motion import toppra_baseline
-from stiffopt.certificate.assess import assess
+from stiffopt.baseline.baselines import detour_baseline
 from stiffopt.certificate.collisions import LIMIT as COLLISION
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFIED
-from stiffopt.result.assessment import Assessment, Violation
+from stiffopt.result.assessment import Violation
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
-from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.avoidance import Avoidance
 from stiffopt.solver.free_path import FreeSpace
 from stiffopt.solver.guess import guess_along
@@ -73,7 +70,7 @@ def led_around(
     Parameters
     ----------
     run : SolveRun
-        Says in `unavoided` what was tried in vain.
+        Says in `unavoided` what was tried in vain; `detour` is the first path that was found.
     plain : Outcome
         Solved without regard to collisions.
     rival : Baseline or None
@@ -132,8 +129,10 @@ def _starts(
             run.unavoided = f"No way around was found in {tried} poses that were tried."
             continue
         run.unavoided = "A way around was found, but no motion along it that keeps every limit."
-        motion = _along(run, JointPath.through(poses, "chord"))
-        guess = guess_along(problem, run.motion, motion)
+        detour = detour_baseline(problem, JointPath.through(poses, "chord"))
+        assert detour.assessment is not None
+        run.detour = run.detour or detour
+        guess = guess_along(problem, run.motion, detour.assessment)
         yield _Start(stages(problem, problem.method.intervals), guess)
 
 
@@ -193,22 +192,6 @@ def _after_corrections(run: SolveRun, avoidance: Avoidance, found: Outcome) -> O
         if gain < _SETTLED:
             break
     return found
-
-
-def _along(run: SolveRun, path: JointPath) -> Assessment:
-    """A motion along a path within the duration, quick as far as that is free."""
-    problem = run.problem
-    shortest, longest = problem.duration
-    fixed = shortest if shortest == longest else None
-    quick = toppra_baseline(
-        problem.robot, problem.active_limits, path, fixed, problem.process_force, intervals=200
-    )
-    motion: Trajectory | None = quick.motion
-    if motion is None:
-        motion = path.follow(quintic_law(float(np.clip(quick.fastest or 1.0, *problem.duration))))
-    elif not shortest <= motion.duration <= longest:
-        motion = motion.scaled_to(float(np.clip(motion.duration, *problem.duration)))
-    return assess(problem, motion)
 
 
 def _rank(run: SolveRun, outcome: Outcome) -> tuple[bool, float]:

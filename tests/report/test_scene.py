@@ -19,7 +19,9 @@ from stiffopt.report.scene.poses import (
     tool_jacobian,
     tool_positions,
 )
+from stiffopt.report.scene.surroundings import edges_around
 from stiffopt.result.trajectory import Trajectory
+from stiffopt.robot.cell import Box, Cell
 from stiffopt.robot.frames import LinkFrame
 from stiffopt.robot.link_shapes import LinkShape
 
@@ -81,6 +83,19 @@ def test_document_is_plain_data_that_closes_no_script(moved):
     assert back["motions"][0]["name"] == "</script><b>"
     assert back["part"] == "dynamic"
     assert {shape["kind"] for shape in back["shapes"]} == {"capsule"}
+
+
+def test_boxes_of_the_cell_stand_around_the_arm(moved):
+    problem, motion = moved
+    box = Box(name="table", size=(0.2, 0.4, 0.1), position=(0.5, 0.1, -0.2), rpy=(0.0, 0.0, 0.5))
+    poses = {"own": poses_along(problem, motion)}
+    (shown,) = scene_document(problem.robot, poses, "", 1.0, Cell(box=(box,)))["around"]
+    assert shown["size"] == [0.2, 0.4, 0.1]
+    edges = edges_around(Cell(box=(box,)))
+    lengths = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
+    assert sorted(lengths) == pytest.approx([0.1] * 4 + [0.2] * 4 + [0.4] * 4)
+    assert edges.mean(axis=(0, 1)) == pytest.approx(box.position)
+    assert scene_document(problem.robot, poses, "", 1.0)["around"] == []
 
 
 def grid_mesh(path, cells):

@@ -60,6 +60,10 @@ def test_least_force_around_a_post_is_the_exact_one(tmp_path, lowest, top):
     assert found.objective.value > least_force(top) * (1 - 1e-5)
     assert CLEARANCE - 1e-5 < nearest(problem, found.assessment) < CLEARANCE + 3e-4
     assert not any(v.value > 0.005 for v in found.assessment.violations if v.limit == LIMIT)
+    # The straight motions collide; it is compared with one along the path it began with.
+    assert [name for name, each in found.baselines.items() if each.feasible] == ["detour"]
+    assert nearest(problem, found.baselines["detour"].assessment) > CLEARANCE - 1e-6
+    assert found.ratio_to_better_baseline < 1.0
 
 
 def test_shortest_duration_around_a_post_is_the_exact_one(tmp_path):

@@ -13,10 +13,12 @@ from stiffopt.errors import InputFileError
 from stiffopt.files import plain
 from stiffopt.report.scene.mesh import compact_mesh
 from stiffopt.report.scene.poses import Poses
+from stiffopt.report.scene.surroundings import boxes_around
 from stiffopt.robot.link_shapes import JointShape
 from stiffopt.robot.skeleton import capsules, joint_radii
 
 if TYPE_CHECKING:
+    from stiffopt.robot.cell import Cell
     from stiffopt.robot.robot import Robot
 
 # Of all meshes of an arm together, so that a page stays below 3 MB.
@@ -24,7 +26,11 @@ _TRIANGLES = 60000
 
 
 def scene_document(
-    robot: Robot, motions: Mapping[str, Poses], part: str, factor: float
+    robot: Robot,
+    motions: Mapping[str, Poses],
+    part: str,
+    factor: float,
+    cell: Cell | None = None,
 ) -> dict[str, Any]:
     """Content of a scene.
 
@@ -37,6 +43,8 @@ def scene_document(
         Of the deflection that is shown at first.
     factor : float
         By which it is enlarged at first.
+    cell : Cell, optional
+        Its boxes are shown.
     """
     radii = joint_radii(robot.tree, robot.tool)
     first = next(iter(motions.values()))
@@ -56,6 +64,7 @@ def scene_document(
         ],
         "tool": {"joint": robot.tool.joint, "offset": _short(robot.tool.offset)},
         "shapes": _shapes(robot),
+        "around": boxes_around(cell),
         "motions": [_motion(name, poses) for name, poses in motions.items()],
         "parts": list(first.bend),
         "part": part if part in first.bend else next(iter(first.bend), ""),

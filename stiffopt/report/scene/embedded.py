@@ -17,6 +17,7 @@ from stiffopt.report.scene.still import still_caption, still_figure
 from stiffopt.report.solve.space_figures import exaggeration
 
 if TYPE_CHECKING:
+    from stiffopt.robot.cell import Cell
     from stiffopt.robot.robot import Robot
 
 
@@ -29,7 +30,9 @@ class ArmInSpace:
     embedded: dict[str, Markup]
 
 
-def embedded_scene(robot: Robot, motions: Mapping[str, Poses], part: str) -> ArmInSpace:
+def embedded_scene(
+    robot: Robot, motions: Mapping[str, Poses], part: str, cell: Cell | None = None
+) -> ArmInSpace:
     """The first motion, bent by a part of its deflection, and the ghost of the second.
 
     Parameters
@@ -38,16 +41,18 @@ def embedded_scene(robot: Robot, motions: Mapping[str, Poses], part: str) -> Arm
     motions : mapping of name to Poses
     part : str
         Of the deflection; where that is zero, the first that is not.
+    cell : Cell, optional
+        What stands around the arm.
     """
     first = next(iter(motions.values()))
     shown = part if part in first.bend else next(iter(first.bend), "")
     tool = tool_positions(robot.tree, robot.tool, first.position)
     extent = max(float(np.ptp(tool, axis=0).max()), 1e-3)
     factor = exaggeration(extent, float(first.deflection[shown].max())) if shown else 1.0
-    still = still_figure(robot.tree, robot.tool, list(motions.values()), shown, factor)
+    still = still_figure(robot.tree, robot.tool, list(motions.values()), shown, factor, cell)
     here = resources.files("stiffopt.report.scene")
     texts = {
-        "document": scene_json(scene_document(robot, motions, shown, factor)),
+        "document": scene_json(scene_document(robot, motions, shown, factor, cell)),
         "library": here.joinpath("three.min.js").read_text(encoding="utf-8"),
         "script": here.joinpath("scene.js").read_text(encoding="utf-8"),
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,9 +13,13 @@ from matplotlib.figure import Figure
 from stiffopt.report.common.svg import BLUE, GREY, PALE, VERMILLION, WIDTH, house_style
 from stiffopt.report.common.text import si
 from stiffopt.report.scene.poses import Poses, joint_frames, tool_positions
+from stiffopt.report.scene.surroundings import edges_around
 from stiffopt.robot.body_tree import BodyTree
 from stiffopt.robot.frames import LinkFrame
 from stiffopt.robot.skeleton import capsules, joint_radii
+
+if TYPE_CHECKING:
+    from stiffopt.robot.cell import Cell
 
 _HEIGHT = 4.6
 # Looked at from this far above the horizon [rad].
@@ -28,6 +32,7 @@ def still_figure(
     motions: Sequence[Poses],
     part: str,
     factor: float,
+    cell: Cell | None = None,
 ) -> Figure:
     """The arm at the largest deflection, bent and as planned, with start, end and tool paths.
 
@@ -43,6 +48,8 @@ def still_figure(
         Of the deflection; "" where the motion has none.
     factor : float
         By which it is enlarged.
+    cell : Cell, optional
+        Edges of its boxes are drawn.
     """
     poses, at = motions[0], largest(motions[0], part)
     bent = poses.position - factor * poses.bend[part] if part else poses.position
@@ -58,6 +65,8 @@ def still_figure(
         axes.set_axis_off()
         ends = poses.position[[0, -1]]
         scale = _fit(axes, tree, tool, view, np.vstack([ends, bent[at : at + 1]]))
+        for edge in edges_around(cell):
+            axes.plot(*(edge @ view.T)[:, :2].T, color=GREY, linewidth=0.8, zorder=0.5)
         for q in ends:
             _arm(axes, tree, tool, view, q, scale, PALE, None, 0.55)
         if part:

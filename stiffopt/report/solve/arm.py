@@ -18,4 +18,4 @@ def arm_in_space(
 ) -> ArmInSpace:
     """The first motion, bent by a part of its deflection, and the ghost of the second."""
     poses = {motion.label: poses_along(problem, motion.assessment) for motion in motions}
-    return embedded_scene(problem.robot, poses, part)
+    return embedded_scene(problem.robot, poses, part, problem.cell)

@@ -41,6 +41,7 @@ _MOTION_STYLES: tuple[dict[str, Any], ...] = (
     {"color": BLUE, "linestyle": "-", "linewidth": 2.2},
     {"color": VERMILLION, "linestyle": (0, (5, 1.5))},
     {"color": GREEN, "linestyle": (0, (1.5, 1.2))},
+    {"color": BLACK, "linestyle": (0, (6, 1.5, 1.2, 1.5))},
 )
 _PART_STYLES: dict[str, dict[str, Any]] = {
     "total": {"color": BLACK, "linestyle": "-"},

@@ -42,7 +42,7 @@ def write_simulation_report(
     motions |= {each.name: swinging_poses(arm, each.simulated) for each in shown}
     figures = PageFigures("simulation", png=False)
     figures.draw("swing", swing_figure(simulation), "Deviation of the tool over time")
-    scene = embedded_scene(problem.robot, motions, "swing")
+    scene = embedded_scene(problem.robot, motions, "swing", problem.cell)
     figures.draw("arm", scene.still, "The arm with the paths of its tool")
     after = "" if own.peak_after is None else f", {si(own.peak_after, 'm', 3)} after arrival"
     context = {
