@@ -236,3 +236,33 @@ def test_seven_axes_go_from_the_top_of_a_shelf_to_the_board_below(tmp_path):
     found = solve(problem)
     assert found.status.usable
     assert nearest(problem, found.assessment) > 0.01 - 5e-5
+
+
+@pytest.mark.slow
+def test_a_ur10_goes_from_the_top_of_a_shelf_into_it(tmp_path):
+    path = tmp_path / "problem.toml"
+    boards = "".join(
+        f'[[cell.box]]\nname = "{name}"\nsize = [0.8, 0.44, 0.04]\nposition = [0.48, 1.13, {z}]\n'
+        for name, z in (("lower", -0.02), ("upper", 0.4))
+    )
+    text = problem_text(
+        "ur10",
+        start="{ joints = [0.995, -0.728, 0.456, -1.705, -1.456, 0.0] }",
+        end="{ joints = [1.0, -0.6, 1.0, -2.0, -1.5, 0.8] }",
+        duration="2.0",
+        limits='jerk = "none"\nacceleration = "none"',
+        motion='boundary_acceleration = "free"',
+        method="intervals = 40",
+        extra="[payload]\nmass = 5\ninertia = [0.01, 0.01, 0.01]",
+    )
+    path.write_text(f"{text}[cell]\nclearance = 0.01\n{boards}")
+    problem = load_problem(path).problem
+    found = solve(problem)
+    assert found.status.usable
+    assert nearest(problem, found.assessment) > 0.01 - 5e-5
+    unaware = solve(
+        replace(problem, method=replace(problem.method, collisions="check")), throw=False
+    )
+    assert nearest(problem, unaware.assessment) < -0.005
+    # Least torque costs hardly more around the edge of the board.
+    assert found.objective.value < 1.05 * unaware.objective.value
