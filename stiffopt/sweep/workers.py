@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from multiprocessing import connection
 from typing import Any, Protocol
@@ -66,20 +66,27 @@ class Processes:
     lost: tuple[type[BaseException], ...] = (BrokenProcessPool,)
 
     def __init__(self, count: int) -> None:
-        self.slots = count
+        self._count = count
         self._pool: Executor | None = None
+
+    @property
+    def slots(self) -> int:
+        """One more than processes, so that none waits while its answer is written."""
+        return self._count + 1
 
     def submit(self, function: Call, *arguments: Any) -> Future[Any]:
         """Have a call made; after a death by new processes."""
         for _ in range(2):
-            if self._pool is None:
-                context = multiprocessing.get_context("spawn")
-                self._pool = ProcessPoolExecutor(self.slots, context, initializer=_begin)
-            try:
-                # Each process works on one core; it starts with the first call.
-                with _one_thread():
-                    return self._pool.submit(function, *arguments)
-            except BrokenProcessPool:
+            # Each process works on one core; it starts with the first call.
+            with suppress(BrokenProcessPool), _one_thread():
+                if self._pool is None:
+                    context = multiprocessing.get_context("spawn")
+                    self._pool = ProcessPoolExecutor(self._count, context, initializer=_begin)
+                    for _ in range(self._count):
+                        # All load at once, also where only one case can be begun.
+                        self._pool.submit(_load)
+                return self._pool.submit(function, *arguments)
+            if self._pool is not None:
                 self._pool.shutdown(wait=False)
                 self._pool = None
         raise InputError("worker processes die as soon as they begin; try --workers 1.")
@@ -150,6 +157,11 @@ def _cores() -> int:
     """Cores that this process may use; macOS tells only how many there are."""
     allowed = getattr(os, "sched_getaffinity", None)
     return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
+
+
+def _load() -> None:
+    """What nearly all cases need."""
+    import_module("stiffopt.solver.family")
 
 
 def _begin() -> None:
