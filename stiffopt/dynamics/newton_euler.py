@@ -7,6 +7,9 @@ that no centre of mass has to be accelerated separately.
 
 from __future__ import annotations
 
+import functools
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
@@ -53,10 +56,57 @@ def newton_euler(tree: BodyTree, q: Quantity, v: Quantity, a: Quantity) -> Quant
     numeric = not any(isinstance(x, ca.SX) for x in (q, v, a))
     q, v, a = (ca.SX(x) for x in (q, v, a))
     joints = axis_joints(tree)
-    poses = [joint_pose(joint, q[i]) for i, joint in enumerate(joints)]
-    forces, moments = _outward(tree.gravity, joints, poses, v, a)
-    tau = _inward(joints, poses, forces, moments)
+    frames = tuple(
+        (j.parent, j.prismatic, j.rotation.tobytes(), j.angle_offset, j.translation.tobytes())
+        for j in joints
+    )
+    recursion = _recursion(frames, np.asarray(tree.gravity, dtype=float).tobytes())
+    tau = recursion(
+        q,
+        v,
+        a,
+        ca.SX([joint.mass for joint in joints]),
+        ca.SX(np.column_stack([joint.first_moment for joint in joints])),
+        ca.SX(np.hstack([joint.inertia for joint in joints])),
+    )
     return ca.DM(tau) if numeric else tau
+
+
+# Of a joint: parent, prismatic, rotation, angle_offset, translation.
+_Frame = tuple[int, bool, bytes, float, bytes]
+
+
+@functools.lru_cache(maxsize=64)
+def _recursion(frames: tuple[_Frame, ...], gravity: bytes) -> ca.Function:
+    """Torques of arms with these frames: written out once, then called with bodies and motion.
+
+    A call puts its expressions in place of the symbols; what is zero or one vanishes there.
+    """
+    n = len(frames)
+    q, v, a = (ca.SX.sym(name, n) for name in ("q", "v", "a"))
+    mass, first = ca.SX.sym("mass", n), ca.SX.sym("first_moment", 3, n)
+    inertia = ca.SX.sym("inertia", 3, 3 * n)
+    # Symbols where a joint has numbers.
+    bodies: list[dict[str, Any]] = [
+        {"mass": mass[i], "first_moment": first[:, i], "inertia": inertia[:, 3 * i : 3 * i + 3]}
+        for i in range(n)
+    ]
+    joints = tuple(
+        AxisJoint(
+            parent=parent,
+            prismatic=prismatic,
+            rotation=np.frombuffer(rotation).reshape(3, 3),
+            angle_offset=offset,
+            translation=np.frombuffer(translation),
+            from_joint_frame=np.eye(3),
+            **bodies[i],
+        )
+        for i, (parent, prismatic, rotation, offset, translation) in enumerate(frames)
+    )
+    poses = [joint_pose(joint, q[i]) for i, joint in enumerate(joints)]
+    forces, moments = _outward(np.frombuffer(gravity), joints, poses, v, a)
+    tau = _inward(joints, poses, forces, moments)
+    return ca.Function("recursion", [q, v, a, mass, first, inertia], [tau])
 
 
 def joint_pose(joint: AxisJoint, angle: Quantity) -> tuple[Quantity, Quantity]:
@@ -96,7 +146,7 @@ def _outward(
             spin_rate += ca.cross(spin, along_v) + along_a
             spin = spin + along_v
         state.append((spin, spin_rate, acceleration))
-        first, inertia = ca.DM(joint.first_moment), ca.sparsify(ca.DM(joint.inertia))
+        first, inertia = joint.first_moment, joint.inertia
         forces.append(
             joint.mass * acceleration
             + ca.cross(spin_rate, first)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import json
 import platform
@@ -14,8 +15,13 @@ import numpy as np
 
 def versions() -> dict[str, str]:
     """Versions of what decides the numbers."""
+    return dict(_versions())
+
+
+@functools.cache
+def _versions() -> tuple[tuple[str, str], ...]:
     packages = ("stiffopt", "casadi", "pin", "numpy", "toppra", "scipy")
-    return {"python": platform.python_version(), **{name: version(name) for name in packages}}
+    return ("python", platform.python_version()), *((name, version(name)) for name in packages)
 
 
 def inputs_hash(problem: object) -> str:
