@@ -36,6 +36,9 @@ DEEPEST = 40
 # A key of more parts than this: tomllib's time grows with their square.
 _LONG_KEY = re.compile(rf"""(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}""")
 
+# Of an integer of 64 bits, its sign included.
+_MOST_DIGITS = 20
+
 # As many of them as anybody reads in one message.
 _MOST_FAULTS = 30
 # Errors that say no more than that a value has not this form.
@@ -172,11 +175,18 @@ def _held(held: Any, key: str, place: str, path: object) -> Any:
 def load_json(path: str | os.PathLike[str]) -> Any:
     """Content of a JSON file; raises `InputFileError` where there is none."""
     try:
-        return json.loads(read_text(path))
+        return json.loads(read_text(path), parse_int=_integer)
     except InputFileError:
         raise
     except (ValueError, RecursionError) as error:
         raise InputFileError(path, "", f"is no JSON text: {shortened(error)}.") from error
+
+
+def _integer(text: str) -> int:
+    """Integer of a JSON text; larger ones are no float either."""
+    if len(text) > _MOST_DIGITS:
+        raise ValueError("an integer of more than 64 bits")
+    return int(text)
 
 
 def check_file(path: str | os.PathLike[str]) -> None:

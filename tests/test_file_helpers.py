@@ -7,7 +7,15 @@ from pydantic import Field
 
 from stiffopt.declaration import Length
 from stiffopt.errors import InputFileError
-from stiffopt.files import Section, atomic_write, check_header, load_toml, validate, write_csv
+from stiffopt.files import (
+    Section,
+    atomic_write,
+    check_header,
+    load_json,
+    load_toml,
+    validate,
+    write_csv,
+)
 
 
 class Circle(Section):
@@ -87,6 +95,17 @@ def test_syntax_errors_name_the_line(tmp_path):
     path.write_bytes(b"a = '\xff'")
     with pytest.raises(InputFileError, match="UTF-8"):
         load_toml(path)
+
+
+def test_json_texts(tmp_path):
+    path = tmp_path / "a.json"
+    with pytest.raises(InputFileError, match=r"a\.json: no such file"):
+        load_json(path)
+    path.write_text('{"a": ' + "9" * 400 + "}")
+    with pytest.raises(InputFileError, match="is no JSON text: an integer of more than 64 bits"):
+        load_json(path)
+    path.write_text('{"a": -9223372036854775808}')
+    assert load_json(path) == {"a": -(2**63)}
 
 
 def test_header():
