@@ -110,12 +110,17 @@ class SwingResponse:
     def modes(self, sample: int) -> tuple[np.ndarray, np.ndarray]:
         """Modes with the matrices of one sample.
 
-        Frequencies (n,) [Hz], lowest first, and shapes (n, n) of unit modal mass, in columns.
+        Frequencies (n,) [Hz], lowest first, and shapes (n, n) of unit modal mass, in columns. A fit
+        on its way may have masses that cannot be: what then does not swing has 0 Hz and no shape.
         """
-        inertia = np.linalg.inv(self._mobility[sample])
-        stiffness = self._stiffness[sample]
-        squares, shapes = eigh(0.5 * (stiffness + stiffness.T), 0.5 * (inertia + inertia.T))
-        return np.sqrt(np.maximum(squares, 0.0)) / (2.0 * np.pi), shapes
+        mobility, stiffness = (
+            0.5 * (m[sample] + m[sample].T) for m in (self._mobility, self._stiffness)
+        )
+        root = np.linalg.cholesky(stiffness)
+        squares, turned = eigh(root.T @ mobility @ root)
+        rates = np.sqrt(np.maximum(squares, 0.0))
+        shapes = mobility @ root @ turned / np.where(rates > 0.0, rates, np.inf)
+        return rates / (2.0 * np.pi), shapes
 
     def _forced(self, torque: np.ndarray) -> np.ndarray:
         """What each step adds to the state: a torque that is linear within it."""

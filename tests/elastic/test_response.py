@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
+from scipy.linalg import eigh, expm
 
 from stiffopt.elastic.response import SwingResponse, exponentials
 
@@ -78,6 +78,27 @@ def test_modes_at_the_start_are_those_of_the_first_matrices():
     frequencies, shapes = _one(2.0, 0.0, 2.0 * (2.0 * np.pi * 9.0) ** 2).modes(0)
     assert frequencies[0] == pytest.approx(9.0)
     assert abs(shapes[0, 0]) == pytest.approx(2.0**-0.5)
+
+
+def test_modes_are_those_of_the_general_problem_and_of_masses_that_cannot_be():
+    random = np.random.default_rng(4)
+    inertia, stiffness = (
+        (root @ root.T + 0.1 * np.eye(3)) * size
+        for root, size in ((random.normal(size=(3, 3)), 2.0), (random.normal(size=(3, 3)), 9e4))
+    )
+    squares, shapes = eigh(stiffness, inertia)
+    many = [np.stack([each] * 2) for each in (inertia, np.zeros((3, 3)), stiffness)]
+    frequencies, found = SwingResponse(*many, 1e-3).modes(0)
+    assert 2.0 * np.pi * frequencies == pytest.approx(np.sqrt(squares), rel=1e-9)
+    assert np.abs(found) == pytest.approx(np.abs(shapes), rel=1e-7)
+    # As a fit on its way may have it: one mass below nothing.
+    values, axes = np.linalg.eigh(inertia)
+    many[0] = np.stack([axes @ np.diag([-0.01, *values[1:]]) @ axes.T] * 2)
+    frequencies, found = SwingResponse(*many, 1e-4).modes(0)
+    assert frequencies[0] == 0.0
+    assert not np.any(found[:, 0])
+    assert np.all(np.isfinite(found))
+    assert np.all(frequencies[1:] > 0.0)
 
 
 def test_swing_of_many_calls_is_that_of_one():

@@ -73,18 +73,29 @@ class Columns:
         return int(np.clip(seconds / _BLOCK_SECONDS, 2, _MOST_BLOCKS))
 
     def about(self, found: Extension, near: float = NEAR) -> Columns:
-        """Columns about another extension; earlier ones where they are near enough."""
+        """Columns about another extension; earlier ones where they are near enough.
+
+        These again about masses that cannot be, whose swing would grow without end.
+        """
         found = self._that_moves(found)
         for earlier in reversed(self._family):
             if earlier._distance(found) < near:
                 return earlier
         new = Columns(self.robot, self.nominal_runs, self.noise, self.tolerance, self.start, found)
+        if not new._swings:
+            return self
         new.bodies, new._family = self.bodies, self._family
         for other in self._family:
             other._kept.clear()
         self._family.append(new)
         del self._family[1:-_FAMILY]
         return new
+
+    @property
+    def _swings(self) -> bool:
+        """Whether what swings in the runs has masses that can be."""
+        swings = [run.swing for run in self.runs if run.swing is not None]
+        return all(np.all(swing.response.modes(0)[0] > 0.0) for swing in swings)
 
     def with_bodies(self, bodies: np.ndarray | None) -> Columns:
         """The same runs with inertial parameters free: their standard deviations (n, 10)."""

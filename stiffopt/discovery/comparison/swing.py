@@ -181,10 +181,15 @@ class Swing:
         return self.left_alone(states * np.repeat(np.sqrt(energy / own), 2))
 
     def _states(self, band: float) -> np.ndarray:
-        """Displacement and velocity (2 n, m) of every mode up to a frequency [Hz], in pairs."""
+        """Displacement and velocity (2 n, m) of every mode up to a frequency [Hz], in pairs.
+
+        None of masses that cannot be, as a fit on its way may have them: their swing would grow.
+        """
         frequencies, shapes = self.response.modes(0)
         still = np.zeros(self.response.n)
         states = [np.zeros((2 * self.response.n, 0))]
+        if not np.all(frequencies > 0.0):
+            return states[0]
         for frequency, shape in zip(frequencies, shapes.T, strict=True):
             if 0.0 < frequency < band:
                 moving = np.append(still, 2.0 * np.pi * frequency * shape)
