@@ -34,6 +34,7 @@ from stiffopt.solver.stages import (
     solver_options,
 )
 from stiffopt.solver.verdict import TRUE_OBJECTIVE
+from stiffopt.solver.way_around import collisions
 from stiffopt.transcription.build import adapted
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import BlockScales, Nlp
@@ -195,6 +196,9 @@ class ProblemFamily:
             # Who stopped it does not want it solved from the beginning.
             return run, outcome
         sound = outcome.assessment.feasible(CERTIFIED) and outcome.objective_gap <= TRUE_OBJECTIVE
+        if problem.avoids_collisions and collisions(run, outcome):
+            # A way around is sought from the beginning.
+            sound = False
         return run, outcome if sound else None
 
     def _programme(self, run: SolveRun, warm: WarmStart) -> Programme:

@@ -71,6 +71,15 @@ class FreeSpace:
             found += leg[1:]
         return self._rounded(found)
 
+    def gap(self, pose: np.ndarray) -> float:
+        """Least distance beyond the clearance [m]."""
+        self.tried += 1
+        return float(self._model.couple_distances(pose).min()) - self._clearance
+
+    def poses(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """Poses (count, n) anywhere in the joints' ranges."""
+        return random.uniform(self._low, self._high, (count, len(self._low)))
+
     def _leg(self, start: np.ndarray, end: np.ndarray) -> list[np.ndarray] | None:
         if self._free(start, end):
             return [start, end]
@@ -93,7 +102,7 @@ class FreeSpace:
         for pose in poses[np.argsort(length)]:
             if time.perf_counter() > self._until:
                 return None
-            if self._gap(pose) > 0.0 and self._free(start, pose) and self._free(pose, end):
+            if self.gap(pose) > 0.0 and self._free(start, pose) and self._free(pose, end):
                 return np.asarray(pose)
         return None
 
@@ -101,7 +110,7 @@ class FreeSpace:
         """A path by two trees that grow towards each other."""
         trees: list[_Tree] = [_Tree(start), _Tree(end)]
         while time.perf_counter() < self._until:
-            aim = self._random.uniform(self._low, self._high)
+            [aim] = self.poses(1, self._random)
             reached = self._grown(trees[0], aim, once=True)
             if reached is not None:
                 other = self._grown(trees[1], trees[0].poses[reached], once=False)
@@ -165,7 +174,7 @@ class FreeSpace:
 
         def gap(share: float) -> float:
             if share not in gaps:
-                gaps[share] = self._gap(start + share * (end - start))
+                gaps[share] = self.gap(start + share * (end - start))
             return gaps[share]
 
         while stack:
@@ -186,11 +195,6 @@ class FreeSpace:
         poses = np.stack([start, end])
         moved = np.abs(end - start)
         return float(self._model.fastest(np.stack([moved, moved]), poses).max())
-
-    def _gap(self, pose: np.ndarray) -> float:
-        """Least distance beyond the clearance [m]."""
-        self.tried += 1
-        return float(self._model.couple_distances(pose).min()) - self._clearance
 
     def _time(self, step: np.ndarray) -> np.ndarray:
         """Time that steps (k, n) take at full speed (k,)."""

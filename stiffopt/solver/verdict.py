@@ -70,14 +70,16 @@ def beyond_limits(
         What was done in vain to avoid them.
     """
     hits = [v for v in motion.violations if v.limit == COLLISION and v.value > CERTIFIED]
+    listed = "; ".join(hit.describe() for hit in hits[:3])
     if hits and found.status.usable:
-        listed = "; ".join(hit.describe() for hit in hits[:3])
+        told = f"{listed}. {tried}".strip()
         return Verdict(
             SolveStatus.CERTIFICATE_FAILED,
-            "Every other limit holds on the fine grid, but the motion does not keep "
-            f"{listed}. {tried} Do not run it; lead it around by motion.via, or change its start "
-            "or end.".replace("  ", " "),
+            f"Every other limit holds on the fine grid, but the motion does not keep {told} "
+            "Do not run it; lead it around by motion.via, or change its start or end.",
         )
+    if hits and found.status is not SolveStatus.INFEASIBLE:
+        return Verdict(found.status, f"{found.message} And it does not keep {listed}.")
     if not found.status.usable:
         return found
     return Verdict(found.status, f"{found.message} {scope(problem)}".strip())

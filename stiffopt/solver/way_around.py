@@ -8,6 +8,7 @@ finds too little distance between two nodes, the pair is kept further apart.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +18,8 @@ from stiffopt.certificate.collisions import LIMIT as COLLISION
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.dynamics.inverse_kinematics import solve_pose
+from stiffopt.errors import ProblemError
 from stiffopt.result.assessment import Violation
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
@@ -41,6 +44,8 @@ _GRAZED = 0.02
 # How often pairs are kept further apart; by more than the certificate misses, up to this [m].
 _WIDENED = 4
 _MORE, _LEAST, _MOST = 1.2, 2e-5, 0.01
+# Poses tried for a place of the tool whose first pose collides.
+_OTHER_POSES = 100
 # How often planes are laid anew after corrections; the objective has settled when it falls by less.
 _RELAID, _SETTLED = 5, 1e-3
 # Of the time that is left, for one search of a free path, and seconds at most.
@@ -123,7 +128,7 @@ def _starts(
         _tell(run, f"seeking a way around {names}", plain)
         seconds = min(_SECONDS, _SHARE * run.remaining)
         space = FreeSpace(problem, problem.method.seed + number, seconds)
-        poses = space.path(run.motion.points)
+        poses = space.path(_clear_points(run, space))
         tried += space.tried
         if poses is None:
             run.unavoided = f"No way around was found in {tried} poses that were tried."
@@ -134,6 +139,22 @@ def _starts(
         run.detour = run.detour or detour
         guess = guess_along(problem, run.motion, detour.assessment)
         yield _Start(stages(problem, problem.method.intervals), guess)
+
+
+def _clear_points(run: SolveRun, space: FreeSpace) -> np.ndarray:
+    """Start, vias and end (k, n); where only the tool's place is given, poses that are free."""
+    problem, points = run.problem, run.motion.points.copy()
+    random = np.random.default_rng(problem.method.seed)
+    for k, target in enumerate((problem.start, *problem.vias, problem.end)):
+        if target.fixes_pose or space.gap(points[k]) > 0.0:
+            continue
+        for near in space.poses(_OTHER_POSES, random):
+            with suppress(ProblemError):
+                pose = solve_pose(problem.robot, target.position, None, near)
+                if space.gap(pose) > 0.0:
+                    points[k] = pose
+                    break
+    return np.asarray(points)
 
 
 def _kept_clear(run: SolveRun, start: _Start, rival: Baseline | None) -> Outcome:

@@ -13,7 +13,9 @@ from stiffopt.certificate.collisions import LIMIT
 from stiffopt.cli import run
 from stiffopt.errors import ProblemError
 from stiffopt.problem.files import load_problem
+from stiffopt.problem.resolve import resolve
 from stiffopt.solver import way_around
+from stiffopt.solver.family import ProblemFamily
 
 WALLS = """[[cell.box]]
 name = "wall"
@@ -141,6 +143,43 @@ def test_interrupted_while_it_seeks_it_keeps_the_motion(tmp_path, monkeypatch):
     found = solve(gantry_problem(tmp_path), throw=False)
     assert found.status == "interrupted"
     assert found.trajectory is not None
+    # Stopped before it was clear: that is said.
+    assert "And it does not keep the clearance of base and hand" in found.message
+
+
+def test_a_place_is_reached_in_a_pose_that_is_free(tmp_path):
+    # The tip can be at the end with the elbow up, which the box leaves room for, or down.
+    urdf = PLANAR
+    for name in ("upper", "fore"):
+        urdf = urdf.replace(f'<link name="{name}">', f'<link name="{name}">{ROD}')
+    write_robot(tmp_path, urdf_text=urdf)
+    cell = '[[cell.box]]\nname = "low"\nsize = [0.1, 0.4, 0.1]\nposition = [0.3, 0.0, -0.3]\n'
+    text = problem_text(
+        start="{ joints = [0.0, -0.8] }",
+        end="{ position = [0.6, 0.0, -0.1], near = [0.9, -1.4] }",
+        duration="1.2",
+        method="intervals = 16",
+    )
+    path = tmp_path / "problem.toml"
+    path.write_text(text + cell)
+    problem = load_problem(path).problem
+    resolved = resolve(problem).end
+    assert problem.clearance_model.distances(resolved).min() < 0.0
+    found = solve(problem)
+    assert nearest(problem, found.assessment) > -1e-5
+    assert found.assessment.position[-1][1] > 0.0 > resolved[1]
+
+
+def test_a_warm_start_that_would_collide_is_led_around(tmp_path):
+    below = "{ joints = [-0.4, -0.6] }", "{ joints = [0.4, -0.6] }"
+    free = gantry_problem(tmp_path, start=below[0], end=below[1])
+    family = ProblemFamily()
+    _, warm = family.solve(free)
+    assert warm is not None
+    found, after = family.solve(gantry_problem(tmp_path), warm)
+    assert found.status == "optimal"
+    assert nearest(free, found.assessment) > CLEARANCE - 1e-5
+    assert after is None
 
 
 def test_progress_says_what_is_sought_and_which_round_it_is(tmp_path):
