@@ -260,23 +260,20 @@ class MotorLaw:
             Of each joint's wind-up behind its spring torque [s]: its damping over its stiffness.
             The motors arrive so much later than the links, which have to be at rest then.
         """
-        late = np.zeros(self._joints) if lag is None else np.asarray(lag)
-        moves, held = link.duration, link.held_for(float(late.max()))
-        begins, ends = held.times[:-1], held.times[1:]
-        counts = np.maximum(np.ceil((ends - begins) / _STEP).astype(int), _LEAST)
-        inside = [
-            np.linspace(*each, endpoint=False) for each in zip(begins, ends, counts, strict=True)
-        ]
+        moves = _sampled(link)
+        values = self._evaluated(link, moves, smoothing)
+        if lag is None:
+            return Trajectory.through(moves, values[:4] + values[4:], link)
+        # The wind-up as a motion of its own, which begins and ends later than the rest.
+        lead = Trajectory.through(moves, values[4:], link)
+        held = link.held_for(float(np.max(lag)))
         # Where a wind-up begins and ends, its third rate jumps.
-        jumps = np.concatenate([late, moves + late])
-        times = np.union1d(np.append(np.concatenate(inside), held.duration), jumps)
+        times = np.union1d(_sampled(held), np.concatenate([lag, link.duration + np.asarray(lag)]))
         times = times[np.concatenate([[True], np.diff(times) > _SLACK])]
-        at_once = self._evaluated(link, times, smoothing)
-        motors = at_once[:4]
-        for own in np.unique(late):
-            joints = late == own
-            led = self._evaluated(link, times - own, smoothing) if own else at_once
-            motors[:, :, joints] += led[4:, :, joints]
+        motors = self._evaluated(link, times, smoothing)[:4]
+        for own in np.unique(lag):
+            joints = lag == own
+            motors[:, :, joints] += _late(lead, times - own)[:, :, joints]
         return Trajectory.through(times, motors, held)
 
     def _evaluated(self, link: Trajectory, at: np.ndarray, smoothing: float) -> np.ndarray:
@@ -284,7 +281,29 @@ class MotorLaw:
         inside = np.clip(at, 0.0, link.duration)
         given = (*(link(inside, k).T for k in range(6)), np.full((1, len(at)), smoothing))
         values = np.stack([each.full().T for each in self._law.map(len(at))(*given)])
-        outside = (at < -_SLACK) | (at > link.duration + _SLACK)
-        for order in (1, 2, 3, 5, 6, 7):
-            values[order, outside] = 0.0
-        return values
+        return _at_rest(values, _outside(link, at), (1, 2, 3, 5, 6, 7))
+
+
+def _sampled(motion: Trajectory) -> np.ndarray:
+    """Times between which a polynomial of degree 7 is as good as what leads a motion."""
+    begins, ends = motion.times[:-1], motion.times[1:]
+    counts = np.maximum(np.ceil((ends - begins) / _STEP).astype(int), _LEAST)
+    inside = [np.linspace(*each, endpoint=False) for each in zip(begins, ends, counts, strict=True)]
+    return np.append(np.concatenate(inside), motion.duration)
+
+
+def _late(lead: Trajectory, at: np.ndarray) -> np.ndarray:
+    """A wind-up and its first three rates (4, K, n), at rest before and after."""
+    inside = np.clip(at, 0.0, lead.duration)
+    values = np.stack([lead(inside, k) for k in range(4)])
+    return _at_rest(values, _outside(lead, at), (1, 2, 3))
+
+
+def _outside(motion: Trajectory, at: np.ndarray) -> np.ndarray:
+    return np.asarray((at < -_SLACK) | (at > motion.duration + _SLACK))
+
+
+def _at_rest(values: np.ndarray, outside: np.ndarray, rates: tuple[int, ...]) -> np.ndarray:
+    for order in rates:
+        values[order, outside] = 0.0
+    return values

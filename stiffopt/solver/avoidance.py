@@ -112,7 +112,7 @@ class Avoidance:
 
     def _near(self, plain: Transcription, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions (nodes, n), and least distances in every interval (intervals, couples)."""
-        states = plain.states.take(x)[:, _positions(plain)]
+        states = plain.node_states(x)[:, _positions(plain)]
         columns = plain.scheme.state_columns(len(plain.intervals))
         distances = np.array([self.model.couple_distances(q) for q in states])
         return states, distances[columns].min(axis=1)
@@ -186,8 +186,6 @@ def _positions(plain: Transcription) -> list[int]:
 
 def _free_nodes(plain: Transcription) -> np.ndarray:
     """Nodes at which the pose is not given."""
-    lower, upper = (
-        plain.states.take(each)[:, _positions(plain)]
-        for each in (plain.nlp.lower_x, plain.nlp.upper_x)
-    )
-    return np.asarray(np.any(upper - lower > 1e-9, axis=1))
+    bounds = plain.states
+    apart = (bounds.upper - bounds.lower)[_positions(plain)]
+    return np.asarray(np.any(apart > 1e-9, axis=0))

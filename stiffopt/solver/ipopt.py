@@ -161,7 +161,7 @@ class IpoptSolver:
         begin = time.perf_counter()
         self._monitor = Monitor(nlp)
         self._solver = self._make({}, **nlp.derivatives)
-        self._warm: dict[str, ca.Function] = {}
+        self._warm: dict[tuple[str, float], ca.Function] = {}
         self.build_s = time.perf_counter() - begin
 
     def solve(
@@ -171,6 +171,7 @@ class IpoptSolver:
         *,
         warm: Multipliers | None = None,
         barrier: Literal["monotone", "adaptive"] = "monotone",
+        push: float = 1e-8,
         report: Callable[[Progress], object] | None = None,
         max_seconds: float | None = None,
     ) -> RawSolution:
@@ -187,6 +188,9 @@ class IpoptSolver:
         barrier : "monotone" or "adaptive"
             Of a warm start: the second takes half the iterations to the optimum of a near problem,
             the first keeps to it where the problem bends (a step of the smoothing).
+        push : float
+            How far a warm start is kept from bounds: a little more than nothing halves the
+            iterations where bounds have been drawn in beyond it.
         report : callable, optional
             Called with a `Progress` in each iteration.
         max_seconds : float, optional
@@ -204,7 +208,7 @@ class IpoptSolver:
         }
         solver = self._solver
         if warm is not None:
-            solver = self._warm_solver(barrier)
+            solver = self._warm_solver(barrier, push)
             inputs |= {"lam_x0": warm.multipliers_x, "lam_g0": warm.multipliers_g}
         monitor = self._monitor
         monitor.begin(report, self.options.max_seconds if max_seconds is None else max_seconds)
@@ -267,25 +271,25 @@ class IpoptSolver:
                 raise
             raise InputError(f"{str(error).splitlines()[-1]}. {_OPTIONS_HINT}") from error
 
-    def _warm_solver(self, barrier: str) -> ca.Function:
+    def _warm_solver(self, barrier: str, push: float) -> ca.Function:
         # IPOPT reads these options when it is set up; the derivatives are shared with the other.
-        if barrier not in self._warm:
-            self._warm[barrier] = self._make(
+        if (barrier, push) not in self._warm:
+            self._warm[barrier, push] = self._make(
                 {
                     "mu_strategy": barrier,
                     "warm_start_init_point": "yes",
-                    "warm_start_bound_push": 1e-8,
-                    "warm_start_bound_frac": 1e-8,
-                    "warm_start_slack_bound_push": 1e-8,
-                    "warm_start_slack_bound_frac": 1e-8,
-                    "warm_start_mult_bound_push": 1e-8,
+                    "warm_start_bound_push": push,
+                    "warm_start_bound_frac": push,
+                    "warm_start_slack_bound_push": push,
+                    "warm_start_slack_bound_frac": push,
+                    "warm_start_mult_bound_push": push,
                     "mu_init": 1e-6,
                 },
                 grad_f=self._solver.get_function("nlp_grad_f"),
                 jac_g=self._solver.get_function("nlp_jac_g"),
                 hess_lag=self._solver.get_function("nlp_hess_l"),
             )
-        return self._warm[barrier]
+        return self._warm[barrier, push]
 
     def _iterate(self, outputs: dict[str, ca.DM]) -> Iterate:
         g = outputs["g"].full().ravel()

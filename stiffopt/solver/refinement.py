@@ -133,6 +133,7 @@ def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nl
                 rows,
                 most=_LARGEST_STEP,
                 haste=min(2.0 ** (attempt - 1), _HASTE),
+                limits=LIMITS,
             )
             # What the rows do not know, such as the delay by damping, is the same all along.
             unseen = {k: v for k, v in excess.items() if seen.get(k, 0.0) < _SEEN * v}
@@ -197,7 +198,7 @@ def _after_arrival(problem: TrajectoryProblem, assessment: Assessment) -> dict[s
     """Limits that the arm exceeds after arrival, by what its size is above the allowed one."""
     exceeded = {v.limit for v in assessment.violations if _of_arrival(v) and v.value > _AIM}
     limits = problem.active_limits
-    if assessment.swing is None:
+    if assessment.swing is None or assessment.swing.peak_after is None:
         return {}
     return {name: LIMITS[name].overshoot(limits, assessment.swing) for name in exceeded}
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
+import casadi as ca
 import numpy as np
 
 from stiffopt.certificate.assess import assess
@@ -50,6 +51,12 @@ _ROUNDS, _COARSE_ROUNDS = 12, 2
 _SETTLED = 2e-5
 # What planes exceed falls to this share, or they are not laid anew.
 _NEARER = 0.7
+# Excess of a row, relative to its scale, up to which a start is near the optimum.
+_NEAR = 1.0
+# IPOPT's names of how far a start is moved from bounds.
+_PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
+# Of a start whose bounds have been drawn in, from them.
+_PUSH = 1e-3
 
 
 @dataclass(frozen=True)
@@ -290,7 +297,7 @@ def solve_again(run: SolveRun, before: Outcome, nlp: Nlp, smoothing: float) -> O
     before.solver.rebound(nlp)
     made = Programme(before.transcription, before.solver)
     stage = SolveStage(len(before.transcription.intervals), smoothing)
-    raw = solve_stage(run, made, stage, before.raw.x, before.raw, "correction")
+    raw = solve_stage(run, made, stage, before.raw.x, before.raw, "correction", "adaptive", _PUSH)
     return outcome_of(run, made, raw, smoothing)
 
 
@@ -322,9 +329,8 @@ def _solved(
             x = made.transcription.pack(guess)
         elif stage.new_mesh:
             guess = made.transcription.guess_from(raw.x)
-            made = build_programme(
-                run, ocp, refine_mesh(made.transcription, raw.x, stage.intervals), guess
-            )
+            finer = refine_mesh(made.transcription, raw.x, stage.intervals)
+            made = build_programme(run, ocp, finer, guess, smoothing=stage.smoothing)
             x, warm = made.transcription.pack(guess), None
         else:
             x, warm = raw.x, raw if raw.converged else None
@@ -428,6 +434,7 @@ def solve_stage(
     warm: Multipliers | None,
     text: str,
     barrier: Literal["monotone", "adaptive"] = "monotone",
+    push: float = 1e-8,
 ) -> RawSolution:
     """Solve one stage; where it stalls, once more from the best point without multipliers."""
     report = _reporter(run, f"{text}, {stage.intervals} intervals, smoothing {stage.smoothing:g}")
@@ -437,6 +444,7 @@ def solve_stage(
             np.array([stage.smoothing]),
             warm=start,
             barrier=barrier,
+            push=push,
             report=report,
             max_seconds=run.remaining,
         )
@@ -493,37 +501,55 @@ def build_programme(
     mesh: Mesh,
     guess: Guess | None = None,
     scales: BlockScales | None = None,
+    smoothing: float | None = None,
 ) -> Programme:
     """Transcribe a problem on a mesh, with its own scales or given ones, and set up its solver.
 
-    Where the motion is to be kept clear of collisions, `guess` says what comes near.
+    Where the motion is to be kept clear of collisions, `guess` says what comes near. With a
+    `smoothing` it is the motion of a coarser mesh, from which the solve begins.
     """
     begin = time.perf_counter()
     transcription = transcribe(ocp, run.problem.method.transcription, mesh, scales=scales)
     if run.avoidance is not None and guess is not None:
         transcription = run.avoidance.added(transcription, transcription.pack(guess))
-    made = _solvable(run, transcription)
+    near = False
+    if guess is not None and smoothing is not None:
+        near = _near(transcription, guess, smoothing)
+    made = _solvable(run, transcription, near=near)
     run.build_s += time.perf_counter() - begin
     return made
 
 
-def _solvable(run: SolveRun, transcription: Transcription) -> Programme:
-    return Programme(transcription, IpoptSolver(transcription.nlp, solver_options(run.problem)))
+def _solvable(run: SolveRun, transcription: Transcription, *, near: bool = False) -> Programme:
+    options = solver_options(run.problem, near=near)
+    return Programme(transcription, IpoptSolver(transcription.nlp, options))
 
 
-def solver_options(problem: TrajectoryProblem) -> IpoptOptions:
-    """What IPOPT is told for a problem."""
+def _near(transcription: Transcription, guess: Guess, smoothing: float) -> bool:
+    """Whether a guess exceeds no row by much."""
+    nlp = transcription.nlp
+    rows = ca.Function("rows", [nlp.x, nlp.p], [nlp.g])
+    found = rows(transcription.pack(guess), nlp.parameters(np.array([smoothing])))
+    return bool(nlp.violations(found.full()).max(initial=0.0) <= _NEAR)
+
+
+def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOptions:
+    """What IPOPT is told for a problem; `near` where it begins near the optimum."""
     method = problem.method
     # A barrier that adapts takes a fifth to a half of the iterations less, and steadier ones on
     # long chains of integrators.
     extra: dict[str, object] = {"mu_strategy": "adaptive"}
     if problem.plans_links:
-        # Long chains take half the time where MUMPS orders by minimum degree.
-        extra["mumps_pivot_order"] = 0
+        # MUMPS by minimum degree and without scaling, which splines need not, takes half the time.
+        extra |= {"mumps_pivot_order": 0, "mumps_permuting_scaling": 0, "mumps_scaling": 0}
     elif len(smoothing_stages(problem)) == 1:
         # Smooth programmes are well scaled as they are. What MUMPS does to them costs steps, on
         # fine meshes with a free duration half of all.
         extra |= {"mumps_pivot_order": 0, "mumps_permuting_scaling": 0, "mumps_scaling": 0}
+    if problem.plans_links and near:
+        # Multipliers of a small barrier, else the motion is first led far away from where it is.
+        extra |= {"bound_mult_init_method": "mu-based", "mu_init": 1e-4}
+        extra |= dict.fromkeys(_PUSHES, 1e-3)
     return IpoptOptions(
         tol=method.tolerance,
         max_iterations=method.max_iterations,

@@ -8,7 +8,7 @@ they exceed it by in the neighbourhood of its point. The programme stays, only i
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import replace
 
 import casadi as ca
@@ -32,6 +32,7 @@ def tightened(
     *,
     most: float,
     haste: float = 1.0,
+    limits: Container[str] = (),
 ) -> tuple[Nlp, dict[str, float]]:
     """The NLP with the bounds of its path rows drawn in where a motion exceeds them.
 
@@ -48,7 +49,10 @@ def tightened(
     most : float
         Largest step by which a bound is drawn in, in units of its row.
     haste : float
-        Times the step that the excess asks for.
+        Times the step that the excess of a limit asks for.
+    limits : container of str
+        Names of rows that have to hold. The others are those of a peak, which is what it is: they
+        are drawn in by just their excess.
 
     Returns
     -------
@@ -87,8 +91,8 @@ def tightened(
             name = block.rows.name
             found[name] = max(found.get(name, 0.0), float(excess.max(initial=0.0)))
             near = _about(times, places[order], excess)
-            drawn = np.where(near > 0.0, np.minimum(haste * (_MORE * near + _LEAST), most), 0.0)
-            bound[index] -= sign * drawn
+            step = haste * (_MORE * near + _LEAST) if name in limits else near
+            bound[index] -= sign * np.where(near > 0.0, np.minimum(step, most), 0.0)
     return replace(nlp, lower_g=lower, upper_g=upper), found
 
 

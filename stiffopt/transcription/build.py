@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -109,6 +110,10 @@ class _Builder:
         self.intervals = Intervals.of(mesh)
         self.variables, self.rows = Blocks(), Blocks()
         self.expressions: list[ca.MX] = []
+        self.splines = scheme.splines(ocp, mesh)
+        # States and controls are variables, unless they follow from the coefficients of splines.
+        self.nodes = self.variables if self.splines is None else Blocks()
+        self.coefficients: Block | None = None
         self._declare()
         self.x = ca.MX.sym("x", self.variables.size)
         fixed = [ocp.duration[0]] if self.durations is None else []
@@ -122,14 +127,7 @@ class _Builder:
         durations = (
             self.p[len(ocp.parameters)] if self.durations is None else self._symbol(self.durations)
         )
-        symbols = Symbols(
-            ocp=ocp,
-            intervals=self.intervals,
-            states=self._symbol(self.states),
-            controls=self._symbol(self.controls),
-            steps=(ca.DM(self.intervals.shares) @ durations).T,
-            parameters=self.parameters,
-        )
+        symbols = self._symbols(durations)
         statics = self._symbol(self.statics)
         for name, index, expression, places in self.scheme.defects(symbols):
             labels = [ocp.states[i] for i in index]
@@ -139,6 +137,8 @@ class _Builder:
         integrals = self._stage(symbols, points, statics)
         for rows, expression, places in self.scheme.extra_rows(symbols):
             self._row(rows, expression, places)
+        if self.splines is not None:
+            self._spline_rows(symbols, durations)
         self._control_rates(symbols)
         self._waypoints(symbols)
         total = ca.sum1(durations)
@@ -147,9 +147,39 @@ class _Builder:
         if ocp.integral_function is not None:
             values = ocp.integral_function(integrals, total, statics, self.parameters)
             self._blocks(ocp.integral_rows, values)
-        x = symbols.states
-        objective = ocp.objective(integrals, total, statics, x[:, 0], x[:, -1], self.parameters)
+        ends = [self._state(symbols, column) for column in (0, self.states.lower.shape[1] - 1)]
+        objective = ocp.objective(integrals, total, statics, *ends, self.parameters)
         return self._finish(integrals, objective)
+
+    def _symbols(self, durations: ca.MX) -> Symbols:
+        moves = None
+        if self.splines is None:
+            states, controls = self._symbol(self.states), self._symbol(self.controls)
+        else:
+            assert self.coefficients is not None
+            moves = functools.partial(
+                self.splines.at,
+                coefficients=ca.vec(self._symbol(self.coefficients)),
+                durations=durations,
+            )
+            nodes = moves(self.scheme.state_places(self.intervals))
+            states, controls = ca.vertsplit(nodes, [0, len(self.ocp.states), nodes.shape[0]])
+        return Symbols(
+            ocp=self.ocp,
+            intervals=self.intervals,
+            states=states,
+            controls=controls,
+            durations=durations,
+            parameters=self.parameters,
+            moves=moves,
+        )
+
+    def _state(self, s: Symbols, column: int) -> ca.MX:
+        """The state at a node."""
+        if s.moves is None:
+            return s.states[:, column]
+        place = self.scheme.state_places(self.intervals)[[column]]
+        return s.moves(place)[: len(self.ocp.states)]
 
     def _finish(self, integrals: ca.MX, objective: ca.MX) -> Transcription:
         lower_x, upper_x = self.variables.bounds()
@@ -187,6 +217,7 @@ class _Builder:
             self.variables_of_stage,
             ca.densify(objective) / self.ocp.objective_scale,
             ca.vertcat(ca.MX(0, 1), *self.expressions),
+            self.slope_of_variables,
         )
         nlp = Nlp(
             x=self.x,
@@ -212,6 +243,8 @@ class _Builder:
             controls=self.controls,
             statics=self.statics,
             durations=self.durations,
+            splines=self.splines,
+            coefficients=self.coefficients,
             path_blocks=tuple(self.path_blocks),
             outputs=self._outputs(integrals, objective),
             structure=structure_of(self.ocp, self.own_stage, self.scheme, self.mesh),
@@ -243,6 +276,8 @@ class _Builder:
             (ocp.initial_control_lower, ocp.initial_control_upper) if starts else (None, None),
             (ocp.final_control_lower, ocp.final_control_upper),
         )
+        if self.splines is not None:
+            self.coefficients = self._declare_coefficients()
         self.statics = self.variables.add(
             Rows.make(
                 "static variable",
@@ -284,7 +319,85 @@ class _Builder:
                 lower[:, column] = np.maximum(lower[:, column], low)
             if high is not None:
                 upper[:, column] = np.minimum(upper[:, column], high)
+        return self.nodes.add(rows, places, lower, upper)
+
+    def _declare_coefficients(self) -> Block:
+        """Coefficients of the splines; those that a pose at rest fixes have it as their bound."""
+        assert self.splines is not None
+        n = len(self.ocp.chains)
+        rows = Rows.make("spline", [f"chain {j + 1}" for j in range(n)], -np.inf, np.inf)
+        count = self.splines.size // n
+        free = np.full((n, count), np.inf)
+        lower, upper = -free, free.copy()
+        for column, along in ((0, slice(None)), (-1, slice(None, None, -1))):
+            rests = self._rests(column)
+            pose = self.states.lower[[chain[0] for chain in self.ocp.chains], column]
+            for bound in (lower, upper):
+                bound[:, along][:, :rests] = pose[:, None]
+        places = Places(
+            np.repeat(np.arange(self.ocp.phases), self.splines.counts),
+            np.concatenate([np.linspace(0.0, 1.0, k) for k in self.splines.counts]),
+        )
         return self.variables.add(rows, places, lower, upper)
+
+    def _rests(self, column: int) -> int:
+        """How many derivatives, position included, an end in a given pose at rest has fixed."""
+        low, high = self.states.lower[:, column], self.states.upper[:, column]
+        *orders, _ = (list(order) for order in zip(*self.ocp.chains, strict=True))
+        for order, own in enumerate(orders):
+            still = np.array_equal(low[own], high[own])
+            if not still or (order and np.any(low[own])):
+                return order
+        return len(orders)
+
+    def _spline_rows(self, s: Symbols, durations: ca.MX) -> None:
+        """Bounds of the states at the nodes, and splines that go on from phase to phase."""
+        assert self.splines is not None
+        assert self.coefficients is not None
+        ocp, nodes = self.ocp, self.scheme.state_places(self.intervals)
+        *orders, _ = (list(order) for order in zip(*ocp.chains, strict=True))
+        last = len(nodes) - 1
+        for order, own in enumerate(orders):
+            for columns in ([0], list(range(1, last)), [last]):
+                first = columns[0] if columns else 0
+                fixed = len(columns) == 1 and order < self._rests(-1 if first else 0)
+                low, high = self.states.lower[own, first], self.states.upper[own, first]
+                kept = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
+                if not columns or fixed or not kept.size:
+                    continue
+                index = [own[i] for i in kept]
+                labels = [ocp.states[i] for i in index]
+                name = "position" if order == 0 else "state"
+                value = self.splines.derivative(
+                    order, nodes[columns], ca.vec(self._symbol(self.coefficients)), durations
+                )
+                scales = ocp.scales_of_states[index]
+                rows = Rows.make(name, labels, low[kept], high[kept], scales)
+                self._row(rows, value[kept.tolist(), :], nodes[columns])
+        assert s.moves is not None
+        for phase in range(ocp.phases - 1):
+            ends = Places(np.array([phase]), np.ones(1)), Places(np.array([phase + 1]), np.zeros(1))
+            leave, enter = (s.moves(place) for place in ends)
+            scales = np.concatenate([ocp.scales_of_states, ocp.scales_of_controls])
+            rows = Rows.make("continuity", [*ocp.states, *ocp.controls], 0.0, 0.0, scales)
+            self._row(rows, enter - leave, ends[0], structural=True)
+
+    def _slope_of_variables(self, points: StagePoints, durations: ca.MX) -> ca.MX | None:
+        """Derivatives of the stage's variables of all points by those of the programme."""
+        if self.splines is None:
+            return None
+        values = ca.vertcat(points.states, points.controls)
+        count, height, statics = len(points.places), values.shape[0], self.statics.size
+        moved, lasting = self.splines.slopes(points.places, values, durations)
+        width = 0 if self.durations is None else self.durations.size
+        upper = ca.horzcat(moved, ca.MX(moved.shape[0], statics), lasting[:, :width])
+        own = ca.diag(ca.DM(self.statics.scales)) if statics else ca.DM(0, 0)
+        lower = ca.horzcat(ca.DM(statics, self.splines.size), own, ca.DM(statics, width))
+        stacked = ca.vertcat(upper, *[lower] * count)
+        # Point by point: states, controls, static variables.
+        first = np.arange(count)[:, None] * height + np.arange(height)
+        second = moved.shape[0] + np.arange(count)[:, None] * statics + np.arange(statics)
+        return stacked[np.hstack([first, second]).ravel().tolist(), :]
 
     def _symbol(self, block: Block) -> ca.MX:
         part = self.x[block.offset : block.offset + block.size]
@@ -339,6 +452,7 @@ class _Builder:
         self.variables_of_stage = ca.vertcat(
             points.states, points.controls, ca.repmat(statics, 1, count)
         )
+        self.slope_of_variables = self._slope_of_variables(points, s.durations)
         # Stand for the stage's values, so that derivatives can be put together from its own.
         self.values = ca.MX.sym("values", values, count)
         first = self.ocp.stage.size1_out(0)
@@ -389,7 +503,7 @@ class _Builder:
         places = self.scheme.state_places(self.intervals)
         for column, point in zip(columns, points, strict=True):
             if point is not None:
-                given = (s.states[:, int(column)], s.parameters)
+                given = (self._state(s, int(column)), s.parameters)
                 values = point.function(*given[: point.function.n_in()])
                 self._blocks(point.rows, values, places[[int(column)]])
 

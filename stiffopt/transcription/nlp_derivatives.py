@@ -22,6 +22,7 @@ def composed(
     variables: ca.MX,
     objective: ca.MX,
     rows: ca.MX,
+    slope: ca.MX | None = None,
 ) -> tuple[ca.MX, ca.MX, dict[str, ca.Function]]:
     """Objective and rows as expressions of x alone, and their derivatives for `casadi.nlpsol`.
 
@@ -34,6 +35,8 @@ def composed(
         w(x).
     objective, rows : MX
         f(x, v), g(x, v).
+    slope : MX, optional
+        w'(x), where more is known of it than CasADi finds out.
     """
     x, p, v = symbols
     true = stage.values(variables, p)
@@ -60,9 +63,9 @@ def composed(
             weights,
         ],
     )
-    inner = ca.jacobian(ca.vec(variables), x)
+    inner = ca.jacobian(ca.vec(variables), x) if slope is None else slope
     jacobian = stage.jacobian(variables, p)
-    slope = ca.mtimes(jacobian, inner)
+    along = ca.mtimes(jacobian, inner)
 
     def at(pulled: ca.MX) -> list[ca.MX]:
         return parts.call([x, p, true, sigma, multipliers, pulled], True, False)
@@ -70,10 +73,10 @@ def composed(
     f_x, f_v, g_x, g_v, *_, weights = at(ca.MX.zeros(pull.shape))
     pulled = ca.mtimes(jacobian.T, weights)
     *_, l_xx, l_xv, l_vv, _ = at(pulled)
-    cross = ca.mtimes(l_xv, slope)
+    cross = ca.mtimes(l_xv, along)
     bent = stage.hessian(variables, p, ca.reshape(weights, *v.shape))
     hessian = l_xx + cross + cross.T
-    hessian += ca.mtimes([slope.T, l_vv, slope]) + ca.mtimes([inner.T, bent, inner])
+    hessian += ca.mtimes([along.T, l_vv, along]) + ca.mtimes([inner.T, bent, inner])
     # Two products with a vector, not one of two matrices.
     gradient = f_x + ca.mtimes(ca.mtimes(f_v, jacobian), inner).T
     return (
@@ -82,7 +85,7 @@ def composed(
         {
             # CasADi reads a sparse gradient as if it were dense.
             "grad_f": ca.Function("nlp_grad_f", [x, p], [f, ca.densify(gradient)]),
-            "jac_g": ca.Function("nlp_jac_g", [x, p], [g, g_x + ca.mtimes(g_v, slope)]),
+            "jac_g": ca.Function("nlp_jac_g", [x, p], [g, g_x + ca.mtimes(g_v, along)]),
             "hess_lag": ca.Function("nlp_hess_l", [x, p, sigma, multipliers], [ca.triu(hessian)]),
         },
     )

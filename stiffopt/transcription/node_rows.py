@@ -29,7 +29,7 @@ class NodeRows:
     function : casadi.Function
         (states (m,), numbers (d,)) -> scalar, of SX: some of the states at the node.
     states : sequence of int (m,)
-        Which ones.
+        Which ones; positions where motions are splines.
     columns : array (k,) of int
         Nodes, counted from the first.
     numbers : array (k, d)
@@ -160,6 +160,9 @@ class _Mapped:
 
 def _selection(first: Transcription, block: NodeRows) -> ca.DM:
     """Matrix from the scaled variables to the states of every node."""
+    if first.splines is not None:
+        places = first.scheme.state_places(first.intervals)[block.columns]
+        return first.splines.positions(places, block.states, len(first.nlp.lower_x))
     states = first.states
     width = len(states.rows)
     index = states.offset + block.columns[:, None] * width + np.asarray(block.states)

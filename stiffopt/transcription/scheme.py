@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from stiffopt.errors import ProblemError
 from stiffopt.transcription import grid
+from stiffopt.transcription.chain_splines import ChainSplines
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import Places
 from stiffopt.transcription.ocp import OptimalControlProblem, Rows
@@ -85,17 +86,20 @@ class Symbols:
     Attributes
     ----------
     states, controls : MX (nx, NX), (nu, NU)
-    steps : MX (1, K)
-        Interval durations [s].
+    durations : MX (phases,)
+        [s]
     parameters : MX (np, 1)
+    moves : callable, optional
+        States above controls (nx + nu, P) at places, where coefficients of splines are variables.
     """
 
     ocp: OptimalControlProblem
     intervals: Intervals
     states: ca.MX
     controls: ca.MX
-    steps: ca.MX
+    durations: ca.MX
     parameters: ca.MX
+    moves: Callable[[Places], ca.MX] | None = None
 
     @cached_property
     def first_order(self) -> list[int]:
@@ -120,6 +124,11 @@ class Symbols:
             )
         q, v, a = self.chain
         return q, v, a
+
+    @cached_property
+    def steps(self) -> ca.MX:
+        """Interval durations (1, K) [s]."""
+        return (ca.DM(self.intervals.shares) @ self.durations).T
 
     def step(self, rows: int) -> ca.MX:
         """Interval durations repeated over rows (rows, K)."""
@@ -174,6 +183,10 @@ class Scheme(abc.ABC):
     def control_places(self, intervals: Intervals) -> Places:
         """Places of all control columns."""
         return _places(intervals, self.control_nodes)
+
+    def splines(self, ocp: OptimalControlProblem, mesh: Mesh) -> ChainSplines | None:
+        """The splines whose coefficients are the variables; None where states are."""
+        return None
 
     @abc.abstractmethod
     def defects(self, s: Symbols) -> Iterator[Defect]:

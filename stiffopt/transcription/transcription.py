@@ -12,6 +12,7 @@ from numpy.polynomial import polynomial
 
 from stiffopt.errors import ProblemError
 from stiffopt.transcription import grid
+from stiffopt.transcription.chain_splines import ChainSplines
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import Block, Nlp, Places
 from stiffopt.transcription.ocp import Guess, OptimalControlProblem
@@ -66,6 +67,9 @@ class Transcription:
     nlp : Nlp
     states, controls, statics, durations : Block or None
         Where these variables stand in the NLP vector; `durations` is None when fixed.
+    splines, coefficients : ChainSplines, Block or None
+        Where states and controls are no variables, but follow from coefficients: what of, and where
+        these stand. The blocks of states and controls then tell their bounds and scales only.
     path_blocks : tuple of (Block, array)
         Where the path rows stand in the NLP's rows, and which entries of the stage's they are.
     structure : str
@@ -80,6 +84,8 @@ class Transcription:
     controls: Block
     statics: Block
     durations: Block | None
+    splines: ChainSplines | None = None
+    coefficients: Block | None = None
     path_blocks: tuple[tuple[Block, np.ndarray], ...]
     outputs: ca.Function
     structure: str
@@ -107,13 +113,20 @@ class Transcription:
         shares = shares / shares.sum() if len(shares) == phases else np.full(phases, 1.0 / phases)
         states = self.scheme.state_places(self.intervals)
         controls = self.scheme.control_places(self.intervals)
+        own = _sampled(guess.states, self.states, states, shares)
+        driven = _sampled(guess.controls, self.controls, controls, shares)
         parts = {
-            self.states.rows.name: _sampled(guess.states, self.states, states, shares),
-            self.controls.rows.name: _sampled(guess.controls, self.controls, controls, shares),
+            self.states.rows.name: own,
+            self.controls.rows.name: driven,
             self.statics.rows.name: np.broadcast_to(guess.statics, (1, len(self.ocp.statics))),
         }
         if self.durations is not None:
             parts[self.durations.rows.name] = (guess.duration * shares)[None, :]
+        if self.splines is not None and self.coefficients is not None:
+            durations = np.array([self.ocp.duration[0]])
+            if self.durations is not None:
+                durations = guess.duration * shares
+            parts[self.coefficients.rows.name] = self._fitted(np.hstack([own, driven]), durations)
         x = np.zeros(self.nlp.variables.size)
         for block in self.nlp.variables.items:
             values = np.asarray(parts[block.rows.name], dtype=float) / block.rows.scale
@@ -135,9 +148,9 @@ class Transcription:
         steps = self.intervals.shares @ durations
         return Unpacked(
             times=_times(self.scheme.state_places(self.intervals), durations),
-            states=self.states.take(x),
+            states=self.node_states(x),
             control_times=_times(self.scheme.control_places(self.intervals), durations),
-            controls=self.controls.take(x),
+            controls=self._controls(x),
             statics=self.statics.take(x)[0],
             duration=float(durations.sum()),
             phase_durations=durations,
@@ -150,7 +163,7 @@ class Transcription:
         """Power coefficients (K, m, nu) of the controls in local time [s], lowest power first."""
         durations = self.phase_durations(x)
         steps = self.intervals.shares @ durations
-        values = self.controls.take(x)[self.scheme.control_columns(len(steps))]
+        values = self._controls(x)[self.scheme.control_columns(len(steps))]
         coefficients = np.einsum(
             "ij,kjn->kin", grid.power_from_values(self.scheme.control_nodes), values
         )
@@ -179,7 +192,7 @@ class Transcription:
             )
         q, v, *higher, u = (list(index) for index in zip(*self.ocp.chains, strict=True))
         steps = self.intervals.shares @ self.phase_durations(x)
-        states, controls = self.states.take(x), self.control_polynomials(x)[:, :, u]
+        states, controls = self.node_states(x), self.control_polynomials(x)[:, :, u]
         breaks = np.concatenate([[0.0], np.cumsum(steps)])
         starts = states[self.scheme.state_columns(len(steps))[:, 0]]
         coefficients = _integrated([starts[:, own] for own in higher], controls)
@@ -206,11 +219,38 @@ class Transcription:
             phase_fractions=durations / total,
         )
 
+    def node_states(self, x: np.ndarray) -> np.ndarray:
+        """States (NX, nx) at the nodes."""
+        if self.splines is None:
+            return self.states.take(x)
+        return self._moved(x)[:, : len(self.ocp.states)]
+
+    def _controls(self, x: np.ndarray) -> np.ndarray:
+        """Controls (NU, nu) at their nodes."""
+        if self.splines is None:
+            return self.controls.take(x)
+        return self._moved(x)[:, len(self.ocp.states) :]
+
+    def _moved(self, x: np.ndarray) -> np.ndarray:
+        assert self.splines is not None
+        assert self.coefficients is not None
+        places = self.scheme.state_places(self.intervals)
+        own = self.coefficients.take(x).ravel()
+        return self.splines.numeric(places, own, self.phase_durations(x))
+
+    def _fitted(self, values: np.ndarray, durations: np.ndarray) -> np.ndarray:
+        """Coefficients (k, n) of the splines nearest to states and controls at the nodes."""
+        assert self.splines is not None
+        places = self.scheme.state_places(self.intervals)
+        scales = np.concatenate([self.ocp.scales_of_states, self.ocp.scales_of_controls])
+        found = self.splines.fitted(places, values, scales, durations)
+        return found.reshape(-1, len(self.ocp.chains))
+
     def _state_polynomials(
         self, x: np.ndarray, steps: np.ndarray, controls: np.ndarray
     ) -> np.ndarray:
         nodes = self.scheme.state_nodes
-        values = self.states.take(x)[self.scheme.state_columns(len(steps))]
+        values = self.node_states(x)[self.scheme.state_columns(len(steps))]
         powers = steps[:, None] ** np.arange(len(nodes))
         basis = grid.power_from_values(nodes)
         fitted = np.einsum("ij,kjn->kin", basis, values) / powers[:, :, None]

@@ -17,6 +17,7 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import InputError
 from stiffopt.problem.files import load_problem
+from stiffopt.problem.limit import LIMITS
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.report.solve.wording import objective_phrase
 from stiffopt.result.store import result_document
@@ -185,3 +186,16 @@ def test_a_rigid_arm_cannot_swing_on(tmp_path):
     write_robot(tmp_path, "planar", joints=[joint("shoulder", ""), joint("elbow", "")])
     with pytest.raises(InputError, match="no drivetrain"):
         load_problem(path)
+
+
+@pytest.mark.parametrize("simulated", [0.0, 0.02])
+def test_an_arm_simulated_for_less_than_the_limit_is_judged_by_its_last_instant(simulated):
+    swing = SimpleNamespace(
+        time=np.array([0.0, 0.5, 0.5 + simulated]),
+        duration=0.5,
+        distance=np.array([0.0, 2e-4, 1e-4]),
+    )
+    limits = SimpleNamespace(settling_time=0.05, settling_band=5e-5)
+    assert LIMITS["settling_time"].overshoot(limits, swing) == pytest.approx(
+        1.0 if simulated else 3.0
+    )

@@ -23,10 +23,10 @@ def interrupted_at(monkeypatch, number):
     """Ctrl-C while the programme of that number is built, from 1."""
     plain, count = stages.build_programme, iter(range(1, 100))
 
-    def make(*arguments):
+    def make(*arguments, **named):
         if next(count) == number:
             raise KeyboardInterrupt
-        return plain(*arguments)
+        return plain(*arguments, **named)
 
     monkeypatch.setattr(stages, "build_programme", make)
 

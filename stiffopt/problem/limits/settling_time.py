@@ -55,7 +55,7 @@ class SettlingTimeLimit(ArrivalLimit):
 
     def overshoot(self, limits: Limits, swing: SimulatedMotion) -> float:
         """Of the size after that time over the band."""
-        late = swing.time >= swing.duration + limits.settling_time
+        late = swing.time >= min(swing.duration + limits.settling_time, float(swing.time[-1]))
         return float(swing.distance[late].max() / limits.settling_band) - 1.0
 
 

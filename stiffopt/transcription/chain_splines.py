@@ -1,0 +1,208 @@
+"""Chains of integrators behind a piecewise-linear control, as splines.
+
+With five integrators (position, velocity, acceleration, jerk and snap behind a crackle) positions
+are splines of degree 6 with five continuous derivatives. Their coefficients are all there is to
+choose: with them as variables no equation ties the states of neighbouring nodes, which leaves a
+fifth of the variables, a third of the time of an iteration and fewer of them.
+
+Source: de Boor (1978), "A practical guide to splines".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.sparse import coo_matrix
+
+from stiffopt.transcription.mesh import Mesh
+from stiffopt.transcription.nlp import Places
+
+
+@dataclass(frozen=True, eq=False)
+class ChainSplines:
+    """Splines of a problem's chains, phase by phase, in shares of the phase's duration.
+
+    Parameters
+    ----------
+    mesh : list of array
+    chains : tuple of (position index, velocity index, .., control index)
+        Of states and controls that all belong to one.
+
+    Notes
+    -----
+    Coefficients are one vector: those of all chains side by side, in order of time.
+    """
+
+    mesh: Mesh
+    chains: tuple[tuple[int, ...], ...]
+
+    @property
+    def degree(self) -> int:
+        """Of the positions."""
+        return len(self.chains[0])
+
+    @property
+    def values(self) -> int:
+        """Number of states and controls at a point."""
+        return self.degree * len(self.chains)
+
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """Coefficients of a chain in each phase."""
+        return np.array([len(part) + self.degree for part in self.mesh])
+
+    @property
+    def size(self) -> int:
+        """Number of all coefficients."""
+        return int(self.counts.sum()) * len(self.chains)
+
+    def at(self, places: Places, coefficients: ca.MX, durations: ca.MX) -> ca.MX:
+        """States above controls (nx + nu, P) at places, of coefficients and phase durations."""
+        matrix, powers, phases = self._map(places)
+        moved = ca.mtimes(_sparse(matrix), coefficients)
+        stretched = _lasting(durations, phases) ** ca.DM(-powers)
+        return ca.reshape(moved * stretched, self.values, len(places))
+
+    def derivative(
+        self, order: int, places: Places, coefficients: ca.MX, durations: ca.MX
+    ) -> ca.MX:
+        """One derivative of all chains (n, P), as `at`."""
+        matrix, powers, phases = self._map(places, (order,))
+        moved = ca.mtimes(_sparse(matrix), coefficients)
+        stretched = _lasting(durations, phases) ** ca.DM(-powers)
+        return ca.reshape(moved * stretched, len(self.chains), len(places))
+
+    def positions(self, places: Places, states: Sequence[int], columns: int) -> ca.DM:
+        """Matrix from variables, the coefficients first, to these positions, place by place."""
+        chains = [chain[0] for chain in self.chains]
+        matrix = self._map(places, (0,))[0].tocsr()
+        rows = np.arange(len(places))[:, None] * len(chains) + [chains.index(i) for i in states]
+        own = matrix[rows.ravel()]
+        own.resize((own.shape[0], columns))
+        return ca.DM(own.tocsc())
+
+    def slopes(self, places: Places, values: ca.MX, durations: ca.MX) -> tuple[ca.MX, ca.MX]:
+        """Derivatives of `at` by the coefficients and by the durations.
+
+        Parameters
+        ----------
+        places : Places
+        values : MX (nx + nu, P)
+            What `at` gives there.
+        durations : MX (phases,)
+
+        Returns
+        -------
+        MX ((nx + nu) P, size), MX ((nx + nu) P, phases)
+        """
+        matrix, powers, phases = self._map(places)
+        lasting = _lasting(durations, phases)
+        by_coefficients = ca.mtimes(ca.diag(lasting ** ca.DM(-powers)), _sparse(matrix))
+        rate = -ca.DM(powers) * ca.vec(values) / lasting
+        rows = np.arange(len(powers))
+        pattern = ca.Sparsity.triplet(len(rows), len(self.mesh), rows.tolist(), phases.tolist())
+        # Entries of a pattern stand column by column.
+        return by_coefficients, ca.MX(pattern, rate[np.lexsort((rows, phases)).tolist()])
+
+    def numeric(
+        self, places: Places, coefficients: np.ndarray, durations: np.ndarray
+    ) -> np.ndarray:
+        """The same as `at` for numbers (P, nx + nu)."""
+        matrix, powers, phases = self._map(places)
+        found = matrix.tocsr() @ coefficients / durations[phases] ** powers
+        return np.asarray(found.reshape(len(places), self.values))
+
+    def fitted(
+        self, places: Places, values: np.ndarray, scales: np.ndarray, durations: np.ndarray
+    ) -> np.ndarray:
+        """Coefficients whose states and controls at places are nearest to values (P, nx + nu).
+
+        Parameters
+        ----------
+        places : Places
+        values : array (P, nx + nu)
+        scales : array (nx + nu,)
+        durations : array (phases,)
+        """
+        n, start = len(self.chains), 0
+        found = np.zeros((int(self.counts.sum()), n))
+        for phase, count in enumerate(self.counts):
+            # The node at a border belongs to both phases.
+            own = places.phase == phase
+            fractions, given = places.fraction[own], values[own]
+            if phase:
+                last = np.flatnonzero(places.phase == phase - 1)[-1]
+                fractions = np.append(0.0, fractions)
+                given = np.vstack([values[last], given])
+            orders = [self._basis(phase, fractions, k) for k in range(self.degree)]
+            for j in range(n):
+                indices = self._indices(j)
+                rows = [
+                    basis / durations[phase] ** k / scales[indices[k]]
+                    for k, basis in enumerate(orders)
+                ]
+                wanted = [given[:, i] / scales[i] for i in indices]
+                solved = np.linalg.lstsq(np.vstack(rows), np.concatenate(wanted), rcond=None)
+                found[start : start + count, j] = solved[0]
+            start += count
+        return found.ravel()
+
+    def _indices(self, chain: int) -> list[int]:
+        """Where position to control of a chain stand among states and controls."""
+        *states, control = self.chains[chain]
+        return [*states, (self.degree - 1) * len(self.chains) + control]
+
+    def _basis(self, phase: int, fractions: np.ndarray, order: int) -> np.ndarray:
+        """Derivatives of all splines (P, count) of a phase by its scaled time."""
+        breaks = np.append(0.0, np.cumsum(self.mesh[phase]))
+        breaks[-1] = 1.0
+        ends = np.ones(self.degree)
+        knots = np.concatenate([0.0 * ends, breaks, ends])
+        spline = BSpline(knots, np.eye(self.counts[phase]), self.degree)
+        return np.asarray((spline.derivative(order) if order else spline)(fractions))
+
+    def _map(
+        self, places: Places, orders: tuple[int, ...] = ()
+    ) -> tuple[coo_matrix, np.ndarray, np.ndarray]:
+        """Matrix from the coefficients, powers of the phase duration that divide, and phases.
+
+        Rows are the states above the controls, point by point; or derivatives of these orders, of
+        all chains.
+        """
+        n, count = len(self.chains), len(places)
+        height = len(orders) * n if orders else self.values
+        rows, columns, data = [], [], []
+        powers = np.zeros((count, height))
+        begins = np.cumsum(self.counts) - self.counts
+        for phase in np.unique(places.phase):
+            own = np.flatnonzero(places.phase == phase)
+            for place, order in enumerate(orders or range(self.degree)):
+                basis = self._basis(int(phase), places.fraction[own], order)
+                point, coefficient = np.nonzero(np.abs(basis) > 1e-14 * np.abs(basis).max())
+                for j in range(n):
+                    index = place * n + j if orders else self._indices(j)[order]
+                    rows.append(own[point] * height + index)
+                    columns.append((begins[phase] + coefficient) * n + j)
+                    data.append(basis[point, coefficient])
+                    powers[own, index] = order
+        matrix = coo_matrix(
+            (np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))),
+            (count * height, self.size),
+        )
+        return matrix, powers.ravel(), np.repeat(places.phase, height)
+
+
+def _sparse(matrix: coo_matrix) -> ca.DM:
+    return ca.DM(matrix.tocsc())
+
+
+def _lasting(durations: ca.MX, phases: np.ndarray) -> ca.MX:
+    """Duration of each value's phase, one below the other."""
+    if durations.numel() == 1:
+        return ca.repmat(durations, len(phases), 1)
+    return durations[phases.tolist()]

@@ -1,0 +1,60 @@
+"""Splines in place of chains of integrators: their values, slopes and the way back."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.polynomial import Polynomial
+
+from stiffopt.transcription.chain_splines import ChainSplines
+from stiffopt.transcription.nlp import Places
+
+# Two joints, states up to snap joint by joint, two phases of unequal intervals.
+CHAINS = tuple((*(2 * k + j for k in range(5)), j) for j in range(2))
+MESH = [np.array([0.5, 0.3, 0.2]), np.array([0.4, 0.6])]
+DURATIONS = np.array([0.8, 0.3])
+PLACES = Places(np.array([0, 0, 0, 0, 1, 1]), np.array([0.0, 0.5, 0.8, 1.0, 0.4, 1.0]))
+POLYNOMIALS = (Polynomial([1, -2, 0.5, 3, 1, -4, 2]), Polynomial([0, 1, 1, -1, 2, 0, 5]))
+
+
+@pytest.fixture
+def splines():
+    return ChainSplines(MESH, CHAINS)
+
+
+def polynomial_values():
+    """States and controls of one polynomial of degree 6 a joint, over both phases."""
+    begins = np.array([0.0, DURATIONS[0]])
+    t = begins[PLACES.phase] + PLACES.fraction * DURATIONS[PLACES.phase]
+    orders = [[p.deriv(k)(t) if k else p(t) for p in POLYNOMIALS] for k in range(6)]
+    return np.stack([each for order in orders for each in order], axis=1)
+
+
+def test_a_polynomial_of_its_degree_is_met_in_all_derivatives(splines):
+    values = polynomial_values()
+    found = splines.fitted(PLACES, values, np.ones(12), DURATIONS)
+    assert splines.numeric(PLACES, found, DURATIONS) == pytest.approx(values, rel=1e-8, abs=1e-7)
+    symbolic = splines.at(PLACES, ca.MX(ca.DM(found)), ca.MX(ca.DM(DURATIONS)))
+    shown = np.array(ca.evalf(symbolic)).T
+    assert shown == pytest.approx(values, rel=1e-8, abs=1e-7)
+    jerk = splines.derivative(3, PLACES, ca.MX(ca.DM(found)), ca.MX(ca.DM(DURATIONS)))
+    found_jerk = np.array(ca.evalf(jerk)).T
+    assert found_jerk == pytest.approx(values[:, 6:8], rel=1e-8, abs=1e-7)
+
+
+def test_slopes_are_those_of_the_values(splines):
+    c, durations = ca.MX.sym("c", splines.size), ca.MX.sym("T", 2)
+    values = splines.at(PLACES, c, durations)
+    told = ca.horzcat(*splines.slopes(PLACES, values, durations))
+    true = ca.jacobian(ca.vec(values), ca.vertcat(c, durations))
+    function = ca.Function("both", [c, durations], [told, true])
+    told, true = function(np.random.default_rng(1).normal(size=splines.size), DURATIONS)
+    assert np.array(told) == pytest.approx(np.array(true), rel=1e-10, abs=1e-9)
+
+
+def test_one_duration_stands_for_all_of_one_phase():
+    alone = ChainSplines(MESH[:1], CHAINS)
+    places = Places(np.zeros(2, dtype=int), np.array([0.0, 1.0]))
+    ends = alone.at(places, ca.MX.ones(alone.size), ca.MX(2.0))
+    # All coefficients alike: at rest there.
+    assert np.array(ca.evalf(ends))[:2] == pytest.approx(1.0)
+    assert np.array(ca.evalf(ends))[2:] == pytest.approx(0.0, abs=1e-9)
