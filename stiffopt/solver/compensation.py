@@ -40,6 +40,9 @@ _SHARES = (1.0, 1.03, 1.06, 1.09)
 # Of the grid on which the splines are tried; the chosen one is judged on the certificate's.
 _COARSE = 1001
 
+# Objectives whose links are planned.
+_OF_LINKS = ("shaped_deviation", "tool_deviation")
+
 Progress = Callable[[str], object]
 
 
@@ -75,7 +78,7 @@ def compensate(
             progress(motion.name)
         found.append(_Compensator(problem, arm, motion, law).compensated())
     own, trajectory = found[0]
-    refusal, command = _refusal(own.excess), None
+    refusal, command = _refusal(problem, own.excess), None
     if not refusal:
         command = assess(problem, trajectory, times=export_times(trajectory.duration))
     return Compensation(
@@ -95,15 +98,16 @@ def compensated(
     return _Compensator(problem, arm, motion, law).compensated()
 
 
-def _refusal(excess: tuple[Violation, ...]) -> str:
+def _refusal(problem: TrajectoryProblem, excess: tuple[Violation, ...]) -> str:
     if not excess:
         return ""
     limits = " and ".join(dict.fromkeys(f"limits.scale.{each.limit}" for each in excess))
     named = "; ".join(each.describe() for each in excess)
+    others = [name for name in _OF_LINKS if all(name != o.name for o in problem.objectives)]
+    other = f"Minimise {' or '.join(others)}, which plan{'s' * (len(others) == 1)} the links"
     return (
         f"No command.csv: to make the links do this motion, the motors would exceed {named}. "
-        "Minimise shaped_deviation or tool_deviation, which plan the links within the motors' "
-        f"limits, give a longer duration, or plan with lower {limits}."
+        f"{other} within the motors' limits, give a longer duration, or plan with lower {limits}."
     )
 
 

@@ -53,6 +53,8 @@ _SETTLED = 2e-5
 _NEARER = 0.7
 # Excess of a row, relative to its scale, up to which a start is near the optimum.
 _NEAR = 1.0
+# And that from which on it is a corner of the motors' law passed fast.
+_SPIKE = 10.0
 # IPOPT's names of how far a start is moved from bounds.
 _PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 # Of a start whose bounds have been drawn in, from them.
@@ -331,6 +333,8 @@ def _solved(
             guess = made.transcription.guess_from(raw.x)
             finer = refine_mesh(made.transcription, raw.x, stage.intervals)
             made = build_programme(run, ocp, finer, guess, smoothing=stage.smoothing)
+            if run.problem.plans_links:
+                stage = _no_spike(stage, plan[index - 1], made.transcription, guess)
             x, warm = made.transcription.pack(guess), None
         else:
             x, warm = raw.x, raw if raw.converged else None
@@ -527,10 +531,28 @@ def _solvable(run: SolveRun, transcription: Transcription, *, near: bool = False
 
 def _near(transcription: Transcription, guess: Guess, smoothing: float) -> bool:
     """Whether a guess exceeds no row by much."""
+    return _excess(transcription, guess, smoothing) <= _NEAR
+
+
+def _no_spike(
+    stage: SolveStage, before: SolveStage, transcription: Transcription, guess: Guess
+) -> SolveStage:
+    """The stage with as wide corners of the motors' law as the motion before it needs.
+
+    Passed fast, a narrow corner asks for many times a motor's jerk: no solve gets rid of that.
+    """
+    smoothing = stage.smoothing
+    while smoothing < before.smoothing and _excess(transcription, guess, smoothing) > _SPIKE:
+        smoothing *= 2.0
+    return replace(stage, smoothing=smoothing)
+
+
+def _excess(transcription: Transcription, guess: Guess, smoothing: float) -> float:
+    """The largest by which a guess exceeds a row, relative to its scale."""
     nlp = transcription.nlp
     rows = ca.Function("rows", [nlp.x, nlp.p], [nlp.g])
     found = rows(transcription.pack(guess), nlp.parameters(np.array([smoothing])))
-    return bool(nlp.violations(found.full()).max(initial=0.0) <= _NEAR)
+    return float(nlp.violations(found.full()).max(initial=0.0))
 
 
 def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOptions:
