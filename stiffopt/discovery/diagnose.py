@@ -43,7 +43,7 @@ from stiffopt.discovery.search.identifiable_effects import (
     unstated_effects,
     without_bounds,
 )
-from stiffopt.discovery.search.left_out import shares_left_out
+from stiffopt.discovery.search.left_out import repeated, shares_left_out
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult, search
 from stiffopt.discovery.search.uncertainty import Estimate, estimate
@@ -54,6 +54,7 @@ from stiffopt.discovery.thresholds import (
     OPEN_RATIO,
     OPEN_SHARE,
     SWING_MISFIT,
+    UNREPEATED_ODDS,
 )
 from stiffopt.discovery.training import Training, train, training_runs
 from stiffopt.discovery.user_effects import load_effects
@@ -295,11 +296,16 @@ def _findings(
         comparison, tuple(s.located for s in kept), tuple(s.channel for s in kept)
     )
     refitted = shares_left_out(comparison, tuple(s.located for s in kept))
+    again = (True,) * len(kept)
+    if training.free_bodies:
+        again = repeated(comparison, tuple(s.located for s in kept))
     findings = []
     for index, (selected, share) in enumerate(zip(kept, shares, strict=True)):
         located, effect = selected.located, selected.located.effect
         open_ = after[selected.channel] > MISFIT_RATIO
         misfit = MISFIT_ODDS * (1.0 - refitted[index]) if open_ else 0.0
+        if not again[index]:
+            misfit = max(misfit, UNREPEATED_ODDS)
         values = parameters.parameters(index, located.constants(constants))
         findings.append(
             Finding(

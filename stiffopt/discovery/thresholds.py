@@ -83,6 +83,8 @@ EXCHANGES = 3
 # Residual over noise from which likelihood alone makes nothing certain, and the odds that what is
 # open in a channel gives to an unknown cause of both.
 MISFIT_RATIO, MISFIT_ODDS = 2.0, 0.5
+# And what a finding gives to it that one half of the recordings does not bear out for the other.
+UNREPEATED_ODDS = 0.5
 
 # Residual over noise of a fit with swinging links from which one in balance is tried as well [0037]
 SWING_MISFIT = 1.5

@@ -134,6 +134,12 @@ def test_ripple_and_transmission_error_have_their_orders():
     lines = np.abs(np.fft.rfft(ripple)) / 2048
     assert lines[4] == pytest.approx(0.5, rel=0.06)
     assert lines[24] < 1e-5
+    waves = effect("rotor_ripple")
+    lines = np.abs(np.fft.rfft(waves.term(signals, [0.3, 0.4], [2.0]).drive_torque)) / 2048
+    assert np.flatnonzero(lines > 1e-9).tolist() == [2]
+    assert waves.parameters([0.3, 0.4], [2.0], signals.constants) == pytest.approx(
+        {"B": lines[2], "waves": 2.0}
+    )
 
 
 def test_wrist_coupling_does_no_work():

@@ -8,7 +8,7 @@ import numpy as np
 
 from stiffopt.discovery.catalogue.common import Constants
 from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
-from stiffopt.discovery.effect import Amplitude, Effect, Report, Term
+from stiffopt.discovery.effect import Amplitude, Effect, Report, Shape, Term
 from stiffopt.symbolic import Quantity
 
 _GEAR_ORDERS = (1, 2, 4)
@@ -18,7 +18,7 @@ _RIPPLE_ORDERS = (1, 6)
 _TAKEN, _STEEP = 0.24, 8
 
 
-def _shown(signals: JointSignals, order: float) -> Quantity:
+def _shown(signals: JointSignals, order: Quantity) -> Quantity:
     """Share of a wave of this order of the joint's angle that samples can show."""
     rate = order * signals.motor_velocity / (2.0 * np.pi)
     return 1.0 / (1.0 + (rate * signals.dt / _TAKEN) ** _STEEP)
@@ -57,6 +57,22 @@ def torque_ripple_term(
     return Term(drive_torque=ripple)
 
 
+def rotor_ripple_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Waves of the torque over the turn of the rotor, as many as the shape says."""
+    turns = shapes[0] * signals.constants.ratio
+    turn = turns * signals.motor_position
+    wave = amplitudes[0] * np.sin(turn) + amplitudes[1] * np.cos(turn)
+    return Term(drive_torque=_shown(signals, turns) * wave)
+
+
+def _size_of_wave(
+    amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
+) -> Mapping[str, float]:
+    return {"B": float(np.hypot(amplitudes[0], amplitudes[1])), "waves": shapes[0]}
+
+
 def _harmonics(letter: str, orders: Sequence[int]) -> Report:
     def report(
         amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
@@ -79,6 +95,10 @@ def _geared(constants: JointConstants) -> bool:
 
 def _geared_motor(constants: JointConstants) -> bool:
     return constants.ratio > 1.0 and constants.pole_pairs is not None
+
+
+def _geared_without_poles(constants: JointConstants) -> bool:
+    return constants.ratio > 1.0 and constants.pole_pairs is None
 
 
 TRANSMISSION_ERROR = Effect(
@@ -112,7 +132,7 @@ TORQUE_RIPPLE = Effect(
     needs=("torque", "moves", "gear_ratio", "pole_pairs", "ripple_slow"),
     term=torque_ripple_term,
     amplitudes=tuple(
-        Amplitude(name=f"{wave}{order}", unit="N m", scale=_ripple, lower=-5.0, upper=5.0)
+        Amplitude(name=f"{wave}{order}", unit="N m", scale=_ripple, lower=-20.0, upper=20.0)
         for order in _RIPPLE_ORDERS
         for wave in ("sin", "cos")
     ),
@@ -123,4 +143,35 @@ TORQUE_RIPPLE = Effect(
     " where it is, an error of the gear moves it.",
 )
 
-PERIODIC = (TRANSMISSION_ERROR, TORQUE_RIPPLE)
+ROTOR_RIPPLE = Effect(
+    name="rotor_ripple",
+    family="periodic",
+    scope="joint",
+    equation="tau += B*sin(k*N*th + phase)",
+    signature="motor torque in waves of some whole number a turn of the rotor",
+    phrase="torque ripple with the turns of the rotor",
+    needs=("torque", "moves", "gear_ratio", "rotor_slow"),
+    confused_with=("torque_ripple",),
+    term=rotor_ripple_term,
+    amplitudes=tuple(
+        Amplitude(name=wave, unit="N m", scale=_ripple, lower=-20.0, upper=20.0)
+        for wave in ("sin", "cos")
+    ),
+    # Strain-wave gears have two a turn, motors their poles and slots.
+    shapes=(
+        Shape(
+            name="waves",
+            unit="",
+            starts=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 24.0),
+            lower=0.5,
+            upper=60.0,
+        ),
+    ),
+    report=_size_of_wave,
+    units={"B": "N m"},
+    applies=_geared_without_poles,
+    separate="Turn slowly at two constant speeds: the waves keep their number a turn, a resonance"
+    " keeps its frequency.",
+)
+
+PERIODIC = (TRANSMISSION_ERROR, TORQUE_RIPPLE, ROTOR_RIPPLE)

@@ -128,7 +128,11 @@ class ExtendedModel:
                 f" {', '.join(recordings.joints)}. Give the model of the same robot.",
             )
         require_same_robot(self.robot, self.source, self.joints, recordings.robot, recordings.order)
-        return recordings.with_nominal(self.nominal, self.source)
+        nominal = self.nominal
+        if nominal.pole_pairs is None:
+            # Nothing was found with them, so that those that the set gives contradict nothing.
+            nominal = nominal.model_copy(update={"pole_pairs": recordings.stated.pole_pairs})
+        return recordings.with_nominal(nominal, self.source)
 
     def scaled(self, constants: RobotConstants) -> RobotConstants:
         """Constants with the scales that the effects were fitted with."""

@@ -146,14 +146,35 @@ def shares_left_out(comparison: Comparison, effects: Sequence[LocatedEffect]) ->
     return tuple(shares)
 
 
-def _summed(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[_Sums, np.ndarray]:
+def repeated(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[bool, ...]:
+    """Whether each half of the recordings bears out what a fit to the other says of each effect.
+
+    Halves are every other run, of a single run its begin and end. An effect of one run is not
+    asked for.
+    """
+    if not effects:
+        return ()
+    sums, owner = _summed(comparison, effects, _folds(comparison, halves=True))
+    errors = sums.errors(np.arange(len(owner)))
+    found = []
+    for k, located in enumerate(effects):
+        falls = sums.errors(np.flatnonzero(owner != k)) - errors
+        own = int(np.argmax(falls.sum(axis=0)))
+        found.append(located.run is not None or bool(np.all(falls[:, own] > 0.0)))
+    return tuple(found)
+
+
+def _summed(
+    comparison: Comparison, effects: Sequence[LocatedEffect], fold: np.ndarray | None = None
+) -> tuple[_Sums, np.ndarray]:
     """Sums of all columns, and of every column the effect it belongs to; -1: nominal values."""
     _, sd, nuisance = comparison.nuisance
     parts = [comparison.effect_columns(e) for e in effects]
     widths = [len(sd), *(part.shape[1] for part in parts)]
     owner = np.repeat(np.arange(-1, len(effects)), widths)
     prior = np.concatenate([sd, np.ones(len(owner) - len(sd))])
-    return _sums(comparison, np.column_stack([nuisance, *parts]), prior), owner
+    fold = _folds(comparison) if fold is None else fold
+    return _sums(comparison, np.column_stack([nuisance, *parts]), prior, fold), owner
 
 
 def _excess(
@@ -182,8 +203,10 @@ def _excess(
     return share - (CHANGE_SHARE if changed else LEFT_OUT_SHARE)
 
 
-def _sums(comparison: Comparison, columns: np.ndarray, prior: np.ndarray) -> _Sums:
-    fold, channel = _folds(comparison), comparison.rows.channel
+def _sums(
+    comparison: Comparison, columns: np.ndarray, prior: np.ndarray, fold: np.ndarray
+) -> _Sums:
+    channel = comparison.rows.channel
     count, p = int(fold.max()) + 1, columns.shape[1]
     channels = comparison.rows.channels
     gram = np.zeros((count, len(channels), p, p))
@@ -201,15 +224,16 @@ def parts_a_run(runs: int) -> int:
     return 1 if runs >= 2 * FEW_RUNS else -(-_PARTS // runs)
 
 
-def _folds(comparison: Comparison) -> np.ndarray:
+def _folds(comparison: Comparison, *, halves: bool = False) -> np.ndarray:
     """Number of the fold of every row (m,): its run, or one of a few parts of the runs in time."""
     runs = comparison.runs
     parts = parts_a_run(len(runs))
+    if halves:
+        parts = 2 if len(runs) == 1 else 1
 
     def number(run: PreparedRun) -> np.ndarray:
         share = (run.time - run.time[0]) / float(run.time[-1] - run.time[0])
-        return np.asarray(
-            runs.index(run) * parts + np.minimum((share * parts).astype(int), parts - 1)
-        )
+        own = runs.index(run) * parts + np.minimum((share * parts).astype(int), parts - 1)
+        return np.asarray(own % 2 if halves else own)
 
     return np.unique(comparison.rows.sampled(number), return_inverse=True)[1]
