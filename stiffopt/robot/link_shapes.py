@@ -181,6 +181,19 @@ def _shape(section: ET.Element, link: str, purpose: Purpose, urdf: Path) -> Link
     )
 
 
+def mesh_files(urdf: Path) -> list[Path]:
+    """Meshes that a URDF names, as far as they are found; none of a file that is no XML."""
+    try:
+        names = {mesh.get("filename", "") for mesh in ET.parse(urdf).getroot().iter("mesh")}
+    except ET.ParseError:
+        return []
+    found = []
+    for name in sorted(names):
+        with suppress(OSError, ValueError):
+            found.append(find_mesh(name, urdf))
+    return [file for file in found if file is not None]
+
+
 def find_mesh(name: str, urdf: Path) -> Path | None:
     """File of a mesh that a URDF names; None where there is none.
 

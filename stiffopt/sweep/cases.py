@@ -240,6 +240,10 @@ def _values(bounds: RangeSection, shares: np.ndarray, path: Path, where: str) ->
             path, where, f"needs two numbers, or two with the same unit; got {bounds.lower!r} and "
             f"{bounds.upper!r}."
         )  # fmt: skip
+    if not math.isfinite(high - low):
+        raise InputFileError(
+            path, where, f"needs finite ends; got {bounds.lower!r} and {bounds.upper!r}."
+        )
     if not low < high:
         raise InputFileError(path, where, f"lower = {low:g} must be below upper = {high:g}.")
     # Twelve digits: no tails of binary fractions in tables.
@@ -264,8 +268,14 @@ def _toml(value: Any) -> str:
 
 
 def _digest(path: Path, seen: frozenset[Path] = frozenset()) -> str:
-    """Hash of a file and of all that it names and that lies beside it, TOML files likewise."""
+    """Hash of a file, of all that it names and that lies beside it, and of a URDF's meshes."""
     found = hashlib.sha256(path.read_bytes())
+    if path.suffix == ".urdf":
+        # Pinocchio comes with it, which sweeps of other things do not need.
+        from stiffopt.robot.link_shapes import mesh_files
+
+        for mesh in mesh_files(path):
+            found.update(mesh.read_bytes())
     if path.suffix == ".toml" and path not in seen:
         for beside in _named(path.parent, load_toml(path)):
             found.update(_digest(beside, seen | {path}).encode())

@@ -75,6 +75,27 @@ def test_a_case_is_named_by_all_that_its_result_depends_on(tmp_path):
     assert load_sweep(path).cases[0].key != before.key
 
 
+def test_meshes_of_links_and_of_the_cell_are_part_of_its_name(tmp_path):
+    (tmp_path / "arm.urdf").write_text(
+        '<robot name="arm"><link name="base"><visual><geometry><mesh filename="meshes/base.stl"/>'
+        '</geometry></visual></link><link><visual><geometry><mesh filename="gone.stl"/>'
+        "</geometry></visual></link></robot>"
+    )
+    (tmp_path / "meshes").mkdir()
+    link, jig = tmp_path / "meshes" / "base.stl", tmp_path / "jig.stl"
+    base = tmp_path / "base.toml"
+    base.write_text(
+        'kind = "trajectory"\nrobot = "arm.urdf"\n[[cell.mesh]]\nname = "jig"\nfile = "jig.stl"\n'
+    )
+    path = sweep_file(tmp_path, "", base.name)
+    keys = []
+    for own, around in ((b"1", b"1"), (b"2", b"1"), (b"2", b"2")):
+        link.write_bytes(own)
+        jig.write_bytes(around)
+        keys.append(load_sweep(path).cases[0].key)
+    assert len(set(keys)) == 3
+
+
 def test_a_file_that_a_case_chooses_is_part_of_its_name(tmp_path):
     for name in ("one", "other"):
         (tmp_path / f"{name}.toml").write_text('kind = "robot"\n')
@@ -125,6 +146,8 @@ def test_no_limit_is_a_value_like_others(tmp_path):
         ('[latin_hypercube]\ncount = 3\na = { lower = "1 s", upper = "2 mm" }', "same unit"),
         ("[latin_hypercube]\ncount = 3\na = { lower = 2, upper = 1 }", "must be below"),
         ('[latin_hypercube]\ncount = 3\na = { lower = "x", upper = "y" }', "two numbers"),
+        ("[latin_hypercube]\ncount = 3\na = { lower = 1, upper = inf }", "finite number"),
+        ('[front]\nover = "a"\nlower = "1 s"\nupper = "1e999 s"', "finite ends"),
         ("starts = 0", "starts"),
         ("[grid]\na = [1, 2]\n[latin_hypercube]\ncount = 100000\nb = { lower = 0, upper = 1 }",
          "200000 cases"),
