@@ -2,8 +2,8 @@
 
     python benchmarks/run.py [NAME ...]
 
-With names (fixed_path, model_cost, ...) only those run, and only print. Peers need their own
-environment first: sh benchmarks/rockit_environment.sh. The computer should have nothing else to do.
+With names (fixed_path, model_cost, ...) only those run, and only print. Peers are
+compared by `python -m benchmarks.peers`. The computer should have nothing else to do.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ BENCHMARKS = (
     "compensation",
     "random_deviation",
     "model_cost",
+    "scaling",
 )
 HEAD = """# Results of one run
 

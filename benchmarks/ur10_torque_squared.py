@@ -1,4 +1,4 @@
-"""The UR10's minimum of squared torque: every transcription, and rockit, in one run.
+"""The UR10's minimum of squared torque: every transcription in one run; for peers `peers/`.
 
 All start from the straight joint line at constant speed and run with N = 100 intervals. "Build" is
 everything from the problem to a ready solver, "solve" is IPOPT. Rounds are interleaved and the
@@ -7,39 +7,29 @@ median counts, so that other load on the computer meets all alike.
 
 from __future__ import annotations
 
-import json
 import statistics
-import subprocess
-import tempfile
-from pathlib import Path
 
 import numpy as np
 from common import (
-    DATA,
-    HERE,
     Row,
     Stopwatch,
     main,
     numbers,
     torque_squared_problem,
-    urdf_model,
 )
 from standin import standin_robot
 
 from stiffopt.certificate.assess import assess
-from stiffopt.dynamics.newton_euler import inverse_dynamics
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import Method, TrajectoryProblem
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.robot.body_tree import body_tree
 from stiffopt.solver.ipopt import IpoptSolver
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import uniform_mesh
 from stiffopt.transcription.ocp import Guess
 
 TITLE = "UR10, minimum squared torque, N = 100"
-ROCKIT = HERE / ".rockit-venv" / "bin" / "python"
 TRANSCRIPTIONS = ("piecewise_linear_acceleration", "hermite_simpson", "radau")
 INTERVALS = 100
 ROUNDS = 3
@@ -83,39 +73,13 @@ def ours(transcription: str) -> dict[str, float]:
     }
 
 
-def rockit() -> dict[str, float] | None:
-    """One solve by the peer; None where its environment is not made."""
-    if not ROCKIT.is_file():
-        return None
-    with tempfile.TemporaryDirectory() as directory:
-        dynamics = Path(directory) / "dynamics.casadi"
-        inverse_dynamics(body_tree(urdf_model())).save(str(dynamics))
-        script = [ROCKIT, HERE / "rockit_ur10.py", DATA / "ur10.json", dynamics, INTERVALS]
-        done = subprocess.run(
-            [str(word) for word in script], capture_output=True, text=True, check=True
-        )
-    answer = json.loads(done.stdout.splitlines()[-1])
-    return {
-        "objective": answer["objective"],
-        "certified": answer["objective_on_fine_grid"],
-        "build": answer["build_s"],
-        "solve": answer["solve_s"],
-        "iterations": answer["iterations"],
-    }
-
-
 def run() -> list[Row]:
     """Solve by all, several times in turn."""
     runs: dict[str, list[dict[str, float]]] = {name: [] for name in TRANSCRIPTIONS}
-    peer: list[dict[str, float]] = []
     for _ in range(ROUNDS):
         for name in TRANSCRIPTIONS:
             runs[name].append(ours(name))
-        answer = rockit()
-        if answer is not None:
-            peer.append(answer)
     reference, tolerance = numbers()["converged_objective"], numbers()["tolerance"]
-    time_of_peer = _median(peer, "build") + _median(peer, "solve") if peer else None
     rows = []
     for name, values in runs.items():
         last = values[-1]
@@ -129,29 +93,14 @@ def run() -> list[Row]:
             )
         )
         rows.append(Row(f"{name}: worst limit between nodes", f"{100 * last['violation']:.2f} %"))
-        rows.append(_timing(name, values, time_of_peer))
-    if time_of_peer is None:
-        rows.append(Row("rockit", "absent: run sh benchmarks/rockit_environment.sh"))
-    else:
-        rows.append(
-            Row(
-                "rockit 0.6.7: objective of its own / on a fine grid",
-                f"{peer[-1]['objective']:.5f} / {peer[-1]['certified']:.5f}",
-                f"{reference}",
-            )
-        )
-        rows.append(_timing("rockit 0.6.7", peer, None))
+        rows.append(_timing(name, values))
     return rows
 
 
-def _timing(name: str, values: list[dict[str, float]], peer: float | None) -> Row:
+def _timing(name: str, values: list[dict[str, float]]) -> Row:
     build, solve = _median(values, "build"), _median(values, "solve")
     effort = f"{build:.2f} s + {solve:.2f} s, {values[-1]['iterations']} iterations"
-    what = f"{name}: build + solve"
-    if peer is None:
-        return Row(what, effort)
-    ratio = (build + solve) / peer
-    return Row(what, effort, f"{ratio:.2f} of rockit's", "below 1", ratio < 1)
+    return Row(f"{name}: build + solve", effort)
 
 
 def _median(values: list[dict[str, float]], key: str) -> float:

@@ -77,12 +77,18 @@ def shortest_duration(problem: TrajectoryProblem, motion: ResolvedMotion) -> tup
             f"{problem.duration[1]:.4g} s."
         )
     unit = "m" if problem.robot.prismatic[j] else "rad"
-    by_jerk = f" and its jerk limit {jerk[j]:.4g} {unit}/s^3" if np.isfinite(jerk[j]) else ""
+    given = [
+        f"its {name} limit {value:.4g} {unit}/{per}"
+        for name, value, per in (
+            ("velocity", limits.velocity[j], "s"),
+            ("acceleration", limits.acceleration[j], "s^2"),
+            ("jerk", jerk[j], "s^3"),
+        )
+        if np.isfinite(value)
+    ]
     return float(needed[j]), (
         f"Joint {j + 1} has to move by {ways[j]:.4g} {unit} and needs {needed[j]:.4g} s or more "
-        f"for that within its velocity limit {limits.velocity[j]:.4g} {unit}/s and its "
-        f"acceleration limit {limits.acceleration[j]:.4g} {unit}/s^2{by_jerk}; the duration allows "
-        f"{problem.duration[1]:.4g} s."
+        f"for that within {' and '.join(given)}; the duration allows {problem.duration[1]:.4g} s."
     )
 
 

@@ -561,12 +561,13 @@ def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOp
     # A barrier that adapts takes a fifth to a half of the iterations less, and steadier ones on
     # long chains of integrators.
     extra: dict[str, object] = {"mu_strategy": "adaptive"}
-    if problem.plans_links:
-        # MUMPS by minimum degree and without scaling, which splines need not, takes half the time.
-        extra |= {"mumps_pivot_order": 0, "mumps_permuting_scaling": 0, "mumps_scaling": 0}
-    elif len(smoothing_stages(problem)) == 1:
-        # Smooth programmes are well scaled as they are. What MUMPS does to them costs steps, on
-        # fine meshes with a free duration half of all.
+    if (
+        problem.plans_links
+        or len(smoothing_stages(problem)) == 1
+        or method.intervals > _MOST_MIDDLE
+    ):
+        # Splines and smooth programmes are well scaled as they are: what MUMPS does to them costs
+        # steps, with a free duration half of all. On fine meshes every step takes half the time.
         extra |= {"mumps_pivot_order": 0, "mumps_permuting_scaling": 0, "mumps_scaling": 0}
     if problem.plans_links and near:
         # Multipliers of a small barrier, else the motion is first led far away from where it is.
