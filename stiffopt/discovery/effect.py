@@ -118,6 +118,8 @@ class Shape:
         Values to start a fit from, from the signals' ranges where callable.
     lower, upper : float
         Bounds [unit].
+    usual : float, optional
+        Where a file states none [unit]; without it a file must.
     """
 
     name: str
@@ -125,6 +127,7 @@ class Shape:
     starts: Callable[[Any], Sequence[float]] | tuple[float, ...]
     lower: float = -float("inf")
     upper: float = float("inf")
+    usual: float | None = None
 
     def grid(self, ranges: Constants) -> tuple[float, ...]:
         """Values to start from."""

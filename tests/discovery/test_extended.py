@@ -72,3 +72,23 @@ def test_models_that_cannot_be_used_are_explained(tmp_path, capsys, before, afte
     assert re.search(message, error), error
     assert str(model) in error
     assert not result.out.exists()
+
+
+def test_a_shape_that_older_files_lack_has_its_usual_value(tmp_path):
+    text = (answered(COULOMB).out / "extended.toml").read_text()
+    file = tmp_path / "extended.toml"
+    file.write_text(
+        text
+        + """
+[[effect]]
+name = "load_friction"
+joint = 1
+[effect.term]
+mu = 0.05
+[effect.parameters]
+mu = { value = 0.05, sd = 0.01 }
+"""
+    )
+    (*_, added) = load_extended(file).extension.effects
+    assert added.amplitudes == (0.05,)
+    assert added.located.shapes == (0.02,)

@@ -29,7 +29,7 @@ def test_what_is_there_stays_and_what_is_not_goes() -> None:
     """More dry friction in joint 2 is in every run, load friction of joint 1 in none."""
     comparison = train(load_recordings(SET), Settings()).comparison()
     there = LocatedEffect(effect=effect("coulomb"), joint=1)
-    load = LocatedEffect(effect=effect("load_friction"), joint=0)
+    load = LocatedEffect(effect=effect("load_friction"), joint=0, shapes=(0.02,))
     assert borne_out(comparison, [load, there]) == [there]
 
 

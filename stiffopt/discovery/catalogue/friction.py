@@ -57,7 +57,7 @@ def load_friction_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
     """Friction mu |s| sg(w) of the load, the size of the load rounded at zero."""
-    rounding = _LOAD_ROUNDING * signals.constants.torque_rated
+    rounding = shapes[0] * signals.constants.torque_rated
     load = smooth_abs(signals.spring_torque, rounding) - rounding
     return Term(drive_torque=amplitudes[0] * load * smooth_sign(signals.motor_velocity))
 
@@ -188,6 +188,18 @@ LOAD_FRICTION = Effect(
     reference="BittencourtAxelsson2014",
     term=load_friction_term,
     amplitudes=(Amplitude(name="mu", unit="", scale=0.1, lower=0.0, upper=6.0),),
+    # How small a load is rubs nowhere the same, and is no value of a datasheet: it moves mu.
+    shapes=(
+        Shape(
+            name="rounding",
+            unit="",
+            starts=(_LOAD_ROUNDING,),
+            lower=0.002,
+            upper=0.1,
+            usual=_LOAD_ROUNDING,
+        ),
+    ),
+    report=lambda amplitudes, shapes, constants: {"mu": amplitudes[0]},
     separate="Repeat one path with two payloads, in both directions: a gain error keeps its sign"
     " when the motion turns round.",
 )

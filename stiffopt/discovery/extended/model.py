@@ -250,11 +250,13 @@ def _effect(
         )
     place = _place(section, effect, document, path, where)
     names = [a.name for a in effect.amplitudes] + [s.name for s in effect.shapes]
-    if sorted(names) != sorted(section.term):
+    usual = {s.name: s.usual for s in effect.shapes if s.usual is not None}
+    term = {**usual, **section.term}
+    if sorted(names) != sorted(term):
         raise InputFileError(
             path, f"{where}.term", f"{effect.name} needs exactly {', '.join(names)}."
         )
-    shapes = tuple(section.term[s.name] for s in effect.shapes)
+    shapes = tuple(term[s.name] for s in effect.shapes)
     for shape, value in zip(effect.shapes, shapes, strict=True):
         if not shape.lower <= value <= shape.upper:
             raise InputFileError(
@@ -264,7 +266,7 @@ def _effect(
             )
     return EstimatedEffect(
         located=LocatedEffect(effect=effect, shapes=shapes, **place),
-        amplitudes=tuple(section.term[a.name] for a in effect.amplitudes),
+        amplitudes=tuple(term[a.name] for a in effect.amplitudes),
         step=section.step,
     )
 
