@@ -21,17 +21,16 @@ from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.solution import Solution
+from stiffopt.solver.plan import SolveStage, solver_options
 from stiffopt.solver.solve import notes_before, solution_of, solve_keeping
 from stiffopt.solver.stages import (
     Outcome,
     Programme,
     ProgressCallback,
     SolveRun,
-    SolveStage,
     build_programme,
     outcome_of,
     solve_stage,
-    solver_options,
 )
 from stiffopt.solver.verdict import TRUE_OBJECTIVE
 from stiffopt.solver.way_around import collisions

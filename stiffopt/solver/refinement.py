@@ -19,10 +19,10 @@ from stiffopt.problem.limit import LIMITS
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.solution import Baseline
+from stiffopt.solver.plan import SolveStage
 from stiffopt.solver.stages import (
     Outcome,
     SolveRun,
-    SolveStage,
     motors_of,
     run_stages,
     solve_again,

@@ -34,6 +34,7 @@ from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.guess import guess_along, initial_guess
+from stiffopt.solver.plan import stages
 from stiffopt.solver.refinement import refined, stopped
 from stiffopt.solver.shaping import solve_shaped
 from stiffopt.solver.simulation import check_simulation, with_simulation
@@ -42,7 +43,6 @@ from stiffopt.solver.stages import (
     ProgressCallback,
     SolveRun,
     run_stages,
-    stages,
 )
 from stiffopt.solver.unsolved import (
     as_good_as_can_be,

@@ -17,19 +17,19 @@ from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import Mode, modes
 from stiffopt.errors import NotSimulatedError
-from stiffopt.problem.formulation import Scales, formulate, smoothing_stages
+from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.motor_model import WIDER, MotorLaw, rounded_lag
 from stiffopt.problem.resolve import ResolvedMotion
-from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.avoidance import Avoidance
-from stiffopt.solver.ipopt import FEASIBLE, IpoptOptions, IpoptSolver, Multipliers, RawSolution
+from stiffopt.solver.ipopt import FEASIBLE, IpoptSolver, Multipliers, RawSolution
 from stiffopt.solver.monitor import Progress
 from stiffopt.solver.phase_one import least_excess
+from stiffopt.solver.plan import SolveStage, solver_options
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import Mesh, uniform_mesh
 from stiffopt.transcription.nlp import BlockScales, Nlp
@@ -37,11 +37,6 @@ from stiffopt.transcription.ocp import Guess, OptimalControlProblem
 from stiffopt.transcription.refine import refine_mesh
 from stiffopt.transcription.transcription import Transcription
 
-_LEAST_INTERVALS = 16
-# Intervals of the first and the second mesh of a deflection's peak, however fine the last is.
-_MOST_COARSE, _MOST_MIDDLE = 60, 100
-# Iterations without a point that keeps all rows, after which it is asked whether there is any.
-_PATIENCE = 100
 # Excess of all rows together, relative to their scales, from which on they are in conflict; and
 # that on a coarse mesh which no finer one mends.
 _CONFLICT = 1e-4
@@ -55,56 +50,8 @@ _NEARER = 0.7
 _NEAR = 1.0
 # And that from which on it is a corner of the motors' law passed fast.
 _SPIKE = 10.0
-# IPOPT's names of how far a start is moved from bounds.
-_PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 # Of a start whose bounds have been drawn in, from them.
 _PUSH = 1e-3
-
-
-@dataclass(frozen=True)
-class SolveStage:
-    """One NLP solve.
-
-    Parameters
-    ----------
-    intervals : int
-    smoothing : float
-        Factor on the smoothing widths of the stiffness model.
-    new_mesh : bool
-        Place the intervals anew, short where the controls of the stage before change.
-    """
-
-    intervals: int
-    smoothing: float
-    new_mesh: bool = False
-
-
-def stages(problem: TrajectoryProblem, intervals: int) -> tuple[SolveStage, ...]:
-    """Stages that end at `intervals` with the narrowest smoothing the problem needs."""
-    coarse = max(intervals // 2, min(_LEAST_INTERVALS, intervals))
-    widths = smoothing_stages(problem)
-    if len(widths) == 1:
-        # Smooth problems converge from the guess at once; a coarse mesh would only cost time.
-        return (SolveStage(intervals, 1.0),)
-    if problem.plans_links:
-        # Long chains of integrators take a new mesh badly: one, and the narrow smoothing at once.
-        return (SolveStage(coarse, widths[1]), SolveStage(intervals, widths[-1], new_mesh=True))
-    if widths == WINDUP_SMOOTHING:
-        # Each mesh follows the motion before it. A middle one costs less than a second fine one,
-        # and its peaks are as low. Neither has to grow with the last one.
-        coarse = min(coarse, _MOST_COARSE)
-        middle = max(min(2 * intervals // 3, _MOST_MIDDLE), coarse)
-        between = float(np.sqrt(widths[-2] * widths[-1]))
-        return (
-            SolveStage(coarse, widths[0]),
-            SolveStage(middle, between, new_mesh=True),
-            SolveStage(intervals, widths[-1], new_mesh=True),
-        )
-    first = [SolveStage(coarse, width) for width in widths[:2]]
-    fine = [SolveStage(intervals, width) for width in widths[1:]]
-    # On the first fine mesh the intervals follow the coarse motion.
-    fine[0] = replace(fine[0], new_mesh=True)
-    return (*first, *fine)
 
 
 @dataclass(frozen=True)
@@ -553,32 +500,6 @@ def _excess(transcription: Transcription, guess: Guess, smoothing: float) -> flo
     rows = ca.Function("rows", [nlp.x, nlp.p], [nlp.g])
     found = rows(transcription.pack(guess), nlp.parameters(np.array([smoothing])))
     return float(nlp.violations(found.full()).max(initial=0.0))
-
-
-def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOptions:
-    """What IPOPT is told for a problem; `near` where it begins near the optimum."""
-    method = problem.method
-    # A barrier that adapts takes a fifth to a half of the iterations less, and steadier ones on
-    # long chains of integrators.
-    extra: dict[str, object] = {"mu_strategy": "adaptive"}
-    if (
-        problem.plans_links
-        or len(smoothing_stages(problem)) == 1
-        or method.intervals > _MOST_MIDDLE
-    ):
-        # Splines and smooth programmes are well scaled as they are: what MUMPS does to them costs
-        # steps, with a free duration half of all. On fine meshes every step takes half the time.
-        extra |= {"mumps_pivot_order": 0, "mumps_permuting_scaling": 0, "mumps_scaling": 0}
-    if problem.plans_links and near:
-        # Multipliers of a small barrier, else the motion is first led far away from where it is.
-        extra |= {"bound_mult_init_method": "mu-based", "mu_init": 1e-4}
-        extra |= dict.fromkeys(_PUSHES, 1e-3)
-    return IpoptOptions(
-        tol=method.tolerance,
-        max_iterations=method.max_iterations,
-        patience=0 if problem.plans_links else _PATIENCE,
-        extra=extra,
-    )
 
 
 def _uniform(ocp: OptimalControlProblem, stage: SolveStage, guess: Guess) -> Mesh:

@@ -26,15 +26,14 @@ from stiffopt.result.solution import Baseline
 from stiffopt.solver.avoidance import Avoidance
 from stiffopt.solver.free_path import FreeSpace
 from stiffopt.solver.guess import guess_along
+from stiffopt.solver.plan import SolveStage, stages
 from stiffopt.solver.refinement import refined, stopped
 from stiffopt.solver.stages import (
     Outcome,
     SolveProgress,
     SolveRun,
-    SolveStage,
     run_stages,
     solve_again,
-    stages,
 )
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.ocp import Guess

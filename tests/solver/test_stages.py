@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from stiffopt.problem.files import load_problem
-from stiffopt.solver.stages import stages
+from stiffopt.solver.plan import stages
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 

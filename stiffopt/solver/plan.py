@@ -1,0 +1,92 @@
+"""How a problem is solved: its stages, and what IPOPT is told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stiffopt.problem.formulation import smoothing_stages
+from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
+from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.solver.ipopt import IpoptOptions
+
+_LEAST_INTERVALS = 16
+# Intervals of the first and the second mesh of a deflection's peak, however fine the last is.
+_MOST_COARSE, _MOST_MIDDLE = 60, 100
+# Iterations without a point that keeps all rows, after which it is asked whether there is any.
+_PATIENCE = 100
+# IPOPT's names of how far a start is moved from bounds.
+_PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
+
+
+@dataclass(frozen=True)
+class SolveStage:
+    """One NLP solve.
+
+    Parameters
+    ----------
+    intervals : int
+    smoothing : float
+        Factor on the smoothing widths of the stiffness model.
+    new_mesh : bool
+        Place the intervals anew, short where the controls of the stage before change.
+    """
+
+    intervals: int
+    smoothing: float
+    new_mesh: bool = False
+
+
+def stages(problem: TrajectoryProblem, intervals: int) -> tuple[SolveStage, ...]:
+    """Stages that end at `intervals` with the narrowest smoothing the problem needs."""
+    coarse = max(intervals // 2, min(_LEAST_INTERVALS, intervals))
+    widths = smoothing_stages(problem)
+    if len(widths) == 1:
+        # Smooth problems converge from the guess at once; a coarse mesh would only cost time.
+        return (SolveStage(intervals, 1.0),)
+    if problem.plans_links:
+        # Long chains of integrators take a new mesh badly: one, and the narrow smoothing at once.
+        return (SolveStage(coarse, widths[1]), SolveStage(intervals, widths[-1], new_mesh=True))
+    if widths == WINDUP_SMOOTHING:
+        # Each mesh follows the motion before it. A middle one costs less than a second fine one,
+        # and its peaks are as low. Neither has to grow with the last one.
+        coarse = min(coarse, _MOST_COARSE)
+        middle = max(min(2 * intervals // 3, _MOST_MIDDLE), coarse)
+        between = float(np.sqrt(widths[-2] * widths[-1]))
+        return (
+            SolveStage(coarse, widths[0]),
+            SolveStage(middle, between, new_mesh=True),
+            SolveStage(intervals, widths[-1], new_mesh=True),
+        )
+    first = [SolveStage(coarse, width) for width in widths[:2]]
+    fine = [SolveStage(intervals, width) for width in widths[1:]]
+    # On the first fine mesh the intervals follow the coarse motion.
+    fine[0] = replace(fine[0], new_mesh=True)
+    return (*first, *fine)
+
+
+def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOptions:
+    """What IPOPT is told for a problem; `near` where it begins near the optimum."""
+    method = problem.method
+    # A barrier that adapts takes a fifth to a half of the iterations less, and steadier ones on
+    # long chains of integrators.
+    extra: dict[str, object] = {"mu_strategy": "adaptive"}
+    if (
+        problem.plans_links
+        or len(smoothing_stages(problem)) == 1
+        or method.intervals > _MOST_MIDDLE
+    ):
+        # Splines and smooth programmes are well scaled as they are: what MUMPS does to them costs
+        # steps, with a free duration half of all. On fine meshes every step takes half the time.
+        extra |= {"mumps_pivot_order": 0, "mumps_permuting_scaling": 0, "mumps_scaling": 0}
+    if problem.plans_links and near:
+        # Multipliers of a small barrier, else the motion is first led far away from where it is.
+        extra |= {"bound_mult_init_method": "mu-based", "mu_init": 1e-4}
+        extra |= dict.fromkeys(_PUSHES, 1e-3)
+    return IpoptOptions(
+        tol=method.tolerance,
+        max_iterations=method.max_iterations,
+        patience=0 if problem.plans_links else _PATIENCE,
+        extra=extra,
+    )
