@@ -13,7 +13,7 @@ from stiffopt.discovery.catalogue import CATALOGUE, effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.all_samples import _Rows, _stepped, from_all_samples
 from stiffopt.discovery.search import uncertainty
-from stiffopt.discovery.search.left_out import _excess, borne_out, without_balancing
+from stiffopt.discovery.search.left_out import _excess, borne_out, repeated, without_balancing
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import _restored
 from stiffopt.discovery.search.uncertainty import estimate
@@ -49,6 +49,41 @@ def test_a_finding_helps_in_most_parts(falls: list[float], borne: bool) -> None:
     assert (excess >= 0.0) == borne
     if borne:
         assert excess == pytest.approx(0.03 - LEFT_OUT_SHARE)
+
+
+@pytest.mark.parametrize(
+    ("falls", "change"),
+    [
+        ([30.0, 20.0, 40.0, 30.0, 20.0, 40.0], True),  # of 100 in each
+        ([3.0, 2.0, 4.0, 3.0, 2.0, 4.0], False),  # as little as a model errs from part to part
+        ([70.0, 0.1, -0.1, 65.0, 0.1, -0.1], True),  # a stop, which is reached in two parts
+        ([99.0, 0.1, 0.1, 0.1, -0.1, 0.1], False),  # one part alone
+    ],
+)
+def test_a_change_stands_out_of_what_a_model_left_open(falls: list[float], change: bool) -> None:
+    without = np.full((6, 1), 100.0)
+    excess = _excess(without - np.array(falls)[:, None], without, changed=True)
+    assert (excess >= 0.0) == change
+
+
+@pytest.mark.parametrize(("second", "again"), [(1.0, True), (0.7, True), (-1.0, False)])
+def test_a_claim_is_repeated_where_both_halves_say_it(second: float, again: bool) -> None:
+    """Dry friction of a joint that goes to and fro, more, as much or less in the second half."""
+    time = np.linspace(0.0, 1.0, 400, endpoint=False)
+    side = np.sign(np.sin(40.0 * time))
+    target = 10.0 * side * np.where(time < 0.5, 1.0, second)
+    run = SimpleNamespace(time=time)
+    amplitude = float(target @ side) / len(time)
+    comparison: Any = SimpleNamespace(
+        target=target,
+        runs=(run,),
+        rows=SimpleNamespace(sampled=lambda of: of(run)),
+        nuisance=([], np.zeros(0), np.zeros((len(time), 0))),
+        effect_columns=lambda _: side[:, None],
+        fit=lambda _: SimpleNamespace(posterior=SimpleNamespace(mean=np.array([amplitude]))),
+    )
+    located = LocatedEffect(effect=effect("coulomb"), joint=0)
+    assert repeated(comparison, [located]) == (again,)
 
 
 def test_two_that_only_balance_each_other_are_none() -> None:

@@ -147,34 +147,42 @@ def shares_left_out(comparison: Comparison, effects: Sequence[LocatedEffect]) ->
 
 
 def repeated(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[bool, ...]:
-    """Whether each half of the recordings bears out what a fit to the other says of each effect.
+    """Whether what each half of the recordings says of each effect helps in the other.
 
-    Halves are every other run, of a single run its begin and end. An effect of one run is not
-    asked for.
+    Halves are every other run, of a single run its begin and end; all else stays as all of it
+    says, since half of a motion determines less. An effect of one run is not asked for.
     """
     if not effects:
         return ()
-    sums, owner = _summed(comparison, effects, _folds(comparison, halves=True))
-    errors = sums.errors(np.arange(len(owner)))
-    found = []
-    for k, located in enumerate(effects):
-        falls = sums.errors(np.flatnonzero(owner != k)) - errors
-        own = int(np.argmax(falls.sum(axis=0)))
-        found.append(located.run is not None or bool(np.all(falls[:, own] > 0.0)))
+    half = _folds(comparison, halves=True)
+    fit = comparison.fit(effects)
+    _, sd, nuisance = comparison.nuisance
+    parts = [comparison.effect_columns(e) for e in effects]
+    left = comparison.target - np.column_stack([nuisance, *parts]) @ fit.posterior.mean
+    found, begin = [], len(sd)
+    for located, part in zip(effects, parts, strict=True):
+        own = left + part @ fit.posterior.mean[begin : begin + part.shape[1]]
+        begin += part.shape[1]
+        falls = [_fall(part, own, half == 0), _fall(part, own, half == 1)]
+        found.append(located.run is not None or min(falls) > 0.0)
     return tuple(found)
 
 
-def _summed(
-    comparison: Comparison, effects: Sequence[LocatedEffect], fold: np.ndarray | None = None
-) -> tuple[_Sums, np.ndarray]:
+def _fall(part: np.ndarray, left: np.ndarray, used: np.ndarray) -> float:
+    """By how much squares of all other rows fall with what used ones say of some columns."""
+    fitted, other = part[used], part[~used]
+    values = np.linalg.solve(fitted.T @ fitted + np.eye(part.shape[1]), fitted.T @ left[used])
+    return float(np.sum(left[~used] ** 2) - np.sum((left[~used] - other @ values) ** 2))
+
+
+def _summed(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[_Sums, np.ndarray]:
     """Sums of all columns, and of every column the effect it belongs to; -1: nominal values."""
     _, sd, nuisance = comparison.nuisance
     parts = [comparison.effect_columns(e) for e in effects]
     widths = [len(sd), *(part.shape[1] for part in parts)]
     owner = np.repeat(np.arange(-1, len(effects)), widths)
     prior = np.concatenate([sd, np.ones(len(owner) - len(sd))])
-    fold = _folds(comparison) if fold is None else fold
-    return _sums(comparison, np.column_stack([nuisance, *parts]), prior, fold), owner
+    return _sums(comparison, np.column_stack([nuisance, *parts]), prior), owner
 
 
 def _excess(
@@ -197,16 +205,16 @@ def _excess(
     if changed:
         # Where it hardly acts, as a stop that is seldom reached, it can help nothing.
         by_fold = by_fold[np.abs(by_fold) > _ACTED * np.abs(by_fold).max()]
+        if np.sum(by_fold > 0.0) < 2:
+            return -1.0
     few = np.mean(by_fold > 0.0) < LEFT_OUT_FOLDS and not (changed and share > CHANGE_SEEN_SELDOM)
     if few or total <= float(by_fold.max()):
         return -1.0
     return share - (CHANGE_SHARE if changed else LEFT_OUT_SHARE)
 
 
-def _sums(
-    comparison: Comparison, columns: np.ndarray, prior: np.ndarray, fold: np.ndarray
-) -> _Sums:
-    channel = comparison.rows.channel
+def _sums(comparison: Comparison, columns: np.ndarray, prior: np.ndarray) -> _Sums:
+    fold, channel = _folds(comparison), comparison.rows.channel
     count, p = int(fold.max()) + 1, columns.shape[1]
     channels = comparison.rows.channels
     gram = np.zeros((count, len(channels), p, p))
