@@ -43,7 +43,7 @@ DETERMINED_DEVIATIONS = 2.0
 # the evidence kept in runs left out.
 BORNE_OUT_SHARE = 0.5
 
-# ---- When recordings left out bear it out [0036, 0044]
+# ---- When recordings left out bear it out [0036, 0045]
 
 # Share of its channel's squares that a finding takes away in recordings left out, and share of them
 # in which it helps.
