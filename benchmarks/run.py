@@ -24,6 +24,7 @@ BENCHMARKS = (
     "random_deviation",
     "model_cost",
     "scaling",
+    "sweeps",
 )
 HEAD = """# Results of one run
 

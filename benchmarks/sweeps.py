@@ -18,7 +18,7 @@ from common import HERE, Row, main
 
 from stiffopt.solver.ipopt import IpoptSolver
 from stiffopt.sweep.cases import Case, load_sweep
-from stiffopt.sweep.order import ordered
+from stiffopt.sweep.order import ordered, predecessors
 from stiffopt.sweep.solve_case import solve_case
 
 TITLE = "Sweeps"
@@ -36,7 +36,8 @@ def run() -> list[Row]:
 
 def warm_cases(folder: Path) -> list[Row]:
     """CPU time of a case that starts from a solved one, in this process."""
-    cases = ordered(list(load_sweep(_ur10(folder, WARM + 2)).cases))
+    cases = list(load_sweep(_ur10(folder, WARM + 2)).cases)
+    before = predecessors(cases)
     inside = 0.0
     solve = IpoptSolver.solve
 
@@ -50,10 +51,13 @@ def warm_cases(folder: Path) -> list[Row]:
 
     IpoptSolver.solve = timed  # type: ignore[method-assign]
     try:
-        cold, first = _cpu(cases[0], None)
-        _cpu(cases[1], first)
-        inside = 0.0
-        warm = sum(_cpu(case, first)[0] for case in cases[2:]) / WARM
+        first, second, *others = ordered(cases)
+        cold, end = _cpu(first, None)
+        ends = {first.key: end, second.key: _cpu(second, end)[1]}
+        inside = warm = 0.0
+        for case in others:
+            used, ends[case.key] = _cpu(case, ends[str(before[case.key])])
+            warm += used / WARM
     finally:
         IpoptSolver.solve = solve  # type: ignore[method-assign]
     outside = 1.0 - inside / WARM / warm

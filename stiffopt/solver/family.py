@@ -22,6 +22,7 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.solution import Solution
 from stiffopt.solver.plan import SolveStage, solver_options
+from stiffopt.solver.refinement import refined
 from stiffopt.solver.solve import notes_before, solution_of, solve_keeping
 from stiffopt.solver.stages import (
     Outcome,
@@ -191,10 +192,14 @@ class ProblemFamily:
         if not (raw.converged or ended):
             return run, None
         outcome = outcome_of(run, made, raw, warm.smoothing)
-        if ended:
+        if not (ended or _is_sound(outcome)):
+            # A mesh that is fine enough for one problem may not be for another.
+            outcome = refined(run, outcome, None)
+            self._keep(Programme(outcome.transcription, outcome.solver))
+        if outcome.raw.status == "interrupted":
             # Who stopped it does not want it solved from the beginning.
             return run, outcome
-        sound = outcome.assessment.feasible(CERTIFIED) and outcome.objective_gap <= TRUE_OBJECTIVE
+        sound = _is_sound(outcome)
         if problem.avoids_collisions and collisions(run, outcome):
             # A way around is sought from the beginning.
             sound = False
@@ -226,6 +231,10 @@ class ProblemFamily:
         while len(self._programmes) > _KEPT:
             self._programmes.popitem(last=False)
         return made
+
+
+def _is_sound(outcome: Outcome) -> bool:
+    return outcome.assessment.feasible(CERTIFIED) and outcome.objective_gap <= TRUE_OBJECTIVE
 
 
 def _end(run: SolveRun, outcome: Outcome) -> WarmStart:
