@@ -231,12 +231,18 @@ def _certified_solve(run: SolveRun, guess: Guess, rival: Baseline | None) -> Out
     """Solve in stages, then refine while the certificate finds more than is allowed."""
     plan = stages(run.problem, run.problem.method.intervals)
     found = refined(run, run_stages(run, plan, guess, {}), rival)
-    ended = found.raw.status in ("interrupted", "time_limit")
-    if run.end_modes and not ended and not found.assessment.feasible(CERTIFIED):
-        # What the motors' law leaves is more than the limits: without any swing there is less.
+    stopped_early = found.raw.status == "interrupted"
+    if run.end_modes and not stopped_early and not found.assessment.feasible(CERTIFIED):
+        # What the motors' law leaves is more than the limits, or no motion was found in time:
+        # without any swing there is less.
         run.hold_at_rest()
         with suppress(KeyboardInterrupt):
             found = refined(run, run_stages(run, plan, guess, {}), rival)
+        if found.assessment.feasible(CERTIFIED):
+            run.notes.append(
+                "No motion was found whose links swing on after arrival as far as the limits "
+                "allow: this one brings them to rest, which takes a little longer."
+            )
     return found
 
 

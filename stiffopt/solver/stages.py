@@ -46,6 +46,8 @@ _ROUNDS, _COARSE_ROUNDS = 12, 2
 _SETTLED = 2e-5
 # What planes exceed falls to this share, or they are not laid anew.
 _NEARER = 0.7
+# Of the time limit: if links that may swing on end in no motion by then, they are brought to rest.
+_OF_FREE_END = 0.4
 # Excess of a row, relative to its scale, up to which a start is near the optimum.
 _NEAR = 1.0
 # And that from which on it is a corner of the motors' law passed fast.
@@ -115,8 +117,9 @@ class SolveRun:
 
     @property
     def remaining(self) -> float:
-        """Seconds left of the time limit."""
-        return max(self.problem.method.time_limit - self.elapsed, 0.1)
+        """Seconds left of the time limit, or of the share of it in which links may swing on."""
+        share = _OF_FREE_END if self.end_modes else 1.0
+        return max(share * self.problem.method.time_limit - self.elapsed, 0.1)
 
     @cached_property
     def end_modes(self) -> tuple[Mode, ...]:
