@@ -101,6 +101,22 @@ def test_kuka_traces_that_are_not_whole(tmp_path: Path) -> None:
         read_columns(path, signals("t", two, ("AxisPos_Act1", "")))
 
 
+def test_bytes_that_are_no_numbers_are_absent_samples(tmp_path: Path) -> None:
+    """A NaN that signals makes NumPy warn; bytes beyond any measurement are told."""
+    run, path = short(), tmp_path / "run_KRCIpo.dat"
+    write_trace(path, 0.01, {"AxisPos_Act1": run["q1"], "AxisPos_Act2": run["q2"]})
+    data = bytearray(path.with_suffix(".r64").read_bytes())
+    data[160:168] = bytes.fromhex("010000000000f07f")
+    path.with_suffix(".r64").write_bytes(data)
+    wanted = signals("t", ("AxisPos_Act1", "AxisPos_Act2"), ("", ""))
+    found = read_columns(path, wanted)
+    assert sum(np.isnan(found[name]).sum() for name in wanted.position) == 1
+    data[160:168] = b"\x77" * 8
+    path.with_suffix(".r64").write_bytes(data)
+    with pytest.raises(InputFileError, match="no measurement is so large"):
+        read_columns(path, wanted)
+
+
 def write_dataset(folder: Path, runs: list[Columns]) -> Path:
     """A LeRobot dataset of version 3: all episodes in one file, names in meta/info.json."""
     import pyarrow as arrow

@@ -97,7 +97,8 @@ def _trace(path: Path) -> _Trace:
             raise InputFileError(path, each.get(_NAME, ""), f"has no column {column} in the data.")
         names.append(each.get(_NAME, ""))
         offset, scale = _number(path, each, _OFFSET, 0.0), _number(path, each, _STEP, 1.0)
-        columns.append(offset + scale * table[:, column - 1])
+        with np.errstate(invalid="ignore", over="ignore"):  # bytes that are no numbers
+            columns.append(offset + scale * table[:, column - 1])
     return _Trace(step, names, np.stack(columns, axis=1))
 
 
