@@ -47,7 +47,8 @@ intervals = 8
 """
 # The command line, which makes a file when the work that Ctrl-C shall keep has begun.
 _MARKED = """
-import pathlib, sys
+import pathlib, signal, sys
+signal.signal(signal.SIGINT, lambda *_: sys.exit(130))  # while this file imports what it marks
 import stiffopt.solver.ipopt as ipopt, stiffopt.discovery.search.search as search
 mark = pathlib.Path(sys.argv.pop(1))
 def marked(work):
@@ -57,8 +58,9 @@ def marked(work):
     return begun
 ipopt.IpoptSolver.solve = marked(ipopt.IpoptSolver.solve)
 search._pruned = marked(search._pruned)  # something has been found
-from stiffopt.cli import run
-sys.exit(run())
+from stiffopt.__main__ import main
+signal.signal(signal.SIGINT, signal.default_int_handler)
+main()
 """
 
 
