@@ -129,7 +129,7 @@ def no_gyroscopic(patch):
         for i, (own, (rotation, _)) in enumerate(zip(joints, poses, strict=True)):
             spin = ca.mtimes(rotation.T, spins[own.parent]) + ca.vertcat(0, 0, v[i])
             spins.append(spin)
-            moments[i] -= ca.cross(spin, ca.mtimes(ca.DM(own.inertia), spin))
+            moments[i] -= ca.cross(spin, ca.mtimes(own.inertia, spin))
         return forces, moments
 
     patch.setattr(newton_euler, "_outward", outward)
@@ -226,11 +226,14 @@ MUTANTS = {
 
 
 @pytest.fixture(autouse=True)
-def _own_fits():
-    """Fits of contact laws are kept by surface: a mutant must neither find nor leave any."""
-    surrogate.fit_log_cubic.cache_clear()
+def _own_models():
+    """Fits of contact laws and dynamics are kept: a mutant must neither find nor leave any."""
+    kept = (surrogate.fit_log_cubic, newton_euler._recursion)
+    for each in kept:
+        each.cache_clear()
     yield
-    surrogate.fit_log_cubic.cache_clear()
+    for each in kept:
+        each.cache_clear()
 
 
 @pytest.mark.parametrize("name", MUTANTS)
