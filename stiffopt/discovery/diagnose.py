@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from stiffopt.discovery.diagnosis import (
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import ExperimentPlan, leading_pair, plan_experiment
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
+from stiffopt.discovery.extended.schema import LeftOpenSection
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.discovery.judging.all_samples import from_all_samples
 from stiffopt.discovery.judging.bursts import bursts
@@ -66,6 +68,8 @@ Say = Callable[[str], object]
 _STOPPED = (
     "Stopped by the user: what was found until then is told, and more may be missing than that."
 )
+_ONE_BAND = "Stopped by the user: standard deviations count nothing of what half the band says."
+_NO_SUSPECTS = "Stopped by the user: what is left open was not asked for suspects."
 
 
 def diagnose(
@@ -135,6 +139,7 @@ def diagnose(
     if training.runs[0].swing is not None and not result.stopped:
         training, result = _better_swinging(recordings, training, asked, base, say, result)
     settings = training.settings
+    stopped = [_STOPPED] if result.stopped else []
     selected, unexplained = assess_findings(result)
     say("estimate parameters")
     start = () if base is None else (base.extension,)
@@ -143,7 +148,9 @@ def diagnose(
         selected, parameters = from_all_samples(
             training, settings, start, result.comparison, selected
         )
-        parameters = doubted_by_band(training, result.comparison, parameters)
+        say("ask half the band for the parameters")
+        with _unless_stopped(stopped, _ONE_BAND):
+            parameters = doubted_by_band(training, result.comparison, parameters)
     else:
         parameters = estimate(result.comparison, tuple(s.located for s in selected))
     located = tuple(s.located for s in selected)
@@ -156,13 +163,10 @@ def diagnose(
     new = [s for s in selected if s.located.effect.nominal not in recordings.unstated]
     pair = leading_pair(new or selected) if experiment else None
     whole = found if base is None else base.extension.followed_by(found)
-    stopped = [_STOPPED] if result.stopped else []
     plan = None
-    try:
+    with _unless_stopped(stopped, "Stopped by the user: no experiment was designed."):
         if pair is not None and not result.stopped:
             plan = plan_experiment(training, result, settings, pair, say=say)
-    except KeyboardInterrupt:
-        stopped.append("Stopped by the user: no experiment was designed.")
     # The findings are fixed: from here on other runs may be opened, and change nothing above.
     opened = HeldOut(training, settings, start, found, parts_of(found, recordings.unstated))
     interrupted = False
@@ -172,6 +176,8 @@ def diagnose(
         interrupted = True
         if not opened.left:
             stopped.append("Stopped by the user: the last held-out run was not shared out.")
+    say("what is left open")
+    left_open = _left_open(training, whole, asked, stopped, hurried=interrupted or bool(stopped))
     proofs, taken = tuple(opened.proofs), opened.shares.found()
     every = (*training.recorded, *(proof.run for proof in proofs))
     return Diagnosis(
@@ -181,7 +187,7 @@ def diagnose(
         verdict=_verdict(findings, unexplained),
         findings=findings,
         extension=whole,
-        left_open=open_section(training, whole, asked),
+        left_open=left_open,
         training=training,
         search=result,
         held_out=proofs,
@@ -204,6 +210,34 @@ def diagnose(
         doubts=doubted,
         stopped=interrupted or bool(stopped),
     )
+
+
+@contextmanager
+def _unless_stopped(stopped: list[str], what: str) -> Iterator[None]:
+    """A step that Ctrl-C ends: what is left out so goes to what was stopped."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        stopped.append(what)
+
+
+def _left_open(
+    training: Training,
+    whole: Extension,
+    asked: Sequence[Effect],
+    stopped: list[str],
+    *,
+    hurried: bool,
+) -> LeftOpenSection:
+    """What is left open; without suspects, which take long, where the user is in a hurry."""
+    if not training.free_bodies:
+        return open_section(training, whole, ())
+    if hurried:
+        stopped.append(_NO_SUSPECTS)
+        return open_section(training, whole, ())
+    with _unless_stopped(stopped, _NO_SUSPECTS):
+        return open_section(training, whole, asked)
+    return open_section(training, whole, ())
 
 
 def _better_swinging(

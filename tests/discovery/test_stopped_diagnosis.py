@@ -2,10 +2,13 @@
 
 import json
 
+import numpy as np
 import pytest
 from diagnosed_folders import written
 from simulated_sets import COULOMB
+from small_arms import SWIVEL
 
+import stiffopt.discovery.diagnose as diagnosing
 from stiffopt.cli import run
 from stiffopt.discovery.judging import held_out
 from stiffopt.discovery.search import search as searching
@@ -30,6 +33,47 @@ def answered(tmp_path, *options):
     code = run([*arguments, "--no-report", *options])
     path = tmp_path / "out" / "diagnosis.json"
     return code, json.loads(path.read_text()) if path.is_file() else None
+
+
+UNVOUCHED = """schema = 1
+name = "swivel"
+robot = "robot.urdf"
+joints = ["swivel"]
+signals = { time = "t", position = ["q"], torque = ["tau"], torque_side = "motor" }
+"""
+
+
+def unvouched(folder):
+    """A joint whose masses nobody vouches for, with friction."""
+    rng, t, text = np.random.default_rng(0), np.arange(0.0, 8.0, 0.01), UNVOUCHED
+    for name, role, rate in (("a", "train", 1.0), ("b", "train", 1.4), ("c", "test", 1.2)):
+        q = 0.8 * np.sin(rate * t) + 0.3 * np.sin(3.1 * rate * t)
+        v = np.gradient(q, t)
+        tau = 0.4 * np.gradient(v, t) + 5.0 * np.tanh(v / 0.02) + 3.0 * v
+        np.savez(folder / f"{name}.npz", t=t, q=q, tau=tau + rng.normal(0.0, 0.1, t.size))
+        text += f'[[runs]]\nfile = "{name}.npz"\nrole = "{role}"\n'
+    (folder / "robot.urdf").write_text(SWIVEL)
+    (folder / "recordings.toml").write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("stage", "told", "left_out"),
+    [
+        ("open_section", "what is left open", "what is left open was not asked for suspects"),
+        ("doubted_by_band", "ask half the band for the parameters", "of what half the band says"),
+    ],
+)
+def test_in_the_last_stages_the_findings_stay(tmp_path, monkeypatch, stage, told, left_out):
+    source, said = unvouched(tmp_path), []
+    interrupted(monkeypatch, diagnosing, stage, 1)
+    found = diagnosing.diagnose(source, experiment=False, progress=said.append)
+    assert found.stopped
+    assert told in said
+    assert left_out in found.assumptions[0]
+    assert {"coulomb", "viscous"} <= {finding.effect.name for finding in found.findings}
+    assert not found.left_open.suspects
+    assert 0.05 < found.left_open.torque[0] < 0.2
 
 
 @pytest.mark.slow

@@ -31,12 +31,12 @@ def open_section(
     whole : Extension
         All that the extended model has.
     catalogue : sequence of Effect
-        That is asked for.
+        That is asked for; without any, nothing is suspected.
     """
     own = replace(training, start=whole.fitted, tolerance=FIXED, suspects={}).comparison()
     ratio = own.inflation * own.channel_ratio(own.target)
     suspects = {}
-    if training.free_bodies:
+    if training.free_bodies and catalogue:
         own = own.moved(Extension(), np.nan_to_num(np.fmax(1.0, ratio), nan=1.0))
         suspects = {
             candidate.located.label: candidate.evidence / own.rows.size
