@@ -10,8 +10,10 @@ import numpy as np
 
 _DATE = re.compile(r"^(\d{1,2})[./-](\d{1,2})[./-](\d{4})\b")
 _HALF_DAY = re.compile(r"\s*([ap])\.?m\.?$", re.IGNORECASE)
-# Of twelve hours: a step back by more is midnight.
-_NOON = 43200.0
+# Minutes and seconds, as spreadsheets show a time: no hours and minutes, which have no decimals.
+_MINUTES = re.compile(r"^(\d{1,3}):(\d{2}\.\d*)$")
+# After which clocks begin anew [s]; those with a date never do.
+_DAY, _HOUR, _NEVER = 86400.0, 3600.0, float("inf")
 _SECONDS = ("s", "sec", "secs", "second", "seconds")
 _NANOSECONDS = ("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanosecond", "nanoseconds")
 _MICROSECONDS = ("us", "usec", "usecs", "microsec", "microseconds")
@@ -21,29 +23,39 @@ def stamps(cells: list[str]) -> np.ndarray | None:
     """Seconds since the first of dates or times of day; None where the cells are neither.
 
     Of dates that may begin with the day or with the month, the reading with the shorter span is
-    taken; times of day begin anew at midnight.
+    taken. Times of day begin anew at midnight, minutes and seconds every hour.
     """
     readings = [
         seconds
         for day_first in (True, False)
         if (seconds := _seconds([_stamp(cell, day_first) for cell in cells])) is not None
     ]
-    return min(readings, key=lambda seconds: float(np.nanmax(seconds)), default=None)
+    return min(
+        readings, key=lambda seconds: float(np.nanmax(seconds) - np.nanmin(seconds)), default=None
+    )
 
 
-def _seconds(found: list[datetime | None]) -> np.ndarray | None:
+def _seconds(found: list[tuple[datetime, float] | None]) -> np.ndarray | None:
+    """Seconds since the first of the stamps, which are given with when their clock begins anew."""
     known = [stamp for stamp in found if stamp is not None]
     if not known or len(known) < 0.9 * len(found):
         return None
-    seconds = np.array([np.nan if s is None else (s - known[0]).total_seconds() for s in found])
-    there = np.isfinite(seconds)
-    own = seconds[there]
-    seconds[there] = own + 86400.0 * np.cumsum(np.diff(own, prepend=own[0]) < -_NOON)
+    first, period = known[0]
+    seconds = np.array([np.nan if s is None else (s[0] - first).total_seconds() for s in found])
+    if period < _NEVER:
+        there = np.isfinite(seconds)
+        own = seconds[there]
+        seconds[there] = own + period * np.cumsum(np.diff(own, prepend=own[0]) < -0.5 * period)
     return seconds
 
 
-def _stamp(cell: str, day_first: bool) -> datetime | None:
+def _stamp(cell: str, day_first: bool) -> tuple[datetime, float] | None:
+    """Date and time, and after how long [s] such a clock begins anew."""
     text = cell.strip().replace(",", ".")
+    minutes = _MINUTES.match(text)
+    if minutes is not None:
+        passed = timedelta(minutes=int(minutes[1]), seconds=float(minutes[2]))
+        return datetime(2000, 1, 1) + passed, _HOUR
     half = _HALF_DAY.search(text)
     if half is not None:
         text = text[: half.start()]
@@ -55,17 +67,17 @@ def _stamp(cell: str, day_first: bool) -> datetime | None:
     # Hours as "7:05:01", and more digits than microseconds, are none of ISO's.
     text = re.sub(r"(^|[ T])(\d):", r"\g<1>0\2:", text)
     text = re.sub(r"(\.\d{6})\d+", r"\1", text)
-    for form in (text, f"2000-01-01 {text}"):
+    for form, period in ((text, _NEVER), (f"2000-01-01 {text}", _DAY)):
         try:
             stamp = datetime.fromisoformat(form).replace(tzinfo=None)
         except ValueError:
             continue
         if half is None:
-            return stamp
+            return stamp, period
         if not 1 <= stamp.hour <= 12:
             return None
         late = half[1].lower() == "p"
-        return stamp + timedelta(hours=12 * (late - (stamp.hour == 12)))
+        return stamp + timedelta(hours=12 * (late - (stamp.hour == 12))), period
     return None
 
 

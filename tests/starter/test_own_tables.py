@@ -14,6 +14,7 @@ from stiffopt.cli import run
 from stiffopt.errors import InputError
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.robot.files import load_robot
+from stiffopt.starter.clocks import stamps
 from stiffopt.starter.guessing import guess
 from stiffopt.starter.messages import _fields
 from stiffopt.starter.tables import read_any_table
@@ -93,6 +94,27 @@ def test_midnight_in_a_gap(tmp_path):
     there = np.isfinite(found)
     assert np.sum(~there) == 10
     assert found[there] == pytest.approx(TIME[there], abs=1e-6)
+
+
+@pytest.mark.parametrize("mark", [".", ","])
+def test_minutes_and_seconds_of_a_spreadsheet(mark):
+    """`mm:ss.000`, which shows no hours."""
+    begin = datetime(2024, 5, 1, 10, 59, 58)
+    cells = [f"{begin + timedelta(seconds=float(t)):%M:%S.%f}".replace(".", mark) for t in TIME]
+    assert (cells[0][:5], cells[-1][:5]) == ("59:58", "00:01")
+    assert stamps(cells) == pytest.approx(TIME, abs=1e-6)
+    assert stamps(["00:01.5", "00:01.6", "00:02.0"]) == pytest.approx([0.0, 0.1, 0.5])
+    # Hours and minutes have no decimals.
+    assert stamps(["00:01", "00:03"]) == pytest.approx([0.0, 120.0])
+
+
+@pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M:%S", "%d.%m.%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S"])
+def test_dates_that_step_back_stay_as_they_are(form):
+    at = [datetime(2024, 5, day, 12) for day in (2, 3, 1, 2)]
+    found = stamps([each.strftime(form) for each in at])
+    assert np.any(np.diff(found) < 0.0)
+    if form.startswith("%Y"):
+        assert found == pytest.approx([0.0, 86400.0, -86400.0, 0.0])
 
 
 @pytest.mark.parametrize(
