@@ -272,7 +272,8 @@ def solution_of(
 ) -> Solution:
     """The solution of an outcome; `compare` looks for the baseline that keeps every limit."""
     problem, assessment = run.problem, with_collisions(run.problem, outcome.assessment)
-    end = beyond_limits(problem, assessment, verdict(problem, outcome, beside), run.unavoided)
+    found = verdict(problem, outcome, assessment, beside)
+    end = beyond_limits(problem, assessment, found, run.unavoided)
     value = objective_value(problem, assessment)
     rival = better_baseline(problem, beside)
     ratio = None

@@ -41,9 +41,14 @@ class Verdict:
     message: str
 
 
-def verdict(problem: TrajectoryProblem, outcome: Outcome, beside: dict[str, Baseline]) -> Verdict:
-    """Judge an outcome by its solver, the certificate, its own belief and the baselines."""
-    found = _by_belief(problem, outcome, Verdict(_status(outcome), _message(outcome)))
+def verdict(
+    problem: TrajectoryProblem, outcome: Outcome, motion: Assessment, beside: dict[str, Baseline]
+) -> Verdict:
+    """Judge an outcome by its solver, the certificate, its own belief and the baselines.
+
+    `motion` is its assessment with the rows of its collisions, which `beyond_limits` judges.
+    """
+    found = _by_belief(problem, outcome, Verdict(_status(outcome), _message(outcome, motion)))
     better = _better_baseline(problem, outcome, beside)
     if better is None or found.status is SolveStatus.INFEASIBLE:
         return found
@@ -69,7 +74,8 @@ def beyond_limits(
     tried : str
         What was done in vain to avoid them.
     """
-    hits = [v for v in motion.violations if v.limit == COLLISION and v.value > CERTIFIED]
+    exceeded = [v for v in motion.violations if v.value > CERTIFIED]
+    hits = [v for v in exceeded if v.limit == COLLISION]
     listed = "; ".join(hit.describe() for hit in hits[:3])
     if hits and found.status.usable:
         told = f"{listed}. {tried}".strip()
@@ -79,7 +85,9 @@ def beyond_limits(
             "Do not run it; lead it around by motion.via, or change its start or end.",
         )
     if hits and found.status is not SolveStatus.INFEASIBLE:
-        return Verdict(found.status, f"{found.message} And it does not keep {listed}.")
+        word = "And" if len(exceeded) > len(hits) else "But"
+        text = f"{found.message} {word} it does not keep {listed}: do not run it."
+        return Verdict(found.status, text)
     if not found.status.usable:
         return found
     return Verdict(found.status, f"{found.message} {scope(problem)}".strip())
@@ -170,7 +178,7 @@ def _status(outcome: Outcome) -> SolveStatus:
     return SolveStatus.ITERATION_LIMIT
 
 
-def _message(outcome: Outcome) -> str:
+def _message(outcome: Outcome, motion: Assessment) -> str:
     status, raw, assessment = _status(outcome), outcome.raw, outcome.assessment
     worst = assessment.worst_violation.describe()
     if status is SolveStatus.INFEASIBLE:
@@ -178,16 +186,16 @@ def _message(outcome: Outcome) -> str:
             f"{status.sentence} These conflict: {named_conflicts(raw.conflicts or raw.worst_rows)}."
         )
     if not raw.converged:
-        state = f"It exceeds {worst}."
+        state = f" It exceeds {worst}."
         if assessment.feasible(CERTIFIED):
-            state = "It keeps all limits."
+            state = " It keeps all limits." if motion.feasible(CERTIFIED) else ""
         if raw.status == "stalled":
             return (
                 "The solver made no further progress before the optimum; the best motion so far is "
-                f"kept. {state} Try method.starts = 3 or another method.intervals."
+                f"kept.{state} Try method.starts = 3 or another method.intervals."
             )
         cause = f" Cause: {raw.reason}." if raw.status == "invalid_number" else ""
-        return f"{status.sentence}{cause} {state}"
+        return f"{status.sentence}{cause}{state}"
     if status is SolveStatus.CERTIFICATE_FAILED:
         return f"{status.sentence} It exceeds {worst}."
     if outcome.objective_gap > TRUE_OBJECTIVE:

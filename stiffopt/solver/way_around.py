@@ -81,11 +81,11 @@ def led_around(
     searches : int
         Paths that are tried.
     """
-    hits = collisions(run, plain)
-    if not hits or not plain.raw.converged:
-        return plain
     best: Outcome | None = None
     try:
+        hits = collisions(run, plain)
+        if not hits or not plain.raw.converged:
+            return plain
         for start in _starts(run, plain, hits, searches):
             for tried in (start, start.finer()):
                 run.avoidance = Avoidance(run.problem, [hit.pair for hit in hits if hit.pair])

@@ -1,5 +1,6 @@
 """Motions led around what they would meet: optima known in closed form, and what cannot be."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -144,7 +145,37 @@ def test_interrupted_while_it_seeks_it_keeps_the_motion(tmp_path, monkeypatch):
     assert found.status == "interrupted"
     assert found.trajectory is not None
     # Stopped before it was clear: that is said.
-    assert "And it does not keep the clearance of base and hand" in found.message
+    assert "But it does not keep the clearance of base and hand" in found.message
+    assert "keeps all limits" not in found.message
+
+
+def test_interrupted_while_collisions_are_looked_for_it_keeps_the_motion(tmp_path, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(way_around, "with_collisions", stop)
+    found = solve(gantry_problem(tmp_path), throw=False)
+    assert found.status == "interrupted"
+    assert found.solver.intervals == 40
+    assert "But it does not keep the clearance of base and hand" in found.message
+
+
+@pytest.mark.parametrize(
+    ("pieces", "words"),
+    [
+        ({"method": "intervals = 40\nmax_iterations = 3"}, "But it does not keep the clearance"),
+        (
+            {"method": "intervals = 40\nmax_iterations = 1", "duration": "0.57"},
+            "It exceeds .*And it does not keep the clearance",
+        ),
+    ],
+)
+def test_what_ends_before_the_optimum_says_what_it_meets(tmp_path, pieces, words):
+    found = solve(gantry_problem(tmp_path, **pieces), throw=False)
+    assert found.status == "iteration_limit"
+    assert re.search(words, found.message)
+    assert "keeps all limits" not in found.message
+    assert found.message.endswith("do not run it.")
 
 
 def test_a_place_is_reached_in_a_pose_that_is_free(tmp_path):
