@@ -154,7 +154,7 @@ def load_recordings(path: str | os.PathLike[str], changes: Sequence[str] = ()) -
     InputFileError, RobotError
         What is wrong, where, and what is allowed.
     """
-    path = _described(Path(path))
+    path = described_by(Path(path))
     data = with_changes(load_toml(path), changes, path)
     if data.get("schema") != 1 or isinstance(data.get("schema"), bool):
         got = f"got {data['schema']!r}" if "schema" in data else "the key is missing"
@@ -225,8 +225,14 @@ def require_usable(recordings: RecordingSet, usable: Set[str]) -> None:
             )
 
 
-def _described(path: Path) -> Path:
-    """The recordings.toml of a set; says what to do with recordings that have none yet."""
+def described_by(path: Path) -> Path:
+    """The recordings.toml of a set, given by its folder or itself.
+
+    Raises
+    ------
+    InputFileError
+        For recordings that have none yet, with what to do.
+    """
     file = path / FILE if path.is_dir() else path
     if path.is_file() and path.suffix.lower() in _RUNS:
         raise InputFileError(

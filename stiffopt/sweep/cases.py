@@ -10,6 +10,7 @@ import json
 import math
 import os
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,15 @@ import numpy as np
 from scipy.stats import qmc
 
 from stiffopt import __version__
-from stiffopt.errors import InputFileError
+from stiffopt.errors import InputFileError, shortened
 from stiffopt.files import check_file, load_toml, read_document, with_changes
+from stiffopt.recording.readers.read import files_of
 from stiffopt.recording.recording_set import FILE as RECORDINGS
+from stiffopt.recording.recording_set import described_by
 from stiffopt.sweep.schema import MOST_CASES, RangeSection, SweepFile
 from stiffopt.units import number_and_unit
 
+_LONGEST_NAME = 255
 KINDS = ("trajectory", "preload", "recordings")
 
 Change = tuple[str, Any]
@@ -94,10 +98,14 @@ class Sweep:
 
     @property
     def base_names(self) -> dict[Path, str]:
-        """The shortest ends of the base files' paths that tell them apart."""
+        """The shortest ends of the base files' paths that tell them apart.
+
+        Recording sets are named by their folder.
+        """
         bases = list(dict.fromkeys(case.base for case in self.cases))
+        told = [base.parent if base.name == RECORDINGS else base.with_suffix("") for base in bases]
         for count in range(1, max(len(base.parts) for base in bases)):
-            names = ["/".join(base.with_suffix("").parts[-count:]) for base in bases]
+            names = ["/".join(each.parts[-count:]) for each in told]
             if len(set(names)) == len(bases):
                 return dict(zip(bases, names, strict=True))
         return {base: str(base) for base in bases}
@@ -123,10 +131,14 @@ def fleet_of(sets: Sequence[Path], changes: Sequence[str] = ()) -> Sweep:
     InputFileError
         A set cannot be read, is named twice, or is none.
     """
-    here = Path.cwd()
-    places = [(here / each).resolve() for each in sets]
-    bases = [each / RECORDINGS if each.is_dir() else each for each in places]
+    bases = [described_by(each).resolve() for each in sets]
     for base in bases:
+        kind = load_toml(base).get("kind", "recordings")
+        if kind != "recordings":
+            raise InputFileError(
+                base, "", f"is no recording set, but of kind {shortened(kind)}. Give the folder of "
+                f"a set, or its {RECORDINGS}."
+            )  # fmt: skip
         if bases.count(base) > 1:
             raise InputFileError(base, "", "is named twice; once is enough.")
     document = SweepFile.model_validate(
@@ -137,10 +149,7 @@ def fleet_of(sets: Sequence[Path], changes: Sequence[str] = ()) -> Sweep:
             "base": [str(base) for base in bases],
         }
     )
-    sweep = sweep_of(document, here / "fleet", changes)
-    if sweep.kind != "recordings":
-        raise InputFileError(bases[0], "", "is no recording set.")
-    return sweep
+    return sweep_of(document, Path.cwd() / "fleet", changes)
 
 
 def sweep_of(document: SweepFile, path: Path, changes: Sequence[str] = ()) -> Sweep:
@@ -174,6 +183,8 @@ def sweep_of(document: SweepFile, path: Path, changes: Sequence[str] = ()) -> Sw
             inputs = "".join(digest(each) for each in (base, *chosen))
             for start in range(document.starts):
                 facts = [__version__, kind, changed, inputs, start, document.baselines]
+                # Nobody has the diagnosis of another robot, whatever its files hold.
+                facts += [str(base)] if kind == "recordings" else []
                 text = json.dumps(facts, sort_keys=True, default=str)
                 key = hashlib.sha256(text.encode()).hexdigest()[:20]
                 number = len(cases) + 1
@@ -269,7 +280,8 @@ def _toml(value: Any) -> str:
 
 def _digest(path: Path, seen: frozenset[Path] = frozenset()) -> str:
     """Hash of a file, of all that it names and that lies beside it, and of a URDF's meshes."""
-    found = hashlib.sha256(path.read_bytes())
+    with path.open("rb") as stream:
+        found = hashlib.file_digest(stream, "sha256")
     if path.suffix == ".urdf":
         # Pinocchio comes with it, which sweeps of other things do not need.
         from stiffopt.robot.link_shapes import mesh_files
@@ -283,9 +295,22 @@ def _digest(path: Path, seen: frozenset[Path] = frozenset()) -> str:
 
 
 def _named(folder: Path, value: Any) -> list[Path]:
-    """Files of a folder that texts of a value name."""
-    names = [name for name in sorted(_texts(value)) if "\0" not in name and len(name) < 256]
-    return [(folder / name).resolve() for name in names if (folder / name).is_file()]
+    """Files that texts of a value name, beside a folder's file: also as a run, or by their folder.
+
+    The folder itself and those above it, which "." and "/" name, are none of them.
+    """
+    found: dict[Path, None] = {}
+    for name in sorted(_texts(value)):
+        # What is longer names no file, and the system refuses to look.
+        if "\0" in name or len(name.encode()) > _LONGEST_NAME:
+            continue
+        place = folder / name
+        if folder.is_relative_to(place.resolve()):
+            continue
+        # Not every "#" stands before an episode.
+        with suppress(InputFileError):
+            found |= dict.fromkeys(file.resolve() for file in files_of(place))
+    return list(found)
 
 
 def _texts(value: Any) -> set[str]:

@@ -96,6 +96,41 @@ def test_meshes_of_links_and_of_the_cell_are_part_of_its_name(tmp_path):
     assert len(set(keys)) == 3
 
 
+@pytest.mark.parametrize(
+    ("run", "file"),
+    [
+        ("run.parquet#3", "run.parquet"),
+        ("run.parquet#3", "meta/info.json"),
+        ("bag", "bag/metadata.yaml"),
+        ("bag", "bag/0.db3"),
+        ("bag/0.db3", "bag/1.db3"),
+        ("a_Ipo.dat", "a_Ipo.r64"),
+        ("a_Ipo.dat", "a_Drive#1.r64"),
+    ],
+)
+def test_all_that_a_run_is_read_from_is_part_of_its_name(tmp_path, run, file):
+    for name in (
+        "run.parquet", "meta/info.json", "bag/metadata.yaml", "bag/0.db3", "bag/1.db3",
+        "a_Ipo.dat", "a_Ipo.r64", "a_Drive#1.dat", "a_Drive#1.r64",
+    ):  # fmt: skip
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("{}")
+    base = tmp_path / "recordings.toml"
+    base.write_text(f'schema = 1\nname = "#3"\ntitle = "No #file/."\n[[runs]]\nfile = "{run}"\n')
+    path = sweep_file(tmp_path, "", base.name)
+    (before,) = load_sweep(path).cases
+    (tmp_path / "unnamed.csv").write_text("1")
+    assert load_sweep(path).cases[0].key == before.key
+    (tmp_path / file).write_text('{"other": 1}')
+    assert load_sweep(path).cases[0].key != before.key
+
+
+def test_long_texts_name_no_file(tmp_path):
+    base = tmp_path / "base.toml"
+    base.write_text(f'kind = "trajectory"\ntitle = "{200 * "ü"}"\n', encoding="utf-8")
+    assert len(load_sweep(sweep_file(tmp_path, "", base.name)).cases) == 1
+
+
 def test_a_file_that_a_case_chooses_is_part_of_its_name(tmp_path):
     for name in ("one", "other"):
         (tmp_path / f"{name}.toml").write_text('kind = "robot"\n')
@@ -115,7 +150,7 @@ def test_sets_in_folders_of_their_own_are_told_apart(tmp_path):
     path = tmp_path / "sweep.toml"
     path.write_text('schema = 1\nkind = "sweep"\nbase = ["one", "other"]\n')
     names = list(load_sweep(path).base_names.values())
-    assert names == ["one/recordings", "other/recordings"]
+    assert names == ["one", "other"]
 
 
 def test_stiffness_of_a_slide_is_in_its_own_unit(tmp_path):

@@ -32,6 +32,26 @@ def test_sets_are_cases_with_the_changes_of_all(sets):
     assert len({case.key for case in fleet_of(sets).cases}) == 2
 
 
+def test_sets_of_the_same_content_share_no_case(sets):
+    shutil.copyfile(sets[0] / "recordings.toml", sets[1] / "recordings.toml")
+    assert len({case.key for case in fleet_of(sets).cases}) == 2
+
+
+def test_what_is_no_set_is_named_as_it_is_alone(sets, tmp_path, capsys):
+    problem = ROOT / "problems" / "two_link.toml"
+    assert run(["diagnose", str(sets[0]), str(problem)]) == 2
+    said = capsys.readouterr().err
+    assert f"{problem}: is no recording set, but of kind 'trajectory'" in said
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    (bare / "run.csv").write_text("t,q\n0,0\n")
+    for others in ([], [str(sets[0])]):
+        assert run(["diagnose", str(bare), *others]) == 2
+        assert f"`stiffopt init recording {bare} --urdf ROBOT.urdf` writes one" in (
+            capsys.readouterr().err
+        )
+
+
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
@@ -63,7 +83,7 @@ def test_a_fleet_ends_with_a_table_and_goes_on(sets, tmp_path, capsys):
     with (out / "table.csv").open() as stream:
         table = list(csv.DictReader(stream))
     assert [row["findings"] for row in table] == ["coulomb of 2"] * 2
-    assert {row["base"] for row in table} == {"one/recordings", "other/recordings"}
+    assert {row["base"] for row in table} == {"one", "other"}
     assert (out / "report.html").is_file()
     files = sorted((out / "cases").glob("*.json"))
     times = [each.stat().st_mtime_ns for each in files]

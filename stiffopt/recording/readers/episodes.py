@@ -14,7 +14,7 @@ def split_episode(path: Path) -> tuple[Path, int | None]:
         return path, None
     if not number.isdecimal():
         raise InputFileError(path, "", f"{number!r} is no episode; give its number, as in #0.")
-    return path.with_name(name), int(number)
+    return path.parent / name, int(number)
 
 
 def information(path: Path) -> Path | None:

@@ -7,6 +7,7 @@ drives. A channel of another pair of the same trace is named with it: "NextGenDr
 from __future__ import annotations
 
 from dataclasses import dataclass
+from glob import escape
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,13 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
         values = found.values[:, found.names.index(channel)]
         columns[name] = np.interp(own.time, found.time, values, left=np.nan, right=np.nan)
     return columns
+
+
+def files_of(path: Path) -> list[Path]:
+    """All files of the trace that a .dat belongs to."""
+    name = path.stem.rpartition("_")[0]
+    pairs = sorted(path.parent.glob(f"{escape(name)}_*{path.suffix}")) if name else []
+    return [each for pair in (path, *pairs) for each in (pair, pair.with_suffix(".r64"))]
 
 
 def _trace(path: Path) -> _Trace:

@@ -13,6 +13,7 @@ import numpy as np
 
 from stiffopt.errors import InputError, InputFileError, shortened
 from stiffopt.files import check_file
+from stiffopt.recording.readers import kuka_trace
 from stiffopt.recording.readers.episodes import information, split_episode
 from stiffopt.recording.readers.limits import (
     MOST_MEMORY,
@@ -94,6 +95,22 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
                 " Mend the file, or put nan where nothing was measured."
             )  # fmt: skip
     return columns
+
+
+def files_of(path: Path) -> list[Path]:
+    """Files that a run is read from, with what describes them; none where there is no such run."""
+    if path.suffix.lower() == ".db3" and (path.parent / "metadata.yaml").is_file():
+        path = path.parent
+    if path.is_dir():
+        found = sorted(path.iterdir())
+    else:
+        file, _ = split_episode(path)
+        found = [file]
+        if _READERS.get(file.suffix.lower()) == "parquet":
+            found += filter(None, [information(file)])
+        if _READERS.get(file.suffix.lower()) == "kuka_trace":
+            found = kuka_trace.files_of(file)
+    return [each for each in found if each.is_file()]
 
 
 def is_messages(path: Path) -> bool:
