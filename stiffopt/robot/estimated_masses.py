@@ -11,6 +11,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from stiffopt.errors import RobotError
 from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.clearance import coal_form
 from stiffopt.robot.frames import LinkFrame, first_link_of
@@ -62,6 +63,11 @@ def estimated_bodies(arm: LoadedUrdf, urdf: Path, tool: LinkFrame) -> dict[str, 
         Of the arm, for its shapes.
     tool : LinkFrame
         At the end of the arm; where a link has no shape, it is taken as a rod to the next joint.
+
+    Raises
+    ------
+    RobotError
+        A link without any shape of an arm without length.
     """
     model, tree = arm.model, body_tree(arm.model)
     without = [j for j, body in enumerate(tree.bodies, start=1) if not body.mass > 0.0]
@@ -79,9 +85,17 @@ def estimated_bodies(arm: LoadedUrdf, urdf: Path, tool: LinkFrame) -> dict[str, 
         ]
         own = {name: body for name in links if (body := _of_shapes(name, shapes)) is not None}
         if not own:
+            link = first_link_of(model, joint)
+            if not radii[joint - 1] > 0.0:
+                raise RobotError(
+                    f"{urdf}: the mass of link {link!r} cannot be guessed: it has no <inertial> and"
+                    " no shape, and an arm whose joints all lie at one point has no length. Give"
+                    " the link an <inertial>, or a shape, or write [[link]] with its mass, com and"
+                    " inertia into a robot file of your own."
+                )
             rod = rods.get(joint)
             begin, end = (np.zeros(3), np.zeros(3)) if rod is None else (rod.begin, rod.end)
-            own = {first_link_of(model, joint): _of_rod(begin, end, radii[joint - 1])}
+            own = {link: _of_rod(begin, end, radii[joint - 1])}
         found |= own
     return found
 

@@ -5,6 +5,7 @@ from base64 import b64decode
 
 import numpy as np
 import pytest
+import small_arms
 from shaped_arms import MESH, load, with_shapes, write_stl
 from small_arms import SLIDE, SPATIAL, write_problem
 
@@ -19,6 +20,7 @@ from stiffopt.report.scene.poses import (
     tool_jacobian,
     tool_positions,
 )
+from stiffopt.report.scene.still import still_figure
 from stiffopt.report.scene.surroundings import edges_around
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.robot.cell import Box, Cell
@@ -143,6 +145,18 @@ def test_a_mesh_that_cannot_be_read_leaves_a_capsule(tmp_path):
     arm = load(tmp_path, text)
     shapes = scene_document(arm, {"rest": _resting(arm)}, "", 1.0)["shapes"]
     assert [(shape["joint"], shape["kind"]) for shape in shapes] == [(1, "mesh"), (2, "capsule")]
+
+
+@pytest.mark.parametrize("centre", [0.0, 0.2])
+def test_a_still_of_an_arm_without_length(tmp_path, centre):
+    """Its joint and its tool lie at one point, perhaps its centre of mass too."""
+    turn = small_arms._turn("swivel", "base", "upper", 0.0, axis="0 0 1")
+    text = small_arms.urdf([turn], [("upper", centre, 2.0)])
+    arm = load(tmp_path, text.replace('<origin xyz="0.4 0 0"/>', ""))
+    (axes,) = still_figure(arm.tree, arm.tool, [_resting(arm)], "", 1.0).axes
+    low, high = axes.get_xlim()
+    assert 0.05 < high - low < 2.0
+    assert low <= 0.0 <= high
 
 
 def _resting(arm):

@@ -318,6 +318,18 @@ def test_true_limits_are_not_questioned(tmp_path, capsys):
     assert "GUESSED" not in out
 
 
+def test_a_mass_that_nothing_tells_is_no_guess(tmp_path, capfd):
+    """A test bench of one joint at the origin, without mass, shape or length."""
+    bench = """<link name="out"/><joint name="j1" type="revolute"><parent link="base"/><child link="out"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" effort="50" velocity="3"/></joint>"""
+    assert run(["init", "robot", str(written(tmp_path, bench))]) == 2
+    said = " ".join(capfd.readouterr().err.split())
+    assert "the mass of link 'out' cannot be guessed" in said
+    assert "or write [[link]] with its mass" in said
+    assert "Error" not in said
+    assert not (tmp_path / "arm_robot.toml").exists()
+
+
 def test_guessed_masses_are_scaled_to_what_the_drives_hold(tmp_path):
     """The same arm without masses, with weak, usual and strong drives."""
     arm = load_urdf(written(tmp_path, chain(3, mass="")), limited=None)

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from stiffopt.robot.cell import Cell
 
 _HEIGHT = 4.6
+# What is seen at least [m], also of an arm whose joints and tool lie at one point.
+_LEAST_SEEN = 0.1
 # Looked at from this far above the horizon [rad].
 _ABOVE = 0.4
 
@@ -142,8 +144,10 @@ def _fit(
         for point in (begin, end)
         for side in (-1.6, 1.6)
     ]
+    ends += [(view @ point)[:2] for point in tool_positions(tree, tool, positions)]
     low, high = np.min(ends, axis=0), np.max(ends, axis=0)
-    scale = min(WIDTH / (high - low)[0], _HEIGHT / (high - low)[1])
+    wide, tall = np.maximum(high - low, _LEAST_SEEN)
+    scale = min(WIDTH / wide, _HEIGHT / tall)
     middle = 0.5 * (low + high)
     half = 0.5 * np.array([WIDTH, _HEIGHT]) / scale
     axes.set_xlim(middle[0] - half[0], middle[0] + half[0])

@@ -113,7 +113,8 @@ def compensation_figure(compensation: Compensation) -> Figure:
                 axes.plot(factor * spread.draws, height, ".", color=color, alpha=0.4, markersize=4)
                 axes.plot(factor * spread.nominal, place, "D", color=color, markersize=6)
                 axes.plot(factor * spread.worst, place, "|", color=color, markersize=16)
-            axes.set_xscale("log")
+            if any(getattr(each, phase).worst > 0.0 for _, _, each in rows):
+                axes.set_xscale("log")
             axes.grid(axis="x", color=GREY, linewidth=0.4)
             where = "in flight" if phase == "flight" else "after arrival"
             axes.set_xlabel(f"peak deviation {where} [{unit}]")
