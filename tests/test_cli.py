@@ -7,12 +7,14 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from small_arms import ROOT, write_problem, write_robot
 
 from stiffopt.cli import run
+from stiffopt.cli.base import default_folder
 from stiffopt.result.store import trajectory_columns
 
 PEAK = 'objective = "dynamic_deflection"'
@@ -157,6 +159,30 @@ def test_verify(tmp_path, capsys):
     assert "OFF" in text
     code, text = verify(tmp_path, capsys, right * np.degrees(1) ** 2, "deg^2/s^3")
     assert code == 0
+
+
+def test_without_out_a_changed_file_leaves_the_answer_of_the_unchanged(
+    tmp_path, monkeypatch, capsys
+):
+    path = write_problem(tmp_path, **EXACT)
+    monkeypatch.chdir(tmp_path)
+    solve = ["solve", str(path), "--quiet"]
+    assert run(solve) == 0
+    before = {p.name: p.read_bytes() for p in (tmp_path / "out" / "problem").iterdir()}
+    assert "trajectory.csv" in before
+    capsys.readouterr()
+    assert run([*solve, "--set", "motion.duration='10 ms'"]) == 3
+    assert "out/problem-motion.duration=10_ms/report.html" in capsys.readouterr().out
+    assert {p.name: p.read_bytes() for p in (tmp_path / "out" / "problem").iterdir()} == before
+
+
+def test_folders_of_changes_have_names_that_can_be_typed():
+    assert default_folder("arm", ()) == Path("out/arm")
+    changed = default_folder("arm", ("payload.mass=-3", "joint[1].source=a/../b c"))
+    assert changed == Path("out/arm-payload.mass=-3-joint_1_.source=a_.._b_c")
+    long = [default_folder("arm", (f"title={300 * 'a'}{end}",)) for end in "xy"]
+    assert long[0] != long[1]
+    assert all(len(folder.name) < 128 for folder in long)
 
 
 def test_verify_of_a_file_without_an_expected_value(tmp_path, capsys):

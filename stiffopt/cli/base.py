@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -33,6 +36,19 @@ Changes = Annotated[
 Open = Annotated[
     bool, Parameter(name="--open", negative=(), help="Show the page in the browser when done.")
 ]
+
+
+# Of the name of a folder.
+_LONGEST = 100
+
+
+def default_folder(name: str, changes: Sequence[str]) -> Path:
+    """Where results go without --out; those of --set beside those of the file as it is."""
+    bare = (re.sub(r"[\"']", "", change) for change in changes)
+    said = "".join("-" + re.sub(r"[^\w.=+-]+", "_", each, flags=re.ASCII) for each in bare)
+    if len(said) > _LONGEST:
+        said = f"{said[:_LONGEST]}-{hashlib.sha256(repr(changes).encode()).hexdigest()[:8]}"
+    return Path("out") / f"{name}{said}"
 
 
 def show_report(folder: Path, wanted: bool, name: str = "report.html") -> None:

@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stiffopt.cli.base import Changes, Open, Out, app, show_report
+from stiffopt.cli.base import Changes, Open, Out, app, default_folder, show_report
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.folders import finishing, output_folder
 
@@ -41,7 +41,7 @@ def solve(
     problem
         A trajectory problem file (TOML).
     out
-        Default: out/NAME of the problem file.
+        Default: out/NAME of the problem file, with what --set changes.
     model
         extended.toml of a diagnosis of this arm: plan without and with what was found, and
         compare.
@@ -75,7 +75,7 @@ def solve(
     if guess is not None and found is not None:
         raise InputError("--guess is of a solve without --model: leave one of them out.")
     begin = None if guess is None else read_guess(guess, stated)
-    folder = out or Path("out") / problem.stem
+    folder = out or default_folder(problem.stem, changes)
     with output_folder(folder, "solve", maybe=(TRAJECTORY_FILE,)) as stage:
         with _progress(stated, quiet) as progress, _about(problem):
             if found is None:
@@ -121,7 +121,7 @@ def preload(
     study
         A preload study file (TOML).
     out
-        Default: out/NAME of the study file.
+        Default: out/NAME of the study file, with what --set changes.
     quiet
         No progress display.
     """
@@ -132,7 +132,7 @@ def preload(
     from stiffopt.report.preload.terminal import print_study
 
     loaded = load_study(study, changes)
-    folder = out or Path("out") / study.stem
+    folder = out or default_folder(study.stem, changes)
     with output_folder(folder, "preload") as stage:
         with _named_progress(loaded.problem.title, quiet) as display, _about(study):
             result = preload_study(
@@ -207,7 +207,7 @@ def stiffness(
     robot
         A shipped robot (er3a_c60, er3a_c60_contact, ur10), a robot TOML, or a URDF.
     out
-        Default: out/stiffness_NAME.
+        Default: out/stiffness_NAME, with what --set changes.
     drivetrain
         Robot TOML beside a URDF.
     """
@@ -216,7 +216,7 @@ def stiffness(
     from stiffopt.robot.stiffness_study import stiffness_study, write_stiffness_csv
 
     arm = load_robot(robot, drivetrain, changes=changes)
-    folder = out or Path("out") / f"stiffness_{arm.name}"
+    folder = out or default_folder(f"stiffness_{arm.name}", changes)
     with output_folder(folder, "stiffness") as stage:
         rows = stiffness_study(arm)
         write_stiffness_csv(rows, stage / "stiffness.csv")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from stiffopt.cli.base import Changes, Open, Out, app, print_json, show_report
+from stiffopt.cli.base import Changes, Open, Out, app, default_folder, print_json, show_report
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.folders import finishing, output_folder
 
@@ -47,7 +47,7 @@ def diagnose(
     more
         Further sets.
     out
-        Default: out/NAME of the folder of the set; of several, out/fleet.
+        Default: out/NAME of the folder of the set, with what --set changes; of several, out/fleet.
     model
         extended.toml of an earlier diagnosis, to start from in place of the nominal model.
     effects
@@ -98,7 +98,7 @@ def diagnose(
 
     loaded = load_recordings(recordings, changes)
     home = loaded.path.parent.resolve()
-    chosen = out or Path("out") / home.name
+    chosen = out or default_folder(home.name, changes)
     if home in (chosen.resolve(), *chosen.resolve().parents):
         raise InputFileError(
             chosen, "", f"lies in the recording set {home}, which is only read. Give another --out."
@@ -196,7 +196,7 @@ def identify_stiffness(recordings: Path, *, out: Out | None = None, changes: Cha
     recordings
         Folder with a static.toml, or that file.
     out
-        Default: out/NAME of the folder.
+        Default: out/NAME of the folder, with what --set changes.
     """
     from stiffopt.identification.stiffness import identify_stiffness as identify
     from stiffopt.identification.store import write_static
@@ -205,7 +205,7 @@ def identify_stiffness(recordings: Path, *, out: Out | None = None, changes: Cha
     from stiffopt.report.identification.terminal import print_static
 
     recorded = load_static_set(recordings, changes)
-    folder = out or Path("out") / recorded.path.resolve().parent.name
+    folder = out or default_folder(recorded.path.resolve().parent.name, changes)
     with output_folder(folder, "identify-stiffness") as stage:
         result = identify(recorded)
         write_static_report(result, stage)

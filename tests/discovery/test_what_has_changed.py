@@ -10,9 +10,10 @@ from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.rows import ChannelNoise
 from stiffopt.discovery.extended.left_open import least_factors, left_open, with_bands
-from stiffopt.discovery.extended.schema import LeftOpenSection
+from stiffopt.discovery.extended.schema import EffectSection, LeftOpenSection
 from stiffopt.discovery.search.identifiable_effects import of_changes
 from stiffopt.discovery.settings import Settings
+from stiffopt.errors import InputFileError
 from stiffopt.files import validate
 
 NOISE = ChannelNoise(np.array([0.1, 0.2]), np.array([np.nan, 1e-5]))
@@ -42,6 +43,25 @@ def test_bands_of_the_model_are_taken_unless_others_are_asked_for():
 def test_the_section_is_read_as_it_is_written():
     again = validate(LeftOpenSection, section().model_dump(exclude_none=True), Path("x"))
     assert again == section()
+
+
+@pytest.mark.parametrize(
+    ("kind", "entry"),
+    [
+        (LeftOpenSection, {"cutoff": 1e9}),
+        (LeftOpenSection, {"predict": [6.0, 1e9]}),
+        (EffectSection, {"step": 1e300}),
+        (EffectSection, {"step": -1e300}),
+    ],
+)
+def test_bands_and_steps_that_cannot_be_are_refused(kind, entry):
+    sound = {
+        LeftOpenSection: section().model_dump(exclude_none=True),
+        EffectSection: {"name": "coulomb", "joint": 1, "step": -2.5, "term": {"dFc": 0.1}},
+    }[kind]
+    assert validate(kind, sound, Path("x"))
+    with pytest.raises(InputFileError, match=f"{next(iter(entry))}.* cannot be used"):
+        validate(kind, sound | entry, Path("x"))
 
 
 def test_a_step_to_all_moving_samples_is_taken_back_for_the_fit():

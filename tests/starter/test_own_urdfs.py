@@ -320,7 +320,8 @@ def test_true_limits_are_not_questioned(tmp_path, capsys):
 
 def test_a_mass_that_nothing_tells_is_no_guess(tmp_path, capfd):
     """A test bench of one joint at the origin, without mass, shape or length."""
-    bench = """<link name="out"/><joint name="j1" type="revolute"><parent link="base"/><child link="out"/><axis xyz="0 0 1"/>
+    bench = """<link name="out"/><joint name="j1" type="revolute"><parent link="base"/>
+<child link="out"/><axis xyz="0 0 1"/>
 <limit lower="-3" upper="3" effort="50" velocity="3"/></joint>"""
     assert run(["init", "robot", str(written(tmp_path, bench))]) == 2
     said = " ".join(capfd.readouterr().err.split())

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Doc, Frequency, Unit
+from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Bounds, Doc, Frequency, Unit
 from stiffopt.files import Section
 from stiffopt.recording.schema import (
     JointPosition,
@@ -16,6 +16,10 @@ from stiffopt.recording.schema import (
     NominalSection,
     Ratio,
 )
+
+# Far above the bands that motions of arms have, and amplitudes over their scales.
+_BAND = Bounds(above=0.0, most=1e4)
+_STEP = Bounds(least=-1e6, most=1e6)
 
 
 class ParameterSection(Section):
@@ -36,6 +40,7 @@ class EffectSection(Section):
     probability: Annotated[Ratio | None, Doc("Of the effect against its rivals.")] = None
     step: Annotated[
         Ratio,
+        _STEP,
         Doc("Of the first amplitude, from what the fit found to what all moving samples say."),
     ] = 0.0
     term: Annotated[
@@ -75,9 +80,9 @@ class MadeForSection(Section):
 class LeftOpenSection(Section):
     """What the model leaves of the recordings that it was fitted to."""
 
-    cutoff: Annotated[Frequency, POSITIVE, Doc("Of the filter that it was fitted through.")]
+    cutoff: Annotated[Frequency, _BAND, Doc("Of the filter that it was fitted through.")]
     predict: Annotated[
-        tuple[Annotated[Frequency, POSITIVE], ...] | None,
+        tuple[Annotated[Frequency, _BAND], ...] | None,
         Doc("Of the motion that the torque of each joint is predicted from."),
     ] = None
     torque: Annotated[
