@@ -85,8 +85,13 @@ class Explanations:
 
     @cached_property
     def left(self) -> np.ndarray:
-        """The same where each joint may have a spring, and the arm another payload, besides."""
+        """The same where each joint may have a spring, and the arm another payload, besides.
+
+        Not beside currents: such things can make torques of them.
+        """
         strict = self.strict
+        if self.robot.recordings.signals.currents:
+            return strict
         return np.array([
             self.balance.left(self.motion, self.samples.torque[:, j], j, self._additions(j))
             if strict[j] > _LEAST else strict[j]
