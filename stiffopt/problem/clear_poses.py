@@ -35,15 +35,14 @@ def room_at_poses(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
 
 def _given(problem: TrajectoryProblem, motion: ResolvedMotion) -> list[tuple[str, np.ndarray]]:
     """The poses that leave the joints no freedom, and where they stand in files."""
-    every: list[tuple[str, Target, np.ndarray]] = [
-        ("motion.start", problem.start, motion.start),
-        *(
-            (f"motion.via[{k}]", via, pose)
-            for k, (via, pose) in enumerate(zip(problem.vias, motion.vias, strict=True), start=1)
-        ),
-        ("motion.end", problem.end, motion.end),
-    ]
-    return [(where, pose) for where, target, pose in every if target.fixes_pose]
+    every = zip(targets(problem), (motion.start, *motion.vias, motion.end), strict=True)
+    return [(where, pose) for (where, target), pose in every if target.fixes_pose]
+
+
+def targets(problem: TrajectoryProblem) -> list[tuple[str, Target]]:
+    """Start, vias and end, and where they stand in files."""
+    vias = [(f"motion.via[{k}]", via) for k, via in enumerate(problem.vias, start=1)]
+    return [("motion.start", problem.start), *vias, ("motion.end", problem.end)]
 
 
 def _met(problem: TrajectoryProblem, pair: tuple[str, str], distance: float) -> str:

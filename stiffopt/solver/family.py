@@ -17,6 +17,7 @@ import numpy as np
 from stiffopt.baseline.baselines import baselines
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.problem.bounds import shortest_duration
+from stiffopt.problem.clear_poses import check_clear_poses
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
@@ -172,6 +173,7 @@ class ProblemFamily:
         """The outcome from a warm start; None where it is none to rely on."""
         motion = resolve(problem)
         _ = problem.clearance_model
+        check_clear_poses(problem, motion)
         run = SolveRun(problem, motion, Scales(warm.scales), progress)
         if problem.duration[1] < shortest_duration(problem, motion)[0]:
             return run, None

@@ -60,9 +60,10 @@ class FreeSpace:
     def path(self, points: np.ndarray) -> np.ndarray | None:
         """Poses (k, n) whose spline leads through all of `points` (m, n); None where none is found.
 
-        Poses of `points` that collide are led through as they are: what is near them cannot be
-        helped.
+        At once where one of `points` is `blocked`.
         """
+        if self.blocked(points):
+            return None
         found = [points[0]]
         for start, end in pairwise(points):
             leg = self._leg(start, end)
@@ -70,6 +71,11 @@ class FreeSpace:
                 return None
             found += leg[1:]
         return self._rounded(found)
+
+    def blocked(self, points: np.ndarray) -> list[int]:
+        """Which of `points` (m, n) nothing free is near: deeper than the finest step leads out."""
+        deepest = self._model.fastest(np.full(np.shape(points), _FINEST), np.asarray(points))
+        return [k for k, pose in enumerate(points) if self.gap(pose) <= -deepest[k]]
 
     def gap(self, pose: np.ndarray) -> float:
         """Least distance beyond the clearance [m]."""

@@ -20,6 +20,7 @@ from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import ProblemError
+from stiffopt.problem.clear_poses import targets
 from stiffopt.result.assessment import Violation
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
@@ -49,6 +50,7 @@ _OTHER_POSES = 100
 _RELAID, _SETTLED = 5, 1e-3
 # Of the time that is left, for one search of a free path, and seconds at most.
 _SHARE, _SECONDS = 0.2, 20.0
+_OUT_OF_TIME = "The time limit came before a way around was found; raise method.time_limit."
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,8 @@ def led_around(
     except KeyboardInterrupt:
         return stopped(plain if best is None else best)
     if best is None or not (_is_good(run, best) or best.raw.status == "interrupted"):
+        if best is not None and found.raw.status == "time_limit":
+            run.unavoided = _OUT_OF_TIME
         return plain
     run.unavoided = ""
     return best
@@ -127,10 +131,17 @@ def _starts(
         _tell(run, f"seeking a way around {names}", plain)
         seconds = min(_SECONDS, _SHARE * run.remaining)
         space = FreeSpace(problem, problem.method.seed + number, seconds)
-        poses = space.path(_clear_points(run, space))
+        points = _clear_points(run, space)
+        blocked = [targets(problem)[k][0] for k in space.blocked(points)]
+        if blocked:
+            run.unavoided = f"No pose free of collisions was found for {' and '.join(blocked)}."
+            return
+        poses = space.path(points)
         tried += space.tried
         if poses is None:
             run.unavoided = f"No way around was found in {tried} poses that were tried."
+            if seconds < _SECONDS:
+                run.unavoided = _OUT_OF_TIME
             continue
         run.unavoided = "A way around was found, but no motion along it that keeps every limit."
         detour = detour_baseline(problem, JointPath.through(poses, "chord"))
@@ -144,7 +155,7 @@ def _clear_points(run: SolveRun, space: FreeSpace) -> np.ndarray:
     """Start, vias and end (k, n); where only the tool's place is given, poses that are free."""
     problem, points = run.problem, run.motion.points.copy()
     random = np.random.default_rng(problem.method.seed)
-    for k, target in enumerate((problem.start, *problem.vias, problem.end)):
+    for k, (_, target) in enumerate(targets(problem)):
         if target.fixes_pose or space.gap(points[k]) > 0.0:
             continue
         for near in space.poses(_OTHER_POSES, random):

@@ -1,6 +1,7 @@
 """Motions led around what they would meet: optima known in closed form, and what cannot be."""
 
 import re
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -11,12 +12,14 @@ from small_arms import PLANAR, problem_text, write_robot
 
 from stiffopt import solve
 from stiffopt.certificate.collisions import LIMIT
-from stiffopt.cli import run
+from stiffopt.cli import run as command
 from stiffopt.errors import ProblemError
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.resolve import resolve
 from stiffopt.solver import way_around
 from stiffopt.solver.family import ProblemFamily
+from stiffopt.solver.free_path import FreeSpace
+from stiffopt.solver.solve import solve_keeping
 
 WALLS = """[[cell.box]]
 name = "wall"
@@ -122,18 +125,56 @@ def test_poses_that_collide_are_refused(tmp_path, capsys, pieces, words):
     path = write_gantry(tmp_path, **pieces)
     with pytest.raises(ProblemError, match=words):
         solve(load_problem(path).problem)
-    assert run(["solve", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == 2
+    assert command(["solve", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == 2
     assert "Traceback" not in capsys.readouterr().err
 
 
 def test_what_cannot_be_passed_is_named(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(way_around, "_SECONDS", 1.0)
     path = write_gantry(tmp_path, cell=WALLS, method="intervals = 20")
-    assert run(["solve", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == 3
+    assert command(["solve", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == 3
     said = " ".join(capsys.readouterr().out.split())
     assert "the clearance of hand and wall at 0.6" in said
     assert "No way around was found" in said
     assert "motion.via" in said
+
+
+def test_too_little_time_for_a_search_is_told(tmp_path):
+    problem = gantry_problem(tmp_path, cell=WALLS, method="intervals = 20\ntime_limit = 3")
+    told = solve(problem, throw=False)
+    assert told.status == "certificate_failed"
+    assert "The time limit came before a way around was found; raise method.time_limit." in (
+        told.message
+    )
+    assert "No way" not in told.message
+
+
+def test_too_little_time_for_the_solve_along_a_way_is_told(tmp_path, monkeypatch):
+    _, kept = solve_keeping(gantry_problem(tmp_path, method='collisions = "check"'))
+    run, plain = kept
+    ended = replace(plain, raw=replace(plain.raw, status="time_limit"))
+    monkeypatch.setattr(way_around, "_kept_clear", lambda *_: ended)
+    assert way_around.led_around(run, plain, None) is plain
+    assert "raise method.time_limit" in run.unavoided
+
+
+def test_a_place_that_is_reached_in_no_free_pose_is_named_at_once(tmp_path, monkeypatch):
+    inside = "{ position = [0.0, 0.1, 0.1] }"
+    problem = gantry_problem(tmp_path, end=inside, method="intervals = 20")
+    seconds, started = 60.0, time.monotonic()
+    monkeypatch.setattr(way_around, "_SECONDS", seconds)
+    found = solve(problem, throw=False)
+    assert time.monotonic() - started < 0.5 * seconds
+    assert found.status == "certificate_failed"
+    assert "No pose free of collisions was found for motion.end." in found.message
+    space = FreeSpace(problem, 0, seconds)
+    points = np.array([[-HALF, 0.0], [0.0, 0.1], [HALF, 0.0]])
+    assert space.blocked(points) == [1]
+    assert space.path(points) is None
+    assert space.tried == 6
+    # As near as its clearance, to the digits of a file, a path leads there.
+    points[1] = [0.0, TOP - 1e-6]
+    assert space.path(points) is not None
 
 
 def test_interrupted_while_it_seeks_it_keeps_the_motion(tmp_path, monkeypatch):
@@ -211,6 +252,17 @@ def test_a_warm_start_that_would_collide_is_led_around(tmp_path):
     assert found.status == "optimal"
     assert nearest(free, found.assessment) > CLEARANCE - 1e-5
     assert after is None
+
+
+def test_a_pose_too_near_is_refused_after_a_warm_start_as_well(tmp_path):
+    # By less than the certificate allows and more than the digits of a file.
+    above = {"start": f"{{ joints = [-{HALF}, 0.6] }}"}
+    family = ProblemFamily()
+    _, warm = family.solve(gantry_problem(tmp_path, end="{ joints = [0.0, 0.3] }", **above))
+    assert warm is not None
+    near = gantry_problem(tmp_path, end=f"{{ joints = [0.0, {TOP - 3e-5}] }}", **above)
+    with pytest.raises(ProblemError, match=r"motion.end: .* nearer than cell.clearance"):
+        family.solve(near, warm)
 
 
 def test_progress_says_what_is_sought_and_which_round_it_is(tmp_path):
