@@ -81,7 +81,10 @@ class Columns:
         for earlier in reversed(self._family):
             if earlier._distance(found) < near:
                 return earlier
-        new = Columns(self.robot, self.nominal_runs, self.noise, self.tolerance, self.start, found)
+        with np.errstate(over="ignore", invalid="ignore"):
+            new = Columns(
+                self.robot, self.nominal_runs, self.noise, self.tolerance, self.start, found
+            )
         if not new._swings:
             return self
         new.bodies, new._family = self.bodies, self._family

@@ -1,0 +1,50 @@
+"""Masses that cannot be, as a fit on its way may have them: swings about them are not taken."""
+
+from dataclasses import replace
+
+import pytest
+from simulated_sets import COULOMB, simulated
+
+from benchmarks.simulator import write_case
+from stiffopt.discovery.catalogue import CATALOGUE
+from stiffopt.discovery.comparison.columns import Columns
+from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import train
+from stiffopt.recording.recording_set import load_recordings
+
+
+@pytest.fixture(scope="module")
+def columns(tmp_path_factory):
+    """Of a short run whose links swing."""
+    small = replace(COULOMB, effects=(), train=1, extrapolate=0, seconds=2.0)
+    folder = write_case(simulated(small), tmp_path_factory.mktemp("swinging") / "set")
+    return train(load_recordings(folder), Settings()).comparison().columns
+
+
+def with_payload(mass):
+    payload = next(each for each in CATALOGUE if each.name == "payload")
+    amplitudes = (mass, *(0.0 for _ in payload.amplitudes[1:]))
+    located = LocatedEffect(effect=payload, joint=None)
+    return Extension(effects=(EstimatedEffect(located=located, amplitudes=amplitudes),))
+
+
+def test_what_swings_is_not_taken_about_them(columns):
+    possible = columns.about(with_payload(1.0))
+    assert possible is not columns
+    assert possible.unknown.shape[1] > 0
+    # The arm would have a mass below nothing.
+    assert columns.about(with_payload(-5.0)) is columns
+    assert columns.about(with_payload(1.0)) is possible
+
+
+@pytest.mark.filterwarnings("ignore:.*encountered in:RuntimeWarning")
+def test_no_run_begins_in_a_swing_of_them(columns):
+    own = (columns.robot, columns.nominal_runs, columns.noise, columns.tolerance, columns.start)
+    run = Columns(*own, with_payload(-5.0)).runs[0]
+    frequencies, _ = run.swing.response.modes(0)
+    assert frequencies[0] == 0.0
+    assert 0.0 < frequencies[1] < 100.0
+    torque, deflection = run.swing.unknown_start(run.signals.windup, 100.0)
+    assert torque.shape[2] == deflection.shape[2] == 0
