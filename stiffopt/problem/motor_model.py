@@ -45,6 +45,8 @@ _LEAST = 4
 _LAGS = 2e-5
 # Instants nearer to each other are one [s].
 _SLACK = 1e-3 * _LAGS
+# The place where links hang has settled when it moves by no more [rad]; found in so many rounds.
+_SETTLED, _ROUNDS = 1e-10, 30
 
 
 class MotorModel(StageModel):
@@ -103,15 +105,20 @@ class MotorModel(StageModel):
     @cached_property
     def hung(self) -> Quantity:
         """The links' position less the wind-up that is calibrated away (n,) [rad]."""
-        return self.link[0] - self._law(self.torques.held)
+        return self.link[0] - self.sag
 
-    def rates(self, value: Quantity, orders: int) -> list[Quantity]:
-        """A value and its first three derivatives by time.
+    @cached_property
+    def sag(self) -> Quantity:
+        """Wind-up under weight and process force (n,) [rad]."""
+        return self._law(self.torques.held)
+
+    def rates(self, value: Quantity, orders: int, count: int = 3) -> list[Quantity]:
+        """A value and its first derivatives by time, so many.
 
         `orders` counts the derivatives of the links, position included, that the value depends on.
         """
         found = [value]
-        for further in range(3):
+        for further in range(count):
             found.append(self._rate(found[-1], orders + further))
         return found
 
@@ -238,15 +245,21 @@ class MotorLaw:
     """
 
     def __init__(self, robot: Robot, process_force: object = (0.0, 0.0, 0.0)) -> None:
-        self._joints = robot.n
         derivatives = [ca.SX.sym(f"d{k}", robot.n) for k in range(6)]
         p = ca.SX.sym("smoothing")
         model = MotorModel(robot, derivatives, p, np.zeros(robot.n), process_force, 1.0)
-        parts = [*model.rates(model.hung, 1), *model.rates(model.lead, 3)]
-        self._law = ca.Function("motors", [*derivatives, p], [ca.densify(each) for each in parts])
+        given = [*derivatives, p]
+        sag, lead = model.rates(model.sag, 1, 5), model.rates(model.lead, 3)
+        self._sag = ca.Function("sag", given, [ca.densify(each) for each in sag])
+        self._lead = ca.Function("lead", given, [ca.densify(each) for each in lead])
 
     def motion(
-        self, link: Trajectory, smoothing: float, lag: np.ndarray | None = None
+        self,
+        link: Trajectory,
+        smoothing: float,
+        lag: np.ndarray | None = None,
+        *,
+        sagged: bool = False,
     ) -> Trajectory:
         """Motion of the motors that makes the links move as given.
 
@@ -259,29 +272,49 @@ class MotorLaw:
         lag : array (n,), optional
             Of each joint's wind-up behind its spring torque [s]: its damping over its stiffness.
             The motors arrive so much later than the links, which have to be at rest then.
+        sagged : bool
+            The springs carry the links where they hang, at p = q - phi(tau(p, 0, 0)) and moving as
+            p does, in place of where they are planned. Their weight differs there, and the motion
+            of the sag has its own acceleration.
         """
         moves = _sampled(link)
-        values = self._evaluated(link, moves, smoothing)
+        plan = np.stack([link(moves, k) for k in range(6)])
+        place = plan - _of(self._sag, plan, smoothing)
+        if sagged:
+            place = self._hanging(plan, place, smoothing)
+        lead = _of(self._lead, place if sagged else plan, smoothing)
         if lag is None:
-            return Trajectory.through(moves, values[:4] + values[4:], link)
+            return Trajectory.through(moves, place[:4] + lead, link)
         # The wind-up as a motion of its own, which begins and ends later than the rest.
-        lead = Trajectory.through(moves, values[4:], link)
+        windup = Trajectory.through(moves, lead, link)
+        hanging = Trajectory.through(moves, place[:4], link)
         held = link.held_for(float(np.max(lag)))
         # Where a wind-up begins and ends, its third rate jumps.
         times = np.union1d(_sampled(held), np.concatenate([lag, link.duration + np.asarray(lag)]))
         times = times[np.concatenate([[True], np.diff(times) > _SLACK])]
-        motors = self._evaluated(link, times, smoothing)[:4]
+        motors = _late(hanging, times)
         for own in np.unique(lag):
             joints = lag == own
-            motors[:, :, joints] += _late(lead, times - own)[:, :, joints]
+            motors[:, :, joints] += _late(windup, times - own)[:, :, joints]
         return Trajectory.through(times, motors, held)
 
-    def _evaluated(self, link: Trajectory, at: np.ndarray, smoothing: float) -> np.ndarray:
-        """Place and lead with their rates (8, K, n); those of a motion that has ended are zero."""
-        inside = np.clip(at, 0.0, link.duration)
-        given = (*(link(inside, k).T for k in range(6)), np.full((1, len(at)), smoothing))
-        values = np.stack([each.full().T for each in self._law.map(len(at))(*given)])
-        return _at_rest(values, _outside(link, at), (1, 2, 3, 5, 6, 7))
+    def _hanging(self, plan: np.ndarray, place: np.ndarray, smoothing: float) -> np.ndarray:
+        """Where links hang under their own weight there, with five derivatives (6, K, n).
+
+        From a first `place`: the sag changes little with itself.
+        """
+        for _ in range(_ROUNDS):
+            before, place = place, plan - _of(self._sag, place, smoothing)
+            if np.max(np.abs(place[0] - before[0])) < _SETTLED:
+                break
+        return place
+
+
+def _of(law: ca.Function, derivatives: np.ndarray, smoothing: float) -> np.ndarray:
+    """A law's values (m, K, n) along a motion with its derivatives (6, K, n)."""
+    count = derivatives.shape[1]
+    given = (*(each.T for each in derivatives), np.full((1, count), smoothing))
+    return np.stack([each.full().T for each in law.map(count)(*given)])
 
 
 def _sampled(motion: Trajectory) -> np.ndarray:
@@ -292,18 +325,9 @@ def _sampled(motion: Trajectory) -> np.ndarray:
     return np.append(np.concatenate(inside), motion.duration)
 
 
-def _late(lead: Trajectory, at: np.ndarray) -> np.ndarray:
-    """A wind-up and its first three rates (4, K, n), at rest before and after."""
-    inside = np.clip(at, 0.0, lead.duration)
-    values = np.stack([lead(inside, k) for k in range(4)])
-    return _at_rest(values, _outside(lead, at), (1, 2, 3))
-
-
-def _outside(motion: Trajectory, at: np.ndarray) -> np.ndarray:
-    return np.asarray((at < -_SLACK) | (at > motion.duration + _SLACK))
-
-
-def _at_rest(values: np.ndarray, outside: np.ndarray, rates: tuple[int, ...]) -> np.ndarray:
-    for order in rates:
-        values[order, outside] = 0.0
+def _late(motion: Trajectory, at: np.ndarray) -> np.ndarray:
+    """A motion and its first three rates (4, K, n), at rest before and after."""
+    inside = np.clip(at, 0.0, motion.duration)
+    values = np.stack([motion(inside, k) for k in range(4)])
+    values[1:, (at < -_SLACK) | (at > motion.duration + _SLACK)] = 0.0
     return values

@@ -253,9 +253,13 @@ def solve_again(run: SolveRun, before: Outcome, nlp: Nlp, smoothing: float) -> O
     return outcome_of(run, made, raw, smoothing)
 
 
-def motors_of(run: SolveRun, outcome: Outcome, share: float) -> Trajectory:
-    """Motors of the same links by a law with this share of the outcome's smoothing widths."""
-    return _trajectory(run, outcome.transcription, outcome.raw.x, share * outcome.smoothing)
+def motors_of(run: SolveRun, outcome: Outcome, share: float, *, sagged: bool) -> Trajectory:
+    """Motors of the same links by a law with this share of the outcome's smoothing widths.
+
+    With springs that carry the links where they hang, or where they are planned.
+    """
+    smoothing, x = share * outcome.smoothing, outcome.raw.x
+    return _trajectory(run, outcome.transcription, x, smoothing, sagged=sagged)
 
 
 def _solved(
@@ -510,13 +514,18 @@ def _uniform(ocp: OptimalControlProblem, stage: SolveStage, guess: Guess) -> Mes
 
 
 def _trajectory(
-    run: SolveRun, transcription: Transcription, x: np.ndarray, smoothing: float
+    run: SolveRun,
+    transcription: Transcription,
+    x: np.ndarray,
+    smoothing: float,
+    *,
+    sagged: bool = False,
 ) -> Trajectory:
     """The motion of the joints, exactly as the transcription integrates it."""
     problem = run.problem
     motion = Trajectory.from_acceleration(*transcription.acceleration_polynomials(x))
     if problem.plans_links:
-        return run.motors.motion(motion, WIDER * smoothing, run.lag)
+        return run.motors.motion(motion, WIDER * smoothing, run.lag, sagged=sagged)
     if problem.path is None:
         return motion
     return JointPath.through(problem.path).follow(motion)

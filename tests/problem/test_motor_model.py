@@ -17,7 +17,7 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import InputError
 from stiffopt.problem.formulation import Scales, exact_path_rows, formulate
-from stiffopt.problem.motor_model import WIDER, MotorLaw, MotorModel, NearMotorModel
+from stiffopt.problem.motor_model import WIDER, MotorLaw, MotorModel, NearMotorModel, rounded_lag
 from stiffopt.problem.resolve import resolve
 from stiffopt.problem.trajectory import Method
 from stiffopt.result.store import export_times, write_trajectory
@@ -121,6 +121,20 @@ def test_the_swinging_arm_does_what_is_predicted_and_rests(planar, link):
     rigid = simulate(arm, MotorMotion.of(link))
     # Commanded without the lead, the same motion swings more than the lead leaves.
     assert rigid.peak_after > 3.0 * found.peak_after
+
+
+def test_motors_of_links_that_hang_leave_less_after_arrival(planar, link):
+    law, arm = MotorLaw(planar.robot), ElasticArm(planar.robot, link(0.0))
+    lag = rounded_lag(arm.lag(link(link.duration)))
+    left = {}
+    for sagged in (True, False):
+        # Narrow corners: wide ones leave as much by themselves.
+        motors = law.motion(link, 0.2 * SMOOTHING, lag, sagged=sagged)
+        for t, place in ((0.0, [0.2, 0.5]), (motors.duration, [1.1, -0.2])):
+            assert motors(t) == pytest.approx(place, abs=1e-9)
+            assert motors(t, 1) == pytest.approx(0.0, abs=1e-9)
+        left[sagged] = simulate(arm, MotorMotion.of(motors)).peak_after
+    assert left[True] < 0.2 * left[False]
 
 
 def test_the_command_makes_the_links_do_what_is_written(planar, link, tmp_path):
