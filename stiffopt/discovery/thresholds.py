@@ -54,6 +54,8 @@ LEFT_OUT_SHARE, LEFT_OUT_FOLDS = 0.01, 0.6
 CHANGE_SHARE, CHANGE_SEEN_SELDOM = 0.15, 0.5
 # Candidates for a change whose shapes are fitted, and those that are tried where the best fails.
 CHANGES_REFINED, CHANGES_TRIED = 12, 4
+# One change stands for several where it also leaves at most so many times as much in every channel.
+SPARSE_LEFT = 1.5
 
 # A finding that adds more than this to its channel, over what the nominal model leaves there (root
 # mean squares), only balances another.

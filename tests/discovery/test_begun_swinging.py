@@ -9,6 +9,7 @@ from simulated_sets import COULOMB, simulated
 from benchmarks.simulator import write_case
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.thresholds import BURST_RATIO
 from stiffopt.discovery.training import train
 from stiffopt.recording.recording_set import load_recordings
 
@@ -55,3 +56,13 @@ def test_a_swing_out_of_nothing_is_a_burst(begun_moving):
     found = bursts(swinging(begun_moving, LATER), (), Settings())
     assert found is not None
     assert found.channels[0] in ("torque_1", "torque_2")
+
+
+def test_bursts_that_a_model_left_of_its_own_recordings_are_nothing_new(begun_moving):
+    shaken = swinging(begun_moving, LATER)
+    ratio = bursts(shaken, (), Settings()).ratio
+    least = np.full(4, 0.5 * ratio / BURST_RATIO)
+    assert bursts(replace(shaken, least=least), (), Settings()).ratio == pytest.approx(
+        2.0 * BURST_RATIO
+    )
+    assert bursts(replace(shaken, least=4.0 * least), (), Settings()) is None

@@ -66,14 +66,26 @@ def test_a_change_stands_out_of_what_a_model_left_open(falls: list[float], chang
     assert (excess >= 0.0) == change
 
 
-@pytest.mark.parametrize(("second", "again"), [(1.0, True), (0.7, True), (-1.0, False)])
-def test_a_claim_is_repeated_where_both_halves_say_it(second: float, again: bool) -> None:
-    """Dry friction of a joint that goes to and fro, more, as much or less in the second half."""
+@pytest.mark.parametrize(
+    ("moved", "second", "again"),
+    [
+        (1.0, 1.0, True),
+        (1.0, 0.7, True),
+        (1.0, -1.0, False),
+        (0.5, -1.0, False),
+        (0.0, 1.0, True),  # a half in which it stands says nothing
+        (0.1, -1.0, True),
+    ],
+)
+def test_a_claim_is_repeated_where_both_halves_say_it(
+    moved: float, second: float, again: bool
+) -> None:
+    """Torque of a joint that goes to and fro, more, as much or less in the second half."""
     time = np.linspace(0.0, 1.0, 400, endpoint=False)
-    side = np.sign(np.sin(40.0 * time))
+    side = np.sign(np.sin(40.0 * time)) * np.where(time < 0.5, 1.0, moved)
     target = 10.0 * side * np.where(time < 0.5, 1.0, second)
     run = SimpleNamespace(time=time)
-    amplitude = float(target @ side) / len(time)
+    amplitude = float(target @ side) / float(side @ side)
     comparison: Any = SimpleNamespace(
         target=target,
         runs=(run,),

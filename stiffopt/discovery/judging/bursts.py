@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.discovery.comparison.channel_noise import KnownNoise
 from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.swing import MOTOR_CUTOFF
@@ -70,19 +69,23 @@ def bursts(
         samples with bursts, `gain` the share of all that remains that lies in them.
     """
     parts: list[list[_Channel]] = [[] for _ in range(training.robot.n)]
+    noise = training.noise.channels.torque
+    if training.least is not None:
+        # What the model that is started from left of its own recordings is nothing new.
+        noise = noise * training.least[: training.robot.n]
     for run, prepared in zip(training.recorded, training.runs, strict=True):
         predictor = Predictor(training.robot, run, training.constants, settings, prepared)
         if predictor.nominal.swing is None:
             return None
         places = np.searchsorted(run.stamps, run.time)
         predicted = predictor.predict(*extensions).torque[places]
-        left = (run.torque - predicted) / training.noise.channels.torque
+        left = (run.torque - predicted) / noise
         rate = np.gradient(predicted, run.time, axis=0)
         used = np.isfinite(left) & (np.abs(predictor.velocity) >= MOVING)
         # Where the filter of the motion reaches beyond the record.
         ends = _ENDS / MOTOR_CUTOFF
         used &= ((run.time > run.time[0] + ends) & (run.time < run.time[-1] - ends))[:, None]
-        left -= _begun_with(predictor.nominal, run.time, left, used, training.noise)
+        left -= _begun_with(predictor.nominal, run.time, left, used, noise)
         for j, own in enumerate(parts):
             kept = used[:, j]
             followed = {
@@ -110,16 +113,15 @@ def bursts(
 
 
 def _begun_with(
-    prepared: PreparedRun, time: np.ndarray, left: np.ndarray, used: np.ndarray, noise: KnownNoise
+    prepared: PreparedRun, time: np.ndarray, left: np.ndarray, used: np.ndarray, noise: np.ndarray
 ) -> np.ndarray:
-    """Part of a residual over noise (K, n) that the swing may be which the run begins with."""
+    """Part of a residual (K, n) over noise (n,) that the swing may be which the run begins with."""
     assert prepared.swing is not None
     signals = prepared.signals
     wound = signals.motor_position - signals.link_position
     torque, _ = prepared.swing.unknown_start(wound, MOTOR_CUTOFF)
     swings = [
-        np.column_stack([np.interp(time, prepared.time, column) for column in each.T])
-        / noise.channels.torque
+        np.column_stack([np.interp(time, prepared.time, column) for column in each.T]) / noise
         for each in np.moveaxis(torque, 2, 0)
     ]
     if not swings or not used.any():

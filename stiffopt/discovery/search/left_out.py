@@ -26,7 +26,8 @@ from stiffopt.discovery.thresholds import (
 
 # Parts of all runs that are left out one after another where runs are few.
 _PARTS = 6
-# Share of the largest change of a fold from which a fold has a say.
+# Share of the largest change of a fold, or of an effect's squares in the other half, from which a
+# fold or half has a say.
 _ACTED = 0.05
 
 
@@ -150,7 +151,8 @@ def repeated(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[
     """Whether what each half of the recordings says of each effect helps in the other.
 
     Halves are every other run, of a single run its begin and end; all else stays as all of it
-    says, since half of a motion determines less. An effect of one run is not asked for.
+    says, since half of a motion determines less. An effect of one run, or that hardly acts in one
+    half, as where joints move one after another, is not asked for.
     """
     if not effects:
         return ()
@@ -163,8 +165,11 @@ def repeated(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[
     for located, part in zip(effects, parts, strict=True):
         own = left + part @ fit.posterior.mean[begin : begin + part.shape[1]]
         begin += part.shape[1]
-        falls = [_fall(part, own, half == 0), _fall(part, own, half == 1)]
-        found.append(located.run is not None or min(falls) > 0.0)
+        acted = [float(np.sum(part[half == h] ** 2)) for h in (0, 1)]
+        if located.run is not None or min(acted) <= _ACTED * max(acted):
+            found.append(True)
+            continue
+        found.append(min(_fall(part, own, half == h) for h in (0, 1)) > 0.0)
     return tuple(found)
 
 

@@ -32,9 +32,12 @@ from stiffopt.discovery.thresholds import (
     SETTLED,
     SETTLED_DEVIATIONS,
     SETTLING_ROUNDS,
+    SPARSE_LEFT,
     SPARSE_SHARE,
     STRICT_DEVIATIONS,
 )
+
+_STOPPED = "stopped: what was found so far is weighed"
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,19 +281,18 @@ def _forward(
         room = min(together, most - len(effects))
         try:
             best = _best(scan(scorer, catalogue, tell=tell), scorer, room)
+            if not best:
+                break
+            for each in best:
+                say(f"found {each.located.label} (log evidence {each.evidence:.0f})")
+            wider, tried = _fitted_jointly(comparison, [*effects, *(e.located for e in best)])
+            current, effects = wider, _pruned(wider, tried)
         except KeyboardInterrupt:
             if not effects:  # there is nothing to tell
                 raise
-            say("stopped: what was found so far is weighed")
+            say(_STOPPED)
             stopped = True
             break
-        if not best:
-            break
-        for each in best:
-            say(f"found {each.located.label} (log evidence {each.evidence:.0f})")
-        effects = [*effects, *(each.located for each in best)]
-        current, effects = _fitted_jointly(comparison, effects)
-        effects = _pruned(current, effects)
         if best[0].located.label not in [e.label for e in effects]:
             break
     return *_fitted_jointly(comparison, effects), stopped
@@ -311,34 +313,59 @@ def _changes(
     effects: list[LocatedEffect] = []
     first: list[Candidate] = []
     nothing = current
-    while len(effects) < most:
-        scorer = Scorer(current, effects)
-        try:
+    try:
+        while len(effects) < most:
+            scorer = Scorer(current, effects)
             found = scan(scorer, catalogue, refined=CHANGES_REFINED, tell=tell)
-        except KeyboardInterrupt:
-            if not effects:
-                raise
-            say("stopped: what was found so far is weighed")
-            return current, effects, True
-        first = first or found
-        passing = [c for c in found if _passes(c, scorer)]
-        for candidate in sorted(passing, key=lambda c: -c.evidence)[:CHANGES_TRIED]:
-            wider, tried = _fitted_jointly(comparison, [*effects, candidate.located])
-            kept = borne_out(wider, _confirmed(wider, tried, strict=True))
-            if len(kept) == len(tried):
-                say(f"found {candidate.located.label} (log evidence {candidate.evidence:.0f})")
-                current, effects = wider, tried
+            first = first or found
+            passing = [c for c in found if _passes(c, scorer)]
+            for candidate in sorted(passing, key=lambda c: -c.evidence)[:CHANGES_TRIED]:
+                wider, tried = _fitted_jointly(comparison, [*effects, candidate.located])
+                if _all_borne_out(wider, tried):
+                    say(f"found {candidate.located.label} (log evidence {candidate.evidence:.0f})")
+                    current, effects = wider, tried
+                    break
+            else:
                 break
-        else:
-            break
-    if len(effects) > 1:
-        alone, all_ = Scorer(nothing), Scorer(nothing, effects)
-        gained = float(np.sum(all_.by_block) - np.sum(alone.by_block))
-        best = max(first[:CHANGES_REFINED], key=lambda c: c.gain)
-        if best.gain > SPARSE_SHARE * gained:
-            say(f"one change does nearly as well: {best.located.label}")
-            return *_fitted_jointly(comparison, [best.located]), False
+        if len(effects) > 1:
+            single = _single_change(comparison, nothing, current, effects, first)
+            if single is not None:
+                say(f"one change does nearly as well: {single[1][0].label}")
+                current, effects = single
+    except KeyboardInterrupt:
+        if not effects:
+            raise
+        say(_STOPPED)
+        return current, effects, True
     return current, effects, False
+
+
+def _single_change(
+    comparison: Comparison,
+    nothing: Comparison,
+    current: Comparison,
+    effects: list[LocatedEffect],
+    first: Sequence[Candidate],
+) -> tuple[Comparison, list[LocatedEffect]] | None:
+    """The one change that does nearly as well as several, or None.
+
+    Gains are over the noise that no change leaves, beside which a smaller change is nothing: what
+    is left once it is fitted decides.
+    """
+    alone, all_ = Scorer(nothing), Scorer(nothing, effects)
+    gained = float(np.sum(all_.by_block) - np.sum(alone.by_block))
+    best = max(first[:CHANGES_REFINED], key=lambda c: c.gain)
+    if best.gain <= SPARSE_SHARE * gained or not _passes(best, alone):
+        return None
+    only, single = _fitted_jointly(comparison, [best.located])
+    if np.any(only.inflation > SPARSE_LEFT * current.inflation):
+        return None
+    return (only, single) if _all_borne_out(only, single) else None
+
+
+def _all_borne_out(comparison: Comparison, effects: list[LocatedEffect]) -> bool:
+    kept = borne_out(comparison, _confirmed(comparison, effects, strict=True))
+    return len(kept) == len(effects)
 
 
 def _exchanged(

@@ -1,0 +1,108 @@
+"""Two changes of one joint since a model was made, a large one and a small one beside it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_arms import SWIVEL
+
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.search import search as searching
+from stiffopt.discovery.search.candidates import Scorer, scan
+from stiffopt.discovery.search.search import _single_change, search
+from stiffopt.discovery.settings import FIXED, Settings
+from stiffopt.discovery.training import train
+from stiffopt.recording.recording_set import load_recordings
+
+SET = """schema = 1
+name = "swivel"
+robot = "robot.urdf"
+joints = ["swivel"]
+signals = { time = "t", position = ["q"], torque = ["tau"], torque_side = "motor" }
+[noise]
+torque = [0.1]
+"""
+CAUSES = tuple(effect(name) for name in ("coulomb", "viscous", "torque_offset"))
+COULOMB, VISCOUS = 2.0, 0.6
+# Of the link about its axis [kg m^2].
+INERTIA = 0.09
+
+
+@pytest.fixture(scope="module")
+def training(tmp_path_factory):
+    """Of a joint whose masses nobody vouches for."""
+    folder, text = tmp_path_factory.mktemp("changed"), SET
+    (folder / "robot.urdf").write_text(SWIVEL)
+    rng, t = np.random.default_rng(0), np.arange(0.0, 12.0, 0.01)
+    for name, rate in (("a", 1.3), ("b", 1.56), ("c", 1.43)):
+        q = 0.8 * np.sin(rate * t) + 0.3 * np.sin(3.1 * rate * t + 1.0)
+        v = np.gradient(q, t)
+        tau = COULOMB * np.tanh(v / 0.02) + VISCOUS * v + INERTIA * np.gradient(v, t)
+        np.savez(folder / f"{name}.npz", t=t, q=q, tau=tau + rng.normal(0.0, 0.1, t.size))
+        role = "test" if name == "c" else "train"
+        text += f'[[runs]]\nfile = "{name}.npz"\nrole = "{role}"\n'
+    (folder / "recordings.toml").write_text(text)
+    return train(load_recordings(folder), Settings(cutoff=12.0))
+
+
+@pytest.fixture(scope="module")
+def after_model(training):
+    """Comparison with a model that left nothing of its own recordings."""
+    return replace(training, least=np.ones(2), tolerance=FIXED).comparison()
+
+
+def found(comparison, strict=True):
+    result = search(comparison, CAUSES, most=3, strict=strict)
+    return result, [each.effect.name for each in result.effects]
+
+
+def test_a_small_change_beside_a_large_one_stays(after_model):
+    result, names = found(after_model)
+    assert names == ["coulomb", "viscous"]
+    assert result.comparison.inflation[0] == 1.0
+    values = result.fit.amplitudes() * np.concatenate(
+        [each.sizes(after_model.constants) for each in result.effects]
+    )
+    np.testing.assert_allclose(values, [COULOMB, VISCOUS], rtol=0.03)
+
+
+def test_one_change_stands_for_several_that_leave_as_much(after_model):
+    coulomb, viscous, offset = (LocatedEffect(effect=each, joint=0) for each in CAUSES)
+    first = scan(Scorer(after_model), CAUSES)
+    more = after_model.about(after_model.fit([coulomb, offset]))
+    single = _single_change(after_model, after_model, more, [coulomb, offset], first)
+    assert single is not None
+    assert single[1] == [coulomb]
+    both = after_model.about(after_model.fit([coulomb, viscous]))
+    assert _single_change(after_model, after_model, both, [coulomb, viscous], first) is None
+
+
+@pytest.mark.parametrize(
+    ("stage", "with_model"),
+    [("_fitted_jointly", True), ("borne_out", True), ("_fitted_jointly", False)],
+)
+def test_ctrl_c_at_the_second_finding_keeps_the_first(training, monkeypatch, stage, with_model):
+    least = np.ones(2) if with_model else None
+    comparison = replace(training, least=least, tolerance=FIXED).comparison()
+    plain, calls = getattr(searching, stage), []
+
+    def interrupted(comparison, effects):
+        calls.append(len(effects))
+        if calls.count(2) == 1 and len(effects) == 2:
+            raise KeyboardInterrupt
+        return plain(comparison, effects)
+
+    monkeypatch.setattr(searching, stage, interrupted)
+    result, names = found(comparison, strict=with_model)
+    assert result.stopped
+    assert names == ["coulomb"]
+
+
+def test_ctrl_c_at_the_first_change_claims_nothing(after_model, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(searching, "borne_out", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        found(after_model)
