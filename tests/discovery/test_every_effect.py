@@ -136,13 +136,7 @@ def test_nothing_is_named_beside_the_effect(trial: Trial) -> None:
     assert len(diagnosis.findings) == 1, said(diagnosis)
 
 
-@pytest.mark.parametrize(
-    "trial",
-    trials(
-        torque_ripple="the sixth harmonic passes the filter only where a joint counts as standing",
-    ),
-    scope="module",
-)
+@pytest.mark.parametrize("trial", trials(), scope="module")
 def test_parameters_that_any_model_shares_agree_with_the_truth(trial: Trial) -> None:
     reported = {p.name: p for p in finding_of(trial).parameters}
     wrong = {

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import softmax
 
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
@@ -87,10 +88,9 @@ def ranked_among_rivals(
     ]
     near = sorted(zip(odds, found, strict=True), key=lambda pair: -pair[0])[:3]
     near = [(o, c) for o, c in near if o > -RIVAL_LOG_ODDS]
-    weights = np.exp([o for o, _ in near])
-    total = 1.0 + float(np.sum(weights))
-    rivals = tuple((c.located, float(w) / total) for (_, c), w in zip(near, weights, strict=True))
-    selected = Selected(located, own.evidence, own.deviations, 1.0 / total, rivals, own.channel)
+    itself, *theirs = map(float, softmax([0.0, *(o for o, _ in near)]))
+    rivals = tuple((c.located, p) for (_, c), p in zip(near, theirs, strict=True))
+    selected = Selected(located, own.evidence, own.deviations, itself, rivals, own.channel)
     return Ranked(selected, near[0][1].located if near and near[0][0] > 0.0 else located)
 
 
