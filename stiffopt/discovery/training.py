@@ -16,11 +16,12 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import merged
 from stiffopt.discovery.comparison.prepare import PreparedRun, prepare
 from stiffopt.discovery.comparison.signals import RobotConstants
-from stiffopt.discovery.extended.left_open import least_factors, with_bands
+from stiffopt.discovery.extended.left_open import assumed, least_factors, with_bands
 from stiffopt.discovery.extended.model import ExtendedModel, check_extended
 from stiffopt.discovery.settings import FIXED, PREDICTED_CUTOFF, Settings
 from stiffopt.discovery.thresholds import MOST_EFFECTS, MOST_EFFECTS_FREE
 from stiffopt.errors import InputFileError
+from stiffopt.recording.assumptions import NO_RATIO
 from stiffopt.recording.nominal import Tolerance
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
@@ -134,7 +135,7 @@ def train(
     """
     robot = RobotModel(recordings)
     left_open = None if model is None else model.left_open
-    settings = with_bands(settings, left_open)
+    asked, settings = settings, with_bands(settings, left_open)
     opened: list[RecordedRun] = []
     prepared: list[PreparedRun] = []
     notes: list[str] = []
@@ -182,6 +183,10 @@ def train(
             " cross-validated over stretches of runs instead of whole runs."
         )
     # A model that was fitted to this robot is nearer to it than one that nobody has compared.
+    if model is not None:
+        ratio = [NO_RATIO] if model.nominal.gear_ratio is None else []
+        known = assumed(left_open, least, noise.channels, asked, stated, recordings.prismatic)
+        notes = [*ratio, *known, *notes]
     default = settings.tolerance if model is None else settings.after_model
     tolerance = merged(stated, default if least is None else FIXED)
     if free and stated.encoder_zero is None:

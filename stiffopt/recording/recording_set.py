@@ -11,7 +11,7 @@ import numpy as np
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import load_toml, validate, with_changes
-from stiffopt.recording.assumptions import assumptions
+from stiffopt.recording.assumptions import assumptions, of_nominal
 from stiffopt.recording.clean import clean
 from stiffopt.recording.nominal import Noise, Nominal, Tolerance
 from stiffopt.recording.nominal_files import (
@@ -107,13 +107,19 @@ class RecordingSet(RecordedArm):
         return unstated(self.stated, self.described)
 
     def with_nominal(self, stated: NominalSection, path: str | os.PathLike[str]) -> RecordingSet:
-        """The set with another statement of the nominal robot, from the file at `path`."""
+        """The set with another statement of the nominal robot, from the file at `path`.
+
+        What the set itself was silent on there is assumed no more.
+        """
         path = Path(path)
+        links = bool(self.signals.link_position)
+        silent = of_nominal(self.stated, self.tolerance, self.described, links=links)
         return replace(
             self,
             robot=as_nominal_robot(self.described, self.order, stated, path),
             nominal=as_nominal(stated, self.joints, path),
             stated=stated,
+            assumptions=tuple(each for each in self.assumptions if each not in silent),
         )
 
     def with_role(self, *roles: Role) -> tuple[RunEntry, ...]:

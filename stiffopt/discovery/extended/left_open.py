@@ -14,10 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.discovery.extended.schema import LeftOpenSection
+from stiffopt.recording.assumptions import not_given
+from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.discovery.comparison.rows import ChannelNoise
     from stiffopt.discovery.settings import Settings
+    from stiffopt.recording.nominal import Tolerance
 
 
 def left_open(
@@ -60,3 +63,52 @@ def with_bands(settings: Settings, section: LeftOpenSection | None) -> Settings:
     if section is None or section.predict is None or settings.cutoff is not None:
         return settings
     return replace(settings, cutoff=section.cutoff, predict=section.predict)
+
+
+def assumed(
+    section: LeftOpenSection | None,
+    least: np.ndarray | None,
+    noise: ChannelNoise,
+    asked: Settings,
+    tolerance: Tolerance,
+    prismatic: np.ndarray,
+) -> list[str]:
+    """Sentences on what holds where a diagnosis starts from an extended model.
+
+    Parameters
+    ----------
+    section : LeftOpenSection or None
+        Of the model.
+    least : array (2 n,) or None
+        Factors that the noise is raised by; None where it is not.
+    noise : ChannelNoise
+    asked : Settings
+        Before the model's bands were taken over.
+    tolerance : Tolerance
+        That the set states.
+    prismatic : array (n,) of bool
+    """
+    found = []
+    if silent := ", ".join(not_given(tolerance)):
+        kept = "nominal values stay as the model has them"
+        near = "narrow defaults about the values of the model hold"
+        found.append(f"Tolerances not given, {near if least is None else kept}: {silent}.")
+    if least is not None:
+        raised = np.where(least > 1.0, least * [*noise.torque, *noise.deflection], np.nan)
+        for name, values, unit in zip(
+            ("torques", "link positions"), np.split(raised, 2), ("N m", "rad"), strict=True
+        ):
+            each = ", ".join(
+                f"{j + 1}: {values[j]:.3g} {joint_unit(unit, bool(prismatic[j]))}"
+                for j in np.flatnonzero(np.isfinite(values))
+            )
+            if each:
+                found.append(f"What the model left open of {name} counts as noise (joint {each}).")
+    taken = with_bands(asked, section)
+    if taken is not asked and taken.predict is not None:
+        each = ", ".join(f"{j}: {band:g}" for j, band in enumerate(taken.predict, start=1))
+        found.append(
+            f"Fits follow the recordings up to {taken.fit_band:g} Hz, predicted torques up to"
+            f" (joint {each}) Hz: bands of the model."
+        )
+    return found

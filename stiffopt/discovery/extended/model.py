@@ -50,6 +50,7 @@ from typing import Any
 import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE
+from stiffopt.discovery.catalogue.periodic import ROTOR_RIPPLE
 from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.signals import RobotConstants
@@ -129,8 +130,10 @@ class ExtendedModel:
             )
         require_same_robot(self.robot, self.source, self.joints, recordings.robot, recordings.order)
         nominal = self.nominal
-        if nominal.pole_pairs is None:
-            # Nothing was found with them, so that those that the set gives contradict nothing.
+        waves = any(e.located.effect.name == ROTOR_RIPPLE.name for e in self.extension.effects)
+        if nominal.pole_pairs is None and not waves:
+            # Nothing was found with them, so that those that the set gives contradict nothing;
+            # waves that stand in for the ripple of poles would be found a second time.
             nominal = nominal.model_copy(update={"pole_pairs": recordings.stated.pole_pairs})
         return recordings.with_nominal(nominal, self.source)
 

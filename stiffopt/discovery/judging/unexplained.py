@@ -80,22 +80,19 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
     before = np.nan_to_num(result.calibrated, nan=0.0)
     # What an extended model that was started from had left of its own recordings is no new riddle.
     least = result.comparison.least
-    remaining = [c for c in np.argsort(-after) if after[c] > UNEXPLAINED_RATIO]
+    beyond = after / least
+    remaining = [c for c in np.argsort(-beyond) if beyond[c] > UNEXPLAINED_RATIO]
     if not remaining:
-        return result.selected, None if result.selected else _faint(result, after)
+        return result.selected, None if result.selected else _faint(result, after, beyond)
     excess = np.maximum(before**2 - least**2, 1e-9)
     share = 1.0 - (after**2 - least**2) / excess
-    poor = {
-        int(c)
-        for c in remaining
-        if share[c] < EXPLAINED_SHARE and after[c] > UNEXPLAINED_RATIO * least[c]
-    }
+    poor = {int(c) for c in remaining if share[c] < EXPLAINED_SHARE}
     unstated = result.comparison.robot.recordings.unstated
     # A value that the nominal model does not give at all is there, however much else is missing.
     kept = tuple(
         s for s in result.selected if s.channel not in poor or s.located.effect.nominal in unstated
     )
-    if not poor and kept and after[remaining[0]] < PASSED_OVER_RATIO:
+    if not poor and kept and after[remaining].max() < PASSED_OVER_RATIO:
         # What formulas that differ from nature leave behind, small against what they explain.
         return kept, None
     found = _describe(result, [int(c) for c in remaining])
@@ -108,10 +105,12 @@ def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexpla
     return kept, found
 
 
-def _faint(result: SearchResult, after: np.ndarray) -> Unexplained | None:
+def _faint(result: SearchResult, after: np.ndarray, beyond: np.ndarray) -> Unexplained | None:
     """A remainder near the noise, where runs left out bear out what it depends on."""
     best, most = None, FAINT_SHARE
-    for channel in [int(c) for c in np.argsort(-after)[:_MOST] if after[c] > FAINT_RATIO]:
+    # Little more than a model left open far from the noise is as little a riddle.
+    near = (beyond > FAINT_RATIO) & (after <= UNEXPLAINED_RATIO)
+    for channel in [int(c) for c in np.argsort(-after)[:_MOST] if near[c]]:
         found = _describe(result, [channel])
         taken = found.gain * (1.0 - 1.0 / found.ratio**2)
         if taken > most and not _swing(result, found):

@@ -111,8 +111,8 @@ def search(
     """
     say = report or (lambda _: None)
     tell = paced(say)
-    target = comparison.target
-    before = comparison.inflation * comparison.channel_ratio(target)
+    target = comparison.target * comparison.inflation[comparison.rows.channel]
+    before = comparison.channel_ratio(target)
     calibrated = comparison.channel_ratio(comparison.fit().residual)
     current, effects = _not_stated(comparison, list(start), say)
     rigid = None

@@ -19,6 +19,7 @@ from stiffopt.report.diagnosis.words import (
     place,
     prismatic,
     stays_open,
+    unchanged,
     unexplained_sentence,
 )
 from stiffopt.units import joint_unit
@@ -88,7 +89,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
             " findings there may stand for something else. Look first whether unit, torque constant"
             " and masses are right."
         )
-    return _VERDICTS[diagnosis.verdict]
+    return unchanged(diagnosis) or _VERDICTS[diagnosis.verdict]
 
 
 def _row(diagnosis: Diagnosis, finding: Finding) -> tuple[str, ...]:

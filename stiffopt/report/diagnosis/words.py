@@ -59,8 +59,27 @@ def phrase(finding: Finding, unstated: bool = False) -> str:
     return finding.effect.phrase_of(finding.estimated.amplitudes)
 
 
+def unchanged(diagnosis: Diagnosis) -> str:
+    """That nothing has changed since the model that was started from, and what that left open.
+
+    Empty without such a model, and where all that it leaves is to be explained.
+    """
+    comparison = diagnosis.search.comparison
+    if diagnosis.verdict != "nothing_missing" or not comparison.after_model:
+        return ""
+    least = np.where(np.isfinite(diagnosis.search.after), comparison.least, 1.0)
+    worst = int(np.argmax(least))
+    text = "Nothing has changed since the model"
+    if least[worst] <= 1.0:
+        return f"{text}."
+    where = channels_in_words([worst_channel(diagnosis, least)])
+    return f"{text}; it left {significant(float(least[worst]), 2)} times the noise open in {where}."
+
+
 def headline(diagnosis: Diagnosis) -> str:
     """What is missing and where, or that nothing is."""
+    if nothing := unchanged(diagnosis):
+        return nothing.removesuffix(".")
     if diagnosis.verdict == "nothing_missing":
         return "Nothing is missing within the tolerances"
     if not diagnosis.findings:
@@ -109,9 +128,11 @@ def lead(diagnosis: Diagnosis) -> str:
     """How sure, and what it rests on."""
     if diagnosis.verdict == "nothing_missing":
         most = worst_ratio(diagnosis.search.after)
-        text = (
-            "No effect of the catalogue is needed. With nominal values moved within their "
-            f"tolerances, the worst channel of the training runs is at {most:.2g} times its noise."
+        within = (
+            "" if unchanged(diagnosis) else "With nominal values moved within their tolerances, "
+        )
+        text = "No effect of the catalogue is needed. " + capital(
+            f"{within}the worst channel of the training runs is at {most:.2g} times its noise."
         )
     elif not diagnosis.findings:
         text = unexplained_sentence(diagnosis)

@@ -1,0 +1,127 @@
+"""Recordings that an extended model was made from, or like them: nothing has changed since."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_arms import SWIVEL
+
+from stiffopt.discovery.diagnose import diagnose
+from stiffopt.discovery.extended.model import load_extended
+from stiffopt.recording.recording_set import load_recordings
+from stiffopt.report.diagnosis.residuals import channel_residuals
+from stiffopt.report.diagnosis.terminal import print_diagnosis
+from stiffopt.report.diagnosis.words import headline, lead
+
+RECORDINGS = """schema = 1
+name = "swivel"
+robot = "robot.urdf"
+joints = ["swivel"]
+signals = { time = "t", position = ["q"], torque = ["tau"], torque_side = "motor" }
+"""
+# What the joint's own recordings leave, as unfiltered noise [N m].
+OPEN = 2.28
+MODEL = f"""schema = 1
+kind = "extended"
+name = "swivel"
+joints = ["swivel"]
+links = ["arm"]
+[nominal]
+[scales]
+torque_rated = [30.0]
+torque_max = [90.0]
+fastest = [1.5]
+[left_open]
+cutoff = 12.0
+predict = [20.0]
+torque = [{OPEN}]
+link_position = [0.0]
+[[effect]]
+name = "coulomb"
+joint = 1
+term = {{ dFc = 5.0 }}
+[[effect]]
+name = "viscous"
+joint = 1
+term = {{ dFv = 3.0 }}
+"""
+RIPPLE = """[[effect]]
+name = "rotor_ripple"
+joint = 1
+term = { sin = 0.1, cos = 0.1, waves = 4.0 }
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A joint with a torque that no entry of the catalogue has, and a model that leaves it open."""
+    folder = tmp_path_factory.mktemp("swivel")
+    rng, t, text = np.random.default_rng(0), np.arange(0.0, 8.0, 0.01), RECORDINGS
+    for name, role, rate in (("a", "train", 1.0), ("b", "train", 1.4), ("c", "test", 1.2)):
+        q = 0.8 * np.sin(rate * t) + 0.3 * np.sin(3.1 * rate * t)
+        v = np.gradient(q, t)
+        tau = 0.09 * np.gradient(v, t) + 5.0 * np.tanh(v / 0.02) + 3.0 * v
+        tau += 1.5 * np.sin(23.0 * q) + rng.normal(0.0, 0.1, t.size)
+        np.savez(folder / f"{name}.npz", t=t, q=q, tau=tau)
+        text += f'[[runs]]\nfile = "{name}.npz"\nrole = "{role}"\n'
+    (folder / "robot.urdf").write_text(SWIVEL)
+    (folder / "recordings.toml").write_text(text)
+    (folder / "extended.toml").write_text(MODEL)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def again(folder):
+    return diagnose(folder, model=folder / "extended.toml", experiment=False)
+
+
+def test_what_the_model_left_open_is_nothing_new(again, tmp_path, capsys):
+    assert again.search.after[0] > 5.0
+    assert again.verdict == "nothing_missing"
+    print_diagnosis(again, tmp_path)
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Nothing has changed since the model; it left" in said
+    assert "open in the torque of joint 1." in said
+    assert headline(again).startswith("Nothing has changed since the model; it left")
+    assert "tolerances" not in lead(again)
+
+
+def test_a_stronger_rest_than_the_model_left_is_told(folder):
+    little = load_extended(folder / "extended.toml")
+    section = little.left_open.model_copy(update={"torque": (0.3,)})
+    found = diagnose(folder, model=replace(little, left_open=section), experiment=False)
+    assert found.verdict != "nothing_missing"
+
+
+def test_little_more_than_the_model_left_is_nothing_new(folder):
+    """Between the ratios from which a remainder is faint and large."""
+    model = load_extended(folder / "extended.toml")
+    section = model.left_open.model_copy(update={"torque": (OPEN / 1.15,)})
+    found = diagnose(folder, model=replace(model, left_open=section), experiment=False)
+    assert found.verdict == "nothing_missing"
+
+
+def test_what_is_assumed_is_what_holds(again):
+    said = "\n".join(again.assumptions)
+    assert "wide defaults" not in said
+    assert not any(each.startswith("nominal.coulomb") for each in again.assumptions)
+    assert "nominal values stay as the model has them: mass, com" in said
+    assert f"What the model left open of torques counts as noise (joint 1: {OPEN} N m)." in said
+    assert "up to 12 Hz, predicted torques up to (joint 1: 20) Hz: bands of the model." in said
+    assert "nominal.gear_ratio is not given" in said
+
+
+def test_residuals_before_are_over_the_stated_noise(again):
+    rows = channel_residuals(again, "torque_1")
+    ratio = np.sqrt(np.mean((rows.before / rows.noise) ** 2))
+    assert ratio == pytest.approx(again.search.before[0])
+
+
+@pytest.mark.parametrize(("more", "taken"), [("", True), (RIPPLE, False)])
+def test_pole_pairs_are_taken_over_unless_waves_stand_in_for_them(folder, tmp_path, more, taken):
+    """The set gives them, its model does not."""
+    recordings = load_recordings(folder, ["nominal.pole_pairs=4", "nominal.gear_ratio=[100]"])
+    path = tmp_path / "extended.toml"
+    path.write_text(MODEL.replace("[nominal]", "[nominal]\ngear_ratio = [100.0]") + more)
+    poles = load_extended(path).applied_to(recordings).nominal.pole_pairs
+    assert (poles is not None) == taken
