@@ -13,6 +13,8 @@ import pytest
 from simulated_sets import simulated
 from small_arms import ROOT
 
+from benchmarks.real_concealed.hide import KINDS, hidden
+from benchmarks.real_concealed.motion import PublicSet
 from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.cli import run
 from stiffopt.discovery.diagnose import diagnose
@@ -264,3 +266,13 @@ def test_a_robot_without_masses_is_told(tmp_path):
     [doubt] = doubted(folder)
     assert doubt.kind == "masses"
     assert "gives no <inertial>" in str(doubt)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (PUBLISHED / "tx40_first").exists(), reason="no public recordings here")
+def test_a_torque_that_ripples_is_no_position_in_degrees(tmp_path):
+    """Degrees would let the joint stand still nearly all along: little is left to explain then."""
+    source = PublicSet(PUBLISHED / "tx40_first")
+    ripple = next(kind for kind in KINDS if kind.name == "ripple")
+    hidden(source, ripple, 3, 8.0, tmp_path / "set")
+    assert doubted(tmp_path / "set") == ()

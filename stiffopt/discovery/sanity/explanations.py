@@ -11,6 +11,7 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.sanity.balance import Additions, Balance, Motion, may_have
 from stiffopt.discovery.sanity.orders import Motions, Reading
 from stiffopt.discovery.sanity.samples import Samples
+from stiffopt.discovery.settings import MOVING
 
 # Share of a torque's variance up to which another description explains it.
 EXPLAINS = 0.15
@@ -217,6 +218,16 @@ class Explanations:
     def _additions(self, joint: int) -> Additions:
         return may_have(self.robot, self.motion, joint)
 
+    def _fails_where_it_moves(self, reading: Reading, left: np.ndarray) -> np.ndarray:
+        """Joints (n,) whose own reading fails where another one says that they move.
+
+        A joint that hardly moves by the other reading shows little that it would have to explain.
+        """
+        moves = np.abs(self.motions.of(reading).velocity) >= MOVING
+        torque = np.where(moves, self.samples.torque, np.nan)
+        there = [self.balance.left(self.motion, torque[:, j], j) for j in range(self.n)]
+        return np.array([_mends(b, a) for b, a in zip(there, left, strict=True)])
+
     def _gain_of(self, before: np.ndarray, after: np.ndarray) -> float:
         ratio = np.log((before + _FLOOR) / (after + _FLOOR))
         return float(np.nansum(ratio))
@@ -239,6 +250,7 @@ class Explanations:
                 share, factor, most = _PLAINLY
                 plain = (self.strict > share) & (left * factor < self.strict) & (left < most)
                 mended |= plain & (plain.sum() > 1)
+                mended &= self._fails_where_it_moves(reading, left)
             worse = left > np.maximum(self.strict + _WORSE[0], self.strict * _WORSE[1])
         if not mended.any() or worse.any():
             return None
