@@ -48,7 +48,12 @@ from stiffopt.discovery.search.identifiable_effects import (
 from stiffopt.discovery.search.left_out import repeated, shares_left_out
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult, search
-from stiffopt.discovery.search.uncertainty import Estimate, estimate
+from stiffopt.discovery.search.uncertainty import (
+    Estimate,
+    deviations,
+    estimate,
+    odds_of_nothing,
+)
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.thresholds import (
     MISFIT_ODDS,
@@ -340,6 +345,8 @@ def _findings(
         misfit = MISFIT_ODDS * (1.0 - refitted[index]) if open_ else 0.0
         if not again[index]:
             misfit = max(misfit, UNREPEATED_ODDS)
+        chance = parameters.chance_of_nothing(index)
+        misfit = max(misfit, odds_of_nothing(chance))
         values = parameters.parameters(index, located.constants(constants))
         findings.append(
             Finding(
@@ -356,7 +363,7 @@ def _findings(
                 channel=channel_name(selected.channel, n),
                 variance_explained=share,
                 log_evidence=selected.loss,
-                significance=selected.deviations,
+                significance=min(selected.deviations, deviations(chance)),
             )
         )
     return tuple(findings)

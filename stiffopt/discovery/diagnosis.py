@@ -76,7 +76,9 @@ class Finding:
     probability : float
         Against its rivals, and against what the misfit stands for.
     misfit : float
-        Probability that goes to an unknown cause, where its channel is left above twice the noise.
+        Probability that goes to an unknown cause: its channel is left above twice the noise, one
+        half of the recordings does not bear it out for the other, or its spread from part to part
+        of the recordings does not exclude nothing.
     rivals : tuple of Rival
     parameters : tuple of Parameter
     where : str

@@ -11,7 +11,8 @@ from stiffopt.discovery.soundness import sample_signals
 ROBOT = sample_signals()
 
 
-def test_hysteresis_is_dahl_friction_beside_the_spring():
+@pytest.mark.parametrize("exponent", [0.6, 1.0, 1.4])
+def test_hysteresis_is_dahl_friction_beside_the_spring(exponent):
     signals = sample_signals(count=1500, dt=0.002).of_joint(4)
     h, reach = 1.3, 3e-4
     side, states = 0.0, []
@@ -19,12 +20,12 @@ def test_hysteresis_is_dahl_friction_beside_the_spring():
     for before, after in zip(signals.windup[:-1], signals.windup[1:], strict=True):
         states.append(side)
         for travel in np.full(200, (after - before) / 200):
-            side += travel / reach * (1.0 - side * np.sign(travel))
+            side += travel / reach * max(1.0 - side * np.sign(travel), 0.0) ** exponent
     states.append(side)
     size = np.abs(signals.spring_torque)
     slopes = 1.0 / 6.5e4 + np.select([size < 7.0, size < 25.0], [1 / 1.6e4, 1 / 2.5e4], 1 / 2.9e4)
     expected = -h * slopes * np.array(states)
-    found = np.asarray(effect("hysteresis").term(signals, [h], [reach]).deflection)
+    found = np.asarray(effect("hysteresis").term(signals, [h], [reach, exponent]).deflection)
     np.testing.assert_allclose(found, expected, atol=3e-3 * np.abs(expected).max())
 
 
@@ -33,7 +34,7 @@ def test_hysteresis_loses_energy_and_not_more_when_fast():
     for dt in (0.002, 0.0005):
         signals = sample_signals(count=3000, dt=0.002).of_joint(4)
         signals = replace(signals, dt=dt, time=dt * np.arange(3000))
-        d = effect("hysteresis").term(signals, [1.3], [3e-4]).deflection
+        d = effect("hysteresis").term(signals, [1.3], [3e-4, 1.0]).deflection
         angle = signals.windup + d
         losses.append(
             float(

@@ -1,7 +1,7 @@
 """Wind-up between motor angle and link angle that depends on the side or the way of the load.
 
 Each follows the nominal spring torque, so it needs no measured torque. Presliding hysteresis after
-Dahl (1968).
+Dahl (1968), with his exponent.
 """
 
 from __future__ import annotations
@@ -16,6 +16,9 @@ from stiffopt.discovery.catalogue.history import remember
 from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.symbolic import Quantity
+
+# Exponents nearer to one than this are taken as a series; of the limit, what counts as reached.
+_NEAR_ONE, _LEAST_LEFT = 1e-3, 1e-9
 
 
 def backlash_term(
@@ -32,7 +35,7 @@ def hysteresis_term(
 ) -> Term:
     """Wind-up -D'(s) h y: inner friction h y carries part of the torque and lags the wind-up."""
     d = signals.windup
-    side = remember(dahl, [d], [0.0, d[0]], [shapes[0]])
+    side = remember(dahl, [d], [0.0, d[0]], [shapes[0], shapes[1]])
     slope = signals.constants.compliance(signals.spring_torque)
     return Term(deflection=-amplitudes[0] * slope * side)
 
@@ -40,11 +43,34 @@ def hysteresis_term(
 def dahl(
     state: Quantity, inputs: Sequence[Quantity], parameters: Sequence[Quantity]
 ) -> tuple[Quantity, Quantity]:
-    """Presliding friction over its limit: dy/dd = (1 - y sgn(dd))/range, exact in each step."""
+    """Presliding friction over its limit: dy/dd = (1 - y sgn(dd))^i/range, exact in each step."""
+    reach, exponent = parameters[0], parameters[1]
     travel = inputs[0] - state[1]
     side = np.sign(travel)
-    now = side + (state[0] - side) * np.exp(-np.abs(travel) / parameters[0])
+    # Box and Cox's transform of what is left to the limit falls in proportion to the travel.
+    left = ca.fmax(1.0 - state[0] * side, _LEAST_LEFT)
+    fallen = _power(ca.log(left), 1.0 - exponent) - np.abs(travel) / reach
+    left = ca.fmax(_inverse_power(fallen, 1.0 - exponent), 0.0)
+    now = ca.if_else(side == 0.0, state[0], side * (1.0 - left))
     return ca.vertcat(now, inputs[0]), now
+
+
+def _power(logarithm: Quantity, rest: Quantity) -> Quantity:
+    """(x^rest - 1)/rest of the logarithm of x, log(x) at zero."""
+    series = logarithm * (1.0 + rest * logarithm / 2.0 * (1.0 + rest * logarithm / 3.0))
+    near = ca.fabs(rest) < _NEAR_ONE
+    divisor = ca.if_else(near, 1.0, rest)
+    return ca.if_else(near, series, ca.expm1(divisor * logarithm) / divisor)
+
+
+def _inverse_power(power: Quantity, rest: Quantity) -> Quantity:
+    """The x of which (x^rest - 1)/rest is `power`; zero where the limit is reached."""
+    inside = rest * power
+    series = power * (1.0 - inside / 2.0 * (1.0 - 2.0 * inside / 3.0))
+    near = ca.fabs(rest) < _NEAR_ONE
+    divisor = ca.if_else(near, 1.0, rest)
+    logarithm = ca.log1p(ca.fmax(inside, _LEAST_LEFT - 1.0)) / divisor
+    return ca.if_else(inside <= _LEAST_LEFT - 1.0, 0.0, ca.exp(ca.if_else(near, series, logarithm)))
 
 
 def _loop_height(constants: JointConstants) -> float:
@@ -75,14 +101,20 @@ HYSTERESIS = Effect(
     name="hysteresis",
     family="elastic",
     scope="joint",
-    equation="d += -D'(s)*h*y, dy/dd = (1 - y*sgn(dd))/s",
+    equation="d += -D'(s)*h*y, dy/dd = (1 - y*sgn(dd))^i/s",
     signature="wind-up that takes another way under falling load than under rising load, whatever"
     " the speed",
     phrase="hysteresis of the wind-up",
     needs=("link", "moves", "reverses"),
     term=hysteresis_term,
     amplitudes=(Amplitude(name="h", unit="N m", scale=_loop_height, lower=0.0, upper=3.0),),
-    shapes=(Shape(name="s", unit="rad", starts=(1e-4, 3e-4, 1e-3), lower=2e-5, upper=5e-3),),
+    shapes=(
+        Shape(name="s", unit="rad", starts=(1e-4, 3e-4, 1e-3), lower=2e-5, upper=5e-3),
+        # How fast the loop closes in on its limit: recordings seldom show it, but h hangs on it.
+        Shape(name="i", unit="", starts=(1.0,), lower=0.3, upper=2.0, usual=1.0),
+    ),
+    report=lambda amplitudes, shapes, constants: {"h": amplitudes[0], "s": shapes[0]},
+    units={"h": "N m", "s": "rad"},
     applies=winds_up,
     separate="Load and unload slowly, at two speeds and two amplitudes: creep shrinks when slow,"
     " hysteresis does not; backlash has one value for each load.",

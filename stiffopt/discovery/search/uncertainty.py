@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import special
 
 from stiffopt.discovery.comparison.columns import FEW_RUNS
 from stiffopt.discovery.comparison.comparison import Comparison
@@ -44,6 +45,8 @@ class Estimate:
     spread, between : array (r, r)
         The same by a jackknife over stretches of the runs, and over whole runs where there are
         three or more: what differs from run to run no stretch of one shows.
+    parts : tuple of int
+        Stretches and runs that were left out, one after another.
     """
 
     nuisance: tuple[str, ...]
@@ -54,6 +57,7 @@ class Estimate:
     between: np.ndarray
     sizes: tuple[np.ndarray, ...]
     shape_sizes: tuple[np.ndarray, ...]
+    parts: tuple[int, int]
 
     def calibration(self) -> dict[str, float]:
         """Change of the nominal values by name."""
@@ -91,6 +95,34 @@ class Estimate:
         return {
             name: (float(v), float(s)) for name, v, s in zip(names, report(inputs), sd, strict=True)
         }
+
+    def chance_of_nothing(self, index: int) -> float:
+        """How likely nothing gives amplitudes of one effect as large as found, shapes held.
+
+        The largest of the linear model's (chi-square) and the jackknives', each the smaller of
+        Hotelling's test and of Student's for the amplitude that stands out most, corrected for
+        their number.
+        """
+        lengths = [len(s) for s in self.sizes]
+        first = len(self.nuisance) + sum(lengths[:index])
+        own = slice(first, first + lengths[index])
+        values, k = self.values[own], lengths[index]
+
+        def square(covariance: np.ndarray) -> float:
+            return float(values @ np.linalg.lstsq(covariance[own, own], values)[0])
+
+        chances = [float(special.chdtrc(k, square(self.covariance)))]
+        for spread, parts in zip((self.spread, self.between), self.parts, strict=True):
+            if np.array_equal(spread, self.covariance):  # too few parts
+                continue
+            sd = np.sqrt(np.maximum(np.diag(spread)[own], 1e-300))
+            largest = float(np.max(np.abs(values) / sd))
+            chance = min(1.0, 2.0 * k * float(special.stdtr(parts - 1, -largest)))
+            if parts > k:
+                ratio = square(spread) * (parts - k) / (k * (parts - 1))
+                chance = min(chance, float(special.fdtrc(k, parts - k, ratio)))
+            chances.append(chance)
+        return max(chances)
 
     def moved(self, steps: np.ndarray) -> Estimate:
         """The estimate with first amplitudes moved by steps (e,) over their sizes.
@@ -175,7 +207,8 @@ def estimate(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estima
             slopes.append(_shape_slope(comparison, located, amplitudes, i, step))
     matrix = np.column_stack([nuisance, *columns, *slopes])
     prior = np.concatenate([prior_sd, np.ones(len(scaled)), np.full(len(slopes), _SHAPE_PRIOR)])
-    covariance, spread = _jackknife(comparison, matrix, prior, stretches(comparison))
+    blocks = stretches(comparison)
+    covariance, spread = _jackknife(comparison, matrix, prior, blocks)
     between = covariance
     if comparison.whole_runs:
         _, between = _jackknife(comparison, matrix, prior, comparison.rows.block, FEW_RUNS)
@@ -188,7 +221,24 @@ def estimate(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estima
         between=between,
         sizes=sizes,
         shape_sizes=shape_sizes,
+        parts=(int(blocks.max()) + 1, int(comparison.rows.block.max()) + 1),
     )
+
+
+def odds_of_nothing(chance: float) -> float:
+    """Least probability of nothing that a chance leaves, at even odds before: 0 to .5.
+
+    Sellke, Bayarri & Berger (2001): no likelihood is more than 1/(-e p ln p) times that of nothing.
+    """
+    if chance >= 1.0 / np.e:
+        return 0.5
+    bound = -np.e * special.xlogy(chance, chance)
+    return float(bound / (1.0 + bound))
+
+
+def deviations(chance: float) -> float:
+    """Standard deviations from nothing that a chance, of both sides, stands for."""
+    return float(-special.ndtri(0.5 * chance))
 
 
 def significance(

@@ -165,7 +165,7 @@ def how_sure(finding: Finding) -> str:
     else:
         sure = "no rival comes near"
     if finding.misfit:
-        sure += f" (what is left open takes {100 * finding.misfit:.0f} % of the odds)"
+        sure += f" (an unknown cause takes {100 * finding.misfit:.0f} % of the odds)"
     name = capital(finding.effect.title)
     return f"{name}: {sure}; {finding.significance:.0f} standard deviations from nothing."
 

@@ -1,0 +1,75 @@
+"""How likely nothing gives what was found: by what it spreads from part to part."""
+
+import numpy as np
+import pytest
+
+from stiffopt.discovery.search.uncertainty import Estimate, deviations, odds_of_nothing
+
+RUNS, STRETCHES = 8, 40
+
+
+def _estimate(values, spread, between):
+    """One effect of so many amplitudes, no nominal values."""
+    return Estimate(
+        nuisance=(),
+        values=values,
+        effects=(),
+        covariance=1e-6 * np.eye(len(values)),
+        spread=spread,
+        between=between,
+        sizes=(np.ones(len(values)),),
+        shape_sizes=((),),
+        parts=(STRETCHES, RUNS),
+    )
+
+
+def _of_mean(samples):
+    """Mean of samples (b, k) and its covariance by them."""
+    return samples.mean(axis=0), np.cov(samples.T).reshape(2 * samples.shape[1:]) / len(samples)
+
+
+@pytest.mark.parametrize("amplitudes", [1, 3, 6, 10])
+def test_nothing_is_rarely_unlikely(amplitudes):
+    rng = np.random.default_rng(amplitudes)
+    chances = []
+    for _ in range(400):
+        mean, between = _of_mean(rng.normal(size=(RUNS, amplitudes)))
+        estimate = _estimate(mean, 1e-6 * np.eye(amplitudes), between)
+        chances.append(estimate.chance_of_nothing(0))
+    # The smaller of two tests: at most twice as often as each.
+    assert np.mean(np.array(chances) < 0.05) < 0.1
+    assert np.mean(np.array(chances) < 0.005) < 0.02
+
+
+@pytest.mark.parametrize("amplitudes", [1, 6])
+def test_what_every_run_repeats_is_sure(amplitudes):
+    rng = np.random.default_rng(0)
+    mean, between = _of_mean(5.0 + 0.5 * rng.normal(size=(RUNS, amplitudes)))
+    estimate = _estimate(mean, 1e-6 * np.eye(amplitudes), between)
+    assert estimate.chance_of_nothing(0) < 1e-4
+
+
+def test_the_wider_spread_counts():
+    sure, unsure = 1e-6 * np.eye(2), np.eye(2)
+    values = np.array([1.0, 0.5])
+    assert _estimate(values, sure, unsure).chance_of_nothing(0) > 0.3
+    assert _estimate(values, unsure, sure).chance_of_nothing(0) > 0.3
+
+
+def test_odds_are_those_of_sellke_and_others():
+    # Table 1 of Sellke, Bayarri & Berger (2001), which rounds twice.
+    for chance, error in (
+        (0.2, 0.465),
+        (0.1, 0.385),
+        (0.05, 0.289),
+        (0.01, 0.111),
+        (0.001, 0.0184),
+    ):
+        assert odds_of_nothing(chance) == pytest.approx(error, abs=2e-3)
+    assert odds_of_nothing(0.0) == 0.0
+    assert odds_of_nothing(1.0) == 0.5
+
+
+def test_deviations_of_a_chance():
+    assert deviations(0.05) == pytest.approx(1.96, abs=1e-3)
+    assert deviations(0.0) == np.inf
