@@ -156,7 +156,7 @@ document.addEventListener("DOMContentLoaded", () => {
   const points = [...plannedPath];
   motion.time.forEach((time, k) => { if (k % 10 === 0) for (const placed of frames(at(motion, motion.position, time))) points.push(new Vector3().setFromMatrixPosition(placed)); });
   const low = points.reduce((a, b) => a.clone().min(b)), high = points.reduce((a, b) => a.clone().max(b));
-  const centre = low.clone().add(high).multiplyScalar(0.5), size = high.distanceTo(low) || extent;
+  const centre = low.clone().add(high).multiplyScalar(0.5);
   const towards = plannedPath[0].clone().add(plannedPath[plannedPath.length - 1]).multiplyScalar(0.5).sub(points[plannedPath.length]).setZ(0);
   if (towards.length() < 1e-6) towards.set(1, 0, 0);
   const view = towards.normalize().applyAxisAngle(new Vector3(0, 0, 1), -0.9).setZ(0.45).normalize();
@@ -166,9 +166,16 @@ document.addEventListener("DOMContentLoaded", () => {
     renderer.setSize(width, height, false);
     camera.aspect = width / height;
     camera.updateProjectionMatrix();
-    const half = Math.tan((camera.fov / 2) * Math.PI / 180) * Math.min(1, camera.aspect);
+    // As near as every point stays in view, with room for the links about it.
+    const tall = Math.tan((camera.fov / 2) * Math.PI / 180), wide = tall * camera.aspect, room = 0.08 * extent;
+    const right = camera.up.clone().cross(view).normalize(), above = view.clone().cross(right);
+    const distance = points.reduce((far, point) => {
+      const from = point.clone().sub(centre);
+      const needed = Math.max((Math.abs(from.dot(right)) + room) / wide, (Math.abs(from.dot(above)) + room) / tall);
+      return Math.max(far, from.dot(view) + needed);
+    }, room);
     controls.target.copy(centre);
-    camera.position.copy(centre).addScaledVector(view, (camera.aspect < 1 ? 0.62 : 0.42) * size / half);
+    camera.position.copy(centre).addScaledVector(view, distance);
     controls.update();
   }
 
