@@ -16,7 +16,7 @@ from stiffopt.certificate.violations import find_drive_violations, find_violatio
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
-from stiffopt.exact.chain import exact_compliance, exact_windup
+from stiffopt.exact.joint_curve import compliance_along, windup_along
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.result.assessment import Assessment, DriveHistory, LowestStiffness, Violation
 from stiffopt.result.trajectory import JointMotion
@@ -191,7 +191,7 @@ def fine_grid(motion: JointMotion) -> np.ndarray:
 def joint_windup(robot: Robot, torque: np.ndarray) -> np.ndarray:
     """Wind-up of every joint [rad] by quadrature of the exact law; torque (K, n) [N m]."""
     columns = [
-        np.zeros(len(torque)) if chain is None else np.asarray(exact_windup(chain, torque[:, j]))
+        np.zeros(len(torque)) if chain is None else windup_along(chain, torque[:, j])
         for j, chain in enumerate(robot.chains)
     ]
     return np.stack(columns, axis=1)
@@ -200,9 +200,7 @@ def joint_windup(robot: Robot, torque: np.ndarray) -> np.ndarray:
 def joint_compliance(robot: Robot, torque: np.ndarray) -> np.ndarray:
     """Tangent compliance [rad/(N m)] of every joint by the exact law; zero for a rigid joint."""
     columns = [
-        np.zeros(len(torque))
-        if chain is None
-        else np.asarray(exact_compliance(chain, torque[:, j]))
+        np.zeros(len(torque)) if chain is None else compliance_along(chain, torque[:, j])
         for j, chain in enumerate(robot.chains)
     ]
     return np.stack(columns, axis=1)

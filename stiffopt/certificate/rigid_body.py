@@ -46,18 +46,21 @@ def rigid_body_history(
         pin.FrameType.OP_FRAME,
     )
     frame = model.addFrame(tool, False)
+    link_torque = _torques(model, position, velocity, acceleration)
+    still = np.zeros_like(position)
+    gravity_torque = _torques(model, position, still, still)
     data = model.createData()
     count, joints = position.shape
-    link_torque, gravity_torque = np.empty((count, joints)), np.empty((count, joints))
-    tool_position, jacobian = np.empty((count, 3)), np.empty((count, 3, joints))
+    tool_position = np.empty((count, 3))
+    # pin drops the second axis for an arm of one joint.
+    full = np.empty((count, 6, joints) if joints > 1 else (count, 6))
     axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    # Pinocchio's own number, which the Jacobian's computation renews.
+    place = data.oMf[frame].translation
     for k in range(count):
-        link_torque[k] = pin.rnea(model, data, position[k], velocity[k], acceleration[k])
-        gravity_torque[k] = pin.computeGeneralizedGravity(model, data, position[k])
-        full = pin.computeFrameJacobian(model, data, position[k], frame, axes)
-        jacobian[k] = full.reshape(6, joints)[:3]
-        pin.framesForwardKinematics(model, data, position[k])
-        tool_position[k] = data.oMf[frame].translation
+        full[k] = pin.computeFrameJacobian(model, data, position[k], frame, axes)
+        tool_position[k] = place
+    jacobian = np.ascontiguousarray(full.reshape(count, 6, joints)[:, :3])
     return RigidBodyHistory(link_torque, gravity_torque, tool_position, jacobian)
 
 
@@ -65,10 +68,21 @@ def link_torques(
     robot: Robot, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
 ) -> np.ndarray:
     """`RigidBodyHistory.link_torque` alone; arrays (K, n)."""
-    model = _without_rotors(robot)
-    data = model.createData()
-    rows = zip(position, velocity, acceleration, strict=True)
-    return np.array([pin.rnea(model, data, *row) for row in rows])
+    return _torques(_without_rotors(robot), position, velocity, acceleration)
+
+
+def _torques(
+    model: Any, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
+) -> np.ndarray:
+    """Inverse dynamics (K, n) of all instants, in one call where pinocchio was built for it."""
+    # It takes no matrices of a single row or column.
+    if min(position.shape) < 2 or not hasattr(pin, "rneaInParallel"):
+        data, rows = model.createData(), zip(position, velocity, acceleration, strict=True)
+        return np.array([pin.rnea(model, data, *row) for row in rows])
+    columns = [np.asfortranarray(each.T) for each in (position, velocity, acceleration)]
+    torque = np.empty_like(columns[0])
+    pin.rneaInParallel(1, pin.ModelPool(model, 1), *columns, torque)
+    return np.ascontiguousarray(torque.T)
 
 
 def _without_rotors(robot: Robot) -> Any:

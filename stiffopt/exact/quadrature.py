@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -30,21 +31,43 @@ class Antiderivative:
         Panel borders from 0 to the largest argument.
     coefficients : array (k, order + 1)
         Legendre series of the integral inside each panel.
+    slopes : array (k, order)
+        Of the function itself.
+    sharp : array (k,) of bool
+        Where that series holds to the tolerance at every point: not beside a jump that nobody
+        announced, nor where the function hardly counts for the whole.
     """
 
     edges: np.ndarray
     coefficients: np.ndarray
+    slopes: np.ndarray
+    sharp: np.ndarray
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Integral from 0 to `x` (any shape); |x| must not exceed the last edge."""
         x = np.asarray(x, dtype=float)
-        size = np.abs(x).ravel()
-        panel = np.clip(np.searchsorted(self.edges, size) - 1, 0, len(self.edges) - 2)
-        left, right = self.edges[panel], self.edges[panel + 1]
-        local = (2.0 * size - left - right) / (right - left)
-        basis = legendre.legvander(local, self.coefficients.shape[1] - 1)
-        value = np.einsum("ij,ij->i", basis, self.coefficients[panel])
+        value = self._series(self.coefficients, *self._place(np.abs(x).ravel(), "left"))
         return np.asarray(np.sign(x) * value.reshape(x.shape))
+
+    def slope(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The function at `x` (any shape), right of a jump, and where that is sharp."""
+        x = np.asarray(x, dtype=float)
+        panel, local = self._place(np.abs(x).ravel(), "right")
+        value = self._series(self.slopes, panel, local)
+        return value.reshape(x.shape), self.sharp[panel].reshape(x.shape)
+
+    def _place(
+        self, size: np.ndarray, side: Literal["left", "right"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Panel of each argument, and where it lies in it, from -1 to 1."""
+        panel = np.clip(np.searchsorted(self.edges, size, side) - 1, 0, len(self.edges) - 2)
+        left, right = self.edges[panel], self.edges[panel + 1]
+        return panel, (2.0 * size - left - right) / (right - left)
+
+    @staticmethod
+    def _series(coefficients: np.ndarray, panel: np.ndarray, local: np.ndarray) -> np.ndarray:
+        basis = legendre.legvander(local, coefficients.shape[1] - 1)
+        return np.asarray(np.einsum("ij,ij->i", basis, coefficients[panel]))
 
 
 def antiderivative(
@@ -76,7 +99,7 @@ def antiderivative(
     inner = [b for b in breakpoints if 0.0 < b < upper]
     edges = np.unique(np.concatenate(([0.0], graded, inner)))
     pending = np.column_stack((edges[:-1], edges[1:]))
-    done: list[tuple[float, float, np.ndarray]] = []
+    done: list[tuple[float, float, np.ndarray, bool]] = []
     smallest, settled_sum = upper * 2.0**-45, 0.0
     while len(pending):
         half = (pending[:, 1] - pending[:, 0]) / 2.0
@@ -91,11 +114,11 @@ def antiderivative(
         whole = settled_sum + 2.0 * float(np.sum(series[:, 0] * half))
         # What no longer matters to the whole may be noise, which halving would never settle.
         small = tail * half <= 1e-3 * relative_tolerance * whole
-        converged = small | (tail <= relative_tolerance * np.abs(series[:, 0]))
-        settled = np.asarray(infinite | (finite.all(axis=1) & converged) | (half < smallest))
+        sharp = finite.all(axis=1) & (tail <= relative_tolerance * np.abs(series[:, 0]))
+        settled = infinite | (finite.all(axis=1) & small) | sharp | (half < smallest)
         series[infinite, 0] = np.inf
         for k in np.flatnonzero(settled).tolist():
-            done.append((pending[k, 0], pending[k, 1], series[k] * half[k]))
+            done.append((pending[k, 0], half[k], series[k], bool(sharp[k])))
         settled_sum += 2.0 * float(np.sum((series[:, 0] * half)[settled & ~infinite]))
         # Behind an infinite panel the integral is infinite anyway.
         border = float(np.min(pending[infinite, 0], initial=np.inf))
@@ -106,11 +129,17 @@ def antiderivative(
     done.sort(key=lambda panel: panel[0])
     integrals = np.zeros((len(done), _ORDER + 1))
     start = 0.0
-    for k, (_, _, series) in enumerate(done):
+    for k, (_, half_width, slopes, _) in enumerate(done):
+        series = slopes * half_width
         if np.isfinite(start) and np.isfinite(series[0]):
             integrals[k] = legendre.legint(series, lbnd=-1)
             integrals[k, 0] += start
             start += 2.0 * series[0]
         else:
             integrals[k, 0] = start = np.inf
-    return Antiderivative(np.array([p[0] for p in done] + [upper]), integrals)
+    return Antiderivative(
+        edges=np.array([panel[0] for panel in done] + [upper]),
+        coefficients=integrals,
+        slopes=np.array([panel[2] for panel in done]),
+        sharp=np.array([panel[3] for panel in done]),
+    )
