@@ -14,6 +14,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 _ORDER = 10
+_SHARP = 1e-8
 _POINTS, _WEIGHTS = legendre.leggauss(_ORDER)
 # Values at the Gauss points -> Legendre coefficients, by discrete orthogonality.
 _PROJECTION = (
@@ -34,8 +35,8 @@ class Antiderivative:
     slopes : array (k, order)
         Of the function itself.
     sharp : array (k,) of bool
-        Where that series holds to the tolerance at every point: not beside a jump that nobody
-        announced, nor where the function hardly counts for the whole.
+        Where that series holds to 1e-8 at every point: not beside a jump that nobody announced, nor
+        where the function hardly counts for the whole.
     """
 
     edges: np.ndarray
@@ -114,8 +115,9 @@ def antiderivative(
         whole = settled_sum + 2.0 * float(np.sum(series[:, 0] * half))
         # What no longer matters to the whole may be noise, which halving would never settle.
         small = tail * half <= 1e-3 * relative_tolerance * whole
-        sharp = finite.all(axis=1) & (tail <= relative_tolerance * np.abs(series[:, 0]))
-        settled = infinite | (finite.all(axis=1) & small) | sharp | (half < smallest)
+        converged = small | (tail <= relative_tolerance * np.abs(series[:, 0]))
+        settled = np.asarray(infinite | (finite.all(axis=1) & converged) | (half < smallest))
+        sharp = finite.all(axis=1) & (tail <= _SHARP * np.abs(series[:, 0]))
         series[infinite, 0] = np.inf
         for k in np.flatnonzero(settled).tolist():
             done.append((pending[k, 0], half[k], series[k], bool(sharp[k])))

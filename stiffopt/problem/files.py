@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -53,10 +53,16 @@ class LoadedProblem:
     path: Path
 
 
-def load_problem(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> LoadedProblem:
+def load_problem(
+    path: str | os.PathLike[str],
+    changes: Sequence[str] = (),
+    *,
+    robots: Callable[[str | Path], Robot] = load_robot,
+) -> LoadedProblem:
     """Read a trajectory problem file.
 
-    `changes` such as "motion.duration=0.5 s" count in place of what the file says.
+    `changes` such as "motion.duration=0.5 s" count in place of what the file says; `robots` gives
+    the robot of a name or file, for those who keep it.
 
     Raises
     ------
@@ -66,15 +72,17 @@ def load_problem(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> L
     path = Path(path)
     document = read_document(path, problem_file(), "trajectory", changes)
     with located(path, ""):
-        problem = _build(document, path)
+        problem = _build(document, path, robots)
     if document.expected is not None and len(problem.objectives) == 1:
         with located(path, "expected.unit"):
             convert(1.0, problem.objectives[0].unit, document.expected.unit)
     return LoadedProblem(problem, document.expected, path)
 
 
-def _build(document: ProblemFile, path: Path) -> TrajectoryProblem:
-    robot = read_robot(document.robot, document.payload, document.tool, path)
+def _build(
+    document: ProblemFile, path: Path, robots: Callable[[str | Path], Robot]
+) -> TrajectoryProblem:
+    robot = read_robot(document.robot, document.payload, document.tool, path, robots)
     motion = document.motion
     joints = JointLists(robot, path)
     remarks = _remarks(document.payload)
@@ -152,7 +160,13 @@ def _remarks(payload: PayloadSection | None) -> tuple[str, ...]:
     )
 
 
-def read_robot(name: str, payload: PayloadSection | None, tool: ToolSection, path: Path) -> Robot:
+def read_robot(
+    name: str,
+    payload: PayloadSection | None,
+    tool: ToolSection,
+    path: Path,
+    robots: Callable[[str | Path], Robot] = load_robot,
+) -> Robot:
     """Robot that a problem or study file names, with the file's payload and tool.
 
     Parameters
@@ -162,11 +176,13 @@ def read_robot(name: str, payload: PayloadSection | None, tool: ToolSection, pat
     payload, tool : sections of the file
     path : Path
         Of the file that names the robot.
+    robots : callable
+        As of `load_problem`.
     """
     beside = path.parent / name
     source = name if name in shipped_robots() else beside if beside.exists() else name
     with located(path, "robot"):
-        robot = load_robot(source)
+        robot = robots(source)
     if payload is not None:
         with located(path, "payload"):
             robot = robot.with_payload(payload.mass, payload.com, payload.inertia)

@@ -53,6 +53,8 @@ class Case:
         Names the case by all that its result depends on.
     common : tuple of str
         Changes that all cases have, as `--set` takes them.
+    files : str
+        Hash of the files that it is read from.
     """
 
     number: int
@@ -63,6 +65,7 @@ class Case:
     baselines: bool
     key: str
     common: tuple[str, ...] = ()
+    files: str = ""
 
     @property
     def settings(self) -> tuple[str, ...]:
@@ -189,7 +192,17 @@ def sweep_of(document: SweepFile, path: Path, changes: Sequence[str] = ()) -> Sw
                 key = hashlib.sha256(text.encode()).hexdigest()[:20]
                 number = len(cases) + 1
                 cases.append(
-                    Case(number, kind, base, own, start, document.baselines, key, tuple(changes))
+                    Case(
+                        number=number,
+                        kind=kind,
+                        base=base,
+                        changes=own,
+                        start=start,
+                        baselines=document.baselines,
+                        key=key,
+                        common=tuple(changes),
+                        files=hashlib.sha256(inputs.encode()).hexdigest(),
+                    )
                 )
     return Sweep(
         path=path,

@@ -6,7 +6,8 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from stiffopt.files import plain
 from stiffopt.result.status import SolveStatus
 from stiffopt.sweep.cases import Case
 from stiffopt.units import joint_unit
+
+if TYPE_CHECKING:
+    from stiffopt.robot.robot import Robot
 
 SCHEMA = 1
 
@@ -106,7 +110,7 @@ def _trajectory(case: Case, warm: bytes | None) -> _End:
     from stiffopt.result.store import result_document
     from stiffopt.solver.family import ProblemFamily, WarmStart
 
-    problem = load_problem(case.base, case.settings).problem
+    problem = load_problem(case.base, case.settings, robots=_robots_of(case)).problem
     family: ProblemFamily = _own.__dict__.setdefault("family", ProblemFamily())
     solution, end = family.solve(
         problem,
@@ -140,6 +144,24 @@ def _trajectory(case: Case, warm: bytes | None) -> _End:
         is_maximised(problem),
     )
     return found, None if end is None else end.to_bytes()
+
+
+def _robots_of(case: Case) -> Callable[[str | Path], Robot]:
+    """Robots of the files as they were when the sweep began; cases of one sweep share them."""
+    from stiffopt.robot.files import load_robot
+
+    robots: dict[str | Path, Robot]
+    files, robots = _own.__dict__.setdefault("robots", ("", {}))
+    if files != case.files:
+        robots = {}
+        _own.robots = case.files, robots
+
+    def robot(source: str | Path) -> Robot:
+        if source not in robots:
+            robots[source] = load_robot(source)
+        return robots[source]
+
+    return robot
 
 
 def _preload(case: Case, _: bytes | None) -> _End:
