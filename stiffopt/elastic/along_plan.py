@@ -72,11 +72,8 @@ def _with_payload(whole: Sequence[tuple[np.ndarray, ...]]) -> list[np.ndarray]:
 
 
 def _dynamics(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, ...]:
-    bodies = robot.rigid_bodies()
-    rows = list(zip(q, v, a, strict=True))
-    slopes = [bodies.torque_slopes(*row) for row in rows]
-    torque = np.array([bodies.torque(*row) for row in rows])
-    return torque, *(np.array([each[k] for each in slopes]) for k in range(3))
+    bodies = robot.bodies_in_motion()
+    return bodies.torque(q, v, a), *bodies.torque_slopes(q, v, a)
 
 
 class EvenSprings:

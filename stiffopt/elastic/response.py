@@ -155,13 +155,13 @@ class SwingResponse:
     def _band(self) -> np.ndarray:
         """x_k+1 - step_k x_k = added_k+1 as a lower banded matrix of unit diagonal."""
         size, count = 2 * self.n, len(self._step)
-        band = np.zeros((2 * size, (count + 1) * size), order="F")
-        band[0] = 1.0
-        columns = np.arange(count)[:, None] * size + np.arange(size)
-        for row in range(size):
-            for column in range(size):
-                band[size + row - column, columns[:, column]] = -self._step[:, row, column]
-        return band
+        # By column: of a state, the diagonal and what the next one has of it below.
+        by_column = np.zeros((count + 1, size, 2 * size))
+        by_column[..., 0] = 1.0
+        for column in range(size):
+            below = slice(size - column, 2 * size - column)
+            by_column[:-1, column, below] = -self._step[:, :, column]
+        return by_column.reshape(-1, 2 * size).T
 
     def _march(self, added: np.ndarray) -> np.ndarray:
         count, size, many = added.shape

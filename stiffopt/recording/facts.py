@@ -81,15 +81,12 @@ def velocities(run: RecordedRun) -> np.ndarray:
 
 def _gravity(recordings: RecordingSet, run: RecordedRun) -> np.ndarray:
     """Gravity torque of the nominal model at some samples, (m, n) [N m]."""
-    bodies, order = recordings.robot.rigid_bodies(), recordings.order
+    order = recordings.order
     rows = run.position[::_GRAVITY_EVERY]
     rows = rows[np.isfinite(rows).all(axis=1)]
-    torques: np.ndarray = np.empty(rows.shape)
-    position = np.zeros(recordings.n)
-    for k, row in enumerate(rows):
-        position[order] = row
-        torques[k] = bodies.gravity_torque(position)[order]
-    return torques
+    position = np.zeros(rows.shape)
+    position[:, order] = rows
+    return recordings.robot.bodies_in_motion().gravity_torque(position)[:, order]
 
 
 def _facts(

@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import RobotError
+from stiffopt.robot.bodies_in_motion import BodiesInMotion
 from stiffopt.robot.body_tree import BodyTree, body_tree
 from stiffopt.robot.frames import LinkFrame, link_frame, named_frame
 from stiffopt.robot.held_joints import HeldJoint
@@ -142,6 +143,10 @@ class Robot:
     def rigid_bodies(self) -> RigidBodies:
         """Dynamics and kinematics of links and payload in numbers."""
         return RigidBodies(self.model)
+
+    def bodies_in_motion(self) -> BodiesInMotion:
+        """Rigid-body dynamics of links and payload in numbers, along whole motions."""
+        return BodiesInMotion(self.model)
 
     def joint_shapes(self, purpose: Purpose) -> list[JointShape]:
         """Shapes of the links in the frames of their joints."""

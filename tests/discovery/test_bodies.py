@@ -8,10 +8,10 @@ import pytest
 from stiffopt.discovery.comparison.bodies import (
     exist,
     inertial_parameters,
-    nearest_bodies,
     pseudo_inertia,
 )
 from stiffopt.discovery.comparison.evidence import Beside, BlockSums, posterior
+from stiffopt.discovery.comparison.nearest_bodies import nearest_bodies
 
 # A rod of 2 kg along x from its joint's origin: 0.4 m long, its inertia about the origin.
 ROD = np.array([[2.0, 0.4, 0.0, 0.0, 0.002, 0.0, 0.11, 0.0, 0.0, 0.11]])

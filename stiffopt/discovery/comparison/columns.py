@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension, around
+from stiffopt.discovery.comparison.extension import Extension, around, moves_links
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import MOVES_LINKS, NuisanceColumn, nuisance_columns
@@ -200,16 +200,11 @@ class Columns:
             if swings and name.split()[0] in MOVES_LINKS
         }
         return Extension(
-            calibration=calibration, effects=tuple(e for e in found.effects if self._moves(e))
+            calibration=calibration,
+            effects=tuple(
+                e for e in found.effects if any(moves_links(run, e) for run in self.runs)
+            ),
         )
-
-    def _moves(self, each: EstimatedEffect) -> bool:
-        for run in self.runs:
-            added = each.located.contribution(run, each.amplitudes)
-            swung = run.swing is not None and added.deflection is not None
-            if swung or added.link_torque is not None:
-                return True
-        return False
 
 
 def bridged(samples: np.ndarray) -> np.ndarray:

@@ -14,13 +14,13 @@ from scipy.optimize import lsq_linear
 from stiffopt.discovery.comparison.bodies import (
     body_units,
     exist,
-    nearest_bodies,
     nominal_bodies,
 )
 from stiffopt.discovery.comparison.columns import FEW_RUNS, NEAR, Columns
 from stiffopt.discovery.comparison.evidence import BlockSums, Posterior, Sums, posterior
 from stiffopt.discovery.comparison.extension import Extension, with_amplitudes
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.nearest_bodies import nearest_bodies
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.rows import ChannelNoise

@@ -11,11 +11,7 @@ from stiffopt.discovery.comparison.bodies import body_torque
 from stiffopt.discovery.comparison.filtering import derivative
 from stiffopt.discovery.comparison.located_effect import Contribution, LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.nuisance import (
-    OF_SPRINGS,
-    nuisance_columns,
-    spring_columns,
-)
+from stiffopt.discovery.comparison.nuisance import MOVES_LINKS, OF_SPRINGS, nuisance_columns
 from stiffopt.discovery.comparison.prepare import PreparedRun, with_link_torque
 from stiffopt.discovery.comparison.swing import LinkMotion, Swing, damping_of, slow_filter
 from stiffopt.recording.nominal import Tolerance
@@ -24,6 +20,8 @@ from stiffopt.recording.nominal import Tolerance
 _SLOPE_STEP = 0.01
 # Times that the links' motion is found with all that was found, nominal values about it.
 _PASSES = 2
+# Such motions that are kept with a run, since the next extension often differs in drives alone.
+_KEPT = 2
 # Between inertia matrices, which change with posture only [s].
 _POSTURE = 0.02
 # Any tolerance above zero makes a column; its size does not matter here.
@@ -238,6 +236,36 @@ def swung(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prepared
     Where no such motion is found, nominal values stand in for what is missing yet, further than
     springs can follow: they count to first order then, and effects too where that is not enough.
     """
+    moving = _that_moves_links(run, extension)
+    key = _key(moving)
+    if key not in run.swung:
+        while len(run.swung) >= _KEPT:
+            run.swung.pop(next(iter(run.swung)))
+        run.swung[key] = _swung(run, robot, moving)
+    return run.swung[key]
+
+
+def _that_moves_links(run: PreparedRun, extension: Extension) -> Extension:
+    values = extension.calibration.items()
+    return Extension(
+        calibration={n: v for n, v in values if v and n.split()[0] in MOVES_LINKS},
+        effects=tuple(e for e in extension.effects if moves_links(run, e)),
+    )
+
+
+def moves_links(run: PreparedRun, each: EstimatedEffect) -> bool:
+    """Whether an effect moves the links of a run, or bends them where they do not swing."""
+    added = each.located.contribution(run, each.amplitudes)
+    swung = run.swing is not None and added.deflection is not None
+    return swung or added.link_torque is not None
+
+
+def _key(extension: Extension) -> tuple[object, ...]:
+    effects = ((e.located.key, e.amplitudes) for e in extension.effects)
+    return (*extension.calibration.items(), *effects)
+
+
+def _swung(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun:
     found = _followed(run, robot, extension)
     if found is not None:
         return found
@@ -452,13 +480,11 @@ def added_inertia(
 
 def _change(run: PreparedRun, robot: RobotModel, extension: Extension) -> _Change:
     change = _Change(*(np.zeros_like(run.signals.spring_torque) for _ in range(4)))
-    if extension.calibration:
-        springs = all(name.split()[0] in OF_SPRINGS for name in extension.calibration)
-        columns = spring_columns(run, _EVERY) if springs else nuisance_columns(run, robot, _EVERY)
-        for column in columns:
-            value = extension.calibration.get(column.name, 0.0)
-            if value:
-                change.add(column.added, value)
+    values = {name: value for name, value in extension.calibration.items() if value}
+    if values:
+        for column in nuisance_columns(run, robot, _EVERY, asked=values.__contains__):
+            # What knees share is asked for by one of them.
+            change.add(column.added, values.get(column.name, 0.0))
         bodies = body_torque(robot, run.signals.body_regressor, extension.calibration)
         if bodies is not None:
             change.link_torque[:] += bodies

@@ -38,7 +38,7 @@ class RobotModel:
     def __init__(self, recordings: RecordingSet) -> None:
         self.recordings = recordings
         self.arm = recordings.robot
-        self._bodies = self.arm.rigid_bodies()
+        self._bodies = self.arm.bodies_in_motion()
         self.order = np.asarray(recordings.order)
         self.n = len(recordings.joints)
         self.rotor_inertia = self.arm.rotor_inertia[self.order]
@@ -151,8 +151,7 @@ class RobotModel:
 
     def spring_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Torque in the springs, of rigid bodies and counterbalances [N m]."""
-        rows = zip(*(self._of_robot(x) for x in (q, v, a)), strict=True)
-        torque = np.array([self._bodies.torque(*row) for row in rows])[:, self.order]
+        torque = self._bodies.torque(*(self._of_robot(x) for x in (q, v, a)))[:, self.order]
         for balance in self._balance:
             j = balance.joint
             torque[:, j] -= balance.at(q[:, j])
@@ -161,45 +160,34 @@ class RobotModel:
     def gravity_torque(self, q: np.ndarray, gravity: np.ndarray) -> np.ndarray:
         """Torque (K, n) that holds the weight under another gravity (3,) [m/s^2]."""
         bodies = self._bodies.with_gravity(gravity)
-        return np.array([bodies.gravity_torque(row) for row in self._of_robot(q)])[:, self.order]
+        return bodies.gravity_torque(self._of_robot(q))[:, self.order]
 
     def torque_slopes(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Slopes of the bodies' torques along position, velocity, acceleration (K, n, n) each."""
-        rows = zip(*(self._of_robot(x) for x in (q, v, a)), strict=True)
-        found = np.array([self._bodies.torque_slopes(*row) for row in rows])
-        ordered = found[:, :, self.order][..., self.order]
-        position, velocity, acceleration = ordered.swapaxes(0, 1)
+        slopes = self._bodies.torque_slopes(*(self._of_robot(x) for x in (q, v, a)))
+        position, velocity, acceleration = (x[:, self.order][..., self.order] for x in slopes)
         return position, velocity, acceleration
 
     def body_regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Spring torques for the inertial parameters of every body (K, n, 10 n)."""
+        full = self._bodies.torque_regressor(*(self._of_robot(x) for x in (q, v, a)))
+        if np.array_equal(self.order, np.arange(self.n)):
+            return full
         columns = np.concatenate([np.arange(10 * j, 10 * j + 10) for j in self.order])
-        own = np.ix_(self.order, columns)
-        out = np.empty((len(q), self.n, 10 * self.n))
-        for k, row in enumerate(zip(*(self._of_robot(x) for x in (q, v, a)), strict=True)):
-            out[k] = self._bodies.torque_regressor(*row)[own]
-        return out
+        return np.asarray(full[:, self.order][..., columns])
 
     def tilt(self, q: np.ndarray) -> np.ndarray:
         """Change of the gravity torques for a turn of the base about x and y (K, n, 2)."""
-        out = np.empty((len(q), self.n, 2))
-        for i, axis in enumerate(np.eye(3)[:2]):
-            # Gravity turns the other way in the base's axes.
-            turned = self._bodies.with_gravity(-np.cross(axis, self.recordings.gravity))
-            for k, row in enumerate(self._of_robot(q)):
-                out[k, :, i] = turned.gravity_torque(row)[self.order]
-        return out
+        # Gravity turns the other way in the base's axes.
+        turned = [-np.cross(axis, self.recordings.gravity) for axis in np.eye(3)[:2]]
+        return np.stack([self.gravity_torque(q, gravity) for gravity in turned], axis=2)
 
     def tool(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Tool position (K, 3), velocity (K, 3) and position Jacobian (K, 3, n)."""
-        frame = self.arm.tool
-        position = np.empty((len(q), 3))
-        jacobian = np.empty((len(q), 3, self.n))
-        for k, row in enumerate(self._of_robot(q)):
-            jacobian[k] = self._bodies.jacobian(frame, row)[:3, self.order]
-            position[k] = self._bodies.pose(frame, row)[0]
+        position, jacobian = self._bodies.tool(self.arm.tool, self._of_robot(q))
+        jacobian = jacobian[..., self.order]
         return position, np.einsum("kij,kj->ki", jacobian, v), jacobian
 
     def temperature_rise(self, run: RecordedRun, count: int) -> np.ndarray:

@@ -22,6 +22,15 @@ OF_SPRINGS = ("stiffness", "T1", "T2", "rounding")
 MOVES_LINKS = (*OF_SPRINGS, "joint_damping", "mass", "com", "body")
 
 
+# Whether a value is asked for, by its name.
+Asked = Callable[[str], bool]
+
+
+def every_value(_: str) -> bool:
+    """All are asked for."""
+    return True
+
+
 @dataclass(frozen=True)
 class NuisanceColumn:
     """How one nominal value moves the channels.
@@ -46,8 +55,9 @@ def nuisance_columns(
     robot: RobotModel,
     tolerance: Tolerance,
     bodies: np.ndarray | None = None,
+    asked: Asked = every_value,
 ) -> Iterator[NuisanceColumn]:
-    """Columns of all nominal values along a run; the same order for every run.
+    """Columns of nominal values along a run; the same order for every run.
 
     Parameters
     ----------
@@ -56,10 +66,12 @@ def nuisance_columns(
     tolerance : Tolerance
     bodies : array (n, 10), optional
         Standard deviations of every inertial parameter, in place of those of mass and centre.
+    asked : callable
+        Whether a value is asked for, by its name.
     """
     signals = run.signals
     if bodies is None:
-        yield from _bodies(run, robot, tolerance)
+        yield from _bodies(run, robot, tolerance, asked)
     else:
         named = body_columns(robot, signals.body_regressor)
         for (name, torque), sd in zip(named, bodies.ravel(), strict=True):
@@ -81,30 +93,25 @@ def nuisance_columns(
         )
         for name, values in relative:
             sd = getattr(tolerance, name)
-            if sd and np.any(values):
+            if sd and asked(f"{name} {j + 1}") and np.any(values):
                 yield NuisanceColumn(f"{name} {j + 1}", sd, Contribution(single(j, values)))
         if tolerance.stiffness:
-            yield from _of_spring(run, j, tolerance.stiffness)
-        if tolerance.joint_damping and run.swing is not None:
+            yield from _of_spring(run, j, tolerance.stiffness, asked)
+        name = f"joint_damping {j + 1}"
+        if tolerance.joint_damping and run.swing is not None and asked(name):
             # Of a spring that takes more of the torque where its damping takes less.
             nominal = signals.constants.joints[j].joint_damping
             taken = nominal * (signals.motor_velocity - signals.link_velocity)[:, j]
             added = Contribution(deflection=single(j, -taken / run.swing.stiffness[:, j]))
-            yield NuisanceColumn(f"joint_damping {j + 1}", tolerance.joint_damping, added)
-        if tolerance.encoder_zero:
+            yield NuisanceColumn(name, tolerance.joint_damping, added)
+        name = f"encoder_zero {j + 1}"
+        if tolerance.encoder_zero and asked(name):
             values = np.ones(len(signals.time))
             added = Contribution(reading=single(j, values))
-            yield NuisanceColumn(f"encoder_zero {j + 1}", tolerance.encoder_zero, added)
+            yield NuisanceColumn(name, tolerance.encoder_zero, added)
 
 
-def spring_columns(run: PreparedRun, tolerance: Tolerance) -> Iterator[NuisanceColumn]:
-    """Columns of the springs alone, stiffness and corners of every joint."""
-    for j in range(len(run.signals.constants.joints)):
-        if tolerance.stiffness:
-            yield from _of_spring(run, j, tolerance.stiffness)
-
-
-def _of_spring(run: PreparedRun, j: int, sd: float) -> Iterator[NuisanceColumn]:
+def _of_spring(run: PreparedRun, j: int, sd: float, asked: Asked) -> Iterator[NuisanceColumn]:
     signals = run.signals
     if not np.any(signals.windup[:, j]):
         return
@@ -118,48 +125,58 @@ def _of_spring(run: PreparedRun, j: int, sd: float) -> Iterator[NuisanceColumn]:
         column[:, j] = values
         return np.asarray(column)
 
-    added = Contribution(deflection=single(j, values))
-    yield NuisanceColumn(f"stiffness {j + 1}", sd, added)
-    yield from _knees(run, j, single)
+    if asked(f"stiffness {j + 1}"):
+        yield NuisanceColumn(f"stiffness {j + 1}", sd, Contribution(deflection=single(j, values)))
+    yield from _knees(run, j, single, asked)
 
 
 def _knees(
-    run: PreparedRun, j: int, single: Callable[[int, np.ndarray], np.ndarray]
+    run: PreparedRun,
+    j: int,
+    single: Callable[[int, np.ndarray], np.ndarray],
+    asked: Asked,
 ) -> Iterator[NuisanceColumn]:
     """Where the reducer's slope changes, and how roundly: catalogues idealise it as kinks."""
     constants = run.signals.constants.joints[j]
     if constants.slopes is None or constants.corners is None:
         return
+    names = [f"{kind}{knee} {j + 1}" for knee in ("T1", "T2") for kind in ("", "rounding ")]
+    if not any(asked(name) for name in names):
+        return
     spring = run.signals.spring_torque[:, j]
     (k1, k2, k3), (t1, t2) = constants.slopes, constants.corners
     for name, knee, before, after in (("T1", t1, k1, k2), ("T2", t2, k2, k3)):
         fall = 1.0 / before - 1.0 / after
-        beyond = np.sign(spring) * np.clip((np.abs(spring) - knee) / (_KNEE * knee), 0.0, 1.0)
+        width = _KNEE * knee
+        beyond = np.sign(spring) * np.clip((np.abs(spring) - knee) / width, 0.0, 1.0)
         moved = Contribution(deflection=single(j, fall * knee * beyond))
         yield NuisanceColumn(f"{name} {j + 1}", _KNEE, moved)
-        width = _KNEE * knee
         rounded = np.sign(spring) * fall * width * np.exp(-np.abs(np.abs(spring) - knee) / width)
         round_knee = Contribution(deflection=single(j, rounded))
         yield NuisanceColumn(f"rounding {name} {j + 1}", 1.0, round_knee)
 
 
-def _bodies(run: PreparedRun, robot: RobotModel, tolerance: Tolerance) -> Iterator[NuisanceColumn]:
+def _bodies(
+    run: PreparedRun, robot: RobotModel, tolerance: Tolerance, asked: Asked
+) -> Iterator[NuisanceColumn]:
     """Mass and centre of mass of every body."""
     for position, joint in enumerate(robot.order):
         body = robot.arm.tree.bodies[joint]
         regressor = run.signals.body_regressor[:, :, 10 * position : 10 * position + 10]
         now = body.inertial_parameters
-        if tolerance.mass:
+        if tolerance.mass and asked(f"mass {position + 1}"):
             added = Contribution(link_torque=regressor @ now)
             yield NuisanceColumn(f"mass {position + 1}", tolerance.mass, added)
         if not tolerance.com:
             continue
         for axis in range(3):
+            name = f"com {position + 1} {'xyz'[axis]}"
+            if not asked(name):
+                continue
             shift = np.zeros(3)
             shift[axis] = 1e-5
             moved = replace(body, centre=body.centre + shift)
             torque = regressor @ ((moved.inertial_parameters - now) / 1e-5)
-            name = f"com {position + 1} {'xyz'[axis]}"
             yield NuisanceColumn(name, tolerance.com, Contribution(link_torque=torque))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -47,6 +47,8 @@ class PreparedRun:
         How links answer small changes; None where they follow at once, by the springs alone.
     beside : array (K, n) or float
         Deflection beside the nominal wind-up of the spring torque, of what an extension adds [rad].
+    swung : dict
+        This run as its links swing with extensions that were asked for last.
     """
 
     name: str
@@ -62,6 +64,7 @@ class PreparedRun:
     low_pass: ZeroPhaseFilter
     swing: Swing | None = None
     beside: np.ndarray | float = 0.0
+    swung: dict[tuple[object, ...], PreparedRun] = field(default_factory=dict, init=False)
 
     @property
     def links(self) -> LinkMotion:

@@ -1,0 +1,104 @@
+"""The likeliest bodies that can exist: a convex programme over their pseudo-inertias.
+
+Newton steps along the central path of its logarithmic barrier, each in coordinates of the point
+that it begins at (Nesterov, Nemirovskii 1994): there bodies near the border of what can exist are
+as well scaled as any.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import block_diag, cho_factor, cho_solve
+
+from stiffopt.discovery.comparison.bodies import (
+    A_BODY,
+    barely_existing,
+    inertial_parameters,
+    scaled_pseudo,
+    scales_of,
+)
+
+# Of the objective, a log density: what is left to gain at the end.
+_GAP = 1e-6
+# By which the barrier's weight falls where a step has come near enough to the path.
+_FALL = 0.1
+# Of the way to the border that a step goes at most.
+_WAY = 0.95
+_STEPS = 400
+# Symmetric matrices (10, 4, 4) of unit size, and the trace of each.
+_ROWS, _COLUMNS = np.tril_indices(4)
+_SYMMETRIC = np.zeros((A_BODY, 4, 4))
+_SYMMETRIC[np.arange(A_BODY), _ROWS, _COLUMNS] = np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(0.5))
+_SYMMETRIC = np.maximum(_SYMMETRIC, _SYMMETRIC.swapaxes(1, 2))
+_TRACES = np.trace(_SYMMETRIC, axis1=1, axis2=2)
+
+
+def nearest_bodies(
+    gram: np.ndarray,
+    moment: np.ndarray,
+    place: slice,
+    nominal: np.ndarray,
+    units: np.ndarray,
+    limits: np.ndarray,
+) -> np.ndarray:
+    """Least of x' gram x / 2 - moment' x over values whose bodies exist, the others in limits.
+
+    Parameters
+    ----------
+    gram : array (p, p)
+        Positive definite.
+    moment : array (p,)
+    place : slice
+        Of the changes of the bodies' parameters among the values, body after body.
+    nominal, units : array (n, 10)
+    limits : array (p,)
+        Largest size of the other values.
+
+    Returns
+    -------
+    array (p,)
+    """
+    others = np.ones(len(moment), dtype=bool)
+    others[place] = False
+    boxed = np.flatnonzero(others & np.isfinite(limits))
+    box = limits[boxed]
+    outer = scales_of(units)[:, :, None] * scales_of(units)[:, None, :]
+    size = 1.0 / np.sqrt(np.diag(gram))
+    x = _solved(gram, moment)
+    least = 0.5 * x @ gram @ x - moment @ x
+    x[place] = (barely_existing(nominal + x[place].reshape(nominal.shape), units) - nominal).ravel()
+    x[boxed] = np.clip(x[boxed], -0.99 * box, 0.99 * box)
+    hinders = 4 * len(nominal) + 2 * len(boxed)
+    weight = max(0.5 * x @ gram @ x - moment @ x - least, 1.0) / hinders
+    for _ in range(_STEPS):
+        lower = np.linalg.cholesky(scaled_pseudo(nominal + x[place].reshape(nominal.shape), units))
+        moved = lower[:, None] @ _SYMMETRIC @ lower.swapaxes(1, 2)[:, None]
+        own = inertial_parameters(moved * outer[:, None])
+        above, below = 1.0 / (box - x[boxed]), 1.0 / (box + x[boxed])
+        size[boxed] = 1.0 / np.hypot(above, below)
+        # From steps in the point's own coordinates to steps of the values.
+        turned = np.diag(size)
+        turned[place, place] = block_diag(*own.swapaxes(1, 2))
+        slope = turned.T @ (gram @ x - moment)
+        slope[place] -= weight * np.tile(_TRACES, len(nominal))
+        slope[boxed] += weight * (above - below) * size[boxed]
+        curved = turned.T @ gram @ turned
+        curved[place, place] += weight * np.eye(own.shape[0] * A_BODY)
+        curved[boxed, boxed] += weight
+        local = _solved(curved, -slope)
+        step = turned @ local
+        change = np.tensordot(local[place].reshape(nominal.shape), _SYMMETRIC, 1)
+        nearing = np.append(step[boxed] * above, -step[boxed] * below)
+        border = max(float(np.max(nearing, initial=0.0)), -float(np.linalg.eigvalsh(change).min()))
+        x = x + min(1.0, _WAY / max(border, 1e-300)) * step
+        if -slope @ local < weight:
+            if weight * hinders < _GAP:
+                break
+            weight *= _FALL
+    return x
+
+
+def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solution with a positive definite matrix, in units that make its diagonal one."""
+    unit = 1.0 / np.sqrt(np.diag(matrix))
+    return np.asarray(unit * cho_solve(cho_factor(matrix * np.outer(unit, unit)), unit * right))
