@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -230,9 +231,9 @@ def odds_of_nothing(chance: float) -> float:
 
     Sellke, Bayarri & Berger (2001): no likelihood is more than 1/(-e p ln p) times that of nothing.
     """
-    if chance >= 1.0 / np.e:
+    if chance >= 1.0 / math.e:
         return 0.5
-    bound = -np.e * special.xlogy(chance, chance)
+    bound = -math.e * special.xlogy(chance, chance)
     return float(bound / (1.0 + bound))
 
 
