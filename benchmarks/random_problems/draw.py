@@ -199,7 +199,11 @@ def _met(name: str, random: np.random.Generator, *, forced: bool) -> TrajectoryP
 
 
 def _keeps(problem: TrajectoryProblem) -> bool:
-    quintic = baselines(problem, resolve(problem))["quintic"].assessment
+    try:
+        quintic = baselines(problem, resolve(problem))["quintic"].assessment
+    except ProblemError:
+        # A pose that the drives cannot hold.
+        return False
     return quintic is not None and quintic.feasible(CERTIFIED)
 
 

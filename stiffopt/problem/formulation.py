@@ -114,15 +114,18 @@ def formulate(
 def exact_path_rows(
     problem: TrajectoryProblem, motion: ResolvedMotion, scales: Scales
 ) -> ca.Function:
-    """Path rows (x, u, z, p) -> (m,) of a motion planned for the links, without what is nearly so.
+    """Path rows (x, u, z, p) -> (m,) in the order of `formulate`, without what is nearly so.
 
-    In the order of `formulate`, whose rows are those of `NearMotorModel`.
+    Those of a motion planned for the links are nearly so there (`NearMotorModel`).
     """
     coordinates = coordinates_of(problem)
     x, u = ca.SX.sym("x", coordinates.order * coordinates.size), ca.SX.sym("u", coordinates.size)
     p, sides = ca.SX.sym("smoothing"), torque_sides(problem, motion)
-    derivatives = [*ca.vertsplit(x, coordinates.size), u]
-    model = MotorModel(problem.robot, derivatives, p, sides, problem.process_force)
+    if problem.plans_links:
+        derivatives = [*ca.vertsplit(x, coordinates.size), u]
+        model: StageModel = MotorModel(problem.robot, derivatives, p, sides, problem.process_force)
+    else:
+        model = stage_model(problem, coordinates, x, u, p, sides)
     goal = _WeightedSum(problem, model, scales)
     blocks = [*_limit_rows(problem, model, coordinates, {}), *goal.path_rows]
     rows = _stacked([row for block in blocks for row in block.expressions])

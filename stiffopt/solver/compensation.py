@@ -9,6 +9,7 @@ over the stiffness, so that its middle lies above the nominal one.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -26,6 +27,7 @@ from stiffopt.problem.motor_model import MotorLaw, law_smoothing
 from stiffopt.result.compensation import CompensatedMotion, Compensation, Spread, Spreads
 from stiffopt.result.store import export_times
 from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.corners import widened
 
 if TYPE_CHECKING:
     from stiffopt.elastic.arm import ElasticArm
@@ -221,7 +223,17 @@ class _Compensator:
         links = [(smooth_motion(self._plan, each), each) for each in _SPACINGS]
         smoothing = law_smoothing(self._problem)
         splines = [
-            _Lead(link, self._law.motion(link, smoothing), spacing) for link, spacing in links
+            _Lead(
+                link,
+                widened(
+                    functools.partial(self._law.motion, link),
+                    self._beyond_plan,
+                    smoothing,
+                    CERTIFIED,
+                ),
+                spacing,
+            )
+            for link, spacing in links
         ]
         return [*own, *splines]
 
@@ -252,8 +264,13 @@ class _Compensator:
 
     def _within(self, motors: Trajectory) -> bool:
         """Whether the limits that the plan keeps are kept; some no method of its kind can take."""
+        return self._beyond_plan(motors) <= CERTIFIED
+
+    def _beyond_plan(self, motors: Trajectory) -> float:
+        """Largest excess of limits that the plan keeps."""
         excess = self._excess(motors, _COARSE)
-        return all(each.limit in self._motion.exceeded for each in excess)
+        kept = [each.value for each in excess if each.limit not in self._motion.exceeded]
+        return max(kept, default=0.0)
 
     def _excess(self, motors: Trajectory, points: int | None = None) -> tuple[Violation, ...]:
         """Limits of the motors that a motion of theirs exceeds, worst first.

@@ -220,6 +220,9 @@ class IpoptSolver:
             raise monitor.error
         word = str(solver.stats()["return_status"])
         status = monitor.stopped_by or _status(word)
+        if status == "acceptable" and monitor.at_rest(self.options.tol):
+            # Its gradient is rounding along stiff directions: no step finds anything better.
+            status = "optimal"
         last = self._iterate(outputs)
         best = last if status in ("optimal", "acceptable") else (monitor.best or last)
         reason = word

@@ -60,6 +60,8 @@ class Iterate:
         return mine < theirs or (mine == theirs and self.objective < other.objective)
 
 
+# Iterations in a row in which an iterate that rests has not moved.
+_RESTING = 5
 # Excess of a row, relative to its scale, that the next iterations may mend.
 _NEARLY = 1e-2
 
@@ -86,6 +88,7 @@ class Monitor(ca.Callback):
         self.report, self.max_seconds, self.patience = report, max_seconds, 0
         self.started = time.perf_counter()
         self.history: list[Progress] = []
+        self.steps: list[float] = []  # largest change of a variable in each iteration
         self.best: Iterate | None = None
         self.last: Iterate | None = None
         self.stopped_by = ""  # "interrupted", "time_limit" or "iteration_limit"
@@ -123,6 +126,17 @@ class Monitor(ca.Callback):
             self.stopped_by = "iteration_limit"
         return [float(bool(self.stopped_by))]
 
+    def at_rest(self, tolerance: float) -> bool:
+        """Whether the last iterates are one, all rows kept: full steps that change nothing more."""
+        objectives = [each.objective for each in self.history[-_RESTING:]]
+        largest = max(np.abs(objectives), default=0.0)
+        return bool(
+            len(self.steps) >= _RESTING
+            and max(self.steps[-_RESTING:]) <= tolerance
+            and np.ptp(objectives) <= tolerance * largest
+            and max(each.violation for each in self.history[-_RESTING:]) <= tolerance
+        )
+
     def _near(self) -> bool:
         """Whether some point so far keeps all rows, or nearly."""
         return self.best is not None and self.best.violation <= _NEARLY
@@ -135,6 +149,8 @@ class Monitor(ca.Callback):
         worst = int(np.argmax(excess)) if excess.size else -1
         violation = float(excess[worst]) if excess.size else 0.0
         number = len(self.history)
+        if self.last is not None:
+            self.steps.append(float(np.abs(x - self.last.x).max(initial=0.0)))
         self.last = Iterate(number, x, g, objective, violation)
         if np.isfinite(objective) and np.isfinite(violation) and self.last.better_than(self.best):
             self.best = self.last

@@ -20,6 +20,9 @@ _PULL = 1e-4
 _ITERATIONS = 150
 # Share of the largest excess below which a row is no part of the conflict.
 _PART = 0.01
+# Rows that are exceeded by more than this, relative to their scale, are scaled down to it: with
+# others beside them, steps would be lost in rounding.
+_LARGE = 100.0
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,8 @@ class LeastExcess:
     ----------
     x : array
     excess : float
-        Sum over limits of the largest by which each is exceeded, relative to its scale.
+        Sum over limits of the largest by which each is exceeded, relative to its scale; less of
+        those that were exceeded very much.
     converged : bool
     conflicts : list of NlpEntry
         What is exceeded, the most first, and then the bounds that keep it so.
@@ -60,7 +64,7 @@ def least_excess(
     parameters : array (np,)
     max_seconds : float
     """
-    relaxed = _Relaxed(nlp, x)
+    relaxed = _Relaxed(nlp, x, parameters)
     options = IpoptOptions(
         tol=1e-6,
         acceptable_tol=1e-2,
@@ -68,7 +72,7 @@ def least_excess(
         extra={"mu_strategy": "adaptive", "acceptable_iter": 5},
     )
     n = len(nlp.lower_x)
-    begin = np.append(np.clip(x, nlp.lower_x, nlp.upper_x), relaxed.slacks_at(x, parameters))
+    begin = np.append(np.clip(x, nlp.lower_x, nlp.upper_x), relaxed.slacks)
     raw = IpoptSolver(relaxed.nlp, options).solve(begin, parameters, max_seconds=max_seconds)
     slack = np.maximum(raw.x[n:], 0.0)
     multipliers = (relaxed.selection.T @ ca.DM(raw.multipliers_g)).full().ravel()
@@ -90,17 +94,24 @@ def least_excess(
 class _Relaxed:
     """A programme with slacks: its rows as far as they have bounds, upper ones and lower ones."""
 
-    def __init__(self, nlp: Nlp, near: np.ndarray) -> None:
-        self._first = nlp
+    def __init__(self, nlp: Nlp, near: np.ndarray, parameters: np.ndarray) -> None:
+        self._first, self._parameters = nlp, parameters
         groups, self.count = _groups(nlp)
+        self._groups = groups
         free = groups >= 0
         fixed = np.flatnonzero(~free)
         upper = np.flatnonzero(free & np.isfinite(nlp.upper_g))
         lower = np.flatnonzero(free & np.isfinite(nlp.lower_g))
         chosen = np.concatenate([fixed, upper, lower])
         rows, slacks, n = len(chosen), self.count, len(nlp.lower_x)
+        excess = self._excess(near)
+        self._weight = 1.0 / np.maximum(excess / _LARGE, 1.0)
+        weight = (
+            np.where(groups >= 0, self._weight[groups], 1.0) if slacks else np.ones(len(groups))
+        )
+        self._begin = excess * self._weight
         self.selection = ca.DM.triplet(
-            list(range(rows)), chosen.tolist(), ca.DM.ones(rows), rows, len(nlp.lower_g)
+            list(range(rows)), chosen.tolist(), ca.DM(weight[chosen]), rows, len(nlp.lower_g)
         )
         sign = np.concatenate([np.zeros(len(fixed)), -np.ones(len(upper)), np.ones(len(lower))])
         moved = np.flatnonzero(sign)
@@ -120,8 +131,8 @@ class _Relaxed:
         free_rows = np.full(rows, np.inf)
         low, high = -free_rows, free_rows
         low[: len(fixed)], high[: len(fixed)] = nlp.lower_g[fixed], nlp.upper_g[fixed]
-        high[len(fixed) : len(fixed) + len(upper)] = nlp.upper_g[upper]
-        low[len(fixed) + len(upper) :] = nlp.lower_g[lower]
+        high[len(fixed) : len(fixed) + len(upper)] = (weight * nlp.upper_g)[upper]
+        low[len(fixed) + len(upper) :] = (weight * nlp.lower_g)[lower]
         self.nlp = Nlp(
             x=z,
             p=p,
@@ -144,18 +155,22 @@ class _Relaxed:
             },
             numbers=nlp.numbers,
         )
-        self._groups = groups
 
-    def slacks_at(self, x: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """Slacks with which all rows hold at a point, and a little more."""
+    @property
+    def slacks(self) -> np.ndarray:
+        """Slacks with which all rows hold at the point it is near, and a little more."""
+        return self._begin + 1e-2
+
+    def _excess(self, x: np.ndarray) -> np.ndarray:
+        """Largest excess of each group of rows at a point."""
         nlp = self._first
         inside = np.clip(x, nlp.lower_x, nlp.upper_x)
-        g, _ = nlp.derivatives["jac_g"](inside, nlp.parameters(parameters))
+        g, _ = nlp.derivatives["jac_g"](inside, nlp.parameters(self._parameters))
         excess = np.nan_to_num(nlp.violations(g.full()), nan=1.0, posinf=1e6)
         found = np.zeros(self.count)
         free = self._groups >= 0
         np.maximum.at(found, self._groups[free], excess[free])
-        return found + 1e-2
+        return found
 
     def named(self, excess: np.ndarray, slack: np.ndarray) -> list[NlpEntry]:
         """What is exceeded, the most first, each where it is exceeded most."""

@@ -90,7 +90,17 @@ def _on_finer_mesh(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> O
         if _failed(finer):
             break
         outcome = finer
+    if outcome.raw.converged and not _excess(outcome.assessment):
+        # What bulges between two nodes of any mesh.
+        inside, _ = _within_rows(run, outcome, outcome.transcription.nlp)
+        if _rank_of(run.problem, inside) < _rank_of(run.problem, outcome):
+            return inside
     return outcome
+
+
+def _rank_of(problem: TrajectoryProblem, outcome: Outcome) -> tuple[bool, float]:
+    """Certified outcomes first, then by how far the objective is from what it is at the nodes."""
+    return not outcome.assessment.feasible(CERTIFIED), outcome.objective_gap
 
 
 def _corrected(run: SolveRun, outcome: Outcome) -> Outcome:

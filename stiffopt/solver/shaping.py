@@ -12,6 +12,7 @@ Source: Singer, Seering (1990), "Preshaping command inputs to reduce system vibr
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -19,7 +20,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from stiffopt.baseline.baselines import better_baseline, strict_baseline
-from stiffopt.certificate.assess import assess
+from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import improvement, objective_value
 from stiffopt.certificate.violations import CERTIFIED
@@ -40,6 +41,7 @@ from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import JointMotion, Trajectory
+from stiffopt.solver.corners import widened
 
 # Of the knots of the splines that round off the averaged motion [s]; the first that holds is taken.
 _SPACINGS = (0.005, 0.01, 0.02)
@@ -49,6 +51,8 @@ _ROUNDS = 5
 _TIGHTEST = 0.1
 _DRAWN = ("velocity", "acceleration", "jerk", "torque")
 _MORE = 1.1
+# A larger excess of the motors is a corner of a joint's stiffness passed fast.
+_CORNER = 0.25
 
 Solve = Callable[[TrajectoryProblem], Solution]
 
@@ -107,6 +111,9 @@ def solve_shaped(
     )
     if shaped is None:
         return replace(solution, strict_baseline=None, ratio_to_strict_baseline=None)
+    if not shaped[1].feasible(CERTIFIED):
+        # What drawing limits tighter has left of corners, wider ones may take.
+        shaped = _shaped(problem, found, swing, corner=CERTIFIED) or shaped
     trajectory, assessment = shaped
     status, message = found.status, found.message
     if status.usable and not assessment.feasible(CERTIFIED):
@@ -171,15 +178,25 @@ def _shorter(problem: TrajectoryProblem, motion: ResolvedMotion, swing: float) -
 
 
 def _shaped(
-    problem: TrajectoryProblem, found: Solution, swing: float
+    problem: TrajectoryProblem, found: Solution, swing: float, corner: float = _CORNER
 ) -> tuple[Trajectory, Assessment] | None:
-    """Motion of the motors that lead the averaged links, and its certificate."""
+    """Motion of the motors that lead the averaged links, and its certificate.
+
+    What exceeds a limit of the motors by more than `corner` is taken for a corner of their law.
+    """
     if found.trajectory is None:
         return None
+
+    def motor_excess(motors: Trajectory) -> float:
+        return max(each.value for each in drive_violations(problem, motors))
+
     averaged, tried = Averaged(found.trajectory, swing), []
     law = MotorLaw(problem.robot, problem.process_force)
     for spacing in _SPACINGS:
-        motors = law.motion(smooth_motion(averaged, spacing), WINDUP_SMOOTHING[-1])
+        link = smooth_motion(averaged, spacing)
+        motors = widened(
+            functools.partial(law.motion, link), motor_excess, WINDUP_SMOOTHING[-1], corner
+        )
         tried.append((motors, with_collisions(problem, assess(problem, motors))))
         if tried[-1][1].feasible(CERTIFIED):
             break

@@ -47,7 +47,7 @@ def test_the_row_that_cannot_hold_is_named(tmp_path):
 def test_derivatives_are_those_of_the_relaxed_programme(tmp_path):
     made = programme(tmp_path, limits="tool_speed = 0.5")
     x = straight(made)
-    relaxed = _Relaxed(made.nlp, x).nlp
+    relaxed = _Relaxed(made.nlp, x, np.ones(1)).nlp
     random = np.random.default_rng(4)
     z = np.append(x + 0.1 * random.normal(size=len(x)), random.random(relaxed.x.numel() - len(x)))
     p, multipliers = made.nlp.parameters(np.ones(1)), random.normal(size=relaxed.g.numel())
@@ -70,8 +70,9 @@ def test_derivatives_are_those_of_the_relaxed_programme(tmp_path):
         assert ca.DM(own).full() == pytest.approx(ca.DM(other).full(), abs=1e-9)
 
 
-def test_a_cap_that_nothing_meets_is_named_soon(tmp_path):
-    limits = 'dynamic_deflection = "0.5 um"'
+@pytest.mark.parametrize("cap", ["0.5 um", "1 nm"])
+def test_a_cap_that_nothing_meets_is_named_soon(tmp_path, cap):
+    limits = f'dynamic_deflection = "{cap}"'
     problem = load(tmp_path, "planar", duration="0.9", limits=limits)
     solution = solve(problem, throw=False)
     assert solution.status is SolveStatus.INFEASIBLE

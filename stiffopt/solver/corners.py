@@ -1,0 +1,53 @@
+"""Corners of a joint's stiffness, passed by motors that lead links: as wide as their limits need.
+
+At a corner of the law the motors' speed bends within as much torque as the corner is wide. Passed
+fast, a narrow one asks for hundreds of times a motor's jerk, however smooth the links' motion is;
+twice the width asks for a quarter of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from stiffopt.result.trajectory import Trajectory
+
+# Widths are doubled up to so often, while that lowers the excess to this share at least.
+_DOUBLINGS = 7
+_HELPS = 0.75
+# Of the last width: what may do as well, and leaves less after arrival.
+_BETWEEN = 0.7
+
+
+def widened(
+    motors: Callable[[float], Trajectory],
+    excess: Callable[[Trajectory], float],
+    smoothing: float,
+    allowed: float,
+) -> Trajectory:
+    """Motors by the narrowest law whose excess is allowed, or by that of the least excess.
+
+    Parameters
+    ----------
+    motors : callable
+        Motion of the motors for a factor on the law's smoothing widths.
+    excess : callable
+        By what share a motion exceeds a limit of the motors, at worst.
+    smoothing : float
+        The narrowest factor.
+    allowed : float
+        Share up to which nothing is wider.
+    """
+    found = motors(smoothing)
+    worst = excess(found)
+    if worst <= allowed:
+        return found
+    for _ in range(_DOUBLINGS):
+        wider = motors(2.0 * smoothing)
+        less = excess(wider)
+        if less > max(_HELPS * worst, allowed):
+            return found
+        found, worst, smoothing = wider, less, 2.0 * smoothing
+        if worst <= allowed:
+            between = motors(_BETWEEN * smoothing)
+            return between if excess(between) <= allowed else found
+    return found
