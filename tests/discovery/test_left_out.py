@@ -139,6 +139,8 @@ def test_friction_is_taken_from_all_moving_samples() -> None:
     assert off.effects[0].amplitudes[0] == pytest.approx(
         first.effects[0].amplitudes[0] + 0.5 * size
     )
+    # Its words follow the sign of the amplitude.
+    assert "more dry friction" in there.effect.phrase_of(off.effects[0].amplitudes)
     rows = _Rows(training, training.settings, (), off, ["coulomb"])
     again = _stepped(training, off, rows, ["coulomb"])
     value, sd = again.parameters(0, there.constants(constants))["dFc"]

@@ -138,8 +138,8 @@ class Estimate:
         effects = tuple(
             replace(
                 each,
-                amplitudes=(each.amplitudes[0] + step * size[0], *each.amplitudes[1:]),
-                step=step * size[0],
+                amplitudes=(float(each.amplitudes[0] + step * size[0]), *each.amplitudes[1:]),
+                step=float(step * size[0]),
             )
             for each, step, size in zip(self.effects, steps, self.sizes, strict=True)
         )
