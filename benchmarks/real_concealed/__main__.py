@@ -13,6 +13,8 @@ import json
 import shutil
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +26,7 @@ from benchmarks.blind.sets import Columns, write_set
 from benchmarks.blind.variants import Job, answers
 
 from .draw import WEIGHTS, Plan, plans
-from .hide import hidden, softer, unit_size
+from .hide import Kind, hidden, size, softer
 from .motion import PublicSet
 from .page import page
 
@@ -109,30 +111,41 @@ def _amount(plan: Plan, s: PublicSet, known: dict[str, Any]) -> tuple[float, flo
     """Units that make the size, the size in multiples of what is left, and the joint."""
     kind = plan.kind
     assert kind is not None
-    left = {c["channel"]: c["rms_after"] for c in known["fit"]["channels"]}
-    first = plan.joints[0]
-    if kind.where == "stiffness":
-        return plan.size, 0.0, first
     if kind.where == "sign":
-        return 1.0, 0.0, first
-    if kind.where == "link":
-        # Half of the width is the root mean square; the unit is 1e-5 rad.
-        width = 2.0 * plan.size * left[f"link_position_{first + 1}"]
-        return width / 1e-5, plan.size, first
-    best = (0.0, 0.0, first)
+        return 1.0, 0.0, plan.joints[0]
+    channel = "torque" if kind.where == "torque" else "link_position"
+    left = {c["channel"]: c["rms_after"] for c in known["fit"]["channels"]}
+
+    def reached(joint: int, amount: float) -> float:
+        rms = size(s, kind, joint, amount)
+        return float(max(v / left.get(f"{channel}_{j + 1}", np.inf) for j, v in enumerate(rms)))
+
+    if kind.where == "stiffness":
+        first = plan.joints[0]
+        return plan.size, reached(first, 1.0 / plan.size - 1.0), first
+    best = (0.0, 0.0, plan.joints[0])
     for joint in plan.joints:
-        unit = unit_size(s, kind, joint)
-        ratio = max(unit[j] / left.get(f"torque_{j + 1}", np.inf) for j in range(len(unit)))
-        if ratio <= 0.0:
+        unit = reached(joint, 1.0)
+        if unit <= 0.0:
             continue
-        size = plan.size
-        while size / ratio > kind.most:
-            size /= 2.0
-        if size > best[1]:
-            best = float(plan.sign * size / ratio), size, joint
-        if size == plan.size:
+        wanted, amount = plan.size, _enough(plan.size, unit, kind, partial(reached, joint))
+        while amount > kind.most:
+            wanted /= 2.0
+            amount = _enough(wanted, unit, kind, partial(reached, joint))
+        if wanted > best[1]:
+            best = plan.sign * amount, wanted, joint
+        if wanted == plan.size:
             break
     return best
+
+
+def _enough(wanted: float, unit: float, kind: Kind, reached: Callable[[float], float]) -> float:
+    """Units that make a size; a delay does less and less beyond half a period of what is late."""
+    if kind.name != "delay":
+        return wanted / unit
+    tried = np.geomspace(0.1, kind.most, 40)
+    enough = [x for x in tried if reached(float(x)) >= wanted]
+    return float(enough[0]) if enough else float("inf")
 
 
 def _shorter(plan: Plan, s: PublicSet, target: Path) -> None:

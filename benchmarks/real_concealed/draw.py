@@ -91,6 +91,7 @@ def _joints(s: PublicSet, kind: Kind) -> list[int]:
         # The first link of an upright arm shows nothing but inertia about its axis.
         return list(range(1, n)) if n > 2 else list(range(n))
     if kind.where in ("link", "stiffness"):
-        return [k for k, name in enumerate(s.told["signals"]["link_position"]) if name]
-    size = s.size([run.velocity for run in s.tested])
+        seen = [k for k, name in enumerate(s.told["signals"]["link_position"]) if name]
+        return seen if kind.where == "stiffness" else [k for k in seen if s.turns_over(k)]
+    size = s.size(lambda run: run.velocity)
     return [j for j in range(n) if size[j] > 0.0]

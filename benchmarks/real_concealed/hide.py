@@ -19,10 +19,10 @@ import numpy as np
 from benchmarks.blind.score import Named
 from benchmarks.blind.sets import Columns, write_set
 
-from .motion import MOVING, Motion, PublicSet, motion_of
+from .motion import MOVING, Motion, PublicSet, motion_of, smooth
 
-# What is added to the torque (K, n) of a run for a unit, joint from 0.
-Torque = Callable[[PublicSet, Motion, int], np.ndarray]
+# What is added to the torque or link angle (K, n) of a run for a unit, joint from 0.
+Added = Callable[[PublicSet, Motion, int], np.ndarray]
 _PLAY = 1e-5  # [rad], a unit of backlash
 _POLES = 4  # pole pairs that are told where ripple is hidden
 
@@ -41,7 +41,7 @@ class Kind:
     parameter : str
         That is compared, "" for none.
     added : callable, optional
-        Of kinds in the torque.
+        To the torque, or to the link angle.
     sets : tuple of str
         Names of the sets that it can be hidden in; none: all.
     every : bool
@@ -57,7 +57,7 @@ class Kind:
     where: str
     truth: Callable[[PublicSet, int], tuple[Named, ...]]
     parameter: str = ""
-    added: Torque | None = None
+    added: Added | None = None
     sets: tuple[str, ...] = ()
     every: bool = False
     most: float = float("inf")
@@ -101,8 +101,25 @@ def _offset(_: PublicSet, m: Motion, j: int) -> np.ndarray:
 
 
 def _delay(_: PublicSet, m: Motion, j: int) -> np.ndarray:
-    """For a delay of 1 ms, to first order; the set itself is shifted."""
-    return -1e-3 * np.gradient(m.torque, m.time, axis=0)
+    """For a delay of 1 ms."""
+    return _later(m, 1.0)
+
+
+def _later(m: Motion, milliseconds: float) -> np.ndarray:
+    """What a delay does to the torque; noise that comes later is noise as before."""
+    known = smooth(m.time, m.torque)
+    late = m.time - 1e-3 * milliseconds
+    return np.column_stack([np.interp(late, m.time, c) for c in known.T]) - known
+
+
+def _play(s: PublicSet, m: Motion, j: int) -> np.ndarray:
+    """Of the link angle: half the width on the side of the load that the gear carries."""
+    return _single(-0.5 * _PLAY * np.sign(s.carried(m)[:, j]), m, j)
+
+
+def _softer(s: PublicSet, m: Motion, j: int) -> np.ndarray:
+    """Of the link angle: the nominal wind-up as much again."""
+    return _single(-s.carried(m)[:, j] / s.told["nominal"]["reducer"]["K2"][j], m, j)
 
 
 def _ripple(s: PublicSet, m: Motion, j: int) -> np.ndarray:
@@ -198,11 +215,11 @@ KINDS = (
     ),
     Kind(
         name="backlash", where="link", truth=_joint("backlash"), parameter="width",
-        sets=("kuka_kr300",),
+        added=_play, sets=("kuka_kr300",),
     ),
     Kind(
         name="stiffness", where="stiffness", truth=_joint("stiffness_linear"), parameter="factor",
-        sets=("kuka_kr300",),
+        added=_softer, sets=("kuka_kr300",),
     ),
     Kind(name="sign of an axis", where="sign", truth=_joint("sign"), sets=ARMS),
 )  # fmt: skip
@@ -262,9 +279,8 @@ def hidden(s: PublicSet, kind: Kind, joint: int, amount: float, target: Path) ->
         name = signals["link_position"][joint]
 
         def play(_: str, columns: Columns) -> Columns:
-            run = motion_of(columns, signals)
-            side = np.sign(np.convolve(run.torque[:, joint], np.full(25, 0.04), "same"))
-            return columns | {name: columns[name] - 0.5 * amount * _PLAY * side}
+            added = _play(s, motion_of(columns, signals), joint)
+            return columns | {name: columns[name] + amount * added[:, joint]}
 
         return write_set(s.folder, target, told, play)
     if kind.where == "stiffness":
@@ -303,7 +319,11 @@ def softer(model: Path, joint: int, factor: float, target: Path) -> Path:
     return target
 
 
-def unit_size(s: PublicSet, kind: Kind, joint: int) -> np.ndarray:
-    """What a unit of a kind adds to every torque, root mean square on runs left out (n,)."""
-    assert kind.added is not None
-    return s.size([kind.added(s, run, joint) for run in s.tested])
+def size(s: PublicSet, kind: Kind, joint: int, amount: float) -> np.ndarray:
+    """What so much of a kind adds to every torque, or link angle, root mean square (n,)."""
+    if kind.name == "delay":
+        return s.size(lambda run: _later(run, amount))
+    added = kind.added
+    assert added is not None
+    per_unit = s.size(lambda run: added(s, run, joint), centred=kind.where != "torque")
+    return abs(amount) * per_unit

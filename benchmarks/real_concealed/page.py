@@ -23,7 +23,9 @@ Known things, hidden by a sealed draw in public recordings of real robots: put i
 torques or link angles (bodies as what inverse dynamics of the changed robot adds), or into a
 nominal stiffness. The tool starts from the model that it found for the set without
 them, so that what it names is the difference. *Size* is the root mean square of what is hidden over
-what that model leaves on runs left out, in the torque (or link angle) where it is largest.
+what that model leaves on runs left out, in the torque (or link angle) where it is largest, over the
+runs that are fitted or those left out, whichever show less of it. A factor on a stiffness has no
+multiples: its size is what it happens to be.
 `python -m benchmarks.real_concealed` makes this page, and goes on where it was interrupted.
 """
 
@@ -125,7 +127,7 @@ def _line(row: Row) -> tuple[str, ...]:
     if plan.kind is None:
         return (plan.name, plan.source, "nothing", "", told, "no" if not said else "named")
     where = "" if plan.kind.every else f" J{found['joint'] + 1}"
-    size = f"{found['size']:g}" if found["size"] else ""
+    size = f"{found['size']:.2g}" if found["size"] else ""
     told += _beside(row)
     verdict = "first" if _first(row) else "among" if _anywhere(row) else "no"
     return (plan.name, plan.source, plan.kind.name + where, size, told, verdict)

@@ -57,7 +57,7 @@ def marked(work):
         return work(*arguments, **named)
     return begun
 ipopt.IpoptSolver.solve = marked(ipopt.IpoptSolver.solve)
-search._pruned = marked(search._pruned)  # something has been found
+search.pruned = marked(search.pruned)  # something has been found
 from stiffopt.__main__ import main
 signal.signal(signal.SIGINT, signal.default_int_handler)
 main()

@@ -42,6 +42,7 @@ from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.identifiable_effects import (
     identifiable_effects,
     of_changes,
+    of_unseen,
     unstated_effects,
     without_bounds,
 )
@@ -182,7 +183,9 @@ def diagnose(
         if not opened.left:
             stopped.append("Stopped by the user: the last held-out run was not shared out.")
     say("what is left open")
-    left_open = _left_open(training, whole, asked, stopped, hurried=interrupted or bool(stopped))
+    left_open = _left_open(
+        training, whole, asked, base, stopped, hurried=interrupted or bool(stopped)
+    )
     proofs, taken = tuple(opened.proofs), opened.shares.found()
     every = (*training.recorded, *(proof.run for proof in proofs))
     return Diagnosis(
@@ -230,19 +233,21 @@ def _left_open(
     training: Training,
     whole: Extension,
     asked: Sequence[Effect],
+    base: ExtendedModel | None,
     stopped: list[str],
     *,
     hurried: bool,
 ) -> LeftOpenSection:
     """What is left open; without suspects, which take long, where the user is in a hurry."""
+    before = None if base is None else base.left_open
     if not training.free_bodies:
-        return open_section(training, whole, ())
+        return open_section(training, whole, (), before)
     if hurried:
         stopped.append(_NO_SUSPECTS)
-        return open_section(training, whole, ())
+        return open_section(training, whole, (), before)
     with _unless_stopped(stopped, _NO_SUSPECTS):
-        return open_section(training, whole, asked)
-    return open_section(training, whole, ())
+        return open_section(training, whole, asked, before)
+    return open_section(training, whole, (), before)
 
 
 def _better_swinging(
@@ -280,17 +285,17 @@ def _searched(
     about: Extension | None = None,
 ) -> SearchResult:
     """What was found in training runs, from another answer on where one is given."""
-    changes = base is not None and training.least is not None
+    comparison = training.comparison()
+    unstated = unstated_effects(
+        asked, recordings, training.constants.joints, usual=training.free_bodies
+    )
+    if base is not None:
+        # What the model has seen it was asked for when it was made.
+        unstated = of_unseen(unstated, comparison.unseen, base.extension)
     return search(
-        training.comparison(),
-        without_bounds(of_changes(asked) if changes else asked, recordings),
-        start=(
-            unstated_effects(
-                asked, recordings, training.constants.joints, usual=training.free_bodies
-            )
-            if base is None
-            else ()
-        ),
+        comparison,
+        without_bounds(of_changes(asked) if comparison.after_model else asked, recordings),
+        start=unstated,
         most=training.most,
         strict=training.free_bodies,
         reidentify=training.reidentified,

@@ -54,6 +54,8 @@ LEFT_OUT_SHARE, LEFT_OUT_FOLDS = 0.01, 0.6
 CHANGE_SHARE, CHANGE_SEEN_SELDOM = 0.15, 0.5
 # Candidates for a change whose shapes are fitted, and those that are tried where the best fails.
 CHANGES_REFINED, CHANGES_TRIED = 12, 4
+# Those are alike that have this share of the evidence of the likeliest.
+CHANGES_ALIKE = 0.5
 # One change stands for several where it also leaves at most so many times as much in every channel.
 SPARSE_LEFT = 1.5
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.blind.key import Key
 from benchmarks.blind.score import Named
 from benchmarks.real_concealed.draw import plans
-from benchmarks.real_concealed.hide import KINDS, hidden, unit_size
-from benchmarks.real_concealed.motion import PublicSet
+from benchmarks.real_concealed.hide import KINDS, hidden, size
+from benchmarks.real_concealed.motion import MOVING, PublicSet
 from benchmarks.real_concealed.page import page
 
 SET = Path(__file__).parents[2] / "problems" / "recordings" / "two_link_friction"
@@ -18,14 +19,40 @@ SET = Path(__file__).parents[2] / "problems" / "recordings" / "two_link_friction
 
 @pytest.mark.parametrize("name", ["coulomb", "viscous", "offset", "motor gain", "payload"])
 def test_the_size_is_what_was_added_to_the_torque(name: str, tmp_path: Path) -> None:
-    """Root mean square over moving samples of the runs that are never fitted."""
+    """Root mean square over moving samples, of the runs that show less of it."""
     known = PublicSet(SET)
     kind = next(k for k in KINDS if k.name == name)
     changed = PublicSet(hidden(known, kind, 1, 0.5, tmp_path / "set"))
-    added = [b.torque - a.torque for a, b in zip(known.tested, changed.tested, strict=True)]
-    assert known.size(added) == pytest.approx(0.5 * unit_size(known, kind, 1))
+    pairs = zip(known.trained + known.tested, changed.trained + changed.tested, strict=True)
+    added = {id(a): b.torque - a.torque for a, b in pairs}
+    found = known.size(lambda run: added[id(run)])
+    assert found == pytest.approx(size(known, kind, 1, 0.5))
+    for runs in (known.trained, known.tested):
+        moving = [np.where(np.abs(r.velocity) > MOVING, added[id(r)], np.nan) for r in runs]
+        assert found[1] <= np.sqrt(np.nanmean(np.vstack(moving)[:, 1] ** 2)) * (1.0 + 1e-9)
     # A mass at the last link weighs on all joints before it, the others act on their own alone.
-    assert (known.size(added)[0] > 0.1) == (name == "payload")
+    assert (found[0] > 0.1) == (name == "payload")
+
+
+def test_a_delay_does_ever_less_and_noise_is_not_late() -> None:
+    known = PublicSet(SET)
+    delay = next(k for k in KINDS if k.name == "delay")
+    sizes = [size(known, delay, 0, ms)[0] for ms in (2.0, 4.0, 300.0)]
+    assert sizes[1] == pytest.approx(2.0 * sizes[0], rel=0.1)
+    assert sizes[2] < 100.0 * sizes[0]
+    raw = known.size(lambda run: -2e-3 * np.gradient(run.torque, run.time, axis=0))[0]
+    assert sizes[0] < raw
+
+
+def test_play_is_on_the_side_of_what_the_gear_carries() -> None:
+    """The torque of a motor holds friction, the gear's load does not."""
+    known = PublicSet(SET)
+    run = known.trained[0]
+    carried = known.carried(run)[:, 1]
+    rigid = known.rigid_torques(known.folder / known.told["robot"], run)[:, 1]
+    assert np.corrcoef(carried, rigid)[0, 1] > 0.99
+    side = np.mean(np.sign(run.velocity[:, 1]) == np.sign(carried))
+    assert side < np.mean(np.sign(run.velocity[:, 1]) == np.sign(run.torque[:, 1]))
 
 
 def test_draws_follow_from_the_key_and_the_page_counts_them() -> None:

@@ -212,8 +212,19 @@ def test_readings_and_springs_have_their_signs():
         np.testing.assert_allclose(effect(name).term(signals, [2e-4], []).reading, -2e-4)
     shift = effect("encoder_skew").term(ROBOT, [2e-3], []).reading
     np.testing.assert_allclose(shift, 2e-3 * ROBOT.link_velocity)
-    late = effect("time_delay").term(ROBOT, [1e-3], []).drive_torque
-    np.testing.assert_allclose(late, -1e-3 * ROBOT.drive_torque_rate)
+
+
+@pytest.mark.parametrize("delay", [1e-3, 0.013, 0.05])
+def test_a_delay_is_the_same_torque_later(delay: float):
+    """Long against the motion too, where no slope tells what it does."""
+    time = 0.01 * np.arange(400)
+    wave = np.sin(9.0 * time[:, None] + np.arange(6))
+    late = effect("time_delay").term(replace(ROBOT, drive_torque=wave), [delay], [delay])
+    expected = np.sin(9.0 * (time[:, None] - delay) + np.arange(6)) - wave
+    np.testing.assert_allclose(late.drive_torque[10:-2], expected[10:-2], atol=1e-4)
+    if delay < 0.01:
+        slope = -delay * 9.0 * np.cos(9.0 * time[:, None] + np.arange(6))
+        np.testing.assert_allclose(late.drive_torque[10:-2], slope[10:-2], atol=1e-4)
 
 
 @pytest.mark.parametrize("bend", [1.0, 1.5, 10.0])

@@ -8,9 +8,11 @@ from small_arms import SWIVEL
 
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.search import changes as changing
 from stiffopt.discovery.search import search as searching
 from stiffopt.discovery.search.candidates import Scorer, scan
-from stiffopt.discovery.search.search import _single_change, search
+from stiffopt.discovery.search.changes import _single_change
+from stiffopt.discovery.search.search import search
 from stiffopt.discovery.settings import FIXED, Settings
 from stiffopt.discovery.training import train
 from stiffopt.recording.recording_set import load_recordings
@@ -71,21 +73,28 @@ def test_one_change_stands_for_several_that_leave_as_much(after_model):
     coulomb, viscous, offset = (LocatedEffect(effect=each, joint=0) for each in CAUSES)
     first = scan(Scorer(after_model), CAUSES)
     more = after_model.about(after_model.fit([coulomb, offset]))
-    single = _single_change(after_model, after_model, more, [coulomb, offset], first)
+    single = _single_change(after_model, after_model, more, [], [coulomb, offset], first)
     assert single is not None
     assert single[1] == [coulomb]
     both = after_model.about(after_model.fit([coulomb, viscous]))
-    assert _single_change(after_model, after_model, both, [coulomb, viscous], first) is None
+    two = [coulomb, viscous]
+    assert _single_change(after_model, after_model, both, [], two, first) is None
 
 
 @pytest.mark.parametrize(
-    ("stage", "with_model"),
-    [("_fitted_jointly", True), ("borne_out", True), ("_fitted_jointly", False)],
+    ("module", "stage", "with_model"),
+    [
+        (changing, "fitted_jointly", True),
+        (changing, "borne_out", True),
+        (searching, "fitted_jointly", False),
+    ],
 )
-def test_ctrl_c_at_the_second_finding_keeps_the_first(training, monkeypatch, stage, with_model):
+def test_ctrl_c_at_the_second_finding_keeps_the_first(
+    training, monkeypatch, module, stage, with_model
+):
     least = np.ones(2) if with_model else None
     comparison = replace(training, least=least, tolerance=FIXED).comparison()
-    plain, calls = getattr(searching, stage), []
+    plain, calls = getattr(module, stage), []
 
     def interrupted(comparison, effects):
         calls.append(len(effects))
@@ -93,7 +102,7 @@ def test_ctrl_c_at_the_second_finding_keeps_the_first(training, monkeypatch, sta
             raise KeyboardInterrupt
         return plain(comparison, effects)
 
-    monkeypatch.setattr(searching, stage, interrupted)
+    monkeypatch.setattr(module, stage, interrupted)
     result, names = found(comparison, strict=with_model)
     assert result.stopped
     assert names == ["coulomb"]
@@ -103,6 +112,6 @@ def test_ctrl_c_at_the_first_change_claims_nothing(after_model, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(searching, "borne_out", interrupted)
+    monkeypatch.setattr(changing, "borne_out", interrupted)
     with pytest.raises(KeyboardInterrupt):
         found(after_model)

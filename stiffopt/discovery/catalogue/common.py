@@ -15,6 +15,9 @@ from stiffopt.symbolic import Quantity, is_symbolic
 # shapes hold exactly, so a refined fit sets it to 1 and reports only the shapes.
 WEIGHT = Amplitude(name="weight", unit="", scale=1.0, lower=0.0, upper=1.5)
 
+# Limits of more than so many times the largest torque met are none.
+_PLACEHOLDER = 200.0
+
 
 def part(signal: Quantity, index: int) -> Quantity:
     """One entry along the last axis of arrays (K, n, m), or column of a symbol (n, m)."""
@@ -57,6 +60,16 @@ def contact_compliance(constants: JointConstants) -> float:
 def winds_up(constants: JointConstants) -> bool:
     """Whether the nominal joint is elastic at all."""
     return constants.elastic
+
+
+def carried_share(constants: JointConstants) -> float:
+    """Largest torque met over the rated one, where the limit is a placeholder; else 1.
+
+    Shapes that are shares of a rated torque begin so much smaller there.
+    """
+    if constants.torque_max <= _PLACEHOLDER * constants.largest_torque:
+        return 1.0
+    return min(constants.largest_torque / constants.torque_rated, 1.0)
 
 
 def along_stroke(constants: JointConstants, count: int) -> tuple[float, ...]:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import winds_up
+from stiffopt.discovery.catalogue.common import carried_share, winds_up
 from stiffopt.discovery.catalogue.history import remember
 from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
@@ -19,6 +19,8 @@ from stiffopt.symbolic import Quantity
 
 # Exponents nearer to one than this are taken as a series; of the limit, what counts as reached.
 _NEAR_ONE, _LEAST_LEFT = 1e-3, 1e-9
+# Of the rated torque, over which a flank at least takes up the load.
+_SHARPEST = 0.0005
 
 
 def backlash_term(
@@ -77,6 +79,10 @@ def _loop_height(constants: JointConstants) -> float:
     return 0.04 * constants.torque_rated
 
 
+def _roundings(constants: JointConstants) -> tuple[float, ...]:
+    return tuple(carried_share(constants) * share for share in (0.002, 0.008, 0.03))
+
+
 BACKLASH = Effect(
     name="backlash",
     family="elastic",
@@ -88,10 +94,9 @@ BACKLASH = Effect(
     reference="NordinGutman2002",
     term=backlash_term,
     amplitudes=(Amplitude(name="width", unit="rad", scale=3e-4, lower=0.0, upper=10.0),),
-    shapes=(
-        Shape(name="rounding", unit="", starts=(0.002, 0.008, 0.03), lower=0.0005, upper=0.08),
-    ),
+    shapes=(Shape(name="rounding", unit="", starts=_roundings, lower=1e-7, upper=0.08),),
     report=lambda amplitudes, shapes, constants: {"width": amplitudes[0]},
+    possible=lambda shapes, constants: shapes[0] >= _SHARPEST * carried_share(constants),
     applies=winds_up,
     separate="Carry the load slowly through zero torque: backlash is a step between two plateaus,"
     " a soft joint bends gradually, an encoder offset does not change side.",

@@ -13,6 +13,7 @@ import numpy as np
 from stiffopt.discovery.catalogue.common import (
     WEIGHT,
     along_stroke,
+    carried_share,
     dry_friction,
     viscous_friction,
 )
@@ -23,7 +24,7 @@ from stiffopt.discovery.settings import SIGN_SPEED
 from stiffopt.symbolic import Quantity, smooth_abs
 
 # Share of the rated torque below which a carried load has no definite side.
-_LOAD_ROUNDING = 0.02
+_LOAD_ROUNDING, _LEAST_LOAD = 0.02, 0.002
 # Of the speed within which friction has no definite sign, what rounds the size of a speed.
 _ROUNDED = 0.1
 
@@ -193,13 +194,14 @@ LOAD_FRICTION = Effect(
         Shape(
             name="rounding",
             unit="",
-            starts=(_LOAD_ROUNDING,),
-            lower=0.002,
+            starts=lambda constants: (_LOAD_ROUNDING * carried_share(constants),),
+            lower=1e-7,
             upper=0.1,
             usual=_LOAD_ROUNDING,
         ),
     ),
     report=lambda amplitudes, shapes, constants: {"mu": amplitudes[0]},
+    possible=lambda shapes, constants: shapes[0] >= _LEAST_LOAD * carried_share(constants),
     separate="Repeat one path with two payloads, in both directions: a gain error keeps its sign"
     " when the motion turns round.",
 )

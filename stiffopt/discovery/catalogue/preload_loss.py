@@ -6,7 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import Constants, contact_compliance, winds_up
+from stiffopt.discovery.catalogue.common import (
+    Constants,
+    carried_share,
+    contact_compliance,
+    winds_up,
+)
 from stiffopt.discovery.catalogue.robot_change import (
     SHARES,
     chain_of,
@@ -26,6 +31,8 @@ from stiffopt.symbolic import Quantity
 _HOLDS = 1.1
 # Of a share of preload that is as good as none lost.
 _WHOLE = 0.999
+# Of the rated torque, at which pressure that is left equals that of the load, at least.
+_TIGHTEST = 5e-4
 
 
 def preload_loss_term(
@@ -128,6 +135,10 @@ def _found_windup(found: EstimatedEffect, constants: JointConstants, torques: np
     return float(np.mean(np.asarray(term.deflection)))
 
 
+def _lefts(constants: JointConstants) -> tuple[float, ...]:
+    return tuple(carried_share(constants) * share for share in (0.005, 0.05, 0.5))
+
+
 PRELOAD_LOSS = Effect(
     name="preload_loss",
     family="elastic",
@@ -141,12 +152,13 @@ PRELOAD_LOSS = Effect(
     term=preload_loss_term,
     amplitudes=(Amplitude(name="c", unit="", scale=1.0, lower=0.0, upper=20.0),),
     shapes=(
-        Shape(name="left", unit="", starts=(0.005, 0.05, 0.5), lower=5e-4, upper=10.0),
+        Shape(name="left", unit="", starts=_lefts, lower=1e-7, upper=10.0),
         Shape(name="power", unit="", starts=(0.35, 0.65), lower=0.3, upper=0.9),
     ),
     report=_preload_left,
     units={"tp": "N m"},
     applies=winds_up,
+    possible=lambda shapes, constants: shapes[0] >= _TIGHTEST * carried_share(constants),
     separate="Climb to the rated torque on both sides in steps: loosened contacts stiffen all the"
     " way, a worn reducer only up to its corner.",
 )

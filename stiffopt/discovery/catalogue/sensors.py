@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from stiffopt.discovery.catalogue.common import (
     Constants,
     dry_friction,
@@ -14,12 +16,14 @@ from stiffopt.discovery.catalogue.common import (
 )
 from stiffopt.discovery.comparison.signals import JointConstants, JointSignals, RobotSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
-from stiffopt.symbolic import Quantity, softplus
+from stiffopt.symbolic import Quantity, is_symbolic, softplus
 
 # Share of the highest torque over which a drive rounds its limit off.
 _LIMIT_ROUNDING = 0.01
 # Share of the largest filtered torque that a drive's limit lies above.
 _OVERSHOOT = 0.97
+# Longest delay [s].
+_LATEST = 0.05
 
 
 def torque_gain_term(
@@ -46,8 +50,33 @@ def encoder_offset_term(
 def time_delay_term(
     signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Torque tau(t - d) - tau(t) to first order, on all joints."""
-    return Term(drive_torque=-amplitudes[0] * signals.drive_torque_rate)
+    """Torque tau(t - d) - tau(t) on all joints, in proportion to d about the delay of the shape."""
+    asked, about = signals.drive_torque, shapes[0]
+    late = _late(asked, about / signals.dt, int(_LATEST / signals.dt))
+    return Term(drive_torque=amplitudes[0] / about * (late - asked))
+
+
+def _late(values: Quantity, samples: Quantity, most: int) -> Quantity:
+    """Values (K, n) some samples before, `most` at most, by cubic convolution."""
+    if is_symbolic(samples):
+        nearest = range(-1, most + 3)
+    else:
+        whole = int(samples)
+        nearest = range(whole - 1, whole + 3)
+    return sum((_weight(samples - k) * _shifted(values, k) for k in nearest), 0.0)
+
+
+def _weight(away: Quantity) -> Quantity:
+    """Weight of a sample that lies so many samples away (Keys 1981)."""
+    near, far = np.fmin(np.abs(away), 1.0), np.fmin(np.fmax(np.abs(away), 1.0), 2.0)
+    inner = 1.5 * near**3 - 2.5 * near**2 + 1.0
+    return inner - 0.5 * far**3 + 2.5 * far**2 - 4.0 * far + 2.0
+
+
+def _shifted(values: Quantity, samples: int) -> Quantity:
+    """Values (K, n) whole samples before; the ends hold beyond them."""
+    places = np.clip(np.arange(values.shape[0]) - samples, 0, values.shape[0] - 1)
+    return values[places.tolist(), :]
 
 
 def encoder_skew_term(
@@ -163,6 +192,12 @@ TIME_DELAY = Effect(
     needs=("torque", "moves"),
     term=time_delay_term,
     amplitudes=(Amplitude(name="d", unit="s", scale=5e-3, lower=0.0, upper=10.0),),
+    shapes=(
+        Shape(
+            name="about", unit="s", starts=(1e-3, 5e-3, 0.02), lower=1e-4, upper=0.05, usual=1e-4
+        ),
+    ),
+    report=lambda amplitudes, shapes, constants: {"d": amplitudes[0]},
     separate="Change speed quickly, then hold it: a delay shows while the torque changes, friction"
     " and inertia do not depend on how fast it does.",
 )

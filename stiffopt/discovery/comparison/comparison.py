@@ -84,7 +84,8 @@ class Comparison:
     box : float
         Nominal values stay within so many standard deviations.
     least : array (2 n,), optional
-        Least of these factors: what the model that is started from left of its own recordings.
+        Least of these factors: what the model that is started from left of its own recordings;
+        nan where it has seen none.
     suspects : mapping of str to float
         Effects by their labels that this hints at by itself, with log evidence for a row: of them
         as much is no evidence.
@@ -116,7 +117,8 @@ class Comparison:
         self.blocks = int(self.rows.block.max()) + 1
         self.after_model = least is not None
         self._least, self.suspects = least, suspects
-        self.least = np.ones(2 * robot.n) if least is None else least
+        self.least = np.ones(2 * robot.n) if least is None else np.nan_to_num(least, nan=1.0)
+        self.unseen = np.zeros(2 * robot.n, dtype=bool) if least is None else np.isnan(least)
         self.inflation = self.least if inflation is None else inflation
 
     @cached_property

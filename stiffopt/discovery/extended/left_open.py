@@ -24,7 +24,11 @@ if TYPE_CHECKING:
 
 
 def left_open(
-    ratio: np.ndarray, noise: ChannelNoise, settings: Settings, suspects: Mapping[str, float]
+    ratio: np.ndarray,
+    noise: ChannelNoise,
+    settings: Settings,
+    suspects: Mapping[str, float],
+    before: LeftOpenSection | None = None,
 ) -> LeftOpenSection:
     """Section of extended.toml.
 
@@ -37,8 +41,12 @@ def left_open(
         With the bands that were chosen.
     suspects : mapping of str to float
         What is left hints at, with log evidence for a row.
+    before : LeftOpenSection, optional
+        Of the model that was started from: what these recordings do not show stays as it was.
     """
     spread = np.nan_to_num(ratio) * np.nan_to_num([*noise.torque, *noise.deflection])
+    if before is not None:
+        spread = np.where(spread > 0.0, spread, [*before.torque, *before.link_position])
     torque, link = np.split(spread, 2)
     return LeftOpenSection(
         cutoff=settings.fit_band,
@@ -50,12 +58,15 @@ def left_open(
 
 
 def least_factors(section: LeftOpenSection | None, noise: ChannelNoise) -> np.ndarray | None:
-    """Factors (2 n,) on the noise of every channel that make it what a model left open."""
+    """Factors (2 n,) on the noise of every channel that make it what a model left open.
+
+    nan where the model's own recordings show nothing of a channel, as of a joint that stood still.
+    """
     if section is None:
         return None
     left = np.array([*section.torque, *section.link_position])
     known = np.array([*noise.torque, *noise.deflection])
-    return np.asarray(np.maximum(1.0, np.nan_to_num(left / known)))
+    return np.where(left > 0.0, np.maximum(1.0, np.nan_to_num(left / known)), np.nan)
 
 
 def with_bands(settings: Settings, section: LeftOpenSection | None) -> Settings:

@@ -72,7 +72,7 @@ def bursts(
     noise = training.noise.channels.torque
     if training.least is not None:
         # What the model that is started from left of its own recordings is nothing new.
-        noise = noise * training.least[: training.robot.n]
+        noise = noise * np.nan_to_num(training.least[: training.robot.n], nan=1.0)
     for run, prepared in zip(training.recorded, training.runs, strict=True):
         predictor = Predictor(training.robot, run, training.constants, settings, prepared)
         if predictor.nominal.swing is None:

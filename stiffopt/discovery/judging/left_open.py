@@ -21,7 +21,10 @@ _REFINED, _LEAST = 12, 2.0
 
 
 def open_section(
-    training: Training, whole: Extension, catalogue: Sequence[Effect]
+    training: Training,
+    whole: Extension,
+    catalogue: Sequence[Effect],
+    before: LeftOpenSection | None = None,
 ) -> LeftOpenSection:
     """Section of extended.toml about what is left of the training runs.
 
@@ -32,6 +35,8 @@ def open_section(
         All that the extended model has.
     catalogue : sequence of Effect
         That is asked for; without any, nothing is suspected.
+    before : LeftOpenSection, optional
+        Of the model that was started from.
     """
     own = replace(training, start=whole.fitted, tolerance=FIXED, suspects={}).comparison()
     ratio = own.inflation * own.channel_ratio(own.target)
@@ -43,4 +48,4 @@ def open_section(
             for candidate in scan(Scorer(own), of_changes(catalogue), refined=_REFINED)
             if candidate.evidence > _LEAST and candidate.located.run is None
         }
-    return left_open(ratio, training.noise.channels, training.settings, suspects)
+    return left_open(ratio, training.noise.channels, training.settings, suspects, before)

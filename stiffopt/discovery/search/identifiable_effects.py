@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
+from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.signals import JointConstants
 from stiffopt.discovery.effect import Amplitude, Effect
-from stiffopt.discovery.identifiable import EffectCheck
+from stiffopt.discovery.identifiable import EffectCheck, needs
 from stiffopt.recording.recording_set import RecordingSet
 
 
@@ -63,6 +66,28 @@ def unstated_effects(
         if _stands_for_unstated(effect, recordings) or (usual and effect.usual)
         for j, constants in enumerate(joints)
         if effect.applies is None or effect.applies(constants)
+    )
+
+
+def of_unseen(
+    effects: Sequence[LocatedEffect], unseen: np.ndarray, model: Extension
+) -> tuple[LocatedEffect, ...]:
+    """Those of channels that an extended model has seen nothing of, and says nothing of.
+
+    Parameters
+    ----------
+    effects : sequence of LocatedEffect
+    unseen : array (2 n,) of bool
+        Torques, then link positions.
+    model : Extension
+    """
+    torque, link = np.split(unseen, 2)
+    known = [each.located for each in model.effects]
+    return tuple(
+        located
+        for located in effects
+        if (link if "link" in needs(located.effect) else torque)[located.joint]
+        and not any(located.same_place(other) for other in known)
     )
 
 

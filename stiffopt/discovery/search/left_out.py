@@ -24,8 +24,9 @@ from stiffopt.discovery.thresholds import (
     LEFT_OUT_SHARE,
 )
 
-# Parts of all runs that are left out one after another where runs are few.
-_PARTS = 6
+# Parts of all runs that are left out one after another where runs are few; and of each run where
+# an effect acts in fewer parts than the second.
+_PARTS, _FEWEST = 6, 3
 # Share of the largest change of a fold, or of an effect's squares in the other half, from which a
 # fold or half has a say.
 _ACTED = 0.05
@@ -74,18 +75,28 @@ def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[
     effects = without_balancing(comparison, effects)
     if not effects:
         return []
-    sums, owner = _summed(comparison, effects)
+    columns, prior, owner = _columns(comparison, effects)
     judged = [k for k, e in enumerate(effects) if e.run is None]
+    new = {k: _never_seen(comparison, columns[:, owner == k]) for k in judged}
+    ways = [_Left(comparison, columns, prior, fine=False)]
+    chosen = dict.fromkeys(judged, ways[0])
+    seldom = [k for k in judged if ways[0].acted(columns[:, owner == k]).sum() < _FEWEST]
+    if seldom:
+        # As where joints move one a run: nothing but the run itself could say anything of it.
+        finer = _Left(comparison, columns, prior, fine=True)
+        chosen |= dict.fromkeys(seldom, finer)
+        ways.append(finer)
     kept = set(range(len(effects)))
     while True:
         inside = np.isin(owner, [-1, *kept])
-        errors = sums.errors(np.flatnonzero(inside))
+        errors = {id(way): way.sums.errors(np.flatnonzero(inside)) for way in ways}
         excess = {
             k: _excess(
-                errors,
-                sums.errors(np.flatnonzero(inside & (owner != k))),
-                changed=comparison.after_model,
-                plain=bool(effects[k].effect.nominal) and not comparison.after_model,
+                errors[id(chosen[k])],
+                chosen[k].sums.errors(np.flatnonzero(inside & (owner != k))),
+                acted=chosen[k].acted(columns[:, owner == k]),
+                changed=comparison.after_model and not new[k],
+                plain=bool(effects[k].effect.nominal) and (new[k] or not comparison.after_model),
             )
             for k in judged
             if k in kept
@@ -94,6 +105,12 @@ def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[
         if poorest is None or excess[poorest] >= 0.0:
             return [e for k, e in enumerate(effects) if k in kept]
         kept.remove(poorest)
+
+
+def _never_seen(comparison: Comparison, columns: np.ndarray) -> bool:
+    """Whether an effect acts most where the model that was started from has seen nothing."""
+    square = np.bincount(comparison.rows.channel, np.sum(columns**2, axis=1))
+    return bool(comparison.unseen[int(np.argmax(square))])
 
 
 def without_balancing(
@@ -136,7 +153,8 @@ def shares_left_out(comparison: Comparison, effects: Sequence[LocatedEffect]) ->
     """
     if not effects:
         return ()
-    sums, owner = _summed(comparison, effects)
+    columns, prior, owner = _columns(comparison, effects)
+    sums = _sums(comparison, columns, prior, _folds(comparison))
     errors = sums.errors(np.arange(len(owner)))
     shares = []
     for k in range(len(effects)):
@@ -156,7 +174,7 @@ def repeated(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[
     """
     if not effects:
         return ()
-    half = _folds(comparison, halves=True)
+    half = _halves(comparison)
     fit = comparison.fit(effects)
     _, sd, nuisance = comparison.nuisance
     parts = [comparison.effect_columns(e) for e in effects]
@@ -180,23 +198,44 @@ def _fall(part: np.ndarray, left: np.ndarray, used: np.ndarray) -> float:
     return float(np.sum(left[~used] ** 2) - np.sum((left[~used] - other @ values) ** 2))
 
 
-def _summed(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[_Sums, np.ndarray]:
-    """Sums of all columns, and of every column the effect it belongs to; -1: nominal values."""
+def _columns(
+    comparison: Comparison, effects: Sequence[LocatedEffect]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All columns, their priors, and of every column the effect it belongs to; -1: nominal."""
     _, sd, nuisance = comparison.nuisance
     parts = [comparison.effect_columns(e) for e in effects]
-    widths = [len(sd), *(part.shape[1] for part in parts)]
-    owner = np.repeat(np.arange(-1, len(effects)), widths)
+    owner = np.repeat(np.arange(-1, len(effects)), [len(sd), *(part.shape[1] for part in parts)])
     prior = np.concatenate([sd, np.ones(len(owner) - len(sd))])
-    return _sums(comparison, np.column_stack([nuisance, *parts]), prior), owner
+    return np.column_stack([nuisance, *parts]), prior, owner
+
+
+class _Left:
+    """Sums of columns by what is left out: runs or parts of them."""
+
+    def __init__(
+        self, comparison: Comparison, columns: np.ndarray, prior: np.ndarray, *, fine: bool
+    ) -> None:
+        self._fold = _folds(comparison, _PARTS if fine else parts_a_run(len(comparison.runs)))
+        self.sums = _sums(comparison, columns, prior, self._fold)
+
+    def acted(self, part: np.ndarray) -> np.ndarray:
+        """Folds (f,) in which an effect has more than a little of its squares (m, k) of one."""
+        square = np.bincount(self._fold, np.sum(part**2, axis=1))
+        return np.asarray(square > _ACTED * square.max())
 
 
 def _excess(
-    errors: np.ndarray, without: np.ndarray, *, plain: bool = False, changed: bool = False
+    errors: np.ndarray,
+    without: np.ndarray,
+    *,
+    acted: np.ndarray | None = None,
+    plain: bool = False,
+    changed: bool = False,
 ) -> float:
     """Share of the squares of its best channel that an effect takes away, over what it should.
 
-    -1 where it helps in few folds, or in one alone. What is plain, as friction that every joint
-    has, is to help on the whole.
+    -1 where it helps in few folds of those in which it acts, or in one alone. What is plain, as
+    friction that every joint has, is to help on the whole.
     """
     falls = without - errors
     by_fold = falls.sum(axis=1)
@@ -207,6 +246,8 @@ def _excess(
     share = float(falls[:, own].sum() / without[:, own].sum())
     if plain:
         return share
+    if acted is not None:
+        by_fold = by_fold[acted]
     if changed:
         # Where it hardly acts, as a stop that is seldom reached, it can help nothing.
         by_fold = by_fold[np.abs(by_fold) > _ACTED * np.abs(by_fold).max()]
@@ -218,8 +259,10 @@ def _excess(
     return share - (CHANGE_SHARE if changed else LEFT_OUT_SHARE)
 
 
-def _sums(comparison: Comparison, columns: np.ndarray, prior: np.ndarray) -> _Sums:
-    fold, channel = _folds(comparison), comparison.rows.channel
+def _sums(
+    comparison: Comparison, columns: np.ndarray, prior: np.ndarray, fold: np.ndarray
+) -> _Sums:
+    channel = comparison.rows.channel
     count, p = int(fold.max()) + 1, columns.shape[1]
     channels = comparison.rows.channels
     gram = np.zeros((count, len(channels), p, p))
@@ -237,16 +280,24 @@ def parts_a_run(runs: int) -> int:
     return 1 if runs >= 2 * FEW_RUNS else -(-_PARTS // runs)
 
 
-def _folds(comparison: Comparison, *, halves: bool = False) -> np.ndarray:
-    """Number of the fold of every row (m,): its run, or one of a few parts of the runs in time."""
+def _folds(comparison: Comparison, parts: int | None = None) -> np.ndarray:
+    """Number of the fold of every row (m,): its run, or one of some parts of each run in time."""
     runs = comparison.runs
-    parts = parts_a_run(len(runs))
-    if halves:
-        parts = 2 if len(runs) == 1 else 1
+    cut = parts_a_run(len(runs)) if parts is None else parts
 
     def number(run: PreparedRun) -> np.ndarray:
         share = (run.time - run.time[0]) / float(run.time[-1] - run.time[0])
-        own = runs.index(run) * parts + np.minimum((share * parts).astype(int), parts - 1)
-        return np.asarray(own % 2 if halves else own)
+        return np.asarray(runs.index(run) * cut + np.minimum((share * cut).astype(int), cut - 1))
 
     return np.unique(comparison.rows.sampled(number), return_inverse=True)[1]
+
+
+def _halves(comparison: Comparison) -> np.ndarray:
+    """Which half every row (m,) is of: of every other run, or the begin or end of a single one."""
+    runs = comparison.runs
+
+    def number(run: PreparedRun) -> np.ndarray:
+        late = run.time - run.time[0] >= 0.5 * float(run.time[-1] - run.time[0])
+        return late.astype(int) if len(runs) == 1 else np.full(len(late), runs.index(run) % 2)
+
+    return comparison.rows.sampled(number)

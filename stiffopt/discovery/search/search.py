@@ -12,32 +12,26 @@ from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
+from stiffopt.discovery.search.changes import changes
+from stiffopt.discovery.search.joint_fit import (
+    STOPPED,
+    confirmed,
+    fitted_jointly,
+    passes,
+    pruned,
+)
 from stiffopt.discovery.search.left_out import borne_out
 from stiffopt.discovery.search.pace import Pace, paced
 from stiffopt.discovery.search.rigid import RigidStage, rigid_stage
 from stiffopt.discovery.search.rivals import Ranked, Selected, ranked_among_rivals
-from stiffopt.discovery.search.uncertainty import significance
 from stiffopt.discovery.thresholds import (
     AT_ONCE,
-    BORNE_OUT_SHARE,
-    CHANGES_REFINED,
-    CHANGES_TRIED,
-    CONFIRMED_DEVIATIONS,
-    DETERMINED_DEVIATIONS,
     EXCHANGES,
-    NAMED_DEVIATIONS,
     NAMED_EVIDENCE,
-    NAMED_SHARE,
-    RELIEF_SHARE,
     SETTLED,
     SETTLED_DEVIATIONS,
     SETTLING_ROUNDS,
-    SPARSE_LEFT,
-    SPARSE_SHARE,
-    STRICT_DEVIATIONS,
 )
-
-_STOPPED = "stopped: what was found so far is weighed"
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,10 +120,12 @@ def search(
     if about is not None:
         # Slopes about the nominal motion lead away from it.
         comparison = comparison.moved(about)
-        current, effects = _fitted_jointly(comparison, [each.located for each in about.effects])
-        effects = _pruned(current, effects)
+        current, effects = fitted_jointly(comparison, [each.located for each in about.effects])
+        effects = pruned(current, effects)
     if comparison.after_model:
-        current, effects, stopped = _changes(comparison, current, catalogue, most, say, tell)
+        current, effects, stopped = changes(
+            comparison, current, effects, catalogue, most, say, tell
+        )
     else:
         together = AT_ONCE if strict else 1
         current, effects, stopped = _forward(
@@ -137,21 +133,21 @@ def search(
         )
     if effects:
         say(f"confirm what was found ({len(effects)}) on stretches left out")
-    confirmed = _confirmed(current, effects, strict=strict)
+    sure = confirmed(current, effects, strict=strict)
     if strict:
-        confirmed = borne_out(current, confirmed)
-    if len(confirmed) < len(effects):
-        lost = [e for e in effects if e not in confirmed]
-        current, effects = _fitted_jointly(comparison, confirmed)
+        sure = borne_out(current, sure)
+    if len(sure) < len(effects):
+        lost = [e for e in effects if e not in sure]
+        current, effects = fitted_jointly(comparison, sure)
         if strict:
             current, effects = _added_again(comparison, current, effects, lost)
     current, ranked = _exchanged(comparison, current, effects, catalogue, tell)
     for _ in range(EXCHANGES if strict else 0):
         effects = [r.selected.located for r in ranked]
-        kept = borne_out(current, _confirmed(current, effects, strict=True))
+        kept = borne_out(current, confirmed(current, effects, strict=True))
         if len(kept) == len(effects):
             break
-        current, kept = _fitted_jointly(comparison, kept)
+        current, kept = fitted_jointly(comparison, kept)
         current, ranked = _exchanged(comparison, current, kept, catalogue, tell, ranked)
     if strict:
         effects = [r.selected.located for r in ranked]
@@ -196,8 +192,8 @@ def _not_stated(
     if not start:
         return comparison.about(comparison.fit(boxed=False)), []
     say(f"fit what the nominal model does not state ({len(start)} values)")
-    current, effects = _fitted_jointly(comparison, start)
-    return _fitted_jointly(comparison, _pruned(current, effects))
+    current, effects = fitted_jointly(comparison, start)
+    return fitted_jointly(comparison, pruned(current, effects))
 
 
 def _added_again(
@@ -214,13 +210,13 @@ def _added_again(
     while waiting:
         scorer = Scorer(current, effects)
         scored = [(c, e) for e in waiting if (c := scorer.score(e)) is not None]
-        passing = [(c, e) for c, e in scored if _passes(c, scorer)]
+        passing = [(c, e) for c, e in scored if passes(c, scorer)]
         if not passing:
             break
         best = max(passing, key=lambda pair: pair[0].evidence)[1]
         waiting = [e for _, e in passing if e is not best]
-        wider, tried = _fitted_jointly(comparison, [*effects, best])
-        judged = borne_out(wider, _confirmed(wider, tried, strict=True))
+        wider, tried = fitted_jointly(comparison, [*effects, best])
+        judged = borne_out(wider, confirmed(wider, tried, strict=True))
         if any(best.same_place(other) for other in judged):
             current, effects = wider, tried
     return current, effects
@@ -240,9 +236,9 @@ def _restored(
     """
     effects = [r.selected.located for r in ranked]
     while lost:
-        wider, found = _fitted_jointly(comparison, [*effects, *lost])
-        found = borne_out(wider, _pruned(wider, found))
-        found = _confirmed(wider, found, strict=True)
+        wider, found = fitted_jointly(comparison, [*effects, *lost])
+        found = borne_out(wider, pruned(wider, found))
+        found = confirmed(wider, found, strict=True)
         kept = [e for e in lost if any(e.same_place(other) for other in found)]
         if len(kept) == len(lost):
             scorer = Scorer(wider, found)
@@ -251,7 +247,7 @@ def _restored(
                     beside = scorer.score(each)
                     if beside is not None and beside.evidence > NAMED_EVIDENCE:
                         found.append(each)
-            wider, found = _fitted_jointly(comparison, found)
+            wider, found = fitted_jointly(comparison, found)
             weighed = _ranked(wider, found, catalogue, tell, ranked)
             unlikely = [
                 r.selected.located for r in weighed if r.likeliest is not r.selected.located
@@ -285,87 +281,17 @@ def _forward(
                 break
             for each in best:
                 say(f"found {each.located.label} (log evidence {each.evidence:.0f})")
-            wider, tried = _fitted_jointly(comparison, [*effects, *(e.located for e in best)])
-            current, effects = wider, _pruned(wider, tried)
+            wider, tried = fitted_jointly(comparison, [*effects, *(e.located for e in best)])
+            current, effects = wider, pruned(wider, tried)
         except KeyboardInterrupt:
             if not effects:  # there is nothing to tell
                 raise
-            say(_STOPPED)
+            say(STOPPED)
             stopped = True
             break
         if best[0].located.label not in [e.label for e in effects]:
             break
-    return *_fitted_jointly(comparison, effects), stopped
-
-
-def _changes(
-    comparison: Comparison,
-    current: Comparison,
-    catalogue: Sequence[Effect],
-    most: int,
-    say: Callable[[str], object],
-    tell: Callable[[str], object],
-) -> tuple[Comparison, list[LocatedEffect], bool]:
-    """What has changed since the model was made: one thing after another, each borne out.
-
-    Where one change predicts recordings left out nearly as well as several, it is that one.
-    """
-    effects: list[LocatedEffect] = []
-    first: list[Candidate] = []
-    nothing = current
-    try:
-        while len(effects) < most:
-            scorer = Scorer(current, effects)
-            found = scan(scorer, catalogue, refined=CHANGES_REFINED, tell=tell)
-            first = first or found
-            passing = [c for c in found if _passes(c, scorer)]
-            for candidate in sorted(passing, key=lambda c: -c.evidence)[:CHANGES_TRIED]:
-                wider, tried = _fitted_jointly(comparison, [*effects, candidate.located])
-                if _all_borne_out(wider, tried):
-                    say(f"found {candidate.located.label} (log evidence {candidate.evidence:.0f})")
-                    current, effects = wider, tried
-                    break
-            else:
-                break
-        if len(effects) > 1:
-            single = _single_change(comparison, nothing, current, effects, first)
-            if single is not None:
-                say(f"one change does nearly as well: {single[1][0].label}")
-                current, effects = single
-    except KeyboardInterrupt:
-        if not effects:
-            raise
-        say(_STOPPED)
-        return current, effects, True
-    return current, effects, False
-
-
-def _single_change(
-    comparison: Comparison,
-    nothing: Comparison,
-    current: Comparison,
-    effects: list[LocatedEffect],
-    first: Sequence[Candidate],
-) -> tuple[Comparison, list[LocatedEffect]] | None:
-    """The one change that does nearly as well as several, or None.
-
-    Gains are over the noise that no change leaves, beside which a smaller change is nothing: what
-    is left once it is fitted decides.
-    """
-    alone, all_ = Scorer(nothing), Scorer(nothing, effects)
-    gained = float(np.sum(all_.by_block) - np.sum(alone.by_block))
-    best = max(first[:CHANGES_REFINED], key=lambda c: c.gain)
-    if best.gain <= SPARSE_SHARE * gained or not _passes(best, alone):
-        return None
-    only, single = _fitted_jointly(comparison, [best.located])
-    if np.any(only.inflation > SPARSE_LEFT * current.inflation):
-        return None
-    return (only, single) if _all_borne_out(only, single) else None
-
-
-def _all_borne_out(comparison: Comparison, effects: list[LocatedEffect]) -> bool:
-    kept = borne_out(comparison, _confirmed(comparison, effects, strict=True))
-    return len(kept) == len(effects)
+    return *fitted_jointly(comparison, effects), stopped
 
 
 def _exchanged(
@@ -382,16 +308,16 @@ def _exchanged(
         likelier = _distinct([r.likeliest for r in ranked])
         if likelier == effects:
             break
-        current, effects = _fitted_jointly(comparison, likelier)
+        current, effects = fitted_jointly(comparison, likelier)
         ranked = _ranked(current, effects, catalogue, tell, ranked)
     else:
         # Explanations that go on taking each other's place explain nothing.
         kept = [r.selected.located for r in ranked if r.likeliest is r.selected.located]
         if len(kept) < len(effects):
-            current, effects = _fitted_jointly(comparison, kept)
+            current, effects = fitted_jointly(comparison, kept)
             ranked = _ranked(current, effects, catalogue, tell)
     if len(ranked) < len(effects):
-        current, effects = _fitted_jointly(comparison, [r.selected.located for r in ranked])
+        current, effects = fitted_jointly(comparison, [r.selected.located for r in ranked])
         ranked = _ranked(current, effects, catalogue, tell, ranked)
     return current, ranked
 
@@ -435,95 +361,9 @@ def _best(candidates: Sequence[Candidate], scorer: Scorer, most: int) -> list[Ca
     for candidate in candidates:
         if len(found) == most or candidate.evidence < NAMED_EVIDENCE:
             break
-        if candidate.channel not in [c.channel for c in found] and _passes(candidate, scorer):
+        if candidate.channel not in [c.channel for c in found] and passes(candidate, scorer):
             found.append(candidate)
     return found
-
-
-def _passes(candidate: Candidate, scorer: Scorer) -> bool:
-    if candidate.evidence < NAMED_EVIDENCE or candidate.deviations < NAMED_DEVIATIONS:
-        return False
-    if candidate.explained >= NAMED_SHARE and candidate.gain > 0.0:
-        return True
-    return _relief(candidate, scorer) > RELIEF_SHARE * candidate.evidence
-
-
-def _relief(candidate: Candidate, scorer: Scorer) -> float:
-    """Log prior that the nominal values regain when they need not stand in for the effect."""
-    _, sd, _ = scorer.comparison.nuisance
-    count = len(sd)
-    without = scorer.start.mean[:count] / sd
-    within = scorer.nuisance_beside(candidate.located) / sd
-    return 0.5 * float(without @ without - within @ within)
-
-
-def _fitted_jointly(
-    start: Comparison, effects: list[LocatedEffect]
-) -> tuple[Comparison, list[LocatedEffect]]:
-    """Fit all effects together: their shapes in turn, then the noise that is left."""
-    current = start.about(start.fit(effects))
-    refined = list(effects)
-    for i, located in enumerate(effects):
-        if located.effect.shapes:
-            others = [e for k, e in enumerate(refined) if k != i]
-            scorer = Scorer(current, others)
-            scored = scorer.score(refined[i])
-            if scored is not None:
-                refined[i] = scorer.refine(scored).located
-    return start.about(current.fit(refined)), refined
-
-
-def _pruned(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
-    """Effects without which something is lost, given all others."""
-    kept = [
-        e
-        for e in effects
-        if Scorer(comparison, [o for o in effects if o is not e]).score(e) is not None
-    ]
-    while kept:
-        losses = comparison.fit(kept).losses()
-        worst = int(np.argmin(losses))
-        if losses[worst] >= NAMED_EVIDENCE:
-            break
-        kept.pop(worst)
-    return kept
-
-
-def _confirmed(
-    comparison: Comparison, effects: list[LocatedEffect], *, strict: bool
-) -> list[LocatedEffect]:
-    """Effects that no few seconds of the recordings are alone responsible for.
-
-    Where a few seconds hold all there is, as of a drive at its limit, those count that take away
-    most of a channel's residual, in recordings left out of the fit too. Where the model is wrong in
-    many ways (`strict`), each of which does that somewhere, they need deviations as well, and an
-    amplitude that is known by itself, save for what every joint has.
-    """
-    kept = list(effects)
-    while kept:
-        sure, single = significance(comparison, kept)
-        weak = [int(i) for i in np.argsort(sure) if sure[i] < CONFIRMED_DEVIATIONS]
-        doubted = [
-            int(i)
-            for i in np.argsort(sure)
-            if strict
-            and not kept[i].effect.nominal
-            and (sure[i] < STRICT_DEVIATIONS or single[i] < DETERMINED_DEVIATIONS)
-        ]
-        unproved = (i for i in weak if not _borne_out(comparison, kept, i))
-        lost = doubted[0] if doubted else next(unproved, None)
-        if lost is None:
-            break
-        kept.pop(lost)
-    return kept
-
-
-def _borne_out(comparison: Comparison, effects: list[LocatedEffect], index: int) -> bool:
-    others = [e for k, e in enumerate(effects) if k != index]
-    own = Scorer(comparison, others).score(effects[index])
-    if own is None or own.explained <= BORNE_OUT_SHARE:
-        return False
-    return own.gain > BORNE_OUT_SHARE * own.evidence
 
 
 def _distinct(effects: Sequence[LocatedEffect]) -> list[LocatedEffect]:

@@ -1,0 +1,109 @@
+"""Effects fitted together, and which of them a search may keep."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.search.candidates import Candidate, Scorer
+from stiffopt.discovery.search.uncertainty import significance
+from stiffopt.discovery.thresholds import (
+    BORNE_OUT_SHARE,
+    CONFIRMED_DEVIATIONS,
+    DETERMINED_DEVIATIONS,
+    NAMED_DEVIATIONS,
+    NAMED_EVIDENCE,
+    NAMED_SHARE,
+    RELIEF_SHARE,
+    STRICT_DEVIATIONS,
+)
+
+STOPPED = "stopped: what was found so far is weighed"
+
+
+def passes(candidate: Candidate, scorer: Scorer) -> bool:
+    """Whether a candidate is worth a try: sure, and seen in what is left or in nominal values."""
+    if candidate.evidence < NAMED_EVIDENCE or candidate.deviations < NAMED_DEVIATIONS:
+        return False
+    if candidate.explained >= NAMED_SHARE and candidate.gain > 0.0:
+        return True
+    return _relief(candidate, scorer) > RELIEF_SHARE * candidate.evidence
+
+
+def _relief(candidate: Candidate, scorer: Scorer) -> float:
+    """Log prior that the nominal values regain when they need not stand in for the effect."""
+    _, sd, _ = scorer.comparison.nuisance
+    count = len(sd)
+    without = scorer.start.mean[:count] / sd
+    within = scorer.nuisance_beside(candidate.located) / sd
+    return 0.5 * float(without @ without - within @ within)
+
+
+def fitted_jointly(
+    start: Comparison, effects: list[LocatedEffect]
+) -> tuple[Comparison, list[LocatedEffect]]:
+    """Fit all effects together: their shapes in turn, then the noise that is left."""
+    current = start.about(start.fit(effects))
+    refined = list(effects)
+    for i, located in enumerate(effects):
+        if located.effect.shapes:
+            others = [e for k, e in enumerate(refined) if k != i]
+            scorer = Scorer(current, others)
+            scored = scorer.score(refined[i])
+            if scored is not None:
+                refined[i] = scorer.refine(scored).located
+    return start.about(current.fit(refined)), refined
+
+
+def pruned(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
+    """Effects without which something is lost, given all others."""
+    kept = [
+        e
+        for e in effects
+        if Scorer(comparison, [o for o in effects if o is not e]).score(e) is not None
+    ]
+    while kept:
+        losses = comparison.fit(kept).losses()
+        worst = int(np.argmin(losses))
+        if losses[worst] >= NAMED_EVIDENCE:
+            break
+        kept.pop(worst)
+    return kept
+
+
+def confirmed(
+    comparison: Comparison, effects: list[LocatedEffect], *, strict: bool
+) -> list[LocatedEffect]:
+    """Effects that no few seconds of the recordings are alone responsible for.
+
+    Where a few seconds hold all there is, as of a drive at its limit, those count that take away
+    most of a channel's residual, in recordings left out of the fit too. Where the model is wrong in
+    many ways (`strict`), each of which does that somewhere, they need deviations as well, and an
+    amplitude that is known by itself, save for what every joint has.
+    """
+    kept = list(effects)
+    while kept:
+        sure, single = significance(comparison, kept)
+        weak = [int(i) for i in np.argsort(sure) if sure[i] < CONFIRMED_DEVIATIONS]
+        doubted = [
+            int(i)
+            for i in np.argsort(sure)
+            if strict
+            and not kept[i].effect.nominal
+            and (sure[i] < STRICT_DEVIATIONS or single[i] < DETERMINED_DEVIATIONS)
+        ]
+        unproved = (i for i in weak if not _alone_borne_out(comparison, kept, i))
+        lost = doubted[0] if doubted else next(unproved, None)
+        if lost is None:
+            break
+        kept.pop(lost)
+    return kept
+
+
+def _alone_borne_out(comparison: Comparison, effects: list[LocatedEffect], index: int) -> bool:
+    others = [e for k, e in enumerate(effects) if k != index]
+    own = Scorer(comparison, others).score(effects[index])
+    if own is None or own.explained <= BORNE_OUT_SHARE:
+        return False
+    return own.gain > BORNE_OUT_SHARE * own.evidence
