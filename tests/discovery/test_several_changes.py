@@ -81,6 +81,36 @@ def test_one_change_stands_for_several_that_leave_as_much(after_model):
     assert _single_change(after_model, after_model, both, [], two, first) is None
 
 
+def test_of_changes_that_are_alike_the_one_that_leaves_least_is_taken(after_model, monkeypatch):
+    """Over a noise that holds the change itself, what takes most of it has as much evidence."""
+    plain = changing.scan
+
+    def scanned(scorer, catalogue, **named):
+        found = plain(scorer, catalogue, **named)
+        likeliest = {"viscous": 102.0, "coulomb": 101.0}
+        found = [replace(c, evidence=likeliest[c.located.effect.name]) for c in found]
+        return sorted(found, key=lambda c: -c.evidence)
+
+    monkeypatch.setattr(changing, "scan", scanned)
+    about = after_model.about(after_model.fit())
+    told = []
+    _, effects, _ = changing.changes(
+        after_model, about, [], CAUSES[:2], 1, told.append, lambda _: None
+    )
+    assert [e.effect.name for e in effects] == ["coulomb"]
+    assert told == ["found coulomb of joint 1 (log evidence 101)"]
+
+
+def test_what_a_further_change_makes_needless_goes(after_model, monkeypatch):
+    """Friction at one place stood for dry friction everywhere, until that is found."""
+    place = LocatedEffect(effect=effect("position_friction"), joint=0, shapes=(0.0, 1.0))
+    start, _ = changing.fitted_jointly(after_model, [place])
+    _, effects, _ = changing.changes(
+        after_model, start, [place], CAUSES, 3, lambda _: None, lambda _: None
+    )
+    assert sorted(e.effect.name for e in effects) == ["coulomb", "viscous"]
+
+
 @pytest.mark.parametrize(
     ("module", "stage", "with_model"),
     [
