@@ -271,3 +271,20 @@ def test_a_weighted_shape_is_reported_by_its_slope():
     lost = -(values[0] - values[1]) / 2e-3 / (3.0 * signals.motor_velocity)
     reported = warm.parameters([0.7, 0.0], [0.03], signals.constants)["b"]
     np.testing.assert_allclose(lost, reported, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["backlash", "load_friction", "preload_loss"])
+def test_shapes_begin_at_loads_that_the_joint_carries(name: str):
+    """Shares of a rated torque of 333 kN m, as of a limit of 1e6 N m, are no load of any arm's."""
+    usual = replace(ROBOT.of_joint(4).constants, torque_rated=60.0, torque_max=180.0)
+    placeholder = replace(usual, torque_rated=333e3, torque_max=1e6)
+    shape = effect(name).shapes[0]
+    carried = np.array(shape.grid(placeholder)) * placeholder.torque_rated
+    assert carried == pytest.approx(np.array(shape.grid(usual)) * usual.largest_torque)
+    rule = effect(name).possible
+    assert rule is not None
+    for constants, rated in ((usual, 60.0), (placeholder, usual.largest_torque)):
+        least = 1e-6 * rated / constants.torque_rated
+        others = [s.grid(constants)[0] for s in effect(name).shapes[1:]]
+        assert rule([shape.grid(constants)[0], *others], constants)
+        assert not rule([least, *others], constants)
