@@ -22,6 +22,7 @@ KINDS = (
     "bag of SQLite, metadata", "bag of MCAP", "mcap", "mcap of JSON", "lerobot", "lerobot, rows",
     "lerobot, names", "kuka", "kuka, values",
     "own urdf", "own table", "own catalogue",
+    "cell", "uncertainty", "hypercube", "left open", "currents",
 )  # fmt: skip
 
 

@@ -120,6 +120,7 @@ def simulate(
         spring_torque=torque,
         band=band,
         notes=(
+            *_rigid(arm),
             *_following(arm),
             *_beyond_law(arm, times, torque),
             *_hysteresis(arm, q[-1], float(np.linalg.norm(deviation, axis=1).max())),
@@ -219,6 +220,21 @@ def check_reach(arm: ElasticArm, motor: np.ndarray) -> float:
             "check its stiffness and the inertia behind it."
         )
     return max(fastest.frequency, 1.0)
+
+
+def _rigid(arm: ElasticArm) -> list[str]:
+    """Joints whose elements nobody described: their share of the deviation is missing."""
+    stiff = [
+        name
+        for j, name in enumerate(arm.robot.joint_names, start=1)
+        if arm.springs[j - 1] is None and j not in arm.following
+    ]
+    if not stiff:
+        return []
+    return [
+        f"Taken as rigid, since the robot file gives no elements: {', '.join(stiff)}. What yields"
+        " there comes on top."
+    ]
 
 
 def _following(arm: ElasticArm) -> list[str]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from stiffopt.errors import ProblemError
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
+from stiffopt.robot.frames import link_frame, link_names
 from stiffopt.robot.robot import Robot
 
 _TURN = 2.0 * np.pi
@@ -83,10 +84,11 @@ def _more_than_a_turn(where: str, value: float) -> str:
 
 def _check_robot(robot: Robot) -> None:
     _check_masses(robot)
-    arm = reach_of(robot) - float(np.linalg.norm(robot.tool.offset))
+    tool = float(np.linalg.norm(robot.tool.offset))
+    # What the URDF fixes to the last joint, such as a link whose own joint is held, is arm too.
+    arm = reach_of(robot) - tool + _fixed_length(robot)
     if not 0.0 < arm < np.inf:
         return
-    tool = float(np.linalg.norm(robot.tool.offset))
     if tool > _FAR * arm:
         raise ProblemError(
             f"tool.offset: the tool lies {tool:.4g} m from its joint, the whole arm of {robot.name}"
@@ -100,6 +102,13 @@ def _check_robot(robot: Robot) -> None:
                 f" {far:.4g} m from the joint; the whole arm is {arm:.4g} m long. Lengths are in m:"
                 " look at payload.com and at the URDF."
             )
+
+
+def _fixed_length(robot: Robot) -> float:
+    """How far the link of the tool lies from its joint [m]."""
+    if robot.tool.link not in link_names(robot.model):
+        return 0.0
+    return float(np.linalg.norm(link_frame(robot.model, robot.tool.link).offset))
 
 
 def _check_masses(robot: Robot) -> None:

@@ -226,6 +226,11 @@ def _hold_followers(
                 f"{path}: joint {name!r} follows {leader!r} (mimic), which there is not."
                 f" {nearest(leader, joints.joints)}"
             )
+        if leader == name:
+            raise RobotError(
+                f"{path}: joint {name!r} follows itself (mimic). Name the joint that it follows, or"
+                " take the <mimic> away."
+            )
         if leader in held or not joints.moves(leader):
             at = held[leader].value if leader in held else 0.0
             value = _number(mimic, "multiplier", 1.0) * at + _number(mimic, "offset", 0.0)

@@ -24,6 +24,8 @@ _LARGEST = 1e9
 # No arm has joints so far apart [m].
 _FAR = 50.0
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+# No link of an arm has its mass so far from its centre [m].
+_WIDE = 10.0
 # Limits that are meant as none are written larger.
 _NO_LIMIT = 1e30
 
@@ -252,6 +254,22 @@ def _check_links(tree: ET.Element, path: Path) -> None:
             value = urdf_numbers(text, 1, f"{place}, inertia {key}")[0]
             if key in ("ixx", "iyy", "izz") and value < 0.0:
                 raise RobotError(f"{place}: {key} = {text} is below 0. Correct it.")
+        _check_gyration(inertial, place)
+
+
+def _check_gyration(inertial: ET.Element, place: str) -> None:
+    """Raise `RobotError` for an inertia that belongs to another unit."""
+    mass, inertia = inertial.find("mass"), inertial.find("inertia")
+    assert mass is not None
+    assert inertia is not None
+    kilograms = float(mass.get("value", 0.0))
+    largest = max(float(inertia.get(key, 0.0)) for key in ("ixx", "iyy", "izz"))
+    if kilograms > 0.0 and largest > kilograms * _WIDE**2:
+        raise RobotError(
+            f"{place}: {kilograms:g} kg with {largest:g} kg m^2 lie"
+            f" {math.sqrt(largest / kilograms):.3g} m from their centre. Inertias of a URDF are in"
+            " kg m^2: were they exported in kg mm^2 or g mm^2?"
+        )
 
 
 def urdf_numbers(text: str, count: int, place: str, most: float = _LARGEST) -> list[float]:

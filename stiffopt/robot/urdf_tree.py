@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import xml.etree.ElementTree as ET
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 from stiffopt.errors import InputFileError, RobotError, nearest, shortened
@@ -12,6 +13,8 @@ from stiffopt.files import LARGEST_TEXT, check_file
 
 # Of links or joints; the loader's time grows with their square.
 _MOST = 1000
+# Elements of xacro that only define something: without them the arm is the same.
+_DEFINING = ("property", "arg", "macro")
 # What of a link and of a joint is mechanics; shapes and colours are left out.
 _KEPT = {
     "link": ("inertial",),
@@ -57,15 +60,28 @@ def read_tree(path: str | os.PathLike[str]) -> ET.Element:
 def _check_expanded(found: ET.Element, tree: ET.Element, path: Path) -> None:
     """Raise `InputFileError` for a file that xacro has not expanded."""
     left = [v for each in tree.iter() for v in each.attrib.values() if "${" in v or "$(" in v]
-    macros = [e for e in found if isinstance(e.tag, str) and "xacro" in e.tag]
-    if left or (macros and tree.find("joint") is None):
-        shown = shortened(left[0]) if left else f"<xacro:{macros[0].tag.rpartition('}')[2]}>"
+    called = [name for each in found for name in _macros(each)]
+    if left or called:
+        shown = shortened(left[0]) if left else f"<xacro:{called[0]}>"
         raise InputFileError(
             path,
             "",
             f"holds xacro that is not expanded, such as {shown}. Expand it first:"
             f" `xacro {path.name} > robot.urdf`.",
         )
+
+
+def _macros(element: ET.Element) -> Iterator[str]:
+    """Names of what xacro would put in place of an element and its parts."""
+    if not isinstance(element.tag, str):
+        return
+    space, _, name = element.tag.rpartition("}")
+    if "xacro" in space:
+        if name not in _DEFINING:
+            yield name
+        return
+    for inner in element:
+        yield from _macros(inner)
 
 
 def _copy(part: ET.Element, bare: ET.Element) -> None:

@@ -22,6 +22,8 @@ _TOOL_SPEED, _SPINDLE = 30.0, 60.0
 _LARGEST_TORQUE = 1e5
 # Above so many times the largest torque of any joint at full acceleration, and this [N m].
 _MANY, _FLOOR = 15.0, 200.0
+# A principal moment may exceed the sum of the others by so much where digits are few.
+_ROUNDED = 1.02
 # From so many joints on, one torque for all is a number that somebody typed once.
 _ALIKE = 4
 
@@ -140,6 +142,23 @@ def questions(arm: LoadedUrdf, weight: np.ndarray, guessed: Mapping[str, object]
             f"QUESTION: the torque of {', '.join(weak)} does not bear the arm's own weight in every"
             f" pose: the limit{reason} of the URDF must be wrong, unless springs help."
         )
+
+    impossible = [
+        body.name
+        for body in body_tree(arm.model).bodies
+        if _no_body(np.linalg.eigvalsh(body.inertia))
+    ]
+    if impossible:
+        yield (
+            f"QUESTION: the inertia of what {', '.join(impossible)} moves belongs to no body: one"
+            " principal moment is larger than the other two together. Was it exported about"
+            " another point, or are two entries swapped?"
+        )
+
+
+def _no_body(moments: np.ndarray) -> bool:
+    """Whether no body has these principal moments (3,), rising; rounding in a URDF is let pass."""
+    return bool(moments[0] < 0.0 or moments[2] > _ROUNDED * (moments[0] + moments[1]))
 
 
 def _lengths(tree: BodyTree, tool: LinkFrame) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,7 @@ from stiffopt.robot.estimated_masses import (
     fitted_to_torques,
 )
 from stiffopt.robot.files import last_link
-from stiffopt.robot.frames import link_frame, link_names
+from stiffopt.robot.frames import LinkFrame, link_frame, link_names
 from stiffopt.robot.held_joints import arm_ends
 from stiffopt.robot.own_catalogue import read_own_catalogue
 from stiffopt.robot.rigid_body import RigidBodies
@@ -47,6 +48,8 @@ _MANY_TURNS = 12.0 * np.pi
 # Up to this torque strain-wave reducers are usual [N m].
 _LARGE = 350.0
 _SHOWN = 3
+# Links this far from the tool are another place [m]; so many of them are told.
+_AHEAD, _MOST_TIPS = 1e-3, 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +145,9 @@ def robot_text(
         for j, each in enumerate(body_tree(arm.model).bodies):
             own = {p.quantity: p for p in doubted if p.joint == each.name}
             lines += ["", *_joint(arm, j, each, float(demands[j]), own)]
-    notes = _notes(arm, bodies, tool.link, doubted)
+    notes = [*_notes(arm, bodies, tool.link, doubted)]
+    if tip is None:
+        notes[1:1] = _farther_out(arm, tool)
     return StartedRobot(text="\n".join(lines) + "\n", notes=tuple(notes))
 
 
@@ -188,6 +193,22 @@ def _notes(
                 f" values stand in the file, marked estimated: put those of the data sheet."
             )
     yield from questions(arm, _weights(arm), bodies)
+
+
+def _farther_out(arm: LoadedUrdf, tool: LinkFrame) -> Iterator[str]:
+    """Links fixed to the one of the tool, of which one may be meant."""
+    found = {
+        name: float(np.linalg.norm(link_frame(arm.model, name).offset - tool.offset))
+        for name in link_names(arm.model)
+        if arm.model.frames[arm.model.getFrameId(name)].parentJoint == tool.joint
+    }
+    ahead = sorted((way, name) for name, way in found.items() if way > _AHEAD)
+    if ahead:
+        listed_ = ", ".join(f"{name} ({1e3 * way:.0f} mm away)" for way, name in ahead[:_MOST_TIPS])
+        yield (
+            f"Fixed to {tool.link} are also {listed_}: for the tool there, name one,"
+            f" such as --tip {shlex.quote(ahead[0][1])}."
+        )
 
 
 def _guessed_masses(bodies: Mapping[str, EstimatedBody]) -> Iterator[str]:

@@ -101,6 +101,7 @@ def test_rigid_joints_follow_their_motors_and_load_the_springs(tmp_path):
         found.position[-200:].mean(axis=0), still, atol=0.05 * np.ptp(found.windup[:, 0])
     )
     assert elbow.assumed_damping == (1,)
+    assert any("rigid, since the robot file gives no elements: elbow." in n for n in found.notes)
     heavier = one_soft_joint(tmp_path, hysteresis=np.array([0.0, 1e-4]))
     assert not heavier.hysteresis.any()
 

@@ -355,3 +355,74 @@ def test_guessed_masses_are_scaled_to_what_the_drives_hold(tmp_path):
     assert scale(shapes, 30.0) == pytest.approx(0.25)
     # One torque for all joints tells nothing.
     assert np.all(np.isnan(credible_torques(load_urdf(written(tmp_path, chain(6)), limited=None))))
+
+
+def changed(folder, changes, count=3):
+    """The chain with texts replaced, once each, and the namespace of xacro."""
+    urdf = written(folder, chain(count))
+    text = urdf.read_text().replace("<robot", '<robot xmlns:xacro="http://ros.org/xacro"')
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    urdf.write_text(text)
+    return urdf
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("</robot>", '<xacro:gripper parent="2"/></robot>', "such as <xacro:gripper>"),
+        ("</robot>", '<xacro:include filename="hand.xacro"/></robot>', "such as <xacro:include>"),
+        (MASS, "<xacro:cylinder_inertia/>", "such as <xacro:cylinder_inertia>"),
+    ],
+)
+def test_a_call_of_a_macro_that_is_left_over_is_no_arm(old, new, said, tmp_path):
+    with pytest.raises(InputError, match=f"xacro that is not expanded, {said}"):
+        load_robot(changed(tmp_path, [(old, new)]))
+
+
+def test_definitions_of_xacro_that_are_left_over_change_nothing(tmp_path):
+    left = (
+        '<xacro:property name="m" value="2"/><xacro:macro name="a"><link name="x"/></xacro:macro>'
+    )
+    assert load_robot(changed(tmp_path, [("</robot>", left + "</robot>")])).n == 3
+
+
+def test_inertias_in_square_millimetres_are_questioned(tmp_path):
+    with pytest.raises(InputError, match=r"30000 kg m\^2 lie 100 m from .*g mm\^2"):
+        load_robot(changed(tmp_path, [('ixx="0.03"', 'ixx="30000"')]))
+
+
+def test_an_inertia_of_no_body_is_asked_about(tmp_path, capsys):
+    assert run(["init", "robot", str(written(tmp_path, chain(3)))]) == 0
+    assert "belongs to no body" not in capsys.readouterr().out
+    (tmp_path / "arm_robot.toml").unlink()
+    assert run(["init", "robot", str(changed(tmp_path, [('ixx="0.03"', 'ixx="3.0"')]))]) == 0
+    assert "inertia of what 1 moves belongs to no body" in capsys.readouterr().out
+
+
+def test_a_joint_that_follows_itself_is_named(tmp_path):
+    follows = '<mimic joint="1"/></joint>'
+    with pytest.raises(InputError, match="'1' follows itself"):
+        load_robot(changed(tmp_path, [("</joint>", follows)]))
+
+
+def test_links_fixed_farther_out_are_offered_as_tools(tmp_path, capsys):
+    tcp = joint("mount", "link3", "my tcp", "", "fixed", origin="0 0 0.17")
+    urdf = written(tmp_path, chain(3), tcp)
+    assert run(["init", "robot", str(urdf)]) == 0
+    assert "also my tcp (170 mm away)" in (said := capsys.readouterr().out)
+    assert "such as --tip 'my tcp'" in said
+    (tmp_path / "arm_robot.toml").unlink()
+    assert run(["init", "robot", str(urdf), "--tip", "my tcp"]) == 0
+    assert "Fixed to" not in capsys.readouterr().out
+
+
+def test_a_tool_behind_a_held_joint_is_not_too_far_out(tmp_path):
+    """The link of a joint that follows another one is longer than the arm before it."""
+    follows = LIMIT + '<mimic joint="2" multiplier="-1"/>'
+    long = joint("3", "link2", "link3", follows, origin="0 0 1.5")
+    urdf = written(tmp_path, chain(2), long)
+    assert run(["init", "robot", str(urdf), "--tip", "link3"]) == 0
+    assert run(["init", "problem", str(tmp_path / "arm_robot.toml")]) == 0
+    resolve(load_problem(tmp_path / "arm_first.toml").problem)
