@@ -1,4 +1,4 @@
-"""Documents on what surrounds a model: cells, how far it may be off, what it left open, currents."""
+"""Documents on what surrounds a model: cells, how far it may be off, what it left open."""
 
 from __future__ import annotations
 

@@ -7,11 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
+from stiffopt.recording.bad_samples import stretches
 from stiffopt.recording.channel import noise_level, resolution
 from stiffopt.recording.channel_faults import JointChannels, check_joint, travel
 from stiffopt.recording.clock import Clock, read_clock
 from stiffopt.recording.run import Fault, RecordedRun, Role, counted
 from stiffopt.recording.signals import KINDS, Signals
+
+# Steps behind lost data, in those of the rows that follow; how many of these are looked at.
+_LEAP, _AFTER = 3.0, 3
+# A step of no more counts is none.
+_COUNTS = 4.0
 
 
 def clean(
@@ -110,18 +116,44 @@ def _without_copies(
             count = max(resolution(values) or 1e-9 * travel(values), 3.0 * noise_level(values))
             around = np.abs(values[4:] - values[:-4]) / 4.0
             moving[2:-2] |= around > 4.0 * count
-    copies = same & moving
-    copies[0] = False
-    if not copies.any():
-        return rows, []
-    rows_said = counted(int(copies.sum()), "row")
-    text = f"the motion of the row before is repeated in {rows_said}, left out."
-    fault = Fault(
-        signal="time",
-        joint=None,
-        kind="duplicate",
-        detail=text,
-        left_out=False,
-        share=float(copies.mean()),
+    positions = np.column_stack(
+        [columns[c][rows] for k, _, c in signals.columns() if k == "position"]
     )
-    return rows[~copies], [fault]
+    every = np.column_stack([columns[column][rows] for _, _, column in signals.columns()])
+    empty = _resuming(positions, np.all(every == 0.0, axis=1))
+    copies = ((same & moving) | _resuming(positions, same)) & ~empty
+    copies[0] = False
+    faults = [
+        Fault(
+            signal="time",
+            joint=None,
+            kind="duplicate",
+            detail=f"{what} {counted(int(marked.sum()), 'row')}, left out.",
+            left_out=False,
+            share=float(marked.mean()),
+        )
+        for what, marked in (
+            ("the motion of the row before is repeated in", copies),
+            ("all channels read 0, as where nothing was received, in", empty),
+        )
+        if marked.any()
+    ]
+    return rows[~copies & ~empty], faults
+
+
+def _resuming(positions: np.ndarray, marked: np.ndarray) -> np.ndarray:
+    """Rows of those stretches (K,) behind which the positions (K, n) go on elsewhere.
+
+    An arm that rests goes on from where it rested: its first step is about as long as the next.
+    One whose data were lost is, in one step, where it would have been.
+    """
+    found = np.zeros(len(marked), dtype=bool)
+    steps = np.abs(np.diff(positions, axis=0))
+    count = np.array([resolution(values) or 0.0 for values in positions.T])
+    for begin, end in stretches(marked):
+        if begin == 0 or end + _AFTER >= len(marked):
+            continue
+        usual = np.nanmax(steps[end : end + _AFTER], axis=0)
+        if np.any(steps[end - 1] > _LEAP * usual + _COUNTS * count):
+            found[begin:end] = True
+    return found

@@ -51,11 +51,19 @@ FACTORS = {
 # Of a rad (rad/s): positions and speeds whose change is compared.
 _PER_RAD = {"": 1.0, "deg": np.degrees(1.0), "mrad": 1e3, "turn": 0.5 / np.pi}
 _PER_RAD_S = {"": 1.0, "deg/s": np.degrees(1.0)}
+# Logarithms of ratios nearer than this are one unit; columns that reach so many times less than
+# others may be in another one.
+_ALIKE, _MIXED = 0.5, 10.0
 # Rows below which nothing can be told.
 _FEWEST = 3
 # A joint turns no farther [rad].
 _MOST_TURNS = 40.0 * np.pi
-_IN_NAME = re.compile(r"[\[(]\s*([^\])]+)\s*[\])]\s*$")
+_IN_NAME = re.compile(r"[\[(]\s*([^\])]+)\s*[\])](?=\s*\d*\s*$)")
+_UNITS_OF = {
+    "position": ("deg", "degree", "degrees", "°", "grad", "rad", "mrad", "rev", "revs", "turns"),
+    "velocity": ("deg/s", "°/s", "rad/s", "mrad/s", "rpm", "1/min", "min-1", "u/min"),
+    "torque": ("nm", "n m", "n*m", "n.m", "n·m", "mnm", "knm", "ncm", "a", "ma", "arms"),
+}
 _WORD = re.compile(r"[a-zµ°]+|\d+")
 
 
@@ -68,8 +76,9 @@ class GuessedColumns:
     time : str
     columns : mapping of kind to tuple of str (n,)
         In the order of the joints; "" where one has none.
-    units : mapping of "time" or kind to str
-        Of `[signals.scale]`; "" is SI. "A" and "mA" are no torque yet.
+    units : mapping of "time" or kind to str or tuple of str (n,)
+        Of `[signals.scale]`, one a joint where they differ; "" is SI. "A" and "mA" are no torque
+        yet.
     reasons : tuple of str
         Why, a sentence each.
     rate : float
@@ -78,7 +87,7 @@ class GuessedColumns:
 
     time: str
     columns: Mapping[str, tuple[str, ...]]
-    units: Mapping[str, str]
+    units: Mapping[str, str | tuple[str, ...]]
     reasons: tuple[str, ...] = field(default=())
     rate: float = 0.0
 
@@ -121,7 +130,7 @@ def guess(
     unit, why = _time_unit(table[time], time)
     if rate is not None:
         unit, why = "", f"time: counted, {rate:g} rows a second"
-    units = {"time": unit}
+    units: dict[str, str | tuple[str, ...]] = {"time": unit}
     reasons.append(why)
     seconds = table[time] * _SECONDS[unit]
     for kind in ("position", "velocity", "link_position", "torque"):
@@ -216,7 +225,9 @@ def _of_kind(names: Sequence[str], kind: str, joints: Sequence[str]) -> tuple[st
     measured = [n for n in fitting if not set(_words(n)) & set(_WANTED)]
     # i1, i2, ... are currents where nothing is a torque.
     short = [n for n in names if kind == "torque" and _words(n)[:1] == ["i"]]
-    for candidates in (measured, fitting, short):
+    # Words of another language are known by their units.
+    foreign = [n for n in names if _measured_in(n) == kind]
+    for candidates in (measured, fitting, short, foreign):
         found = _by_joint(candidates, joints)
         if found is not None:
             return found
@@ -229,10 +240,22 @@ def _is_kind(name: str, kind: str) -> bool:
         return False
     if kind == "torque" and words & set(_CURRENT) - {"i"}:
         return True
+    measured = _measured_in(name)
+    if measured is not None and measured != kind.removeprefix("link_"):
+        return False  # "axis 1 [Nm]"
     for other in KINDS:
         if words & set(_WORDS[other]):
             return other == kind
     return False
+
+
+def _measured_in(name: str) -> str | None:
+    """Kind that the unit in the brackets of a name is of: "Achswinkel 1 [°]" is a position."""
+    bracketed = _IN_NAME.search(name)
+    if bracketed is None or set(_words(name)) & set(_OTHER):
+        return None
+    unit = bracketed[1].strip().lower()
+    return next((kind for kind, own in _UNITS_OF.items() if unit in own), None)
 
 
 def _by_joint(names: Sequence[str], joints: Sequence[str]) -> tuple[str, ...] | None:
@@ -268,8 +291,8 @@ def _unit(
     table: Mapping[str, np.ndarray],
     robot: Robot,
     seconds: np.ndarray,
-    units: Mapping[str, str],
-) -> tuple[str, str]:
+    units: Mapping[str, str | tuple[str, ...]],
+) -> tuple[str | tuple[str, ...], str]:
     """Unit of a kind by the names, else by the values, and why."""
     names = [name for name in columns[kind] if name]
     stated = {_stated_unit(name) for name in names}
@@ -279,7 +302,8 @@ def _unit(
         return unit, f"in {unit or 'SI'} by their names{told}"
     values = np.column_stack([table[name] for name in names])
     if kind in ("position", "link_position") and not robot.prismatic.any():
-        return _angle_unit(values, robot)
+        unit, why = _angle_unit(values, robot)
+        return _mixed(kind, columns, table, seconds, why) if unit == "deg" else (unit, why)
     if kind == "velocity" and not robot.prismatic.any():
         position = np.column_stack([table[name] for name in columns["position"]])
         return _speed_unit(values, position, seconds, units["position"])
@@ -296,20 +320,59 @@ def _unit(
 
 
 def _speed_unit(
-    values: np.ndarray, position: np.ndarray, seconds: np.ndarray, unit: str
+    values: np.ndarray, position: np.ndarray, seconds: np.ndarray, unit: str | tuple[str, ...]
 ) -> tuple[str, str]:
     """Unit of speeds (K, m) beside the change of positions (K, n), and why."""
-    new = np.flatnonzero(np.diff(seconds, prepend=-np.inf) > 0.0)
-    if unit in _PER_RAD and len(new) >= _FEWEST and values.shape == position.shape:
-        turning = np.nanstd(np.gradient(position[new], seconds[new], axis=0), axis=0)
-        moved = turning > 0.0
-        if moved.any():
-            found = np.nanstd(values[new], axis=0)[moved] / turning[moved]
-            ratio = max(float(np.nanmedian(found)), 1e-12) * _PER_RAD[unit]
-            for name, factor in _PER_RAD_S.items():
-                if abs(np.log(ratio / factor)) < 0.5:
-                    return name, f"in {name or 'rad/s'}, as the positions' change shows"
+    each = (unit,) * position.shape[1] if isinstance(unit, str) else unit
+    found = _ratios(values, position, seconds)
+    if all(name in _PER_RAD for name in each) and np.isfinite(found).any():
+        found = found * [_PER_RAD[name] for name in each]
+        ratio = max(float(np.nanmedian(found)), 1e-12)
+        for name, factor in _PER_RAD_S.items():
+            if abs(np.log(ratio / factor)) < _ALIKE:
+                return name, f"in {name or 'rad/s'}, as the positions' change shows"
     return "", "taken as rad/s, which the positions' change does not show: check"
+
+
+def _ratios(values: np.ndarray, position: np.ndarray, seconds: np.ndarray) -> np.ndarray:
+    """Speeds (K, n) over the change of positions (n,); nan where nothing can be told."""
+    new = np.flatnonzero(np.diff(seconds, prepend=-np.inf) > 0.0)
+    if len(new) < _FEWEST or values.shape != position.shape:
+        return np.full(position.shape[1], np.nan)
+    turning = np.nanstd(np.gradient(position[new], seconds[new], axis=0), axis=0)
+    moving = np.where(turning > 0.0, turning, np.nan)
+    return np.asarray(np.nanstd(values[new], axis=0) / moving)
+
+
+def _mixed(
+    kind: str,
+    columns: Mapping[str, tuple[str, ...]],
+    table: Mapping[str, np.ndarray],
+    seconds: np.ndarray,
+    why: str,
+) -> tuple[str | tuple[str, ...], str]:
+    """Degrees for all joints, unless some are in rad beside them; why, and what is open."""
+    names = [name for name in columns[kind] if name]
+    values = np.column_stack([table[name] for name in names])
+    reach = np.nanmax(np.abs(values), axis=0)
+    small = (reach <= np.pi) & (reach > 0.0) & (_MIXED * reach < np.max(reach))
+    if not small.any() or len(names) < len(columns[kind]):
+        return "deg", why
+    told = ", ".join(name for name, own in zip(names, small, strict=True) if own)
+    if "velocity" in columns and all(columns["velocity"]):
+        speeds = np.column_stack([table[name] for name in columns["velocity"]])
+        ratio = _ratios(speeds, values, seconds)
+        apart = np.log(ratio / np.nanmedian(ratio[~small])) - np.log(_PER_RAD["deg"])
+        rad = small & (np.abs(apart) < _ALIKE)
+        if rad.any():
+            own = ", ".join(name for name, each in zip(names, rad, strict=True) if each)
+            each = tuple("" if one else "deg" for one in rad)
+            return each, f"{why}; but {own} in rad, as their velocities show"
+    scale = ", ".join("1.0" if own else '"deg"' for own in small)
+    return "deg", (
+        f"{why}. QUESTION: {told} reach no more than {np.max(reach[small]):.3g}: in rad? Then write"
+        f" {kind} = [{scale}] in [signals.scale], and the velocity likewise"
+    )
 
 
 def _angle_unit(values: np.ndarray, robot: Robot) -> tuple[str, str]:

@@ -163,7 +163,10 @@ def _text(
     if scaled:
         lines += ["", "[signals.scale]"]
         for kind, unit in scaled.items():
-            if unit in FACTORS:
+            if not isinstance(unit, str):
+                each = ("1.0" if not one else quoted(one) for one in unit)
+                lines.append(f"{kind} = {listed(each)}")
+            elif unit in FACTORS:
                 # Stops whoever reads it until a factor stands there.
                 lines.append(f"{kind} = {quoted(unit)}  # {FACTORS[unit]} here")
             else:

@@ -276,3 +276,61 @@ def test_a_torque_that_ripples_is_no_position_in_degrees(tmp_path):
     ripple = next(kind for kind in KINDS if kind.name == "ripple")
     hidden(source, ripple, 3, 8.0, tmp_path / "set")
     assert doubted(tmp_path / "set") == ()
+
+
+def test_one_joint_in_rad_where_all_are_stated_in_degrees(tmp_path):
+    """Joint 2 was logged by another device: as degrees it would stand still."""
+    folder = changed_copy(SHIPPED, tmp_path / "set", times("q1 ql1 qd1", DEGREES))
+    stated = SCALE + 'position = "deg"\nvelocity = "deg/s"\nlink_position = "deg"\n'
+    rewritten(folder, "\n[nominal]\n", f"\n{stated}\n[nominal]\n")
+    found = [d for d in doubted(folder) if d.kind == "position unit"]
+    assert [doubt.joints for doubt in found] == [(2,)]
+    assert "look like rad, not degrees" in found[0].evidence
+    assert found[0].line.startswith("position = [0.0174533, 1.0] in [signals.scale]")
+
+
+def test_a_sign_that_is_turned_in_one_run_alone(tmp_path):
+    shutil.copytree(SHIPPED, folder := tmp_path / "set")
+    with np.load(folder / "train_2.npz") as stored:
+        columns = dict(stored)
+    columns["tau2"] = -columns["tau2"]
+    np.savez_compressed(folder / "train_2.npz", **columns)
+    (doubt,) = doubted(folder)
+    assert (doubt.kind, doubt.joints, doubt.line) == ("torque sign", (2,), "")
+    assert doubt.evidence.startswith("Of train_2 alone")
+
+
+def test_torques_of_currents_of_a_joint_without_weight_are_no_kilonewtons(tmp_path):
+    """An upright axis bears no weight: whatever factor, friction and inertia make up for it."""
+    from stiffopt.discovery.sanity.explanations import Explanations
+
+    class Balance:
+        def gain(self, motion, torque, joint, usual):
+            return (usual[0], 0.01) if joint == 0 else (1e-3, 0.9)
+
+    search = Explanations.__new__(Explanations)
+    search.balance = Balance()
+    gains, left = np.array([1e-3, 1.0 / 13.9, 1e-3]), np.array([0.02, 0.01, 0.02])
+    search._like_the_others(gains, left, None, np.zeros((4, 3)))
+    np.testing.assert_allclose(gains, [1.0 / 13.9, 1.0 / 13.9, 1e-3])
+
+
+def test_torques_without_weight_are_told(tmp_path):
+    """As of a controller that adds the weight behind what it records."""
+    recordings = load_recordings(SHIPPED)
+    from stiffopt.discovery.comparison.nominal_robot import RobotModel
+
+    robot = RobotModel(recordings)
+
+    def weightless(columns: Columns) -> None:
+        angles = np.column_stack([columns["q1"], columns["q2"]])
+        weight = robot.gravity_torque(angles, recordings.gravity)
+        columns["tau1"] = columns["tau1"] - weight[:, 0]
+        columns["tau2"] = columns["tau2"] - weight[:, 1]
+
+    folder = changed_copy(SHIPPED, tmp_path / "set", weightless)
+    (doubt,) = doubted(folder)
+    assert doubt.kind == "gravity"
+    assert doubt.line == "gravity = [0.0, 0.0, 0.0]"
+    rewritten(folder, "gravity = [0.0, 0.0, -9.81]", doubt.line)
+    assert not doubted(folder)

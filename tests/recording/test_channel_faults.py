@@ -292,3 +292,20 @@ def test_rows_without_a_stamp_get_one_for_predictions(columns: Columns) -> None:
     assert {fault.kind for fault in run.faults} == {"not finite", "dropped"}
     assert len(run.time) == 2498
     np.testing.assert_allclose(run.stamps, 0.004 * np.arange(2500), atol=1e-12)
+
+
+@pytest.mark.parametrize("held", [True, False], ids=["the row before", "zeros"])
+def test_rows_of_a_connection_that_was_lost_are_left_out(columns: Columns, held: bool) -> None:
+    """All of them, though nothing moves between them: the arm is elsewhere behind them."""
+    before = {name: values.copy() for name, values in columns.items()}
+    lost = slice(1000, 1030)
+    for name, values in columns.items():
+        if name != "t":
+            values[lost] = values[999] if held else 0.0
+    run = cleaned(columns)
+    kept = np.delete(before["t"], lost)
+    np.testing.assert_array_equal(run.time, kept)
+    (fault,) = [fault for fault in run.faults if fault.kind == "duplicate"]
+    assert "in 30 rows, left out" in fault.detail
+    assert ("read 0" in fault.detail) is not held
+    np.testing.assert_array_equal(run.torque[:, 0], np.delete(before["tau1"], lost))

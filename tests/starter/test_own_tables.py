@@ -305,3 +305,50 @@ def test_columns_of_one_name_do_not_hide_each_other(tmp_path):
     found = guessed(tmp_path, text)
     assert found.columns["position"] == ("Winkel 1 [deg]", "Winkel 2 [deg]")
     assert found.columns["torque"] == ("Moment 1", "Moment 2")
+
+
+def test_units_of_single_columns(tmp_path):
+    """One angle in degrees beside one in rad: the velocities tell, else a person is asked."""
+    degrees = np.degrees(VALUES[0]) * 1.5
+    found = guessed(tmp_path, lines(columns=[TIME, degrees, *VALUES[1:]]))
+    assert found.units["position"] == "deg"
+    (told,) = [reason for reason in found.reasons if "QUESTION" in reason]
+    assert 'q2 reach no more than 0.8: in rad? Then write position = ["deg", 1.0]' in told
+    speeds = [1.5 * np.cos(TIME), -1.6 * np.sin(2.0 * TIME)]
+    names = ["t", "q1", "q2", "qd1", "qd2", "tau1", "tau2"]
+    columns = [TIME, degrees, VALUES[1], *speeds, *VALUES[2:]]
+    found = guessed(tmp_path, lines(names, columns))
+    assert found.units["position"] == ("deg", "")
+    assert not found.units["velocity"]
+    out = tmp_path / "set"
+    assert run(["init", "recording", str(tmp_path / "log.csv"), "--urdf", str(URDF), "--out",
+                str(out)]) == 0  # fmt: skip
+    document = tomllib.loads((out / "recordings.toml").read_text())
+    assert document["signals"]["scale"]["position"] == ["deg", 1.0]
+    scale = load_recordings(out).signals.scale_of("position", 2)
+    np.testing.assert_allclose(scale, [np.pi / 180.0, 1.0])
+
+
+@pytest.mark.parametrize("place", ["{} [{}] {}", "{} {} [{}]"])
+def test_columns_of_another_language_are_known_by_their_units(tmp_path, place):
+    heads = [("Achswinkel", "°"), ("Achsgeschw.", "°/s"), ("Moment der Achse", "Nm")]
+    names = ["Zeit [ms]"]
+    for word, unit in heads:
+        for joint in (1, 2):
+            parts = (word, unit, joint) if place.endswith("{}") else (word, joint, unit)
+            names.append(place.format(*parts))
+    angles = [np.degrees(v) for v in VALUES[:2]]
+    columns = [1e3 * TIME, *angles, *(np.gradient(v, TIME) for v in angles), *VALUES[2:]]
+    found = guessed(tmp_path, lines(names, columns))
+    assert [found.columns[kind][1] for kind in ("position", "velocity", "torque")] == [
+        names[2],
+        names[4],
+        names[6],
+    ]
+    assert (found.units["time"], found.units["position"]) == ("ms", "deg")
+
+
+def test_a_torque_about_an_axis_is_no_position(tmp_path):
+    names = ["t", "axis 1 [deg]", "axis 2 [deg]", "axis 1 [Nm]", "axis 2 [Nm]"]
+    found = guessed(tmp_path, lines(names))
+    assert found.columns["torque"] == ("axis 1 [Nm]", "axis 2 [Nm]")

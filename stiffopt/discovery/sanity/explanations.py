@@ -9,7 +9,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.sanity.balance import Additions, Balance, Motion, may_have
-from stiffopt.discovery.sanity.orders import Motions, Reading
+from stiffopt.discovery.sanity.orders import DEGREE, Motions, Reading
 from stiffopt.discovery.sanity.samples import Samples
 from stiffopt.discovery.settings import MOVING
 
@@ -49,7 +49,7 @@ class Explanation:
     gains : array (n,) or None
         Recorded over true torque.
     gravity : array (3,) or None
-        Direction, of unit length, in the base.
+        Direction, of unit length, in the base; 0 where the torques hold no weight.
     delay : float or None
         Of the torque [s].
     """
@@ -76,7 +76,8 @@ class Explanations:
         self.robot, self.samples, self.n = robot, samples, robot.n
         self.balance = Balance(robot)
         self.motions = Motions(robot, samples)
-        self.own = Reading.as_described(self.n)
+        scale = robot.recordings.signals.scale_of("position", self.n)
+        self.own = Reading.as_described(self.n, scale)
         self.motion = self.motions.of(self.own)
 
     @cached_property
@@ -107,6 +108,29 @@ class Explanations:
         candidates = [e for e in found if e is not None]
         return max(candidates, key=lambda e: e.score - 0.5 * e.reading.steps, default=None)
 
+    def standing_in_degrees(self) -> Explanation | None:
+        """Joints that hardly move as the degrees that they are stated in, but well as radians.
+
+        Nothing can be told of their torques as described; as of a motion in rad they are those of
+        the nominal model.
+        """
+        joints = np.array(self.own.in_degrees) & np.isnan(self.strict)
+        while joints.any():
+            scale = tuple(np.where(joints, 1.0 / DEGREE, 1.0))
+            reading = replace(self.own, position_scale=scale, steps=1)
+            left = self._left(self.motions.of(reading), self.samples.torque)
+            with np.errstate(invalid="ignore"):
+                fits = joints & (left < EXPLAINS)
+                worse = left > np.maximum(self.strict + _WORSE[0], self.strict * _WORSE[1])
+            if worse.any():
+                return None
+            if np.all(fits == joints):
+                found = tuple(int(j) for j in np.flatnonzero(joints))
+                score = float(-np.log(left[joints] + _FLOOR).sum())
+                return Explanation(left=left, joints=found, score=score, reading=reading)
+            joints = fits
+        return None
+
     # ---- kinds of explanations
 
     def _gains(self, reading: Reading) -> Explanation | None:
@@ -125,7 +149,22 @@ class Explanations:
                 gains[j], left[j] = gain, share
         if (gains == 1.0).all():
             return None
+        self._like_the_others(gains, left, motion, torque)
         return self._explained(left, reading, gains=gains)
+
+    def _like_the_others(
+        self, gains: np.ndarray, left: np.ndarray, motion: Motion, torque: np.ndarray
+    ) -> None:
+        """Where a unit fits a joint that bears no weight, so may any factor: take another joint's.
+
+        Changes `gains` and `left` (n,) in place.
+        """
+        units = np.isclose(np.abs(np.log10(np.abs(gains))), 3.0)
+        told = [float(gain) for gain in gains[~units] if gain != 1.0]
+        for j in np.flatnonzero(units) if told else ():
+            gain, share = self.balance.gain(motion, torque[:, j], int(j), tuple(told))
+            if gain in told and share < EXPLAINS:
+                gains[j], left[j] = gain, share
 
     def _readings(self) -> list[Explanation]:
         """Other columns, signs and units, step by step; beside each its gains."""
@@ -159,7 +198,7 @@ class Explanations:
             return None
         direction = self._fitted_direction(moving, pulls)
         if direction is None:
-            return None
+            return self._weightless(moving)
         size = float(np.linalg.norm(stated))
         if size > 0.0 and 9.0 < size < 10.5 and direction @ stated > np.cos(np.pi / 6.0) * size:
             return None
@@ -169,6 +208,13 @@ class Explanations:
         if not np.all((left <= self.left + 0.05) | np.isnan(left)):
             return None
         return self._explained(left, self.own, gravity=direction, against=self.strict)
+
+    def _weightless(self, moving: np.ndarray) -> Explanation | None:
+        """No weight in the torques at all, as where a controller adds it behind them."""
+        left = self._left(replace(self.motion, spring=moving), self.samples.torque)
+        if not np.all((left <= self.left + 0.05) | np.isnan(left)):
+            return None
+        return self._explained(left, self.own, gravity=np.zeros(3), against=self.strict)
 
     def _fitted_direction(self, moving: np.ndarray, pulls: np.ndarray) -> np.ndarray | None:
         """Unit vector of the gravity that fits the torques best; the axis where it is near one."""

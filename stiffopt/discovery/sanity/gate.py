@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,6 +26,10 @@ from stiffopt.recording.run import RecordedRun
 _BEYOND = (0.05, 0.02)
 # Within which a factor counts as that of a unit, a sign or a gear.
 _LIKE, _NEAR = 0.2, 0.1
+# Ratios of the gears of arms.
+_GEARS = (20.0, 400.0)
+# Share of a torque's variance that is open where single runs are looked at, and how many.
+_OPEN, _MOST_RUNS = 0.04, 12
 
 
 def doubts(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[Doubt, ...]:
@@ -53,6 +58,10 @@ def doubts(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[Doubt
         explanation = search.best()
         if explanation is not None:
             found = [*_explained(recordings, search, explanation), *found]
+        elif (standing := search.standing_in_degrees()) is not None:
+            found = [_in_rad(recordings, search, standing), *found]
+        elif len(runs) > 1 and not found:
+            found = [*_of_single_runs(recordings, runs, search)]
     if not any(doubt.kind == "position unit" for doubt in found):
         found += _beyond_limits(recordings, runs)
     return tuple(found)
@@ -93,11 +102,13 @@ def _explained(
     if explanation.gravity is not None:
         direction = 9.81 * explanation.gravity
         stated = listed_numbers(recordings.gravity)
+        fit = f"the torques fit gravity along {listed_numbers(direction)}"
+        if not direction.any():
+            fit = "the torques hold no weight, as of a controller that adds it behind them"
         yield Doubt(
             kind="gravity",
             joints=joints,
-            evidence=f"Gravity is stated as {stated} m/s^2, but the torques fit gravity along "
-            f"{listed_numbers(direction)}: {shares}.",
+            evidence=f"Gravity is stated as {stated} m/s^2, but {fit}: {shares}.",
             line=f"gravity = {listed_numbers(direction)}",
         )
     elif explanation.delay is not None:
@@ -113,6 +124,48 @@ def _explained(
         yield from _of_reading(recordings, explanation, shares)
         if explanation.gains is not None:
             yield from _of_gains(recordings, explanation, search.strict)
+
+
+def _in_rad(recordings: RecordingSet, search: Explanations, found: Explanation) -> Doubt:
+    """Joints that are stated in degrees and move in rad."""
+    which = joints_in_words(found.joints)
+    most = np.degrees(np.ptp(search.samples.position[:, list(found.joints)], axis=0).max())
+    each = ", ".join(f"{100.0 * found.left[j]:.2g} % at joint {j + 1}" for j in found.joints)
+    line = scale_line(recordings, "position", np.array(found.reading.position_scale))
+    also = " (and the velocity's likewise)" if recordings.signals.velocity is not None else ""
+    return Doubt(
+        kind="position unit",
+        joints=tuple(j + 1 for j in found.joints),
+        evidence=f"The positions of {which} look like rad, not degrees: as degrees they move by"
+        f" {most:.2g} deg at most, as rad the nominal model leaves of the torque's variance"
+        f" {each}.",
+        line=line + also,
+    )
+
+
+def _of_single_runs(
+    recordings: RecordingSet, runs: Sequence[RecordedRun], together: Explanations
+) -> Iterator[Doubt]:
+    """What single runs contradict, where the others are as the file says."""
+    with np.errstate(invalid="ignore"):
+        fails = together.strict > _OPEN
+    if not fails.any():
+        return
+    for run in runs[:_MOST_RUNS]:
+        samples = sampled([run])
+        if samples is None:
+            continue
+        search = Explanations(together.robot, samples)
+        explanation = search.best()
+        if explanation is None:
+            continue
+        for doubt in _explained(recordings, search, explanation):
+            yield replace(
+                doubt,
+                evidence=f"Of {run.name} alone, not of all runs: {doubt.evidence} Mend that file or"
+                " leave it out: lines of recordings.toml hold for every run.",
+                line="",
+            )
 
 
 def _of_reading(recordings: RecordingSet, explanation: Explanation, shares: str) -> Iterator[Doubt]:
@@ -211,7 +264,10 @@ def _gain_in_words(gain: float, ratio: float | None) -> tuple[str, str]:
     if ratio is not None and abs(ratio) > 2.0 and abs(size * abs(ratio) - 1.0) < _LIKE:
         return "torque unit", f"looks like that of the motor, before the gear of {ratio:g}{turned}"
     if size < 1.0:
-        return "torque unit", f"looks like current, about {1.0 / size:.3g} N m/A{turned}"
+        geared = ""
+        if ratio is None and _GEARS[0] < 1.0 / size < _GEARS[1]:
+            geared = f", or the motor's own torque before a gear of {1.0 / size:.3g}"
+        return "torque unit", f"looks like current, about {1.0 / size:.3g} N m/A{geared}{turned}"
     return "torque gain", f"is {gain:.3g} times what the model expects{turned}"
 
 

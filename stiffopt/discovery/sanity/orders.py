@@ -31,6 +31,8 @@ class Reading:
         What the time is multiplied with.
     steps : int
         In how many steps it differs from the file's own reading.
+    in_degrees : tuple of bool (n,)
+        Joints whose positions the file says to be in degrees.
     """
 
     position_from: tuple[int, ...]
@@ -39,12 +41,15 @@ class Reading:
     torque_scale: tuple[float, ...]
     time_scale: float = 1.0
     steps: int = 0
+    in_degrees: tuple[bool, ...] = ()
 
     @staticmethod
-    def as_described(n: int) -> Reading:
-        """The file's own reading."""
+    def as_described(n: int, position_scale: np.ndarray | None = None) -> Reading:
+        """The file's own reading, whose positions have been multiplied with a scale (n,)."""
         order, ones = tuple(range(n)), (1.0,) * n
-        return Reading(order, order, ones, ones)
+        stated = np.ones(n) if position_scale is None else np.abs(position_scale)
+        degrees = tuple(bool(is_) for is_ in np.isclose(stated, DEGREE))
+        return Reading(order, order, ones, ones, in_degrees=degrees)
 
     def motion(self, samples: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position, velocity and acceleration (m, n) of the joints in this reading."""
