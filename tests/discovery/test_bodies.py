@@ -68,7 +68,7 @@ def test_a_few_more_columns_cost_only_themselves() -> None:
     columns = np.column_stack([base, added[:, kept]])
     whole = posterior(BlockSums(columns, target, block, 4).own, np.concatenate([prior, np.ones(2)]))
     np.testing.assert_allclose(short.mean, whole.mean[6:])
-    np.testing.assert_allclose(short.base_mean, whole.mean[:6])
+    np.testing.assert_allclose(short.base(), whole.mean[:6])
     np.testing.assert_allclose(short.covariance, whole.covariance[6:, 6:])
     assert short.log_evidence == pytest.approx(whole.log_evidence)
     predicted = beside.log_predictive(sums.beside(added), kept)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -11,6 +12,7 @@ from stiffopt.discovery.comparison.extension import Extension, around, moves_lin
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import MOVES_LINKS, NuisanceColumn, nuisance_columns
+from stiffopt.discovery.comparison.pieces import PieceColumns, PieceProducts, Pieces, PieceSums
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.rows import ChannelNoise, ChannelRows
 from stiffopt.recording.nominal import Tolerance
@@ -26,8 +28,20 @@ _KEPT_BYTES, _KEPT_LATEST = 2**28, 64
 _BEYOND_CUTOFF = 1.5
 # Earlier extensions that columns are kept about.
 _FAMILY = 4
-# Root mean square, over noise, of what links may do otherwise before they are followed anew.
+# Root mean square, over the noise that is left, of what links may do otherwise before they are
+# followed anew.
 NEAR = 0.3
+
+
+@dataclass(eq=False)
+class _Nominal:
+    """Names, priors and columns (m, p) of the nominal values, and what products they have."""
+
+    names: list[str]
+    sd: np.ndarray
+    matrix: np.ndarray
+    sums: PieceSums | None = None
+    products: dict[tuple[object, ...], PieceProducts] = field(default_factory=dict)
 
 
 class Columns:
@@ -61,8 +75,10 @@ class Columns:
         self.runs = tuple(run for run, _, _ in about)
         self._back = [(torque, deflection) for _, torque, deflection in about]
         self.rows = ChannelRows(self.runs, noise, self._blocks())
-        self._kept: dict[tuple[object, ...], np.ndarray] = {}
-        self._latest: dict[tuple[object, ...], np.ndarray] = {}
+        self._kept: dict[tuple[object, ...], PieceColumns] = {}
+        self._latest: dict[tuple[object, ...], PieceColumns] = {}
+        self._bytes = 0
+        self._made: dict[bool, _Nominal] = {}
         self._family = [self]
         self.bodies: np.ndarray | None = None
 
@@ -72,14 +88,24 @@ class Columns:
         seconds = min(float(run.time[-1] - run.time[0]) for run in self.runs)
         return int(np.clip(seconds / _BLOCK_SECONDS, 2, _MOST_BLOCKS))
 
-    def about(self, found: Extension, near: float = NEAR) -> Columns:
+    def about(
+        self, found: Extension, inflation: np.ndarray | None = None, near: float = NEAR
+    ) -> Columns:
         """Columns about another extension; earlier ones where they are near enough.
 
         These again about masses that cannot be, whose swing would grow without end.
+
+        Parameters
+        ----------
+        found : Extension
+        inflation : array (2 n,), optional
+            Noise that is left in every channel over the stated one; default as stated.
+        near : float
+            Rms over that noise of what links may do otherwise.
         """
         found = self._that_moves(found)
         for earlier in reversed(self._family):
-            if earlier._distance(found) < near:
+            if earlier._distance(found, inflation) < near:
                 return earlier
         with np.errstate(over="ignore", invalid="ignore"):
             new = Columns(
@@ -89,7 +115,7 @@ class Columns:
             return self
         new.bodies, new._family = self.bodies, self._family
         for other in self._family:
-            other._kept.clear()
+            other._forget()
         self._family.append(new)
         del self._family[1:-_FAMILY]
         return new
@@ -104,12 +130,33 @@ class Columns:
         """The same runs with inertial parameters free: their standard deviations (n, 10)."""
         new = copy(self)
         new.bodies, new._family = bodies, [new]
-        new.__dict__.pop("nuisance", None)
         return new
 
-    @cached_property
+    def _forget(self) -> None:
+        """Leave out columns of effects, which are made again where they are asked for."""
+        self._kept.clear()
+        self._bytes = 0
+        for nominal in self._made.values():
+            nominal.products.clear()
+
+    @property
     def nuisance(self) -> tuple[list[str], np.ndarray, np.ndarray]:
         """Names, priors and columns (m, p) of the nominal values."""
+        nominal = self._nominal
+        sd = nominal.sd.copy()
+        if self.bodies is not None:
+            sd[: self.bodies.size] = self.bodies.ravel()
+        return nominal.names, sd, nominal.matrix
+
+    @property
+    def _nominal(self) -> _Nominal:
+        """Columns of the nominal values, the same whatever the width of free bodies is."""
+        free = self.bodies is not None
+        if free not in self._made:
+            self._made[free] = self._nominal_columns()
+        return self._made[free]
+
+    def _nominal_columns(self) -> _Nominal:
         per_run: list[list[NuisanceColumn]] = [
             list(nuisance_columns(run, self.robot, self.tolerance, self.bodies))
             for run in self.runs
@@ -117,15 +164,16 @@ class Columns:
         # A joint at rest in one run, or links that could not be followed there, have no column.
         order = {c.name: c for own in per_run for c in own}
         by_name = [{c.name: c for c in own} for own in per_run]
-        columns = []
-        for name in order:
+        matrix = np.zeros((self.rows.size, len(order)))
+        for column, name in enumerate(order):
             channels = [
                 own[name].added.channels(run, self.robot) if name in own else (None, None)
                 for own, run in zip(by_name, self.runs, strict=True)
             ]
-            columns.append(self.rows.flatten([c[0] for c in channels], [c[1] for c in channels]))
-        matrix = np.column_stack(columns) if columns else np.zeros((self.rows.size, 0))
-        return list(order), np.array([c.sd for c in order.values()]), matrix
+            matrix[:, column] = self.rows.flatten(
+                [c[0] for c in channels], [c[1] for c in channels]
+            )
+        return _Nominal(list(order), np.array([c.sd for c in order.values()]), matrix)
 
     @cached_property
     def target(self) -> np.ndarray:
@@ -159,29 +207,72 @@ class Columns:
 
     def of_effect(self, located: LocatedEffect) -> np.ndarray:
         """Columns (m, k) of an effect's amplitudes over their sizes."""
+        return self.pieces.joined(self._pieces_of(located))
+
+    @cached_property
+    def pieces(self) -> Pieces:
+        """Pieces of the rows."""
+        return Pieces(self.rows)
+
+    @property
+    def sums(self) -> PieceSums:
+        """Sums that the columns of the nominal values make."""
+        nominal = self._nominal
+        if nominal.sums is None:
+            nominal.sums = PieceSums(self.pieces, nominal.matrix, self.target)
+        return nominal.sums
+
+    def products(self, located: LocatedEffect) -> PieceProducts:
+        """Columns of an effect with their products."""
+        columns = self._pieces_of(located)
+        known = self._nominal.products
+        if located.key not in known:
+            if located.key not in self._kept:
+                return self.sums.products(columns)
+            known[located.key] = self.sums.products(columns)
+        return known[located.key]
+
+    def _pieces_of(self, located: LocatedEffect) -> PieceColumns:
         key = located.key
         for kept in (self._kept, self._latest):
             if key in kept:
                 return kept[key]
-        per_run = [list(located.columns(run, self.robot)) for run in self.runs]
-        sizes = located.sizes(self.runs[0].signals.constants)
-        columns = np.column_stack(
-            [
-                size * self.rows.flatten([c[0] for c in each], [c[1] for c in each])
-                for size, each in zip(sizes, zip(*per_run, strict=True), strict=True)
-            ]
-        )
-        full = (len(self._kept) + 1) * columns.nbytes > _KEPT_BYTES
-        if not full and located.at_start(self.runs[0].signals.constants):
+        constants = self.runs[0].signals.constants
+        sizes = located.sizes(constants)
+        columns = self.pieces.split(self._rows_of(located) * sizes)
+        self._bytes += columns.nbytes
+        if self._bytes < _KEPT_BYTES and located.at_start(constants):
             self._kept[key] = columns
             return columns
+        self._bytes -= columns.nbytes
         self._latest[key] = columns
         if len(self._latest) > _KEPT_LATEST:
             self._latest.pop(next(iter(self._latest)))
         return columns
 
-    def _distance(self, found: Extension) -> float:
-        """Rms over noise of what links would do otherwise than here."""
+    def _rows_of(self, located: LocatedEffect) -> np.ndarray:
+        """Columns (m, k) for a unit of every amplitude."""
+        count = len(located.effect.amplitudes)
+        if located.joint is None or any(run.swing is not None for run in self.runs):
+            per_run = [list(located.columns(run, self.robot)) for run in self.runs]
+            return np.column_stack(
+                [
+                    self.rows.flatten([c[0] for c in each], [c[1] for c in each])
+                    for each in zip(*per_run, strict=True)
+                ]
+            )
+        added = [
+            [
+                (kind, joint, i, values)
+                for i in range(count)
+                for kind, joint, values in located.channels(run, self.robot, i)
+            ]
+            for run in self.runs
+        ]
+        return self.rows.of_channels(added, count)
+
+    def _distance(self, found: Extension, inflation: np.ndarray | None) -> float:
+        """Rms over the noise that is left of what links would do otherwise than here."""
         names, _, matrix = self.nuisance
         change = found.less(self.found)
         values = np.array([change.calibration.get(name, 0.0) for name in names])
@@ -189,6 +280,8 @@ class Columns:
         for each in change.effects:
             sizes = each.located.sizes(self.runs[0].signals.constants)
             rows = rows + self.of_effect(each.located) @ (np.array(each.amplitudes) / sizes)
+        if inflation is not None:
+            rows = rows / inflation[self.rows.channel]
         return float(np.sqrt(np.mean(rows**2)))
 
     def _that_moves(self, found: Extension) -> Extension:

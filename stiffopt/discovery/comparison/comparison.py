@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -17,11 +17,18 @@ from stiffopt.discovery.comparison.bodies import (
     nominal_bodies,
 )
 from stiffopt.discovery.comparison.columns import FEW_RUNS, NEAR, Columns
-from stiffopt.discovery.comparison.evidence import BlockSums, Posterior, Sums, posterior
+from stiffopt.discovery.comparison.evidence import (
+    AddedSums,
+    BlockSums,
+    Posterior,
+    Sums,
+    posterior,
+)
 from stiffopt.discovery.comparison.extension import Extension, with_amplitudes
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nearest_bodies import nearest_bodies
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison.pieces import WeightedSums
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.rows import ChannelNoise
 from stiffopt.recording.nominal import Tolerance
@@ -65,6 +72,22 @@ class Fit:
     def amplitudes(self) -> np.ndarray:
         """Amplitudes of all effects over their sizes, one after another."""
         return self.posterior.mean[self.nuisance :]
+
+
+@dataclass(frozen=True, eq=False)
+class ModelSums:
+    """Sums of squares of a model's columns.
+
+    Parameters
+    ----------
+    own : Sums
+        Of the nominal values, then the amplitudes over their sizes.
+    beside : callable
+        -> sums of an effect's columns beside those.
+    """
+
+    own: Sums
+    beside: Callable[[LocatedEffect], AddedSums]
 
 
 class Comparison:
@@ -133,7 +156,7 @@ class Comparison:
         ----------
         fit : Fit
         near : float
-            Rms over noise of what links may do otherwise before they are followed anew.
+            Rms over that noise of what links may do otherwise before they are followed anew.
         """
         left = np.nan_to_num(self.channel_ratio(fit.residual), nan=1.0)
         return self.moved(self.found(fit), np.maximum(self.least, left), near)
@@ -161,7 +184,7 @@ class Comparison:
             box=self.box,
             least=self._least,
             suspects=self.suspects,
-            columns=self.columns.about(found, near),
+            columns=self.columns.about(found, self.least if inflation is None else inflation, near),
         )
 
     @property
@@ -215,6 +238,20 @@ class Comparison:
         """Columns (m, k) of an effect's amplitudes over their sizes."""
         return self._weighted(self.columns.of_effect(located))
 
+    def sums(self, effects: Sequence[LocatedEffect] = ()) -> ModelSums:
+        """Sums of nominal values and effects together, and of what is put beside them."""
+        if self.columns.unknown.size:
+            # What may be the swing of a start mixes the rows of a run.
+            _, _, nuisance = self.nuisance
+            columns = np.column_stack([nuisance, *(self.effect_columns(e) for e in effects)])
+            rows = BlockSums(columns, self.target, self.rows.block, self.blocks)
+            return ModelSums(rows.own, lambda each: rows.beside(self.effect_columns(each)))
+        pieces = self.columns.pieces
+        weight = self.inflation[pieces.channel] ** -2.0
+        products = [self.columns.products(e) for e in effects]
+        weighted = WeightedSums(self.columns.sums, products, weight)
+        return ModelSums(weighted.own, lambda each: weighted.beside(self.columns.products(each)))
+
     def _weighted(self, columns: np.ndarray) -> np.ndarray:
         """Rows over the noise; what may be the swing that a run began with counts as noise."""
         weighted = (columns.T * self._weight).T
@@ -238,7 +275,7 @@ class Comparison:
         parts = [nuisance, *(self.effect_columns(e) for e in effects)]
         columns = np.column_stack(parts)
         prior = np.concatenate([sd, np.ones(columns.shape[1] - len(sd))])
-        sums = BlockSums(columns, self.target, self.rows.block, self.blocks).own
+        sums = self.sums(effects).own
         found = posterior(sums, prior, cross_validate=False)
         limits = np.full(len(prior), np.inf)
         limits[: len(sd)] = self.box

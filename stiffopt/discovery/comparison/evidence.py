@@ -6,6 +6,8 @@ cross-validation over whole recordings needs no fit beyond the sums of squares o
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -77,6 +79,8 @@ class BlockSums:
             np.array([c @ own for c, own in zip(self._transposed, new, strict=True)]),
             np.array([own.T @ own for own in new]),
             np.array([own.T @ y for own, y in zip(new, self._target, strict=True)]),
+            np.arange(len(new)),
+            len(new),
         )
 
     @property
@@ -94,22 +98,45 @@ class Sums:
     square: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
 class AddedSums:
-    """Sums of squares of further columns.
+    """Sums of squares of further columns, by the parts of the rows on which they act.
 
     Parameters
     ----------
-    cross : array (b, p, k)
+    cross : array (a, p, k)
         With the columns that they stand beside.
-    inner : array (b, k, k)
-    moment : array (b, k)
+    inner : array (a, k, k)
+    moment : array (a, k)
         With the target.
+    block : array (a,) of int
+        That each part belongs to.
+    blocks : int
     """
 
-    cross: np.ndarray
-    inner: np.ndarray
-    moment: np.ndarray
+    def __init__(
+        self,
+        cross: np.ndarray,
+        inner: np.ndarray,
+        moment: np.ndarray,
+        block: np.ndarray,
+        blocks: int,
+    ) -> None:
+        self._parts, self._block, self._blocks = (cross, inner, moment), block, blocks
+
+    @cached_property
+    def total(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Cross (p, k), inner (k, k) and moment (k,) of all rows."""
+        cross, inner, moment = (part.sum(axis=0) for part in self._parts)
+        return cross, inner, moment
+
+    @cached_property
+    def by_block(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same of every block, (b, ...) each."""
+        found = tuple(np.zeros((self._blocks, *part.shape[1:])) for part in self._parts)
+        for whole, part in zip(found, self._parts, strict=True):
+            np.add.at(whole, self._block, part)
+        cross, inner, moment = found
+        return cross, inner, moment
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,17 +146,18 @@ class Added:
     Parameters
     ----------
     mean : array (k,)
-    covariance : array (k, k)
-    base_mean : array (p,)
-        Of the parameters that they were added to.
+    covariance, precision : array (k, k)
     log_evidence : float
         As of a `Posterior` of all of them.
+    base : callable
+        -> mean (p,) of the parameters that they were added to.
     """
 
     mean: np.ndarray
     covariance: np.ndarray
-    base_mean: np.ndarray
+    precision: np.ndarray
     log_evidence: float
+    base: Callable[[], np.ndarray]
 
 
 class Beside:
@@ -157,23 +185,17 @@ class Beside:
 
     def added(self, sums: AddedSums, kept: np.ndarray) -> Added:
         """Posterior with some of the further columns."""
-        mean, left, base, evidence = self._whole.with_columns(
-            _total(sums.cross[:, :, kept]),
-            _total(sums.inner[:, kept][:, :, kept]),
-            _total(sums.moment[:, kept]),
-        )
-        return Added(
-            mean=mean[0],
-            covariance=np.linalg.inv(left[0]),
-            base_mean=base[0],
-            log_evidence=float(evidence[0]),
-        )
+        cross, inner, moment = sums.total
+        if len(kept) < len(moment):
+            cross, inner, moment = cross[:, kept], inner[kept][:, kept], moment[kept]
+        return self._whole.with_few(cross, inner, moment)
 
     def log_predictive(self, sums: AddedSums, kept: np.ndarray) -> float:
         """Log density of all blocks, each given the others, as of a `Posterior` of all columns."""
-        parts = (sums.cross[:, :, kept], sums.inner[:, kept][:, :, kept], sums.moment[:, kept])
+        all_cross, all_inner, all_moment = sums.by_block
+        parts = (all_cross[:, :, kept], all_inner[:, kept][:, :, kept], all_moment[:, kept])
         cross, inner, moment = (_total(x) - x for x in parts)
-        without = self._without.with_columns(cross, inner, moment)[3]
+        without = self._without.with_columns(cross, inner, moment)
         return float(np.sum(self.added(sums, kept).log_evidence - without))
 
 
@@ -191,20 +213,34 @@ class _Factored:
         log_size = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         self._evidence = 0.5 * (np.sum(self._half**2, axis=1) - square) - log_size
 
-    def with_columns(
-        self, cross: np.ndarray, inner: np.ndarray, moment: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Mean (c, k) and precision (c, k, k) of further columns, mean of the others, evidence."""
+    def with_few(self, cross: np.ndarray, inner: np.ndarray, moment: np.ndarray) -> Added:
+        """Posterior of further columns (p, k), (k, k), (k,) beside the first set of sums."""
+        half = self._inverse[0] @ (cross * self._prior[:, None])
+        precision = inner - half.T @ half
+        precision.flat[:: len(moment) + 1] += 1.0
+        goal = moment - self._half[0] @ half
+        covariance = np.linalg.inv(precision)
+        mean = covariance @ goal
+        if len(moment) == 1:
+            log_size = math.log(precision[0, 0])
+        else:
+            log_size = float(np.linalg.slogdet(precision)[1])
+        evidence = float(self._evidence[0]) + 0.5 * float(goal @ mean) - 0.5 * log_size
+
+        def base() -> np.ndarray:
+            rest = self._half[0] - half @ mean
+            return np.asarray(self._prior * (self._inverse[0].T @ rest))
+
+        return Added(mean, covariance, precision, evidence, base)
+
+    def with_columns(self, cross: np.ndarray, inner: np.ndarray, moment: np.ndarray) -> np.ndarray:
+        """Log evidence (c,) with further columns."""
         half = self._inverse @ (cross * self._prior[:, None])
         left = inner + np.eye(inner.shape[1]) - half.swapaxes(1, 2) @ half
         goal = moment - np.einsum("bpk,bp->bk", half, self._half)
         mean = np.linalg.solve(left, goal[..., None])[..., 0]
-        evidence = (
-            self._evidence + 0.5 * np.sum(goal * mean, axis=1) - 0.5 * np.linalg.slogdet(left)[1]
-        )
-        rest = self._half - np.einsum("bpk,bk->bp", half, mean)
-        base = self._prior * np.einsum("bij,bi->bj", self._inverse, rest)
-        return mean, left, base, evidence
+        gained = 0.5 * np.sum(goal * mean, axis=1) - 0.5 * np.linalg.slogdet(left)[1]
+        return np.asarray(self._evidence + gained)
 
 
 def _total(parts: np.ndarray) -> np.ndarray:

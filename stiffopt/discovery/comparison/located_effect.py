@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Literal
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.signals import JointConstants, RobotConstants
 from stiffopt.discovery.effect import Effect
 from stiffopt.units import joint_unit
+
+Kind = Literal["torque", "deflection"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +147,7 @@ class LocatedEffect:
                 _whole(term.deflection, like),
                 _whole(term.reading, like),
             )
-        term = self.effect.term(signals.of_joint(self.joint), amplitudes, self.shapes)
+        term = self.effect.term(run.of_joint(self.joint), amplitudes, self.shapes)
         drive = _column(term.drive_torque, like, self.joint)
         before = _column(term.previous_torque, like, self.joint - 1) if self.joint else None
         return Contribution(
@@ -153,6 +156,33 @@ class LocatedEffect:
             _column(term.deflection, like, self.joint),
             _column(term.reading, like, self.joint),
         )
+
+    def channels(
+        self, run: PreparedRun, robot: RobotModel, amplitude: int
+    ) -> Iterator[tuple[Kind, int, np.ndarray]]:
+        """Change (K,) of single channels for a unit of an amplitude; none where nothing changes.
+
+        Of an effect of a joint along a run whose links do not swing: kind and joint (from 0).
+        """
+        assert self.joint is not None
+        if self.run is not None and run.name != self.run:
+            return
+        signals = run.of_joint(self.joint)
+        unit = [1.0 if k == amplitude else 0.0 for k in range(len(self.effect.amplitudes))]
+        term = self.effect.term(signals, unit, self.shapes)
+        joint = robot.constants.joints[self.joint]
+        torque = np.asarray(term.drive_torque + term.link_torque, dtype=float)
+        deflection = np.asarray(term.deflection + term.reading, dtype=float)
+        if np.any(term.link_torque):
+            deflection = deflection + joint.compliance(signals.spring_torque) * term.link_torque
+        added: tuple[tuple[Kind, int, np.ndarray], ...] = (
+            ("torque", self.joint, torque),
+            ("deflection", self.joint, deflection),
+            ("torque", self.joint - 1, np.asarray(term.previous_torque, dtype=float)),
+        )
+        for kind, index, values in added:
+            if index >= 0 and values.any():
+                yield kind, index, np.broadcast_to(values, run.time.shape)
 
     def columns(
         self, run: PreparedRun, robot: RobotModel

@@ -8,7 +8,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, derivative
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.signals import RobotConstants, RobotSignals
+from stiffopt.discovery.comparison.signals import JointSignals, RobotConstants, RobotSignals
 from stiffopt.discovery.comparison.swing import (
     MOTOR_CUTOFF,
     LinkMotion,
@@ -65,6 +65,7 @@ class PreparedRun:
     swing: Swing | None = None
     beside: np.ndarray | float = 0.0
     swung: dict[tuple[object, ...], PreparedRun] = field(default_factory=dict, init=False)
+    _joints: dict[int, JointSignals] = field(default_factory=dict, init=False)
 
     @property
     def links(self) -> LinkMotion:
@@ -77,6 +78,12 @@ class PreparedRun:
             s.transmitted_torque,
             s.spring_torque,
         )
+
+    def of_joint(self, index: int) -> JointSignals:
+        """Signals of one joint (0-based), each in one piece of memory."""
+        if index not in self._joints:
+            self._joints[index] = self.signals.of_joint(index)
+        return self._joints[index]
 
     def springs(self, robot: RobotModel, damping: np.ndarray | None = None) -> Springs:
         """Springs between the motors and the links of this run, as damped as given or nominal."""

@@ -51,6 +51,8 @@ class ChannelRows:
             [p.block + k * blocks for k, p in enumerate(self._places)]
         ).astype(int)
         self.size = len(self.channel)
+        sizes = np.array([[len(where) for where in p.samples] for p in self._places])
+        self._begins = (np.cumsum(sizes) - sizes.ravel()).reshape(sizes.shape)
         counts = np.bincount(self.channel, minlength=2 * self.n)
         self.channels = np.flatnonzero(counts > 0)
         self.counts = counts
@@ -111,6 +113,35 @@ class ChannelRows:
                             scale[j] * run.low_pass.noise_gain
                         )
                 begin = int(ends[-1])
+        return out
+
+    def of_channels(
+        self, added: Sequence[Sequence[tuple[str, int, int, np.ndarray]]], count: int
+    ) -> np.ndarray:
+        """Columns (m, count) of rows from what they add to single channels of every run.
+
+        Parameters
+        ----------
+        added : sequence of sequence of (kind, joint, column, array (K,)), one a run
+            "torque" or "deflection", and the joint from 0.
+        count : int
+        """
+        out = np.zeros((self.size, count))
+        for run, places, begins, own in zip(
+            self.runs, self._places, self._begins, added, strict=True
+        ):
+            if not own:
+                continue
+            passed = run.low_pass.thinned(np.stack([values for *_, values in own], axis=1))
+            for (kind, joint, column, _), values in zip(own, passed.T, strict=True):
+                of_kind = kind == "deflection"
+                scale = self.noise.deflection if of_kind else self.noise.torque
+                channel = of_kind * self.n + joint
+                where = places.rows[channel]
+                begin = begins[channel]
+                out[begin : begin + len(where), column] += values[where] / (
+                    scale[joint] * run.low_pass.noise_gain
+                )
         return out
 
     def sampled(self, signal: Callable[[PreparedRun], np.ndarray]) -> np.ndarray:

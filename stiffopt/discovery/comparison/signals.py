@@ -254,11 +254,15 @@ class RobotSignals(MotionSignals):
     def of_joint(self, index: int) -> JointSignals:
         """Signals of one joint (0-based)."""
 
+        def of(name: str, joint: int) -> Quantity:
+            column = getattr(self, name)[:, joint]
+            return np.ascontiguousarray(column) if isinstance(column, np.ndarray) else column
+
         def before(name: str) -> Quantity:
-            return getattr(self, name)[:, index - 1] if index else 0.0 * self.time
+            return of(name, index - 1) if index else 0.0 * self.time
 
         def own(name: str) -> Quantity:
-            return getattr(self, name)[:, index]
+            return of(name, index)
 
         return JointSignals(
             time=self.time,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,7 +11,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.evidence import Added, Beside, BlockSums, posterior
+from stiffopt.discovery.comparison.evidence import Added, AddedSums, Beside, posterior
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.pace import Pace
@@ -83,16 +84,21 @@ class Scorer:
 
     def __init__(self, comparison: Comparison, base: Sequence[LocatedEffect] = ()) -> None:
         self.comparison, self.base = comparison, tuple(base)
-        _, sd, nuisance = comparison.nuisance
-        parts = [nuisance, *(comparison.effect_columns(e) for e in base)]
-        self._columns = np.column_stack(parts)
-        self._prior = np.concatenate([sd, np.ones(self._columns.shape[1] - len(sd))])
-        self._sums = BlockSums(
-            self._columns, comparison.target, comparison.rows.block, comparison.blocks
-        )
+        _, sd, _ = comparison.nuisance
+        self._sums = comparison.sums(self.base)
+        amplitudes = self._sums.own.moment.shape[1] - len(sd)
+        self._prior = np.concatenate([sd, np.ones(amplitudes)])
         self.start = posterior(self._sums.own, self._prior, cross_validate=False)
         self._beside = Beside(self._sums.own, self._prior)
-        self._residual = comparison.target - self._columns @ self.start.mean
+
+    @cached_property
+    def _columns(self) -> np.ndarray:
+        parts = (self.comparison.effect_columns(e) for e in self.base)
+        return np.column_stack([self.comparison.nuisance[2], *parts])
+
+    @cached_property
+    def _residual(self) -> np.ndarray:
+        return np.asarray(self.comparison.target - self._columns @ self.start.mean)
 
     @cached_property
     def by_block(self) -> np.ndarray:
@@ -110,17 +116,17 @@ class Scorer:
         """
         if not located.possible(self.comparison.constants):
             return None
-        added = self.comparison.effect_columns(located)
-        size = np.einsum("mk,mk->k", added, added)
+        sums = self._sums.beside(located)
+        size = np.diag(sums.total[1])
         if not np.isfinite(size).all() or not np.any(size > 1e-12):
             return None
-        found, kept = self._bounded(located, added)
+        found, kept = self._bounded(located, sums)
         if found is None:
             return None
-        mean = np.zeros(added.shape[1])
-        covariance = np.zeros((added.shape[1],) * 2)
-        mean[kept], covariance[np.ix_(kept, kept)] = found.mean, found.covariance
-        inner = covariance[np.ix_(kept, kept)]
+        mean = np.zeros(len(size))
+        covariance = np.zeros((len(size),) * 2)
+        mean[kept] = found.mean
+        covariance[kept[:, None], kept] = found.covariance
         return Candidate(
             located=located,
             amplitudes=mean,
@@ -129,34 +135,29 @@ class Scorer:
             - self.start.log_evidence
             - price
             - self.comparison.suspected(located),
-            deviations=float(np.sqrt(max(mean[kept] @ np.linalg.solve(inner, mean[kept]), 0.0))),
-            gained=lambda: self._gained(located, kept),
-            change=lambda: self._changed(located, found.base_mean, mean),
+            deviations=math.sqrt(max(float(found.mean @ found.precision @ found.mean), 0.0)),
+            gained=lambda: self._gained(sums, kept),
+            change=lambda: self._changed(located, found.base(), mean),
         )
 
     def deviation(self, located: LocatedEffect) -> float | None:
         """Standard deviation of a single amplitude over its size; None if unseen."""
-        added = self.comparison.effect_columns(located)
-        if not np.isfinite(added).all() or not np.any(added):
+        cross, inner, _ = self._sums.beside(located).total
+        if not np.isfinite(inner).all() or not np.any(inner):
             return None
-        beside = self._columns
-        inner = self.start.covariance @ (beside.T @ added)
-        seen = float(np.sum(added**2) - np.sum((beside.T @ added) * inner))
+        seen = float(np.sum(inner) - np.sum(cross * (self.start.covariance @ cross)))
         return 1.0 / float(np.sqrt(seen)) if seen > 0.0 else None
 
     def nuisance_beside(self, located: LocatedEffect) -> np.ndarray:
         """Nominal values as they are fitted beside an effect."""
         _, sd, _ = self.comparison.nuisance
-        found, _ = self._bounded(located, self.comparison.effect_columns(located))
-        return (self.start.mean if found is None else found.base_mean)[: len(sd)]
+        found, _ = self._bounded(located, self._sums.beside(located))
+        return (self.start.mean if found is None else found.base())[: len(sd)]
 
-    def _bounded(
-        self, located: LocatedEffect, added: np.ndarray
-    ) -> tuple[Added | None, np.ndarray]:
+    def _bounded(self, located: LocatedEffect, sums: AddedSums) -> tuple[Added | None, np.ndarray]:
         """Posterior with amplitudes outside their bounds left out one after another."""
-        kept = np.arange(added.shape[1])
         bounds = located.bounds(self.comparison.constants)
-        sums = self._sums.beside(added)
+        kept = np.arange(len(bounds))
         while kept.size:
             found = self._beside.added(sums, kept)
             mean = found.mean
@@ -169,8 +170,7 @@ class Scorer:
             kept = np.delete(kept, worst)
         return None, kept
 
-    def _gained(self, located: LocatedEffect, kept: np.ndarray) -> float:
-        sums = self._sums.beside(self.comparison.effect_columns(located))
+    def _gained(self, sums: AddedSums, kept: np.ndarray) -> float:
         return self._beside.log_predictive(sums, kept) - float(np.sum(self.by_block))
 
     def _changed(
@@ -238,6 +238,7 @@ def scan(
     catalogue: Sequence[Effect],
     *,
     refined: int = 6,
+    worth: float = -math.inf,
     about: LocatedEffect | None = None,
     tell: Callable[[str], object] = lambda _: None,
 ) -> list[Candidate]:
@@ -249,6 +250,8 @@ def scan(
     catalogue : sequence of Effect
     refined : int
         How many of the best have their shapes fitted.
+    worth : float
+        Log evidence below which a candidate's shapes stay as they were tried.
     about : LocatedEffect, optional
         Only what could stand in its place is tried.
     tell : callable
@@ -281,6 +284,9 @@ def scan(
     best.sort(key=lambda pair: -pair[0].evidence)
     head = []
     for candidate, price in best[:refined]:
+        if candidate.evidence < worth:
+            head.append(candidate)
+            continue
         tell(f"fit the shapes of {candidate.located.label}{place}")
         head.append(scorer.refine(candidate, price))
     return sorted([*head, *(c for c, _ in best[refined:])], key=lambda c: -c.evidence)

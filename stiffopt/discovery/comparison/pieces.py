@@ -1,0 +1,201 @@
+"""Sums of squares by pieces: the rows of one channel in one block, whatever noise it has.
+
+Noise that is left in a channel changes with every fit, columns do not: sums over pieces are made
+once, and those of a fit are a weighted sum of them. Most effects act on few channels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from stiffopt.discovery.comparison.evidence import AddedSums, Sums
+from stiffopt.discovery.comparison.rows import ChannelRows
+
+
+@dataclass(frozen=True, eq=False)
+class PieceColumns:
+    """Columns of some values where they are not zero.
+
+    Parameters
+    ----------
+    acted : array (a,) of int
+        Pieces.
+    parts : tuple of array (rows, k)
+        Columns there.
+    width : int
+        k.
+    """
+
+    acted: np.ndarray
+    parts: tuple[np.ndarray, ...]
+    width: int
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that they take."""
+        return sum(part.nbytes for part in self.parts)
+
+
+@dataclass(frozen=True, eq=False)
+class PieceProducts:
+    """Columns of some values, with their products.
+
+    Parameters
+    ----------
+    columns : PieceColumns
+    cross : array (a, p, k)
+        Products with the columns of the nominal values there.
+    inner : array (a, k, k)
+    moment : array (a, k)
+        Products with the target.
+    """
+
+    columns: PieceColumns
+    cross: np.ndarray
+    inner: np.ndarray
+    moment: np.ndarray
+
+
+class Pieces:
+    """Pieces of the rows of runs.
+
+    Parameters
+    ----------
+    rows : ChannelRows
+
+    Attributes
+    ----------
+    block, channel : array (q,) of int
+        Of every piece.
+    """
+
+    def __init__(self, rows: ChannelRows) -> None:
+        number = rows.block * (2 * rows.n) + rows.channel
+        self._order = np.argsort(number, kind="stable")
+        found, self._starts = np.unique(number[self._order], return_index=True)
+        self.block, self.channel = found // (2 * rows.n), found % (2 * rows.n)
+        ends = (*self._starts.tolist(), len(number))
+        self._slices = [slice(first, last) for first, last in pairwise(ends)]
+
+    def split(self, columns: np.ndarray) -> PieceColumns:
+        """Columns (m, k) by pieces."""
+        ordered = columns[self._order]
+        acted = np.flatnonzero(np.logical_or.reduceat(ordered.any(axis=1), self._starts))
+        parts = tuple(ordered[self._slices[q]].copy() for q in acted)
+        return PieceColumns(acted, parts, columns.shape[1])
+
+    def joined(self, columns: PieceColumns) -> np.ndarray:
+        """Columns (m, k) of all rows."""
+        ordered = np.zeros((len(self._order), columns.width))
+        for q, part in zip(columns.acted, columns.parts, strict=True):
+            ordered[self._slices[q]] = part
+        out = np.empty_like(ordered)
+        out[self._order] = ordered
+        return out
+
+    def cut(self, columns: np.ndarray) -> list[np.ndarray]:
+        """Rows of columns (m, ...) in every piece."""
+        ordered = columns[self._order]
+        return [ordered[part] for part in self._slices]
+
+
+class PieceSums:
+    """Sums of the nominal values' columns, and of what is put beside them.
+
+    Parameters
+    ----------
+    pieces : Pieces
+    columns : array (m, p)
+        Of the nominal values, over the stated noise.
+    target : array (m,)
+    """
+
+    def __init__(self, pieces: Pieces, columns: np.ndarray, target: np.ndarray) -> None:
+        self.pieces = pieces
+        self._transposed = [part.T.copy() for part in pieces.cut(columns)]
+        self._target = pieces.cut(target)
+        self.gram = np.array([c @ c.T for c in self._transposed])
+        self.moment = np.array([c @ y for c, y in zip(self._transposed, self._target, strict=True)])
+        self.square = np.array([float(y @ y) for y in self._target])
+
+    def products(self, added: PieceColumns) -> PieceProducts:
+        """Products of further columns."""
+        count, p, k = len(added.acted), self.gram.shape[1], added.width
+        cross, inner, moment = (
+            np.zeros((count, p, k)),
+            np.zeros((count, k, k)),
+            np.zeros((count, k)),
+        )
+        for i, (q, part) in enumerate(zip(added.acted.tolist(), added.parts, strict=True)):
+            cross[i], inner[i] = self._transposed[q] @ part, part.T @ part
+            moment[i] = part.T @ self._target[q]
+        return PieceProducts(added, cross, inner, moment)
+
+
+class WeightedSums:
+    """Sums by blocks of nominal values and effects, with a weight for every piece.
+
+    Parameters
+    ----------
+    sums : PieceSums
+    effects : sequence of PieceProducts
+    weight : array (q,)
+        Of the squares of each piece.
+    """
+
+    def __init__(
+        self, sums: PieceSums, effects: Sequence[PieceProducts], weight: np.ndarray
+    ) -> None:
+        self._sums, self._weight = sums, weight
+        self._block = sums.pieces.block
+        self._blocks = int(self._block.max()) + 1
+        self._here: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        nominal, total = sums.gram.shape[1], sums.gram.shape[1]
+        by_piece: dict[int, list[tuple[int, np.ndarray]]] = {}
+        gram = np.zeros((self._blocks, nominal, nominal))
+        moment, square = np.zeros((self._blocks, nominal)), np.zeros(self._blocks)
+        np.add.at(gram, self._block, weight[:, None, None] * sums.gram)
+        np.add.at(moment, self._block, weight[:, None] * sums.moment)
+        np.add.at(square, self._block, weight * sums.square)
+        for each in effects:
+            for q, part in zip(each.columns.acted.tolist(), each.columns.parts, strict=True):
+                by_piece.setdefault(q, []).append((total, part))
+            total += each.columns.width
+        for q, own in by_piece.items():
+            places = np.concatenate([first + np.arange(part.shape[1]) for first, part in own])
+            self._here[q] = (places, np.concatenate([part for _, part in own], axis=1).T.copy())
+        self._size = total
+        whole = np.zeros((self._blocks, total, total))
+        moments = np.zeros((self._blocks, total))
+        whole[:, :nominal, :nominal], moments[:, :nominal] = gram, moment
+        first = nominal
+        for each in effects:
+            cross, _, with_target = self.beside(each).by_block
+            place = slice(first, first + each.columns.width)
+            whole[:, :, place] = cross
+            whole[:, place, :] = cross.swapaxes(1, 2)
+            moments[:, place] = with_target
+            first = place.stop
+        self.own = Sums(whole, moments, square)
+
+    def beside(self, added: PieceProducts) -> AddedSums:
+        """Sums that further columns make with those they were made of."""
+        acted, parts = added.columns.acted, added.columns.parts
+        weight = self._weight[acted]
+        cross = np.zeros((len(acted), self._size, added.columns.width))
+        cross[:, : added.cross.shape[1]] = added.cross
+        for i, (q, part) in enumerate(zip(acted.tolist(), parts, strict=True)):
+            if q in self._here:
+                places, others = self._here[q]
+                cross[i, places] = others @ part
+        return AddedSums(
+            weight[:, None, None] * cross,
+            weight[:, None, None] * added.inner,
+            weight[:, None] * added.moment,
+            self._block[acted],
+            self._blocks,
+        )
