@@ -40,7 +40,8 @@ OBJECTIVES: tuple[tuple[str, dict[str, Any], bool], ...] = (
     ("joint_stiffness", {}, False),
     ("shaped_deviation", {"measure": "peak"}, False),
     ("residual_vibration", {}, False),
-    ("process_deflection", {"measure": "peak"}, False),
+    # No motion is below what the force does in the given poses: how it ends where that is accepted.
+    ("process_deflection", {"measure": "peak", "accept_bound": True}, False),
     ("tool_deviation", {"measure": "rms"}, False),
 )
 # Those about a force at the tool.

@@ -32,6 +32,8 @@ class Source:
     source: str
 
 
+# Joints whose axes pass the tool this near do not move it [m].
+_AXIS = 1e-6
 _JOINT_ARRAYS = (
     "position_lower",
     "position_upper",
@@ -124,6 +126,13 @@ class Robot:
     def yields(self) -> bool:
         """Whether any joint has a spring, so that what it carries can swing."""
         return any(chain is not None and chain.stages for chain in self.chains)
+
+    def tool_yields(self, poses: np.ndarray) -> bool:
+        """Whether in any of some poses (K, n) a joint with a spring moves the tool."""
+        springs = np.array([chain is not None and bool(chain.stages) for chain in self.chains])
+        bodies = self.rigid_bodies()
+        arms = [bodies.jacobian(self.tool, pose)[:3, springs] for pose in poses]
+        return bool(np.max(np.abs(arms), initial=0.0) > _AXIS)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

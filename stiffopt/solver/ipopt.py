@@ -29,6 +29,9 @@ _STATUS = {
 # Excess of a row, relative to its scale, up to which an iterate proves that the rows can hold.
 FEASIBLE = 1e-6
 
+# Times the tolerance, by which an iterate that rests moves at most.
+_RESTS = 10.0
+
 _OPTIONS_HINT = "Check IpoptOptions.extra and linear_solver; allowed linear solvers: mumps, spral."
 
 
@@ -220,7 +223,7 @@ class IpoptSolver:
             raise monitor.error
         word = str(solver.stats()["return_status"])
         status = monitor.stopped_by or _status(word)
-        if status == "acceptable" and monitor.at_rest(self.options.tol):
+        if status == "acceptable" and monitor.at_rest(_RESTS * self.options.tol):
             # Its gradient is rounding along stiff directions: no step finds anything better.
             status = "optimal"
         last = self._iterate(outputs)

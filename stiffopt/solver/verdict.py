@@ -6,6 +6,7 @@ what is true, and if no baseline that keeps all limits is better.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -31,6 +32,11 @@ TRUE_OBJECTIVE = 2e-2
 _WRONG = 6e-2
 # A baseline may use what limits may be exceeded by.
 _WORSE = CERTIFIED
+# Bounds of states and controls in a programme are limits of the joints: "control rate, acceleration
+# of joint 1 (at 50 %)" is that of the jerk.
+_BOUND = re.compile(r"(state|control|control rate|\w+ within interval), (\w+) of (joint .*)")
+_AT_END = re.compile(r"\(at (0|100) %")
+_RATES = {"velocity": "acceleration", "acceleration": "jerk"}
 
 
 @dataclass(frozen=True)
@@ -209,8 +215,22 @@ def _message(outcome: Outcome, motion: Assessment) -> str:
 
 def named_conflicts(entries: Sequence[object]) -> str:
     """Limits by name first; the many boundary states count as one entry, the last."""
-    names = list(dict.fromkeys(str(entry) for entry in entries))
+    names = list(dict.fromkeys(_as_limit(str(entry)) for entry in entries))
     poses = [name for name in names if name.startswith(("state,", "start", "end"))]
     limits = [name for name in names if name not in poses][:5]
     ends = ["the given start and end"] if poses else []
     return "; ".join(limits + ends) or "none that can be named"
+
+
+def _as_limit(entry: str) -> str:
+    """A bound of the programme by the name of the limit it is."""
+    found = _BOUND.match(entry)
+    if found is None:
+        return entry
+    kind, quantity, rest = found.groups()
+    if kind in ("state", "control") and _AT_END.search(rest):
+        # Given at both ends: positions, rest.
+        return f"state, {quantity} of {rest}"
+    if kind == "control rate":
+        quantity = _RATES.get(quantity, f"rate of {quantity}")
+    return f"{quantity}, {rest}"

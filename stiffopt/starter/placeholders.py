@@ -20,8 +20,9 @@ from stiffopt.robot.urdf import LoadedUrdf
 _TOOL_SPEED, _SPINDLE = 30.0, 60.0
 # The largest arms have 4e4 N m at their base, and 1e5 N at a slide [N m or N].
 _LARGEST_TORQUE = 1e5
-# Above so many times the largest torque of any joint at full acceleration, and this [N m].
-_MANY, _FLOOR = 15.0, 200.0
+# Above so many times the largest torque of any joint at full acceleration, and this [N m]; slides
+# press, however little they carry [N].
+_MANY, _FLOOR, _PRESSED = 15.0, 200.0, 2000.0
 # A principal moment may exceed the sum of the others by so much where digits are few.
 _ROUNDED = 1.02
 # From so many joints on, one torque for all is a number that somebody typed once.
@@ -84,7 +85,7 @@ def torque_placeholders(arm: LoadedUrdf, demands: np.ndarray) -> tuple[Placehold
     found = []
     for j, (name, stated) in enumerate(arm.joints.items()):
         alike = demands[slides == slides[j]]
-        most = max(_MANY * float(np.max(alike)), _FLOOR)
+        most = max(_MANY * float(np.max(alike)), _PRESSED if slides[j] else _FLOOR)
         if stated["effort"] <= min(most, _LARGEST_TORQUE):
             continue
         unit = "N" if slides[j] else "N m"

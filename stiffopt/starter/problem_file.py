@@ -36,13 +36,13 @@ def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
         No pose was found that the drives can hold.
     """
     start, end = _poses(robot)
-    swing = _swing(robot, start)
+    swing = _swing(robot, start) if robot.tool_yields(np.array([start, end])) else None
     named = beside(file, folder) if isinstance(file, Path) else file
     objective = (
         ('"torque_squared"',) if swing is None else ('"shaped_deviation"', 'measure = "peak"')
     )
     why = (
-        "a rigid robot: least heat. With drivetrains, minimise shaped_deviation"
+        "a rigid tool: least heat. With joints that yield, minimise shaped_deviation"
         if swing is None
         else "least deviation of the tool, links that swing included; rest after arrival"
     )

@@ -1,6 +1,7 @@
 """Objectives that no motion can improve are named with the value, before anything is solved."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -188,3 +189,13 @@ def test_stiffness_that_a_given_pose_pins_is_told_before_a_solve(tmp_path):
     assert f"cannot exceed {K1:.4g} N m/rad" in solution.message
     assert solution.objective.value == pytest.approx(K1, rel=1e-3)
     assert solution.ratio_to_better_baseline == 1.0
+
+
+@pytest.mark.parametrize("objective", ["dynamic_deflection", "tool_deviation", "shaped_deviation"])
+def test_a_tool_on_the_axis_of_all_that_yields(tmp_path, objective):
+    minimise = f'objective = "{objective}"'
+    problem = load(tmp_path, "swivel", minimise=minimise)
+    robot = replace(problem.robot, tool=replace(problem.robot.tool, offset=np.zeros(3)))
+    message = refusal(replace(problem, robot=robot))
+    assert message.startswith(f"{objective} is zero whatever the motion")
+    assert "tool.offset" in message

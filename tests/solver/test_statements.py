@@ -95,6 +95,19 @@ def test_conflicts_name_limits_before_poses():
     )
 
 
+def test_conflicts_are_limits_by_their_names():
+    entries = [
+        "control rate, acceleration of joint 1 (at 96.7 %)",
+        "control, acceleration of joint 3 (at 40 %)",
+        "velocity within interval, velocity of joint 2 (at 61.7 %)",
+        "control, acceleration of joint 1 (at 100 %)",
+    ]
+    assert named_conflicts(entries) == (
+        "jerk, joint 1 (at 96.7 %); acceleration, joint 3 (at 40 %); "
+        "velocity, joint 2 (at 61.7 %); the given start and end"
+    )
+
+
 def test_a_ratio_needs_positive_values(tmp_path):
     problem = load(tmp_path, "planar")
     assert improvement(problem, 0.2, 0.4) == pytest.approx(0.5)

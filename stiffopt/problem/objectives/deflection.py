@@ -67,6 +67,13 @@ class ToolDeflection(ObjectiveKind):
         self, objective: Objective, problem: TrajectoryProblem, motion: ResolvedMotion
     ) -> list[Bound]:
         """Deflections of given rest poses, below which the peak over the motion cannot be."""
+        if not problem.robot.tool_yields(motion.points):
+            text = (
+                f"{self.name} is zero whatever the motion: no joint of {problem.robot.name} that "
+                "yields moves the tool in the given poses. Describe the elements of the others in "
+                f"the robot file, give tool.offset, or minimise 'torque_squared'{ACCEPT}"
+            )
+            return [Bound(self.name, 0.0, text, True)]
         if not self.pinned_by or objective.measure != "peak":
             return []
         values = [

@@ -55,9 +55,9 @@ def compensation_text(compensation: Compensation) -> str:
     return (
         f"{text}; toppra's motion as planned {_pair(plain)}, at worst {_pair(plain, True)}, with "
         f"the same compensation {_pair(led)} and {_pair(led, True)}. That is "
-        f"{_times(plain, own.compensated)} below toppra as planned, at worst "
-        f"{_times(plain, own.compensated, True)}, and {_times(led, own.compensated, True)} below "
-        "it compensated, at worst."
+        f"{_times(plain, own.compensated)} toppra as planned, at worst "
+        f"{_times(plain, own.compensated, True)} it, and {_times(led, own.compensated, True)} it "
+        "compensated, at worst."
     )
 
 
@@ -67,11 +67,20 @@ def _pair(spreads: Spreads, worst: bool = False) -> str:
 
 
 def _times(other: Spreads, own: Spreads, worst: bool = False) -> str:
+    """How many times below the other, in flight and after arrival: "8.5 / 5.7 times below"."""
     ratios = []
     for theirs, ours in ((other.flight, own.flight), (other.after, own.after)):
         above, below = (s.worst if worst else s.nominal for s in (theirs, ours))
-        ratios.append(significant(above / below, 2) if below > 0.0 else "–")
-    return " / ".join(ratios) + " times"
+        ratios.append(above / below if below > 0.0 and above > 0.0 else np.nan)
+    if not any(ratio < 1.0 for ratio in ratios):
+        return (
+            " / ".join("–" if np.isnan(r) else significant(r, 2) for r in ratios) + " times below"
+        )
+    return " / ".join(
+        f"{significant(max(r, 1.0 / r), 2)} times {'below' if r >= 1.0 else 'above'}"
+        for r in ratios
+        if not np.isnan(r)
+    )
 
 
 def compensation_notes(compensation: Compensation) -> list[str]:
