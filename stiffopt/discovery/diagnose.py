@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -27,7 +29,7 @@ from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.discovery.judging.all_samples import from_all_samples
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.judging.carried_over import not_carried_over
-from stiffopt.discovery.judging.detection import detection_limits
+from stiffopt.discovery.judging.detection import DetectionLimit, detection_limits
 from stiffopt.discovery.judging.held_out import HeldOut
 from stiffopt.discovery.judging.left_open import open_section
 from stiffopt.discovery.judging.modes import mode_shifts
@@ -70,10 +72,18 @@ from stiffopt.recording.facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
 
 Say = Callable[[str], object]
+Answer = TypeVar("Answer")
 
 _STOPPED = (
     "Stopped by the user: what was found until then is told, and more may be missing than that."
 )
+_NOT_WEIGHED = (
+    "Stopped by the user: what stands at a half was not weighed against what could stand in its"
+    " place."
+)
+_FITTED = "Stopped by the user: friction is that of the fit, without samples near standstill."
+_NO_LIMITS = "Stopped by the user: what would have been seen of other effects was not calculated."
+_NO_BURSTS = "Stopped by the user: nobody looked for bursts above the filter's band."
 _ONE_BAND = "Stopped by the user: standard deviations count nothing of what half the band says."
 _NO_SUSPECTS = "Stopped by the user: what is left open was not asked for suspects."
 
@@ -146,26 +156,29 @@ def diagnose(
         training, result = _better_swinging(recordings, training, asked, base, say, result)
     settings = training.settings
     stopped = [_STOPPED] if result.stopped else []
-    selected, unexplained = assess_findings(result)
-    say("estimate parameters")
+    if not result.weighed:
+        stopped.append(_NOT_WEIGHED)
+
+    def assessed() -> tuple[tuple[Selected, ...], Unexplained | None]:
+        say("estimate parameters")
+        return assess_findings(result)
+
+    selected, unexplained = _even_if_stopped(stopped, assessed)
     start = () if base is None else (base.extension,)
-    if training.free_bodies and not training.robot.swings:
-        say("take friction from all moving samples where that predicts better")
-        selected, parameters = from_all_samples(
-            training, settings, start, result.comparison, selected
-        )
-        say("ask half the band for the parameters")
-        with _unless_stopped(stopped, _ONE_BAND):
-            parameters = doubted_by_band(training, result.comparison, parameters)
-    else:
-        parameters = estimate(result.comparison, tuple(s.located for s in selected))
+    selected, parameters = _parameters(training, settings, start, result, selected, stopped, say)
     located = tuple(s.located for s in selected)
-    findings = _findings(result.comparison, selected, parameters, training, result.after)
-    limits = detection_limits(Scorer(result.comparison, located), asked, result.effects)
+    findings = _even_if_stopped(
+        stopped,
+        lambda: _findings(result.comparison, selected, parameters, training, result.after),
+    )
+    limits: tuple[DetectionLimit, ...] = ()
+    with _unless_stopped(stopped, _NO_LIMITS):
+        limits = detection_limits(Scorer(result.comparison, located), asked, result.effects)
     found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
     if unexplained is None and not findings:
-        say("look for bursts above the filter's band")
-        unexplained = bursts(training, (*start, found), settings)
+        with _unless_stopped(stopped, _NO_BURSTS):
+            say("look for bursts above the filter's band")
+            unexplained = bursts(training, (*start, found), settings)
     new = [s for s in selected if s.located.effect.nominal not in recordings.unstated]
     pair = leading_pair(new or selected) if experiment else None
     whole = found if base is None else base.extension.followed_by(found)
@@ -182,9 +195,8 @@ def diagnose(
         interrupted = True
         if not opened.left:
             stopped.append("Stopped by the user: the last held-out run was not shared out.")
-    say("what is left open")
     left_open = _left_open(
-        training, whole, asked, base, stopped, hurried=interrupted or bool(stopped)
+        training, whole, asked, base, stopped, say, hurried=interrupted or bool(stopped)
     )
     proofs, taken = tuple(opened.proofs), opened.shares.found()
     every = (*training.recorded, *(proof.run for proof in proofs))
@@ -220,6 +232,41 @@ def diagnose(
     )
 
 
+def _parameters(
+    training: Training,
+    settings: Settings,
+    start: tuple[Extension, ...],
+    result: SearchResult,
+    selected: tuple[Selected, ...],
+    stopped: list[str],
+    say: Say,
+) -> tuple[tuple[Selected, ...], Estimate]:
+    """Findings and their parameters, as far as the user waits for them."""
+    comparison = result.comparison
+    estimated: Estimate | None = None
+    if training.free_bodies and not training.robot.swings:
+        with _unless_stopped(stopped, _FITTED):
+            say("take friction from all moving samples where that predicts better")
+            selected, estimated = from_all_samples(training, settings, start, comparison, selected)
+    if estimated is None:
+        located = tuple(s.located for s in selected)
+        return selected, _even_if_stopped(stopped, lambda: estimate(comparison, located))
+    with _unless_stopped(stopped, _ONE_BAND):
+        say("ask half the band for the parameters")
+        estimated = doubted_by_band(training, comparison, estimated)
+    return selected, estimated
+
+
+def _even_if_stopped(stopped: list[str], step: Callable[[], Answer]) -> Answer:
+    """What a short step answers that none can do without: Ctrl-C ends what comes later."""
+    try:
+        return step()
+    except KeyboardInterrupt:
+        if _STOPPED not in stopped:
+            stopped.append(_STOPPED)
+        return step()
+
+
 @contextmanager
 def _unless_stopped(stopped: list[str], what: str) -> Iterator[None]:
     """A step that Ctrl-C ends: what is left out so goes to what was stopped."""
@@ -235,18 +282,18 @@ def _left_open(
     asked: Sequence[Effect],
     base: ExtendedModel | None,
     stopped: list[str],
+    say: Say,
     *,
     hurried: bool,
 ) -> LeftOpenSection:
     """What is left open; without suspects, which take long, where the user is in a hurry."""
     before = None if base is None else base.left_open
-    if not training.free_bodies:
-        return open_section(training, whole, (), before)
-    if hurried:
-        stopped.append(_NO_SUSPECTS)
-        return open_section(training, whole, (), before)
     with _unless_stopped(stopped, _NO_SUSPECTS):
-        return open_section(training, whole, asked, before)
+        say("what is left open")
+        if training.free_bodies and not hurried:
+            return open_section(training, whole, asked, before)
+        if training.free_bodies:
+            stopped.append(_NO_SUSPECTS)
     return open_section(training, whole, (), before)
 
 
@@ -266,13 +313,19 @@ def _better_swinging(
     if _residual(result) <= SWING_MISFIT:
         return training, result
     say("the swing of the links is not that of the model: compare them in balance")
-    balanced = train(recordings, training.settings, base, say, training.recorded, swinging=False)
-    still = _searched(recordings, balanced, asked, base, say)
-    answers = [(training, result), (balanced, still)]
-    if still.effects and not still.stopped:
-        say("let the links swing with what was found in balance")
-        about = still.comparison.found(still.fit)
-        answers.append((training, _searched(recordings, training, asked, base, say, about)))
+    answers = [(training, result)]
+    try:
+        balanced = train(
+            recordings, training.settings, base, say, training.recorded, swinging=False
+        )
+        still = _searched(recordings, balanced, asked, base, say)
+        answers.append((balanced, still))
+        if still.effects and not still.stopped:
+            say("let the links swing with what was found in balance")
+            about = still.comparison.found(still.fit)
+            answers.append((training, _searched(recordings, training, asked, base, say, about)))
+    except KeyboardInterrupt:
+        answers = [(own, replace(found, stopped=True)) for own, found in answers]
     return min(answers, key=lambda answer: _residual(answer[1]))
 
 

@@ -1,6 +1,7 @@
 """Ctrl-C during a diagnosis: what was found so far is told, and that it was stopped."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,6 +75,62 @@ def test_in_the_last_stages_the_findings_stay(tmp_path, monkeypatch, stage, told
     assert {"coulomb", "viscous"} <= {finding.effect.name for finding in found.findings}
     assert not found.left_open.suspects
     assert 0.05 < found.left_open.torque[0] < 0.2
+
+
+@pytest.mark.parametrize(
+    ("module", "stage", "left_out"),
+    [
+        (searching, "rigid_stage", "more may be missing than that"),
+        (searching, "confirmed", "was not weighed against what could stand in its place"),
+        (searching, "ranked_among_rivals", "was not weighed against"),
+        (diagnosing, "assess_findings", "more may be missing than that"),
+        (diagnosing, "from_all_samples", "without samples near standstill"),
+        (diagnosing, "shares_left_out", "more may be missing than that"),
+        (diagnosing, "detection_limits", "what would have been seen of other effects"),
+    ],
+)
+def test_anywhere_behind_a_first_fit_the_findings_stay(
+    tmp_path, monkeypatch, module, stage, left_out
+):
+    interrupted(monkeypatch, module, stage, 1)
+    found = diagnosing.diagnose(unvouched(tmp_path), experiment=False)
+    assert found.stopped
+    assert any(left_out in each for each in found.assumptions)
+    by_name = {finding.effect.name: finding for finding in found.findings}
+    assert {"coulomb", "viscous"} <= set(by_name)
+    if module is searching:
+        assert by_name["coulomb"].probability <= 0.5
+    assert by_name["coulomb"].parameters[0].value == pytest.approx(5.0, abs=0.5)
+
+
+@pytest.mark.slow
+def test_nobody_looked_for_bursts(monkeypatch):
+    """Where nothing is missing the last look is the one that is stopped."""
+    interrupted(monkeypatch, diagnosing, "bursts", 1)
+    found = diagnosing.diagnose(written(replace(COULOMB, effects=())), experiment=False)
+    assert found.stopped
+    assert not found.findings
+    assert any("bursts" in each for each in found.assumptions)
+
+
+@pytest.mark.slow
+def test_at_every_line_of_progress(tmp_path):
+    """From the first fit on, wherever Ctrl-C comes."""
+    source, every = unvouched(tmp_path), []
+    diagnosing.diagnose(source, experiment=False, progress=every.append)
+    first = next(k for k, line in enumerate(every) if line.startswith("re-identify"))
+    for stop in range(first, len(every)):
+        said = []
+
+        def tell(line, said=said, stop=stop):
+            said.append(line)
+            if len(said) == stop + 1:
+                raise KeyboardInterrupt
+
+        found = diagnosing.diagnose(source, experiment=False, progress=tell)
+        assert found.stopped, every[stop]
+        assert any("Stopped by the user" in each for each in found.assumptions), every[stop]
+        assert {"coulomb", "viscous"} <= {f.effect.name for f in found.findings}, every[stop]
 
 
 @pytest.mark.slow

@@ -99,6 +99,16 @@ def ranked_among_rivals(
     return Ranked(selected, near[0][1].located if near and near[0][0] > 0.0 else located)
 
 
+def not_weighed(
+    comparison: Comparison, effects: Sequence[LocatedEffect], located: LocatedEffect
+) -> Selected | None:
+    """A found effect that there was no time to weigh: as likely as all that may be in its place."""
+    own = Scorer(comparison, [e for e in effects if e is not located]).score(located)
+    if own is None:
+        return None
+    return Selected(located, own.evidence, own.deviations, 0.5, (), own.channel)
+
+
 def _log_prior(candidate: Candidate, constants: RobotConstants, changed: bool) -> float:
     """Log prior odds: plainer effects, and those usual at their joint, are likelier.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from stiffopt.discovery.search.joint_fit import (
 from stiffopt.discovery.search.left_out import borne_out
 from stiffopt.discovery.search.pace import Pace, paced
 from stiffopt.discovery.search.rigid import RigidStage, rigid_stage
-from stiffopt.discovery.search.rivals import Ranked, Selected, ranked_among_rivals
+from stiffopt.discovery.search.rivals import Ranked, Selected, not_weighed, ranked_among_rivals
 from stiffopt.discovery.thresholds import (
     AT_ONCE,
     EXCHANGES,
@@ -54,6 +54,8 @@ class SearchResult:
         What the nominal model leaves, over the stated noise: the rows of `before`.
     stopped : bool
         By Ctrl-C, before everything was searched for.
+    weighed : bool
+        Whether everything was weighed against what could stand in its place.
     """
 
     selected: tuple[Selected, ...]
@@ -65,6 +67,7 @@ class SearchResult:
     after: np.ndarray
     target: np.ndarray
     stopped: bool = False
+    weighed: bool = True
 
     @property
     def effects(self) -> tuple[LocatedEffect, ...]:
@@ -104,68 +107,139 @@ def search(
         Called with a sentence at every step.
     """
     say = report or (lambda _: None)
-    tell = paced(say)
     target = comparison.target * comparison.inflation[comparison.rows.channel]
     before = comparison.channel_ratio(target)
     calibrated = comparison.channel_ratio(comparison.fit().residual)
-    current, effects = _not_stated(comparison, list(start), say)
-    rigid = None
-    if reidentify:
-        say("re-identify the rigid model")
-        rigid = rigid_stage(current, effects, catalogue)
-        comparison = comparison.with_bodies(rigid.bodies(comparison))
-        # All of it again: what a wrong mass had hidden is seen now.
-        single = () if rigid.single is None else (rigid.single.located,)
-        current, effects = _not_stated(comparison, [*start, *single], say)
-    if about is not None:
-        # Slopes about the nominal motion lead away from it.
-        comparison = comparison.moved(about)
-        current, effects = fitted_jointly(comparison, [each.located for each in about.effects])
-        effects = pruned(current, effects)
-    if comparison.after_model:
-        current, effects, stopped = changes(
-            comparison, current, effects, catalogue, most, say, tell
-        )
-    else:
-        together = AT_ONCE if strict else 1
-        current, effects, stopped = _forward(
-            comparison, current, effects, catalogue, most, together, say, tell
-        )
-    if effects:
-        say(f"confirm what was found ({len(effects)}) on stretches left out")
-    sure = confirmed(current, effects, strict=strict)
-    if strict:
-        sure = borne_out(current, sure)
-    if len(sure) < len(effects):
-        lost = [e for e in effects if e not in sure]
-        current, effects = fitted_jointly(comparison, sure)
-        if strict:
-            current, effects = _added_again(comparison, current, effects, lost)
-    current, ranked = _exchanged(comparison, current, effects, catalogue, tell)
-    for _ in range(EXCHANGES if strict else 0):
-        effects = [r.selected.located for r in ranked]
-        kept = borne_out(current, confirmed(current, effects, strict=True))
-        if len(kept) == len(effects):
-            break
-        current, kept = fitted_jointly(comparison, kept)
-        current, ranked = _exchanged(comparison, current, kept, catalogue, tell, ranked)
-    if strict:
-        effects = [r.selected.located for r in ranked]
-        lost = [e for e in start if not any(e.same_place(other) for other in effects)]
-        current, ranked = _restored(comparison, current, ranked, lost, catalogue, tell)
-    selected = sorted((r.selected for r in ranked), key=lambda s: -s.loss)
-    current, fit = _relinearised(comparison, current, tuple(s.located for s in selected))
+    so_far = _SoFar(comparison, comparison)
+    try:
+        _search(so_far, catalogue, start, most, strict, reidentify, about, say)
+    except KeyboardInterrupt:
+        if not so_far.effects:  # there is nothing to tell
+            raise
+        say(STOPPED)
+        so_far.stopped = True
+    selected, weighed = so_far.selected()
+    current, fit = _relinearised(
+        so_far.start, so_far.current, tuple(each.located for each in selected)
+    )
     return SearchResult(
-        tuple(selected),
+        selected,
         current,
         fit,
-        rigid,
+        so_far.rigid,
         before,
         calibrated,
         current.channel_ratio(fit.residual),
         target,
-        stopped,
+        so_far.stopped,
+        weighed,
     )
+
+
+@dataclass(eq=False)
+class _SoFar:
+    """How far a search has come: what Ctrl-C leaves.
+
+    Parameters
+    ----------
+    start, current : Comparison
+        That fits begin from, and about what was found.
+    effects : list of LocatedEffect
+    ranked : list of Ranked
+        Those that were weighed last.
+    rigid : RigidStage or None
+    stopped : bool
+    """
+
+    start: Comparison
+    current: Comparison
+    effects: list[LocatedEffect] = field(default_factory=list)
+    ranked: list[Ranked] = field(default_factory=list)
+    rigid: RigidStage | None = None
+    stopped: bool = False
+
+    def fitted(self, found: tuple[Comparison, list[LocatedEffect]]) -> None:
+        """Go on from effects that are fitted jointly."""
+        self.current, self.effects = found
+
+    def weighed(self, found: tuple[Comparison, list[Ranked]]) -> None:
+        """Go on from effects that are weighed among their rivals."""
+        self.current, self.ranked = found
+        self.effects = [each.selected.located for each in self.ranked]
+
+    def selected(self) -> tuple[tuple[Selected, ...], bool]:
+        """Effects by falling loss, and whether all of them are weighed among their rivals."""
+        known = {each.selected.located.key: each.selected for each in self.ranked}
+        found, weighed = [], True
+        for located in self.effects:
+            own = known.get(located.key)
+            if own is None:
+                own, weighed = not_weighed(self.current, self.effects, located), False
+            if own is not None:
+                found.append(own)
+        return tuple(sorted(found, key=lambda each: -each.loss)), weighed
+
+
+def _search(
+    so_far: _SoFar,
+    catalogue: Sequence[Effect],
+    start: Sequence[LocatedEffect],
+    most: int,
+    strict: bool,
+    reidentify: bool,
+    about: Extension | None,
+    say: Callable[[str], object],
+) -> None:
+    """All that `search` does, one step after another."""
+    tell = paced(say)
+    so_far.fitted(_not_stated(so_far.start, list(start), say))
+    if reidentify:
+        say("re-identify the rigid model")
+        so_far.rigid = rigid_stage(so_far.current, so_far.effects, catalogue)
+        so_far.start = so_far.start.with_bodies(so_far.rigid.bodies(so_far.start))
+        # All of it again: what a wrong mass had hidden is seen now.
+        single = () if so_far.rigid.single is None else (so_far.rigid.single.located,)
+        so_far.fitted(_not_stated(so_far.start, [*start, *single], say))
+    if about is not None:
+        # Slopes about the nominal motion lead away from it.
+        so_far.start = so_far.start.moved(about)
+        current, tried = fitted_jointly(so_far.start, [each.located for each in about.effects])
+        so_far.fitted((current, pruned(current, tried)))
+    if so_far.current.after_model:
+        current, effects, so_far.stopped = changes(
+            so_far.start, so_far.current, so_far.effects, catalogue, most, say, tell
+        )
+    else:
+        together = AT_ONCE if strict else 1
+        current, effects, so_far.stopped = _forward(
+            so_far.start, so_far.current, so_far.effects, catalogue, most, together, say, tell
+        )
+    so_far.fitted((current, effects))
+    if so_far.effects:
+        say(f"confirm what was found ({len(so_far.effects)}) on stretches left out")
+    sure = confirmed(so_far.current, so_far.effects, strict=strict)
+    if strict:
+        sure = borne_out(so_far.current, sure)
+    if len(sure) < len(so_far.effects):
+        lost = [e for e in so_far.effects if e not in sure]
+        so_far.fitted(fitted_jointly(so_far.start, sure))
+        if strict:
+            so_far.fitted(_added_again(so_far.start, so_far.current, so_far.effects, lost))
+    so_far.weighed(_exchanged(so_far.start, so_far.current, so_far.effects, catalogue, tell))
+    for _ in range(EXCHANGES if strict else 0):
+        effects = so_far.effects
+        kept = borne_out(so_far.current, confirmed(so_far.current, effects, strict=True))
+        if len(kept) == len(effects):
+            break
+        so_far.fitted(fitted_jointly(so_far.start, kept))
+        so_far.weighed(
+            _exchanged(so_far.start, so_far.current, so_far.effects, catalogue, tell, so_far.ranked)
+        )
+    if strict:
+        lost = [e for e in start if not any(e.same_place(other) for other in so_far.effects)]
+        so_far.weighed(
+            _restored(so_far.start, so_far.current, so_far.ranked, lost, catalogue, tell)
+        )
 
 
 def _relinearised(
