@@ -73,7 +73,7 @@ def shortest_duration(problem: TrajectoryProblem, motion: ResolvedMotion) -> tup
     if length / speed > needed[j]:
         return length / speed, (
             f"The tool has to move by {1e3 * length:.4g} mm and needs {length / speed:.4g} s or "
-            f"more for that within its speed limit {speed:.4g} m/s; the duration allows "
+            f"more for that within its tool speed limit {speed:.4g} m/s; the duration allows "
             f"{problem.duration[1]:.4g} s."
         )
     unit = "m" if problem.robot.prismatic[j] else "rad"
