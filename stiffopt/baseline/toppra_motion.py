@@ -9,11 +9,14 @@ polynomial and followed exactly.
 from __future__ import annotations
 
 import logging
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from itertools import pairwise
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -161,7 +164,7 @@ def _path_speed(
     rows: PathLimits, linear: tuple[np.ndarray, np.ndarray, np.ndarray], joints: int
 ) -> np.ndarray | None:
     """Path speed ds/dt on the grid by toppra, or None."""
-    with _quiet():
+    with _quiet(), _figures_later():
         from toppra.algorithm import TOPPRA
         from toppra.constraint import DiscretizationType, LinearConstraint
         from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
@@ -210,3 +213,25 @@ def _quiet() -> Iterator[None]:
             yield
     finally:
         logger.setLevel(level)
+
+
+class _Later(ModuleType):
+    """Stands for a module that is loaded when something of it is asked for."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(import_module(self.__name__), name)
+
+
+@contextmanager
+def _figures_later() -> Iterator[None]:
+    """Toppra without what draws its figures, which takes as long to load as the rest of it."""
+    name = "matplotlib.pyplot"
+    if name in sys.modules:
+        yield
+        return
+    later = sys.modules[name] = _Later(name)
+    try:
+        yield
+    finally:
+        if sys.modules.get(name) is later:
+            del sys.modules[name]
