@@ -249,9 +249,12 @@ class MotorLaw:
         p = ca.SX.sym("smoothing")
         model = MotorModel(robot, derivatives, p, np.zeros(robot.n), process_force, 1.0)
         given = [*derivatives, p]
-        sag, lead = model.rates(model.sag, 1, 5), model.rates(model.lead, 3)
-        self._sag = ca.Function("sag", given, [ca.densify(each) for each in sag])
-        self._lead = ca.Function("lead", given, [ca.densify(each) for each in lead])
+        sag = [ca.densify(each) for each in model.rates(model.sag, 1, 5)]
+        lead = [ca.densify(each) for each in model.rates(model.lead, 3)]
+        self._sag = ca.Function("sag", given, sag)
+        # All that motors need of it; each further rate costs twice the one before.
+        self._motors_sag = ca.Function("motors_sag", given, sag[:4])
+        self._lead = ca.Function("lead", given, lead)
 
     def motion(
         self,
@@ -279,10 +282,11 @@ class MotorLaw:
         """
         moves = _sampled(link)
         plan = np.stack([link(moves, k) for k in range(6)])
-        place = plan - _of(self._sag, plan, smoothing)
         if sagged:
-            place = self._hanging(plan, place, smoothing)
-        lead = _of(self._lead, place if sagged else plan, smoothing)
+            loaded = place = self._hanging(plan, smoothing)
+        else:
+            loaded, place = plan, plan[:4] - _of(self._motors_sag, plan, smoothing)
+        lead = _of(self._lead, loaded, smoothing)
         if lag is None:
             return Trajectory.through(moves, place[:4] + lead, link)
         # The wind-up as a motion of its own, which begins and ends later than the rest.
@@ -298,11 +302,10 @@ class MotorLaw:
             motors[:, :, joints] += _late(windup, times - own)[:, :, joints]
         return Trajectory.through(times, motors, held)
 
-    def _hanging(self, plan: np.ndarray, place: np.ndarray, smoothing: float) -> np.ndarray:
-        """Where links hang under their own weight there, with five derivatives (6, K, n).
-
-        From a first `place`: the sag changes little with itself.
-        """
+    def _hanging(self, plan: np.ndarray, smoothing: float) -> np.ndarray:
+        """Where links hang under their own weight there, with five derivatives (6, K, n)."""
+        place = plan
+        # The sag changes little with itself.
         for _ in range(_ROUNDS):
             before, place = place, plan - _of(self._sag, place, smoothing)
             if np.max(np.abs(place[0] - before[0])) < _SETTLED:
