@@ -19,16 +19,20 @@ from stiffopt.problem.limit import LIMITS
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.solution import Baseline
+from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.plan import SolveStage
 from stiffopt.solver.stages import (
     Outcome,
+    Programme,
     SolveRun,
+    corrected,
     motors_of,
+    outcome_of,
     run_stages,
     solve_again,
 )
 from stiffopt.solver.verdict import TRUE_OBJECTIVE
-from stiffopt.transcription.between import drawn_in, tightened
+from stiffopt.transcription.between import Excess, drawn_in, excess_of, tightened
 from stiffopt.transcription.nlp import Nlp
 from stiffopt.transcription.refine import refine_mesh
 
@@ -87,7 +91,7 @@ def _on_finer_mesh(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> O
             finer = run_stages(run, (stage,), guess, margins, mesh)
         except KeyboardInterrupt:
             return stopped(outcome)
-        if _failed(finer):
+        if _failed(finer.raw):
             break
         outcome = finer
     if outcome.raw.converged and not _excess(outcome.assessment):
@@ -117,44 +121,60 @@ def _corrected(run: SolveRun, outcome: Outcome) -> Outcome:
             again = solve_again(run, outcome, nlp, outcome.smoothing)
         except KeyboardInterrupt:
             return stopped(found)
-        if _failed(again):
+        if _failed(again.raw):
             return found
         outcome, nlp = _within_rows(run, again, nlp)
     return _sharpened(run, outcome) if outcome.raw.converged else outcome
 
 
 def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nlp]:
-    """Path rows drawn in until the exact ones are kept; the programme with their bounds."""
-    rows, smoothing = None, outcome.smoothing
-    for attempt in range(1, _CORRECTIONS + 1):
-        excess = _excess(outcome.assessment)
-        if not outcome.raw.converged or not (excess or outcome.objective_gap > TRUE_OBJECTIVE):
-            break
-        if rows is None:
-            rows = exact_path_rows(run.problem, run.motion, run.scales)
-        if attempt > 1 and max(excess.values(), default=0.0) > _CORNER:
-            smoothing *= 2.0
-        try:
-            nlp, seen = tightened(
-                outcome.transcription,
-                nlp,
-                outcome.raw.x,
-                np.array([smoothing]),
-                rows,
-                most=_LARGEST_STEP,
-                haste=min(2.0 ** (attempt - 1), _HASTE),
-                limits=LIMITS,
-            )
-            # What the rows do not know, such as the delay by damping, is the same all along.
-            unseen = {k: v for k, v in excess.items() if seen.get(k, 0.0) < _SEEN * v}
+    """Path rows drawn in until the exact ones are kept; the programme with their bounds.
+
+    While the exact rows themselves show an excess, nothing else is asked of the motion.
+    """
+    made = Programme(outcome.transcription, outcome.solver)
+    rows, smoothing, raw = None, outcome.smoothing, outcome.raw
+    known: Excess | None = None
+    unseen: dict[str, float] = {}
+    try:
+        for attempt in range(1, _CORRECTIONS + 1):
+            if rows is None or known is None:
+                excess = _excess(outcome.assessment)
+                if not raw.converged or not (excess or outcome.objective_gap > TRUE_OBJECTIVE):
+                    break
+                if attempt > 1 and max(excess.values(), default=0.0) > _CORNER:
+                    smoothing *= 2.0
+                rows = rows or exact_path_rows(run.problem, run.motion, run.scales)
+                known = excess_of(made.transcription, raw.x, np.array([smoothing]), rows)
+                # What the rows do not know, such as the delay by damping, is the same all along.
+                seen = known.largest
+                unseen = {k: v for k, v in excess.items() if seen.get(k, 0.0) < _SEEN * v}
+            haste = min(2.0 ** (attempt - 1), _HASTE)
+            nlp = tightened(nlp, known, most=_LARGEST_STEP, haste=haste, limits=LIMITS)
             nlp = drawn_in(nlp, {k: min(v, _LARGEST_STEP) for k, v in unseen.items()})
-            again = solve_again(run, outcome, nlp, smoothing)
-        except KeyboardInterrupt:
-            return stopped(outcome), nlp
-        if _failed(again):
-            break
-        outcome = again
+            again = corrected(run, made, raw, nlp, smoothing)
+            if _failed(again):
+                break
+            raw, known = again, None
+            if raw.converged and not unseen:
+                known = excess_of(made.transcription, raw.x, np.array([smoothing]), rows)
+                if not _speaks_for_itself(known):
+                    known = None
+            if known is None:
+                outcome = outcome_of(run, made, raw, smoothing)
+        if outcome.raw is not raw:
+            outcome = outcome_of(run, made, raw, smoothing)
+    except KeyboardInterrupt:
+        if outcome.raw is not raw:
+            outcome = outcome_of(run, made, raw, smoothing)
+        outcome = stopped(outcome)
     return outcome, nlp
+
+
+def _speaks_for_itself(excess: Excess) -> bool:
+    """Whether limits are exceeded for certain, and by no corner of the motors' law."""
+    worst = max((v for name, v in excess.largest.items() if name in LIMITS), default=0.0)
+    return 2.0 * _AIM < worst <= _CORNER
 
 
 def stopped(outcome: Outcome) -> Outcome:
@@ -195,8 +215,8 @@ def _with_motors(run: SolveRun, outcome: Outcome, share: float, *, sagged: bool)
     return replace(outcome, trajectory=trajectory, assessment=assessment)
 
 
-def _failed(outcome: Outcome) -> bool:
-    return not outcome.raw.converged and outcome.raw.status not in ("interrupted", "time_limit")
+def _failed(raw: RawSolution) -> bool:
+    return not raw.converged and raw.status not in ("interrupted", "time_limit")
 
 
 def _excess(assessment: Assessment) -> dict[str, float]:

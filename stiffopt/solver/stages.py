@@ -246,11 +246,17 @@ def run_stages(
 
 def solve_again(run: SolveRun, before: Outcome, nlp: Nlp, smoothing: float) -> Outcome:
     """Solve the last stage again from where it ended, with other bounds or smoothing."""
-    before.solver.rebound(nlp)
     made = Programme(before.transcription, before.solver)
-    stage = SolveStage(len(before.transcription.intervals), smoothing)
-    raw = solve_stage(run, made, stage, before.raw.x, before.raw, "correction", "adaptive", _PUSH)
-    return outcome_of(run, made, raw, smoothing)
+    return outcome_of(run, made, corrected(run, made, before.raw, nlp, smoothing), smoothing)
+
+
+def corrected(
+    run: SolveRun, made: Programme, before: RawSolution, nlp: Nlp, smoothing: float
+) -> RawSolution:
+    """As `solve_again`, without looking at the motion."""
+    made.solver.rebound(nlp)
+    stage = SolveStage(len(made.transcription.intervals), smoothing)
+    return solve_stage(run, made, stage, before.x, before, "correction", "adaptive", _PUSH)
 
 
 def motors_of(run: SolveRun, outcome: Outcome, share: float, *, sagged: bool) -> Trajectory:

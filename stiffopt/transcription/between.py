@@ -9,12 +9,12 @@ they exceed it by in the neighbourhood of its point. The programme stays, only i
 from __future__ import annotations
 
 from collections.abc import Container, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
-from stiffopt.transcription.nlp import Nlp
+from stiffopt.transcription.nlp import Block, Nlp
 from stiffopt.transcription.transcription import Transcription
 
 # Points in every interval at which rows are looked at.
@@ -23,42 +23,35 @@ _POINTS = 16
 _MORE, _LEAST = 1.25, 2e-3
 
 
-def tightened(
-    transcription: Transcription,
-    nlp: Nlp,
-    x: np.ndarray,
-    parameters: np.ndarray,
-    rows: ca.Function,
-    *,
-    most: float,
-    haste: float = 1.0,
-    limits: Container[str] = (),
-) -> tuple[Nlp, dict[str, float]]:
-    """The NLP with the bounds of its path rows drawn in where a motion exceeds them.
+@dataclass(frozen=True)
+class Excess:
+    """What exact path rows of a motion exceed their bounds by, in units of the rows.
+
+    Parameters
+    ----------
+    largest : dict of row name to float
+    near : tuple of (block, index (k, m), upper (k, m), lower (k, m))
+        Of every block its rows in the NLP, point by point in time, and the largest excess of either
+        bound about each point.
+    """
+
+    largest: dict[str, float]
+    near: tuple[tuple[Block, np.ndarray, np.ndarray, np.ndarray], ...]
+
+
+def excess_of(
+    transcription: Transcription, x: np.ndarray, parameters: np.ndarray, rows: ca.Function
+) -> Excess:
+    """Excess of the exact path rows of a motion, at the points of the programme and between them.
 
     Parameters
     ----------
     transcription : Transcription
-    nlp : Nlp
-        Its own, or one tightened before.
     x : array
         The NLP vector that was found.
     parameters : array (np,)
     rows : casadi.Function
         Exact path rows (x, u, z, p) -> (m,).
-    most : float
-        Largest step by which a bound is drawn in, in units of its row.
-    haste : float
-        Times the step that the excess of a limit asks for.
-    limits : container of str
-        Names of rows that have to hold. The others are those of a peak, which is what it is: they
-        are drawn in by just their excess.
-
-    Returns
-    -------
-    nlp : Nlp
-    excess : dict
-        The largest by which rows of a name exceed their bounds, in units of the row.
     """
     motion = transcription.guess_from(x)
     steps = transcription.intervals.shares @ transcription.phase_durations(x)
@@ -76,24 +69,50 @@ def tightened(
         .full()
         .T
     )
-    lower, upper = nlp.lower_g.copy(), nlp.upper_g.copy()
-    found: dict[str, float] = {}
+    largest: dict[str, float] = {}
+    near = []
     for block, entries in transcription.path_blocks:
         assert block.places is not None
         places = transcription.times_of(block.places, x)
         order = np.argsort(places)
         own = values[:, entries] / block.rows.scale
         index = block.offset + np.arange(block.size).reshape(len(places), -1)[order]
-        for bound, limit, sign in ((upper, block.rows.upper, 1.0), (lower, block.rows.lower, -1.0)):
+        both = []
+        for limit, sign in ((block.rows.upper, 1.0), (block.rows.lower, -1.0)):
             with np.errstate(invalid="ignore"):
                 excess = np.maximum(sign * (own - limit / block.rows.scale), 0.0)
             excess = np.nan_to_num(excess, nan=0.0, posinf=0.0)
             name = block.rows.name
-            found[name] = max(found.get(name, 0.0), float(excess.max(initial=0.0)))
-            near = _about(times, places[order], excess)
-            step = haste * (_MORE * near + _LEAST) if name in limits else near
+            largest[name] = max(largest.get(name, 0.0), float(excess.max(initial=0.0)))
+            both.append(_about(times, places[order], excess))
+        near.append((block, index, *both))
+    return Excess(largest, tuple(near))
+
+
+def tightened(
+    nlp: Nlp, excess: Excess, *, most: float, haste: float = 1.0, limits: Container[str] = ()
+) -> Nlp:
+    """The NLP with the bounds of its path rows drawn in where a motion exceeds them.
+
+    Parameters
+    ----------
+    nlp : Nlp
+        That of the motion, or one tightened before.
+    excess : Excess
+    most : float
+        Largest step by which a bound is drawn in, in units of its row.
+    haste : float
+        Times the step that the excess of a limit asks for.
+    limits : container of str
+        Names of rows that have to hold. The others are those of a peak, which is what it is: they
+        are drawn in by just their excess.
+    """
+    lower, upper = nlp.lower_g.copy(), nlp.upper_g.copy()
+    for block, index, above, below in excess.near:
+        for bound, near, sign in ((upper, above, 1.0), (lower, below, -1.0)):
+            step = haste * (_MORE * near + _LEAST) if block.rows.name in limits else near
             bound[index] -= sign * np.where(near > 0.0, np.minimum(step, most), 0.0)
-    return replace(nlp, lower_g=lower, upper_g=upper), found
+    return replace(nlp, lower_g=lower, upper_g=upper)
 
 
 def drawn_in(nlp: Nlp, excess: Mapping[str, float]) -> Nlp:

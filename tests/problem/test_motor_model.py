@@ -24,7 +24,7 @@ from stiffopt.result.store import export_times, write_trajectory
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.guess import initial_guess
 from stiffopt.solver.solve import solve
-from stiffopt.transcription.between import tightened
+from stiffopt.transcription.between import excess_of, tightened
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import uniform_mesh
 
@@ -225,17 +225,16 @@ def test_bounds_are_drawn_in_about_what_exceeds_them(planar):
     transcription = transcribe(ocp, mesh=uniform_mesh(8))
     x = transcription.pack(initial_guess(planar, motion, baselines(planar, motion)))
     rows = exact_path_rows(planar, motion, Scales())
-    given = (x, np.array([SMOOTHING]), rows)
-    nlp, excess = tightened(transcription, transcription.nlp, *given, most=0.1)
+    excess = excess_of(transcription, x, np.array([SMOOTHING]), rows)
+    nlp = tightened(transcription.nlp, excess, most=0.1)
     change = transcription.nlp.upper_g - nlp.upper_g
     changed = np.flatnonzero(np.nan_to_num(change))
-    assert max(excess.values()) > 0.0
+    assert max(excess.largest.values()) > 0.0
     assert changed.size
     assert np.all(change[changed] > 0.0)
     assert np.all(change[changed] <= 0.1 + 1e-12)
     names = {nlp.rows.entry(int(k)).name for k in changed}
     assert names <= {rows.name for rows in ocp.path_rows}
     # Again from there, bounds only move further in.
-    further, same = tightened(transcription, nlp, *given, most=0.1)
-    assert same == excess
+    further = tightened(nlp, excess, most=0.1)
     assert np.all(np.nan_to_num(nlp.upper_g - further.upper_g) >= 0.0)
