@@ -85,7 +85,7 @@ def excess_of(
             name = block.rows.name
             largest[name] = max(largest.get(name, 0.0), float(excess.max(initial=0.0)))
             both.append(_about(times, places[order], excess))
-        near.append((block, index, *both))
+        near.append((block, index, both[0], both[1]))
     return Excess(largest, tuple(near))
 
 
