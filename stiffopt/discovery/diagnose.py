@@ -70,6 +70,7 @@ from stiffopt.discovery.training import Training, train, training_runs
 from stiffopt.discovery.user_effects import load_effects
 from stiffopt.recording.facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
+from stiffopt.recording.thinning import quieter, samples_a_mean, sentence, thinned
 
 Say = Callable[[str], object]
 Answer = TypeVar("Answer")
@@ -142,6 +143,9 @@ def diagnose(
     if base is not None:
         recordings = base.applied_to(recordings)
     runs = training_runs(recordings, say)
+    every = samples_a_mean(runs)
+    thin = () if every == 1 else (sentence(runs, every),)
+    recordings, runs = quieter(recordings, every), [thinned(run, every) for run in runs]
     say("check units, signs and orders")
     doubted = doubts(recordings, runs)
     if doubted and not despite_doubts:
@@ -187,7 +191,7 @@ def diagnose(
         if pair is not None and not result.stopped:
             plan = plan_experiment(training, result, settings, pair, say=say)
     # The findings are fixed: from here on other runs may be opened, and change nothing above.
-    opened = HeldOut(training, settings, start, found, parts_of(found, recordings.unstated))
+    opened = HeldOut(training, settings, start, found, parts_of(found, recordings.unstated), every)
     interrupted = False
     try:
         opened.predict_all(recordings, say)
@@ -199,7 +203,7 @@ def diagnose(
         training, whole, asked, base, stopped, say, hurried=interrupted or bool(stopped)
     )
     proofs, taken = tuple(opened.proofs), opened.shares.found()
-    every = (*training.recorded, *(proof.run for proof in proofs))
+    seen = (*training.recorded, *(proof.run for proof in proofs))
     return Diagnosis(
         recordings=recordings,
         settings=settings,
@@ -223,9 +227,10 @@ def diagnose(
             *stopped,
             *opened.not_predicted(),
             *_despite(doubted),
+            *thin,
             *training.assumptions,
         ),
-        faults=tuple((run.name, fault) for run in every for fault in run.faults),
+        faults=tuple((run.name, fault) for run in seen for fault in run.faults),
         experiment=plan,
         doubts=doubted,
         stopped=interrupted or bool(stopped),

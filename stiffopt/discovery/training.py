@@ -160,6 +160,9 @@ def train(
         say("choose how fast a motion to follow")
         settings, note = _with_bands(robot, opened, settings)
         notes.append(note)
+        # A long run is not held twice.
+        prepared.clear()
+        del probe
         prepared = [
             prepare(robot, run, k, None, settings, swinging=swinging)
             for k, run in enumerate(opened)

@@ -14,6 +14,7 @@ from stiffopt.discovery.proof.proof import RunProof, nrmse, prove
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
 from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.thinning import thinned
 
 Say = Callable[[str], object]
 
@@ -30,6 +31,8 @@ class HeldOut:
     found : Extension
     parts : sequence of Part
         Of what was found, to be shared out.
+    every : int
+        Samples that means are taken over, as of the training runs.
 
     Attributes
     ----------
@@ -48,9 +51,10 @@ class HeldOut:
         start: tuple[Extension, ...],
         found: Extension,
         parts: Sequence[Part],
+        every: int = 1,
     ) -> None:
         self._training, self._settings = training, settings
-        self._start, self._found = start, found
+        self._start, self._found, self._every = start, found, every
         self._box: BlackBox | None = None
         self.proofs: list[RunProof] = []
         self.velocities: list[np.ndarray] = []
@@ -70,7 +74,7 @@ class HeldOut:
         swinging = _predicted_swinging(training, settings, extensions)
         for entry in entries:
             say(f"predict {entry.file}")
-            run = recordings.open(entry)
+            run = thinned(recordings.open(entry), self._every)
             if not run.usable:
                 self.left.remove(entry.file)
                 self.unusable.append(entry.file)

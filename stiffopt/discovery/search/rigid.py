@@ -8,7 +8,7 @@ a little of everything where it explains as much in recordings left out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,7 +49,10 @@ class RigidStage:
 
 
 def rigid_stage(
-    comparison: Comparison, effects: Sequence[LocatedEffect], catalogue: Sequence[Effect]
+    comparison: Comparison,
+    effects: Sequence[LocatedEffect],
+    catalogue: Sequence[Effect],
+    tell: Callable[[str], object] = lambda _: None,
 ) -> RigidStage:
     """Choose between nominal bodies, one change and all parameters, by recordings left out.
 
@@ -60,14 +63,16 @@ def rigid_stage(
     effects : sequence of LocatedEffect
         What is found already.
     catalogue : sequence of Effect
+    tell : callable
+        Called with a sentence at every step.
     """
     nominal = Scorer(comparison, effects)
-    width, gain = _best_width(comparison, effects, nominal.by_block)
-    single = _best_single(nominal, catalogue)
+    width, gain = _best_width(comparison, effects, nominal.by_block, tell)
+    single = _best_single(nominal, catalogue, tell)
     if single is not None and single.gain > max(SPARSE_SHARE * gain, NAMED_EVIDENCE):
         found = (*effects, single.located)
         beside = Scorer(comparison, found)
-        width, gain = _best_width(comparison, found, beside.by_block)
+        width, gain = _best_width(comparison, found, beside.by_block, tell)
     else:
         single = None
     if gain < NAMED_EVIDENCE:
@@ -76,16 +81,17 @@ def rigid_stage(
 
 
 def _best_width(
-    comparison: Comparison, effects: Sequence[LocatedEffect], without: np.ndarray
+    comparison: Comparison,
+    effects: Sequence[LocatedEffect],
+    without: np.ndarray,
+    tell: Callable[[str], object],
 ) -> tuple[float, float]:
     """The narrowest width within a standard error of the best, over blocks, and what it gains."""
-    units = body_units(comparison.robot)
-    gains = np.array(
-        [
-            Scorer(comparison.with_bodies(width * units), effects).by_block - without
-            for width in WIDTHS
-        ]
-    )
+    units, rows = body_units(comparison.robot), []
+    for k, width in enumerate(WIDTHS, start=1):
+        tell(f"re-identify the rigid model ({k} of {len(WIDTHS)} widths)")
+        rows.append(Scorer(comparison.with_bodies(width * units), effects).by_block - without)
+    gains = np.array(rows)
     best = int(np.argmax(gains.sum(axis=1)))
     behind = gains[best] - gains
     error = np.sqrt(gains.shape[1]) * behind.std(axis=1)
@@ -93,7 +99,9 @@ def _best_width(
     return WIDTHS[chosen], float(gains[chosen].sum())
 
 
-def _best_single(scorer: Scorer, catalogue: Sequence[Effect]) -> Candidate | None:
+def _best_single(
+    scorer: Scorer, catalogue: Sequence[Effect], tell: Callable[[str], object]
+) -> Candidate | None:
     found = []
     for entry in catalogue:
         if entry.family != "inertial" or entry.scope not in ("link", "robot"):
@@ -101,6 +109,7 @@ def _best_single(scorer: Scorer, catalogue: Sequence[Effect]) -> Candidate | Non
         for located in places(entry, scorer.comparison.constants, ()):
             if any(located.same_place(other) for other in scorer.base):
                 continue
+            tell(f"re-identify the rigid model: {located.label} in place of all")
             scored = scorer.score(located)
             if scored is not None:
                 found.append(scored)

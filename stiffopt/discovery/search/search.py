@@ -195,7 +195,7 @@ def _search(
     so_far.fitted(_not_stated(so_far.start, list(start), say))
     if reidentify:
         say("re-identify the rigid model")
-        so_far.rigid = rigid_stage(so_far.current, so_far.effects, catalogue)
+        so_far.rigid = rigid_stage(so_far.current, so_far.effects, catalogue, tell)
         so_far.start = so_far.start.with_bodies(so_far.rigid.bodies(so_far.start))
         # All of it again: what a wrong mass had hidden is seen now.
         single = () if so_far.rigid.single is None else (so_far.rigid.single.located,)

@@ -1,0 +1,97 @@
+"""Long recordings at fast clocks, with means of a few samples in the place of each few.
+
+Joint motion and what brakes it lie below some tens of hertz: ten minutes at 1 kHz hold it no better
+than at a third of that, and take three times the memory and time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stiffopt.recording.recording_set import RecordingSet
+from stiffopt.recording.run import RecordedRun
+
+# Samples of all training runs from which on they are thinned, and the slowest clock that is left.
+_MOST, _SLOWEST = 160_000, 200.0
+# Spacings that a mean may be over beyond those of its samples: more is a gap.
+_GAP = 1.5
+
+
+def samples_a_mean(runs: Sequence[RecordedRun]) -> int:
+    """Samples that means are taken over, an odd number; 1 of all but long recordings.
+
+    Parameters
+    ----------
+    runs : sequence of RecordedRun
+        Training runs.
+    """
+    fastest = min((1.0 / run.step for run in runs), default=0.0)
+    most = int(fastest / _SLOWEST)
+    wanted = int(np.ceil(sum(len(run.time) for run in runs) / _MOST))
+    every = min(wanted + (wanted % 2 == 0), most - (most % 2 == 0))
+    return max(1, every)
+
+
+def thinned(run: RecordedRun, every: int) -> RecordedRun:
+    """A run with means of so many samples at the stamp in the middle of them.
+
+    Parameters
+    ----------
+    run : RecordedRun
+    every : int
+        Odd; 1 leaves the run as it is.
+
+    Notes
+    -----
+    All stamps stay, for predictions. A sample that is missing is missing in its mean; a mean over
+    a gap is left out.
+    """
+    count = len(run.time) // every
+    if every == 1 or not count:
+        return run
+    groups = run.time[: count * every].reshape(count, every)
+    whole = np.ptp(groups, axis=1) < _GAP * every * run.step
+
+    def means(samples: np.ndarray | None) -> np.ndarray | None:
+        if samples is None:
+            return None
+        of_group = samples[: count * every].reshape(count, every, -1)
+        return np.asarray(of_group.mean(axis=1)[whole])
+
+    position, torque = means(run.position), means(run.torque)
+    assert position is not None
+    assert torque is not None
+    return replace(
+        run,
+        time=groups[whole, every // 2],
+        position=position,
+        torque=torque,
+        velocity=means(run.velocity),
+        link_position=means(run.link_position),
+    )
+
+
+def quieter(recordings: RecordingSet, every: int) -> RecordingSet:
+    """The set with the noise that means of so many samples have."""
+    if every == 1:
+        return recordings
+    root = np.sqrt(every)
+    noise = recordings.noise
+    stated = {
+        name: None if (own := getattr(noise, name)) is None else own / root
+        for name in ("torque", "velocity", "link_position")
+    }
+    return replace(recordings, noise=replace(noise, **stated))
+
+
+def sentence(runs: Sequence[RecordedRun], every: int) -> str:
+    """What is said of runs (before they are thinned) whose samples are taken together."""
+    number = sum(len(run.time) for run in runs)
+    left = min(1.0 / run.step for run in runs) / every
+    return (
+        f"The training runs hold {number} samples: means of {every} are compared ({left:.0f} Hz),"
+        f" and nothing faster than {0.5 * left:.0f} Hz is seen."
+    )
