@@ -54,7 +54,8 @@ def verdict(
 
     `motion` is its assessment with the rows of its collisions, which `beyond_limits` judges.
     """
-    found = _by_belief(problem, outcome, Verdict(_status(outcome), _message(outcome, motion)))
+    own = Verdict(_status(outcome), _message(outcome, motion))
+    found = _by_belief(problem, outcome, motion, own)
     better = _better_baseline(problem, outcome, beside)
     if better is None or found.status is SolveStatus.INFEASIBLE:
         return found
@@ -99,7 +100,9 @@ def beyond_limits(
     return Verdict(found.status, f"{found.message} {scope(problem)}".strip())
 
 
-def _by_belief(problem: TrajectoryProblem, outcome: Outcome, found: Verdict) -> Verdict:
+def _by_belief(
+    problem: TrajectoryProblem, outcome: Outcome, motion: Assessment, found: Verdict
+) -> Verdict:
     """The verdict, unless the optimiser believed of its motion what is not true."""
     doubts = _disagreements(problem, outcome) if outcome.raw.converged else []
     if not doubts:
@@ -109,9 +112,10 @@ def _by_belief(problem: TrajectoryProblem, outcome: Outcome, found: Verdict) -> 
         differs = f"{found.message} And the optimiser believed otherwise: {listed}."
         return Verdict(found.status, differs)
     if any("torque" in d.quantity or abs(d.value) > _WRONG for d in doubts):
+        every = "Every limit" if motion.feasible(CERTIFIED) else "Every limit but of collisions"
         return Verdict(
             SolveStatus.CERTIFICATE_FAILED,
-            "Every limit holds on the fine grid, but the optimiser's model of this motion is "
+            f"{every} holds on the fine grid, but the optimiser's model of this motion is "
             f"wrong: it differs in {listed}. The motion is not the optimum; please report the "
             "robot and the problem.",
         )

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from stiffopt import __version__
-from stiffopt.errors import InputFileError, shortened
+from stiffopt.errors import InputError, InputFileError, shortened
 from stiffopt.files import check_file, load_toml, read_document, with_changes
 from stiffopt.recording.readers.read import files_of
 from stiffopt.recording.recording_set import FILE as RECORDINGS
@@ -292,18 +292,25 @@ def _toml(value: Any) -> str:
 
 
 def _digest(path: Path, seen: frozenset[Path] = frozenset()) -> str:
-    """Hash of a file, of all that it names and that lies beside it, and of a URDF's meshes."""
-    with path.open("rb") as stream:
-        found = hashlib.file_digest(stream, "sha256")
+    """Hash of a file, of all that it names and that lies beside it, and of a URDF's meshes.
+
+    What cannot be read has one as well: the case that needs it says so, and the others are solved.
+    """
+    try:
+        with path.open("rb") as stream:
+            found = hashlib.file_digest(stream, "sha256")
+    except OSError as error:
+        return f"{path}: {error.strerror}"
     if path.suffix == ".urdf":
         # Pinocchio comes with it, which sweeps of other things do not need.
         from stiffopt.robot.link_shapes import mesh_files
 
         for mesh in mesh_files(path):
-            found.update(mesh.read_bytes())
+            found.update(_digest(mesh).encode())
     if path.suffix == ".toml" and path not in seen:
-        for beside in _named(path.parent, load_toml(path)):
-            found.update(_digest(beside, seen | {path}).encode())
+        with suppress(InputError):
+            for beside in _named(path.parent, load_toml(path)):
+                found.update(_digest(beside, seen | {path}).encode())
     return found.hexdigest()
 
 

@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+from pathlib import Path
 
 import pytest
 from small_arms import ROOT
@@ -93,3 +94,22 @@ def test_a_fleet_ends_with_a_table_and_goes_on(sets, tmp_path, capsys):
     assert alone["findings"] in [json.loads(e.read_text())["result"]["findings"] for e in files]
     assert run(command) == 0
     assert [each.stat().st_mtime_ns for each in files] == times
+
+
+def test_a_file_that_cannot_be_read_is_told_by_its_own_case(sets, monkeypatch):
+    """The machine may let nobody read it, or a file that a text names may be no TOML."""
+    (sets[1] / "notes.toml").write_text("x = [")
+    document = sets[1] / "recordings.toml"
+    document.write_text(document.read_text().replace('licence = "MIT"', 'licence = "notes.toml"'))
+    opened = Path.open
+
+    def barred(path, *arguments, **options):
+        if path == sets[1] / "train_1.npz":
+            raise PermissionError(13, "Permission denied", str(path))
+        return opened(path, *arguments, **options)
+
+    before = [case.key for case in fleet_of(sets).cases]
+    monkeypatch.setattr(Path, "open", barred)
+    after = [case.key for case in fleet_of(sets).cases]
+    assert before[0] == after[0]
+    assert before[1] != after[1]

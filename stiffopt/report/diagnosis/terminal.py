@@ -39,7 +39,9 @@ _HEAD = ("effect", "where", "parameters", "explains", "probability", "confused w
 
 def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     """Verdict, findings with deviations and rivals, fit on held-out runs, where the files are."""
-    print_lines([f"{diagnosis.verdict}: {_verdict(diagnosis)}"])
+    label = diagnosis.verdict
+    part = label == "named" and stays_open(diagnosis)
+    print_lines([f"{'named in part' if part else label}: {_verdict(diagnosis)}"])
     sentence = mismatch_sentence(diagnosis)
     more = [rod_sentence(diagnosis), *carried_over_sentences(diagnosis)]
     print_lines([line for line in (sentence, *more) if line])
