@@ -33,6 +33,37 @@ K3 = 3e4
 T1 = 5.0
 T2 = 20.0
 ratings = [20.0, 50.0, 90.0]
+[[bolt]]
+size = "K5"
+diameter = "5 mm"
+pitch = "0.8 mm"
+head_diameter = "8.5 mm"
+bearing_diameter = "8.03 mm"
+hole = "5.5 mm"
+[[key]]
+width = "5 mm"
+height = "4 mm"
+shaft_min = "12 mm"
+shaft_max = "17 mm"
+shaft_depth = "2.5 mm"
+hub_depth = "1.9 mm"
+shaft_flank_height = "2.2 mm"
+hub_flank_height = "1.5 mm"
+[[belt]]
+name = "AT7"
+pitch = "7 mm"
+tooth_height = "1.9 mm"
+tooth_root_width = "3.4 mm"
+flank_angle = "25 deg"
+tooth_modulus = "80 MPa"
+span_stiffness = { "10e-3" = 2e5 }
+[[surface]]
+name = "ground"
+first = "steel"
+second = "aluminium"
+fractal_dimension = 2.5
+fractal_roughness = 2e-9
+friction = 0.14
 """
 
 

@@ -123,6 +123,7 @@ def view(
         robot,
         stored_poses(robot, own.time, own.position, stored.windup),
         None if ghost is None else stored_poses(robot, ghost.time, ghost.position),
+        cell=stored.problem.cell,
         port=port,
     )
     print(f"{scene.address} shows {result}; Ctrl-C ends.", flush=True)

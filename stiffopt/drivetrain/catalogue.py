@@ -9,11 +9,8 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 from stiffopt.contact.surface import Material, SurfacePair
 from stiffopt.declaration import Named
@@ -36,7 +33,8 @@ from stiffopt.drivetrain.fasteners import tensile_strength as tensile_strength
 from stiffopt.drivetrain.fasteners import waisted as waisted
 from stiffopt.drivetrain.fasteners import washer as washer
 from stiffopt.drivetrain.tables import Entry as Entry
-from stiffopt.drivetrain.tables import find, read_table, rows, source_text
+from stiffopt.drivetrain.tables import find, own_entries, read_table, rows, source_text
+from stiffopt.drivetrain.tables import with_own as with_own
 from stiffopt.errors import InputError, nearest
 
 
@@ -145,31 +143,15 @@ def _stiffness_class(ratio: int) -> str:
 
 def reducer_names() -> list[str]:
     """Names of the reducers: one's own, harmonic_SIZE_RATIO and rv_SIZE_RATIO."""
-    return [*_OWN.get(), *_packaged_reducers()]
+    return [*own_entries("reducer"), *_packaged_reducers()]
 
 
 def reducer(name: str) -> ReducerData:
     """Look up a reducer by name, for example "harmonic_25_100"; one's own come first."""
-    own, packaged = _OWN.get(), _packaged_reducers()
+    own, packaged = own_entries("reducer"), _packaged_reducers()
     if name not in own and name not in packaged:
         raise InputError(f"no reducer {name!r} in the catalogue. {nearest(name, reducer_names())}")
-    return own[name] if name in own else packaged[name]
-
-
-@contextmanager
-def with_own(reducers: Iterable[ReducerData]) -> Iterator[None]:
-    """Within it, one's own reducers stand before those of the package."""
-    token = _OWN.set({each.name: each for each in reducers})
-    try:
-        yield
-    finally:
-        _OWN.reset(token)
-
-
-_OWN: ContextVar[Mapping[str, ReducerData]] = ContextVar(
-    "own reducers",
-    default=MappingProxyType({}),
-)
+    return ReducerData(**own[name]) if name in own else packaged[name]
 
 
 @functools.cache
@@ -273,9 +255,17 @@ def surface_entry(name: str) -> Entry:
     return Entry(name=name, provenance=row["provenance"], source=row["source"])
 
 
-@functools.cache
 def surface(name: str) -> SurfacePair:
     """Look up a pair of surfaces by name, for example "fine_steel"."""
+    return _surface(name) if name in own_entries("surface") else _packaged_surface(name)
+
+
+@functools.cache
+def _packaged_surface(name: str) -> SurfacePair:
+    return _surface(name)
+
+
+def _surface(name: str) -> SurfacePair:
     row = find("surface", name, rows("surfaces", "surface", "name"))
     return SurfacePair(
         name=name,

@@ -5,9 +5,12 @@ from __future__ import annotations
 import functools
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from importlib import resources
+from types import MappingProxyType
 from typing import Any
 
 from stiffopt.errors import InputError, nearest
@@ -47,9 +50,34 @@ def _entry(table: Mapping[str, Any], row: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-@functools.cache
+# One's own entries by kind ("bolt", "reducer", ...) and name.
+OwnEntries = Mapping[str, Mapping[str, Any]]
+_OWN: ContextVar[OwnEntries] = ContextVar("own entries", default=MappingProxyType({}))
+
+
+@contextmanager
+def with_own(entries: OwnEntries) -> Iterator[None]:
+    """Within it, one's own entries stand before those of the package."""
+    token = _OWN.set(entries)
+    try:
+        yield
+    finally:
+        _OWN.reset(token)
+
+
+def own_entries(kind: str) -> Mapping[str, Any]:
+    """One's own entries of a kind."""
+    return _OWN.get().get(kind, {})
+
+
 def rows(table_name: str, list_name: str, key: str) -> dict[str, dict[str, Any]]:
-    """Rows of one list of a file by the value of `key`."""
+    """Rows of one list of a file by the value of `key`, one's own first."""
+    own, packaged = own_entries(list_name), _packaged(table_name, list_name, key)
+    return {**own, **{name: row for name, row in packaged.items() if name not in own}}
+
+
+@functools.cache
+def _packaged(table_name: str, list_name: str, key: str) -> dict[str, dict[str, Any]]:
     table = read_table(table_name)
     return {row[key]: _entry(table, row) for row in table[list_name]}
 

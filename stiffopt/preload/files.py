@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from stiffopt.connection import BoltedFlange
+from stiffopt.drivetrain.tables import with_own
 from stiffopt.dynamics.inverse_kinematics import solve_pose
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.fastening.limits import check_preload
-from stiffopt.files import read_document
+from stiffopt.files import load_toml, read_document, with_changes
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.load_sources import pose_case, trajectory_history
 from stiffopt.preload.problem import PreloadProblem
@@ -27,6 +28,7 @@ from stiffopt.preload.study import value_units
 from stiffopt.problem.files import JointLists, load_problem, read_robot
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.robot.elements import located
+from stiffopt.robot.files import own_entries_of
 from stiffopt.robot.robot import Robot
 from stiffopt.robot.rotations import rotation_from_rpy
 from stiffopt.units import convert, fit_joint
@@ -69,6 +71,12 @@ def load_study(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Loa
         With the file, the key, what is allowed and what to do next.
     """
     path = Path(path)
+    named = with_changes(load_toml(path), changes, path).get("robot")
+    with with_own(own_entries_of(named, path.parent)):
+        return _loaded(path, changes)
+
+
+def _loaded(path: Path, changes: Sequence[str]) -> LoadedStudy:
     document = read_document(path, PreloadFile, "preload", changes)
     robot = read_robot(document.robot, document.payload, document.tool, path)
     with located(path, ""):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.drivetrain.tables import with_own
 from stiffopt.preload.catalogue_choice import CatalogueChoice, choose_design
 from stiffopt.preload.curves import PreloadCurve, preload_curves
 from stiffopt.preload.loosening import Loosening, loosening
@@ -104,6 +105,17 @@ def preload_study(
     PreloadStudy
         Of any status; a study that cannot be met has no front and no joint study.
     """
+    with with_own(problem.robot.own):
+        return _studied(problem, motion, rounds, front_points, progress)
+
+
+def _studied(
+    problem: PreloadProblem,
+    motion: TrajectoryProblem | None,
+    rounds: int,
+    front_points: int,
+    progress: Callable[[SolveProgress | Progress], object] | None,
+) -> PreloadStudy:
     begin = time.perf_counter()
     solution = optimise_preloads(problem, progress=progress, throw=False)
     model = PreloadModel(problem, solution.cases)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ import numpy as np
 
 from stiffopt.declaration import bounds, unit
 from stiffopt.drivetrain import catalogue
+from stiffopt.drivetrain.tables import OwnEntries
 from stiffopt.errors import InputError, InputFileError, nearest
 from stiffopt.files import check_header, load_toml, validate, with_changes
 from stiffopt.robot.body_tree import body_tree
@@ -87,20 +88,32 @@ def load_robot(
         return _assemble(document, path, path, keep)
     own = Path(drivetrain) if bare and drivetrain is not None else path
     data = with_changes(load_toml(own), changes, own)
-    with _own_catalogue(data, own):
+    entries = _own_entries(data, own)
+    with catalogue.with_own(entries):
         document = _document(data, own)
         if not bare and document.urdf is None:
             raise InputFileError(own, "urdf", "this key is required and missing: path of the URDF.")
         urdf = path if bare else own.parent / str(document.urdf)
-        return _assemble(document, own, urdf, keep)
+        return replace(_assemble(document, own, urdf, keep), own=entries)
 
 
-def _own_catalogue(data: Mapping[str, Any], path: Path) -> AbstractContextManager[None]:
-    """Names of the user's own catalogue, where the file has one: they are checked with the rest."""
+def _own_entries(data: Mapping[str, Any], path: Path) -> OwnEntries:
+    """The user's own catalogue, where the file has one: names are checked with the rest."""
     named = data.get("catalogue")
-    if not isinstance(named, str):
-        return nullcontext()
-    return catalogue.with_own(read_own_catalogue(path.parent / named))
+    return read_own_catalogue(path.parent / named) if isinstance(named, str) else {}
+
+
+def own_entries_of(source: object, folder: Path) -> OwnEntries:
+    """Own catalogue of a robot that another file names, for names in that file.
+
+    Nothing where the robot is a shipped one or cannot be read, which its own reader says.
+    """
+    if not isinstance(source, str) or source in shipped_robots():
+        return {}
+    path = folder / source
+    if path.suffix.lower() != ".toml" or not path.is_file():
+        return {}
+    return _own_entries(load_toml(path), path)
 
 
 def _document(data: Mapping[str, Any], path: Path) -> RobotFile:
@@ -129,7 +142,7 @@ def _assemble(document: RobotFile, path: Path, urdf: Path, keep: Collection[str]
         _joint_numbers(section, bool(prismatic[j]), moving[names[j]], path)
         for j, section in enumerate(sections)
     ]
-    columns = {key: np.array([row[key] for row in limits]) for key in limits[0]}
+    columns: dict[str, Any] = {key: np.array([row[key] for row in limits]) for key in limits[0]}
     lower, upper = _positions(model, sections, prismatic, path)
     builder = ElementBuilder(path, document.assembly, document.surface)
     chains = tuple(

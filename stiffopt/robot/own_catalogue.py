@@ -1,24 +1,63 @@
-"""The user's own catalogue: reducers that the package does not have, beside a robot file."""
+"""The user's own catalogue: parts that the package does not have, beside a robot file."""
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
-from stiffopt.declaration import POSITIVE, Doc, JointStiffness, Torque
-from stiffopt.drivetrain.catalogue import ReducerData
-from stiffopt.errors import InputFileError
+from stiffopt.declaration import (
+    PART,
+    POSITIVE,
+    Angle,
+    Area,
+    Doc,
+    Force,
+    JointStiffness,
+    Length,
+    Named,
+    Pressure,
+    Ratio,
+    Torque,
+)
+from stiffopt.drivetrain.tables import OwnEntries
+from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import Section, read_document
 from stiffopt.robot.element_sections import Cited
 
+# Of an ISO metric thread: pitch and core diameter are d less so many pitches.
+_PITCH_DIAMETER, _CORE_DIAMETER = 0.649519, 1.226869
 
-class OwnReducer(Cited):
+
+class OwnPart(Cited):
+    """A part of a kind; `entry` is a row as the packaged tables have it."""
+
+    kind: ClassVar[str]
+
+    @property
+    def called(self) -> str:
+        """What other files call it."""
+        return str(getattr(self, "name"))  # noqa: B009
+
+    def entry(self) -> dict[str, Any]:
+        """Fields of the part with what follows from others.
+
+        Raises
+        ------
+        InputError
+            Numbers that no such part has, beginning with the key.
+        """
+        return self.model_dump()
+
+
+class OwnReducer(OwnPart):
     """A reducer by the three slopes of its torsion; equal slopes are one."""
 
+    kind = "reducer"
     name: Annotated[str, Doc("What robot files call it.")]
     ratio: Annotated[int, POSITIVE, Doc("Turns of the input for one turn of the output.")]
     K1: Annotated[JointStiffness, POSITIVE, Doc("Slope up to T1.")]
@@ -31,17 +70,151 @@ class OwnReducer(Cited):
         Doc("Rated, repeated peak and momentary peak torque; `init robot` chooses by the second."),
     ] = None
 
+    def entry(self) -> dict[str, Any]:
+        """Corners and ratings rise."""
+        if self.T2 < self.T1:
+            raise InputError(f"T2: must not be below T1 = {self.T1:g}.")
+        if self.ratings is not None and np.any(np.diff(self.ratings) < 0.0):
+            raise InputError("ratings: must rise: rated, repeated, momentary.")
+        return super().entry()
+
+
+class OwnBolt(OwnPart):
+    """A bolt; what is left out of its thread is that of an ISO metric one."""
+
+    kind = "bolt"
+    size: Annotated[str, Doc("What robot and study files call it.")]
+    diameter: Annotated[Length, PART, Doc("Nominal diameter d.")]
+    pitch: Annotated[Length, PART, Doc("Pitch P.")]
+    pitch_diameter: Annotated[Length | None, PART, Doc("d2; default d - 0.6495 P.")] = None
+    minor_diameter: Annotated[Length | None, PART, Doc("d3; default d - 1.2269 P.")] = None
+    stress_area: Annotated[Area | None, POSITIVE, Doc("A_S; default of (d2 + d3)/2.")] = None
+    head_diameter: Annotated[Length, PART, Doc("d_k, room that the head takes.")]
+    bearing_diameter: Annotated[Length, PART, Doc("d_w, of the flat under the head.")]
+    hole: Annotated[Length, PART, Doc("d_h, of the clearance hole.")]
+
+    @property
+    def called(self) -> str:
+        """Its size."""
+        return self.size
+
+    def entry(self) -> dict[str, Any]:
+        """Thread inside the shank, shank inside the hole, hole inside the head."""
+        d, pitch = self.diameter, self.pitch
+        d2 = self.pitch_diameter or d - _PITCH_DIAMETER * pitch
+        d3 = self.minor_diameter or d - _CORE_DIAMETER * pitch
+        area = self.stress_area or math.pi / 16.0 * (d2 + d3) ** 2
+        order = {
+            "minor_diameter": d3, "pitch_diameter": d2, "diameter": d, "hole": self.hole,
+            "bearing_diameter": self.bearing_diameter,
+        }  # fmt: skip
+        names, values = list(order), list(order.values())
+        for k in range(1, len(values)):
+            if not 0.0 < values[k - 1] < values[k]:
+                raise InputError(
+                    f"{names[k]}: {1e3 * values[k]:g} mm must be above {names[k - 1]}, which is"
+                    f" {1e3 * values[k - 1]:g} mm."
+                )
+        if self.head_diameter < self.bearing_diameter:
+            raise InputError("head_diameter: must not be below bearing_diameter.")
+        if not 0.5 < area / (math.pi / 4.0 * d2**2) < 1.0:
+            raise InputError(
+                f"stress_area: {1e6 * area:.4g} mm^2 is none of a thread of d = {1e3 * d:g} mm."
+            )
+        known = {"pitch_diameter": d2, "minor_diameter": d3, "stress_area": area}
+        return super().entry() | known
+
+
+class OwnKey(OwnPart):
+    """A parallel key, named by its width and height."""
+
+    kind = "key"
+    width: Annotated[Length, PART, Doc("Width.")]
+    height: Annotated[Length, PART, Doc("Height.")]
+    shaft_min: Annotated[Length, PART, Doc("Diameter of the shafts it belongs to, above.")]
+    shaft_max: Annotated[Length, PART, Doc("And up to.")]
+    shaft_depth: Annotated[Length, PART, Doc("Depth of the keyway in the shaft.")]
+    hub_depth: Annotated[Length, PART, Doc("Depth of the keyway in the hub.")]
+    shaft_flank_height: Annotated[Length, PART, Doc("Height that bears in the shaft.")]
+    hub_flank_height: Annotated[Length, PART, Doc("Height that bears in the hub.")]
+
+    @property
+    def called(self) -> str:
+        """Its section in mm."""
+        return f"{self.width * 1e3:g}x{self.height * 1e3:g}"
+
+    def entry(self) -> dict[str, Any]:
+        """Heights within the key, shafts from small to large."""
+        if self.shaft_flank_height + self.hub_flank_height > self.height * (1.0 + 1e-9):
+            raise InputError("hub_flank_height: both flanks together are higher than the key.")
+        if self.shaft_max <= self.shaft_min:
+            raise InputError("shaft_max: must be above shaft_min.")
+        return super().entry() | {"size": self.called}
+
+
+class OwnBelt(OwnPart):
+    """A synchronous belt profile."""
+
+    kind = "belt"
+    name: Annotated[str, Doc("Profile, as robot files call it.")]
+    pitch: Annotated[Length, PART, Doc("Of the teeth.")]
+    tooth_height: Annotated[Length, PART, Doc("Height of a tooth.")]
+    tooth_root_width: Annotated[Length, PART, Doc("Width of a tooth at its root.")]
+    flank_angle: Annotated[Angle, POSITIVE, Doc("Of a flank against the height.")]
+    tooth_modulus: Annotated[Pressure, POSITIVE, Doc("Young's modulus of the teeth.")]
+    tooth_poisson: Annotated[Ratio, POSITIVE, Doc("Poisson's ratio of the teeth.")] = 0.48
+    teeth_in_mesh_max: Annotated[float, POSITIVE, Doc("Teeth counted in mesh, at most.")] = 6.0
+    span_stiffness: Annotated[
+        dict[str, Force],
+        POSITIVE,
+        Field(min_length=1),
+        Doc('Force for a unit strain of one span, by width in m: { "10e-3" = 80e3 }.'),
+    ]
+
+    def entry(self) -> dict[str, Any]:
+        """Widths are numbers."""
+        for width in self.span_stiffness:
+            try:
+                wide = float(width)
+            except ValueError:
+                wide = math.nan
+            if not 0.0 < wide < math.inf:
+                raise InputError(f"span_stiffness: {width!r} is no width in m, such as 10e-3.")
+        return super().entry()
+
+
+class OwnSurface(OwnPart):
+    """A pair of rough surfaces."""
+
+    kind = "surface"
+    name: Annotated[str, Doc("What robot files call it.")]
+    first: Annotated[str, Named("material"), Doc("Material of one body.")]
+    second: Annotated[str, Named("material"), Doc("Material of the other.")]
+    fractal_dimension: Annotated[float, Doc("D of the combined surface, above 2, below 3.")]
+    fractal_roughness: Annotated[Length, POSITIVE, Doc("G of the combined surface.")]
+    friction: Annotated[Ratio, POSITIVE, Doc("Coefficient of static friction.")]
+
+    def entry(self) -> dict[str, Any]:
+        """A dimension of a surface."""
+        if not 2.0 < self.fractal_dimension < 3.0:
+            raise InputError("fractal_dimension: must lie between 2 and 3.")
+        return super().entry()
+
 
 class CatalogueFile(Section):
-    """Reducers of one's own, named by `catalogue` of a robot file."""
+    """Parts of one's own, named by `catalogue` of a robot file."""
 
     schema_: Annotated[int, Doc("Version of the format: 1.")] = Field(alias="schema")
     kind: Annotated[Literal["catalogue"], Doc("Kind of file.")]
     reducer: Annotated[tuple[OwnReducer, ...], Doc("Reducers; their names come first.")] = ()
+    bolt: Annotated[tuple[OwnBolt, ...], Doc("Bolts; their sizes come first.")] = ()
+    key: Annotated[tuple[OwnKey, ...], Doc("Keys, by width and height.")] = ()
+    belt: Annotated[tuple[OwnBelt, ...], Doc("Belt profiles.")] = ()
+    surface: Annotated[tuple[OwnSurface, ...], Doc("Pairs of surfaces.")] = ()
 
 
-def read_own_catalogue(path: str | os.PathLike[str]) -> tuple[ReducerData, ...]:
-    """Reducers of a catalogue file.
+def read_own_catalogue(path: str | os.PathLike[str]) -> OwnEntries:
+    """Parts of a catalogue file by kind and name, as rows of the packaged tables.
 
     Raises
     ------
@@ -50,15 +223,17 @@ def read_own_catalogue(path: str | os.PathLike[str]) -> tuple[ReducerData, ...]:
     """
     path = Path(path)
     document = read_document(path, CatalogueFile, "catalogue")
-    found: dict[str, ReducerData] = {}
-    for section in document.reducer:
-        where = f"reducer[{section.name}]"
-        if section.name in found:
+    found: dict[str, dict[str, Any]] = {}
+    parts: tuple[OwnPart, ...] = (
+        *document.reducer, *document.bolt, *document.key, *document.belt, *document.surface,
+    )  # fmt: skip
+    for part in parts:
+        where, own = f"{part.kind}[{part.called}]", found.setdefault(part.kind, {})
+        if part.called in own:
             raise InputFileError(path, where, "is given twice. Keep one.")
-        if section.T2 < section.T1:
-            raise InputFileError(path, f"{where}.T2", f"must not be below T1 = {section.T1:g}.")
-        if section.ratings is not None and np.any(np.diff(section.ratings) < 0.0):
-            raise InputFileError(path, f"{where}.ratings", "must rise: rated, repeated, momentary.")
-        fields = section.model_dump(include=set(ReducerData.__dataclass_fields__))
-        found[section.name] = ReducerData(**fields)
-    return tuple(found.values())
+        try:
+            own[part.called] = part.entry()
+        except InputError as error:
+            key, _, text = str(error).partition(": ")
+            raise InputFileError(path, f"{where}.{key}", text) from error
+    return found

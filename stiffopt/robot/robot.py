@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from stiffopt.drivetrain.chain import Chain
+from stiffopt.drivetrain.tables import OwnEntries
 from stiffopt.errors import RobotError
 from stiffopt.robot.bodies_in_motion import BodiesInMotion
 from stiffopt.robot.body_tree import BodyTree, body_tree
@@ -87,6 +88,8 @@ class Robot:
     payload : array (10,), optional
         Inertial parameters (mass, first moments, inertia) in the axes of the flange of what
         `with_payload` has put there; the model holds it.
+    own : mapping of kind to mapping of name to row
+        Parts of the user's own catalogue, which stand before those of the package.
 
     Notes
     -----
@@ -116,6 +119,7 @@ class Robot:
     urdf: Path | None = field(default=None, compare=False)
     payload: np.ndarray | None = None
     held: tuple[HeldJoint, ...] = ()
+    own: OwnEntries = field(default_factory=dict)
 
     @property
     def n(self) -> int:

@@ -136,7 +136,7 @@ class RobotFile(Section):
     ] = None
     catalogue: Annotated[
         str | None,
-        Doc("Path of one's own catalogue file, relative to this one; its reducers come first."),
+        Doc("Path of one's own catalogue file, relative to this one; its parts come first."),
     ] = None
     lock: Annotated[
         dict[str, JointPosition],

@@ -141,7 +141,7 @@ def robot_text(
         lines.append(f"catalogue = {quoted(beside(catalogue, folder))}")
     for link, body in bodies.items():
         lines += ["", *_link(link, body)]
-    with with_own(() if catalogue is None else read_own_catalogue(catalogue)):
+    with with_own({} if catalogue is None else read_own_catalogue(catalogue)):
         for j, each in enumerate(body_tree(arm.model).bodies):
             own = {p.quantity: p for p in doubted if p.joint == each.name}
             lines += ["", *_joint(arm, j, each, float(demands[j]), own)]

@@ -11,6 +11,7 @@ from small_arms import write_problem, write_robot
 
 from stiffopt.cli import run
 from stiffopt.report.scene.poses import stored_poses, tool_positions
+from stiffopt.robot.cell import Box, Cell, MeshObstacle
 from stiffopt.robot.files import load_robot
 
 viser = pytest.importorskip("viser")
@@ -51,6 +52,21 @@ def test_sliders_move_the_arm(scene):
     scene.draw()
     bent = tool_positions(robot.tree, robot.tool, np.full((1, robot.n), 0.4 - 0.1))[0]
     assert scene.tool() == pytest.approx(bent, abs=1e-9)
+
+
+def test_the_cell_stands_around_the_arm(tmp_path):
+    from stiffopt.report.scene.live import LiveScene
+
+    robot = load_robot(write_robot(tmp_path, "planar"))
+    poses = stored_poses(robot, np.array([0.0, 1.0]), np.zeros((2, robot.n)))
+    box = Box(name="table", size=(0.2, 0.4, 0.1), position=(0.5, 0.1, -0.2))
+    lost = MeshObstacle(name="lost", file=str(tmp_path / "lost.stl"))
+    opened = LiveScene(robot, poses, cell=Cell(floor=-0.5, box=(box,), mesh=(lost,)), port=18090)
+    try:
+        shown = opened.server.scene._handle_from_node_name
+        assert {name for name in shown if name.startswith("/cell/")} == {"/cell/0", "/cell/2"}
+    finally:
+        opened.close()
 
 
 @pytest.mark.slow

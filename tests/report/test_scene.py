@@ -23,7 +23,7 @@ from stiffopt.report.scene.poses import (
 from stiffopt.report.scene.still import still_figure
 from stiffopt.report.scene.surroundings import edges_around
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.robot.cell import Box, Cell
+from stiffopt.robot.cell import Box, Cell, MeshObstacle, Plane
 from stiffopt.robot.frames import LinkFrame
 from stiffopt.robot.link_shapes import LinkShape
 
@@ -93,11 +93,34 @@ def test_boxes_of_the_cell_stand_around_the_arm(moved):
     poses = {"own": poses_along(problem, motion)}
     (shown,) = scene_document(problem.robot, poses, "", 1.0, Cell(box=(box,)))["around"]
     assert shown["size"] == [0.2, 0.4, 0.1]
+    wall = Plane(name="wall", point=(0.0, -1.0, 0.3), normal=(0.0, 2.0, 0.0))
+    around = scene_document(problem.robot, poses, "", 1.0, Cell(floor=-0.2, plane=(wall,)))[
+        "around"
+    ]
+    assert [each["name"] for each in around] == ["wall", "floor"]
+    for each, normal, distance in zip(around, ([0, 1, 0], [0, 0, 1]), (-1.0, -0.2), strict=True):
+        turn = np.array(each["rotation"])
+        np.testing.assert_allclose(turn[:, 2], normal, atol=1e-12)
+        np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+        face = np.array(each["offset"]) + 0.5 * each["size"][2] * turn[:, 2]
+        assert face @ normal == pytest.approx(distance)
     edges = edges_around(Cell(box=(box,)))
     lengths = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
     assert sorted(lengths) == pytest.approx([0.1] * 4 + [0.2] * 4 + [0.4] * 4)
     assert edges.mean(axis=(0, 1)) == pytest.approx(box.position)
     assert scene_document(problem.robot, poses, "", 1.0)["around"] == []
+
+
+def test_a_mesh_of_the_cell_is_shown_and_a_lost_one_is_not(moved, tmp_path):
+    problem, motion = moved
+    grid_mesh(tmp_path / "table.obj", 4)
+    poses = {"own": poses_along(problem, motion)}
+    files = [
+        MeshObstacle(name=name, file=str(tmp_path / name)) for name in ("table.obj", "lost.obj")
+    ]
+    (shown,) = scene_document(problem.robot, poses, "", 1.0, Cell(mesh=tuple(files)))["around"]
+    assert (shown["kind"], shown["name"]) == ("mesh", "table.obj")
+    assert shown["triangles"]
 
 
 def grid_mesh(path, cells):

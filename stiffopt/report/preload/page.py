@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from stiffopt.drivetrain.tables import with_own
 from stiffopt.preload.bolt_sheet import bolt_sheets
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.problem import OBJECTIVES
@@ -67,6 +68,11 @@ def write_preload_report(study: PreloadStudy, directory: str | Path) -> Path:
     -------
     Path
     """
+    with with_own(study.problem.robot.own):
+        return _written(study, directory)
+
+
+def _written(study: PreloadStudy, directory: str | Path) -> Path:
     problem, solution = study.problem, study.solution
     units = joint_units(problem.robot)
     shares = shares_by_joint(study.sensitivity, problem, solution)

@@ -13,9 +13,9 @@ from stiffopt.errors import InputFileError
 from stiffopt.files import plain
 from stiffopt.report.scene.mesh import compact_mesh
 from stiffopt.report.scene.poses import Poses
-from stiffopt.report.scene.surroundings import boxes_around
+from stiffopt.report.scene.surroundings import shapes_around
 from stiffopt.robot.link_shapes import JointShape
-from stiffopt.robot.skeleton import capsules, joint_radii
+from stiffopt.robot.skeleton import capsules, joint_radii, reach
 
 if TYPE_CHECKING:
     from stiffopt.robot.cell import Cell
@@ -44,7 +44,7 @@ def scene_document(
     factor : float
         By which it is enlarged at first.
     cell : Cell, optional
-        Its boxes are shown.
+        Its boxes and meshes are shown, and what is near of its walls and floor.
     """
     radii = joint_radii(robot.tree, robot.tool)
     first = next(iter(motions.values()))
@@ -64,7 +64,7 @@ def scene_document(
         ],
         "tool": {"joint": robot.tool.joint, "offset": _short(robot.tool.offset)},
         "shapes": _shapes(robot),
-        "around": boxes_around(cell),
+        "around": _around(robot, cell),
         "motions": [_motion(name, poses) for name, poses in motions.items()],
         "parts": list(first.bend),
         "part": part if part in first.bend else next(iter(first.bend), ""),
@@ -114,6 +114,16 @@ def _shapes(robot: Robot) -> list[dict[str, Any]]:
             }
         )
     return shapes
+
+
+def _around(robot: Robot, cell: Cell | None) -> list[dict[str, Any]]:
+    placed = shapes_around(cell, reach(robot.tree, robot.tool))
+    meshes = max(sum(each.shape.kind == "mesh" for each in placed), 1)
+    found = []
+    for each in placed:
+        with suppress(InputFileError):
+            found.append(_shape(each, _TRIANGLES // meshes) | {"name": each.shape.name})
+    return found
 
 
 def _shape(placed: JointShape, triangles: int) -> dict[str, Any]:

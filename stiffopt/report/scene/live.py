@@ -11,14 +11,18 @@ from scipy.spatial.transform import Rotation
 
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.report.scene.poses import Poses, joint_frames, tool_positions
+from stiffopt.report.scene.surroundings import shapes_around
 from stiffopt.robot.link_shapes import JointShape, triangles
-from stiffopt.robot.skeleton import Capsule, capsules
+from stiffopt.robot.skeleton import Capsule, capsules, reach
 
 if TYPE_CHECKING:
+    from stiffopt.robot.cell import Cell
     from stiffopt.robot.robot import Robot
 
 _BENT, _PLANNED, _GHOST = (196, 64, 56), (58, 108, 178), (150, 150, 150)
 _STEP = 1.0 / 30.0
+# Of a slab that stands for a wall, which more must be seen through [m].
+_THIN = 5e-3
 
 
 class LiveScene:
@@ -31,6 +35,8 @@ class LiveScene:
         Of the motion, with one part of the deflection or more.
     ghost : Poses or None
         Of a motion to compare with.
+    cell : Cell or None
+        What stands around the arm.
     host, port : str, int
         Where the page is served; a port that is taken gives the next one.
 
@@ -46,6 +52,7 @@ class LiveScene:
         poses: Poses,
         ghost: Poses | None = None,
         *,
+        cell: Cell | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
     ) -> None:
@@ -65,6 +72,9 @@ class LiveScene:
         }
         if ghost is not None:
             self._arms["/ghost"] = _Arm(self.server, robot, "/ghost", _GHOST, 0.25)
+        for number, each in enumerate(shapes_around(cell, reach(robot.tree, robot.tool))):
+            wall = each.shape.kind == "box" and each.shape.size[2] < _THIN
+            _add_shape(self.server.scene, f"/cell/{number}", each, _GHOST, 0.2 if wall else 0.45)
         path = tool_positions(robot.tree, robot.tool, poses.position)
         self.server.scene.add_line_segments(
             "/path",

@@ -108,7 +108,7 @@ document.addEventListener("DOMContentLoaded", () => {
   const plannedMaterial = clear(BLUE, 0.16), ghostMaterial = clear(GREY, 0.16);
   const arm = new Arm(solid(0xc9ced6), () => solid(0xffffff));
   const planned = new Arm(plannedMaterial, () => plannedMaterial);
-  for (const box of scene.around) world.add(shapeOf(box, clear(GREY, 0.45)));
+  for (const each of scene.around) world.add(shapeOf(each, clear(GREY, each.kind === "box" && each.size[2] < 0.005 ? 0.2 : 0.45)));
   const [motion, baseline] = scene.motions;
   const ghost = baseline ? new Arm(ghostMaterial, () => ghostMaterial) : null;
 
