@@ -72,9 +72,9 @@ class LiveScene:
         }
         if ghost is not None:
             self._arms["/ghost"] = _Arm(self.server, robot, "/ghost", _GHOST, 0.25)
-        for number, each in enumerate(shapes_around(cell, reach(robot.tree, robot.tool))):
-            wall = each.shape.kind == "box" and each.shape.size[2] < _THIN
-            _add_shape(self.server.scene, f"/cell/{number}", each, _GHOST, 0.2 if wall else 0.45)
+        for number, solid in enumerate(shapes_around(cell, reach(robot.tree, robot.tool))):
+            wall = solid.shape.kind == "box" and solid.shape.size[2] < _THIN
+            _add_shape(self.server.scene, f"/cell/{number}", solid, _GHOST, 0.2 if wall else 0.45)
         path = tool_positions(robot.tree, robot.tool, poses.position)
         self.server.scene.add_line_segments(
             "/path",
