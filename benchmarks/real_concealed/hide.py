@@ -168,10 +168,10 @@ def _link(s: PublicSet, j: int) -> tuple[Named, ...]:
 
 
 def _stops(s: PublicSet, j: int) -> tuple[Named, ...]:
-    return (Named("cable_spring", j + 1), Named("gravity_spring", j + 1))
+    return tuple(Named(name, j + 1) for name in ("end_stop", "cable_spring", "gravity_spring"))
 
 
-# Sets with torques alone: a body would move the link encoders of the other.
+# Sets with torques alone: bodies and stops would move the link encoders of the other.
 LIGHT = ("dfki_a0815", "tx40_first", "unisa_ur10", "ur10e")
 ARMS = ("dfki_a0815", "kuka_kr300", "tx40_first", "unisa_ur10", "ur10e")
 KINDS = (
@@ -200,7 +200,7 @@ KINDS = (
         name="ripple", where="torque", truth=_joint("torque_ripple"), added=_ripple,
         sets=("tx40_first",),
     ),
-    Kind(name="stop", where="torque", truth=_stops, added=_stop, sets=ARMS),
+    Kind(name="stop", where="torque", truth=_stops, added=_stop, sets=LIGHT),
     Kind(
         name="payload", where="torque", truth=_link, parameter="dm", added=_mass, sets=LIGHT,
         links="last",

@@ -154,10 +154,13 @@ def diagnose(
     facts = joint_facts(recordings, training.recorded)
     checks = effect_checks(recordings, facts, len(training.recorded), catalogue)
     asked = identifiable_effects(catalogue, checks)
+    sought = asked
+    if training.least is None:
+        sought = tuple(each for each in asked if not each.only_changed)
     say("compare with the nominal model" if base is None else f"compare with {base.source}")
-    result = _searched(recordings, training, asked, base, say)
+    result = _searched(recordings, training, sought, base, say)
     if training.runs[0].swing is not None and not result.stopped:
-        training, result = _better_swinging(recordings, training, asked, base, say, result)
+        training, result = _better_swinging(recordings, training, sought, base, say, result)
     settings = training.settings
     stopped = [_STOPPED] if result.stopped else []
     if not result.weighed:
@@ -177,7 +180,7 @@ def diagnose(
     )
     limits: tuple[DetectionLimit, ...] = ()
     with _unless_stopped(stopped, _NO_LIMITS):
-        limits = detection_limits(Scorer(result.comparison, located), asked, result.effects)
+        limits = detection_limits(Scorer(result.comparison, located), sought, result.effects)
     found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
     if unexplained is None and not findings:
         with _unless_stopped(stopped, _NO_BURSTS):

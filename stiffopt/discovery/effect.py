@@ -187,6 +187,9 @@ class Effect:
     usual : bool
         Whether every real robot has a little of it, so that it is fitted from the start where
         nobody vouches for the nominal model.
+    only_changed : bool
+        Whether it is sought only as a change since an extended model was made: a form so free fits
+        something of all that a nominal model lacks.
     separate : str
         The motion that separates it from what looks alike.
     log_prior : callable, optional
@@ -225,6 +228,7 @@ class Effect:
     applies: Callable[[Any], bool] | None = None
     possible: Callable[[Sequence[float], Any], bool] | None = None
     usual: bool = False
+    only_changed: bool = False
     separate: str = ""
     log_prior: Callable[[Any], float] | None = None
     title: str = ""

@@ -1,4 +1,4 @@
-"""Springs beside a joint: balancers of the arm and cables along it."""
+"""Springs beside a joint: balancers of the arm, cables along it, and stops at its ends."""
 
 from __future__ import annotations
 
@@ -6,10 +6,19 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import Constants, along_stroke, on_wrist, ratio_or_zero
+from stiffopt.discovery.catalogue.common import (
+    Constants,
+    along_stroke,
+    carried_share,
+    on_wrist,
+    ratio_or_zero,
+)
 from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
-from stiffopt.symbolic import Quantity
+from stiffopt.symbolic import Quantity, softplus
+
+# Angle over which a stop begins to press [rad].
+_TOUCH = 2e-3
 
 
 def gravity_spring_term(
@@ -28,6 +37,16 @@ def cable_spring_term(
     """Torque k1 (q - q0) + k3 (q - q0)^3."""
     bent = signals.link_position - shapes[0]
     return Term(link_torque=amplitudes[0] * bent + amplitudes[1] * bent**3)
+
+
+def end_stop_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Torque k (q - q0) beyond an angle, on the side that the second shape points to."""
+    place, side = shapes
+    inwards = np.sign(side)
+    pressed = softplus(inwards * (signals.link_position - place) / _TOUCH)
+    return Term(link_torque=amplitudes[0] * inwards * _TOUCH * pressed)
 
 
 def _rest_angle(
@@ -53,6 +72,19 @@ def _rest_angle(
 
 def _share_of_rated(constants: JointConstants) -> float:
     return 0.1 * constants.torque_rated
+
+
+def _stiff(constants: JointConstants) -> float:
+    return 10.0 * carried_share(constants) * constants.torque_rated
+
+
+def _ends(constants: JointConstants) -> tuple[float, ...]:
+    return along_stroke(constants, 6)
+
+
+def _in_stroke(shapes: Sequence[float], constants: JointConstants) -> bool:
+    low, high = constants.stroke
+    return bool(low <= shapes[0] <= high)
 
 
 def _middles(constants: JointConstants) -> tuple[float, ...]:
@@ -102,4 +134,26 @@ CABLE_SPRING = Effect(
     " a turn.",
 )
 
-SPRINGS = (GRAVITY_SPRING, CABLE_SPRING)
+END_STOP = Effect(
+    name="end_stop",
+    family="spring",
+    scope="joint",
+    only_changed=True,
+    equation="s += k*(q - q0) beyond q0",
+    signature="link torque of one joint that begins at one angle and grows beyond it, to one side",
+    phrase="something that the joint runs against",
+    needs=("torque", "moves"),
+    confused_with=("cable_spring",),
+    term=end_stop_term,
+    amplitudes=(Amplitude(name="k", unit="N m/rad", scale=_stiff, lower=0.0, upper=100.0),),
+    shapes=(
+        Shape(name="q0", unit="rad", starts=_ends, lower=-20.0, upper=20.0),
+        Shape(name="side", unit="", starts=(-1.0, 1.0), lower=-1.0, upper=1.0),
+    ),
+    report=lambda amplitudes, shapes, constants: {"k": amplitudes[0], "q0": shapes[0]},
+    possible=_in_stroke,
+    separate="Go to that end of the stroke slowly, and stop short of it: a stop does nothing short"
+    " of its angle, cables and weight pull everywhere.",
+)
+
+SPRINGS = (GRAVITY_SPRING, CABLE_SPRING, END_STOP)
