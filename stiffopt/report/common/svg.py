@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import itertools
 import json
@@ -164,7 +165,8 @@ def to_svg(figure: Figure, name: str, description: str, extent: Bbox | None = No
     with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
         buffer = io.StringIO()
         box = extent or extent_of(figure)
-        figure.savefig(buffer, format="svg", bbox_inches=box)
+        with _ticks_once(figure):
+            figure.savefig(buffer, format="svg", bbox_inches=box)
     text = _compact(buffer.getvalue(), name, description)
     times = time_axes(figure, box)
     mark = f' data-times="{json.dumps(times, separators=(",", ":"))}"' if times else ""
@@ -201,7 +203,8 @@ def to_png(figure: Figure, extent: Bbox | None = None) -> bytes:
     with mpl.rc_context(_STYLE):
         buffer = io.BytesIO()
         box = extent or extent_of(figure)
-        figure.savefig(buffer, format="png", bbox_inches=box, facecolor="white")
+        with _ticks_once(figure):
+            figure.savefig(buffer, format="png", bbox_inches=box, facecolor="white")
     return buffer.getvalue()
 
 
@@ -210,7 +213,27 @@ def extent_of(figure: Figure) -> Bbox:
 
     Told without drawing: `bbox_inches="tight"` draws every figure once more only to know this.
     """
-    return figure.get_tightbbox().padded(0.06)
+    with _ticks_once(figure):
+        return figure.get_tightbbox().padded(0.06)
+
+
+@contextmanager
+def _ticks_once(figure: Figure) -> Iterator[None]:
+    """Context in which the ticks of an axis are laid out once.
+
+    Matplotlib does so for each of its labels, spines and lines: a third of what a figure costs.
+    Where it moves the axes meanwhile, to make room, ticks follow them.
+    """
+    moves = figure.get_layout_engine() is not None
+    flat = [] if moves else [axes for axes in figure.axes if axes.name != "3d"]
+    every = [axis for axes in flat for axis in (axes.xaxis, axes.yaxis)]
+    for axis in every:
+        vars(axis)["_update_ticks"] = functools.cache(axis._update_ticks)
+    try:
+        yield
+    finally:
+        for axis in every:
+            del vars(axis)["_update_ticks"]
 
 
 def _compact(text: str, name: str, description: str) -> str:
