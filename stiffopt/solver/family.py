@@ -42,8 +42,6 @@ from stiffopt.transcription.nlp import BlockScales, Nlp
 
 # Programmes that are kept; those used last stay.
 _KEPT = 4
-# Of a start from bounds, which are not quite those of this problem: a tenth of the iterations less.
-_PUSH = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +189,7 @@ class ProblemFamily:
             multipliers_x=warm.multipliers_x * of_x,
             multipliers_g=warm.multipliers_g * of_g,
         )
-        raw = solve_stage(run, made, stage, begin.x, begin, "warm", "adaptive", _PUSH)
+        raw = solve_stage(run, made, stage, begin.x, begin, "warm", "adaptive")
         ended = raw.status == "interrupted"
         if not (raw.converged or ended):
             return run, None

@@ -25,6 +25,8 @@ DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5
 GREY, PALE, INK = "#6b7280", "#d4d8de", "#1f2933"
 FONTS = "'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif"
 POINTS = 600
+# Matplotlib's own name for laying out the ticks of an axis.
+_TICKS = "_update_ticks"
 # Of every figure, in inches: the text column of a page.
 WIDTH = 10.4
 
@@ -228,12 +230,12 @@ def _ticks_once(figure: Figure) -> Iterator[None]:
     flat = [] if moves else [axes for axes in figure.axes if axes.name != "3d"]
     every = [axis for axes in flat for axis in (axes.xaxis, axes.yaxis)]
     for axis in every:
-        vars(axis)["_update_ticks"] = functools.cache(axis._update_ticks)
+        vars(axis)[_TICKS] = functools.cache(getattr(axis, _TICKS))
     try:
         yield
     finally:
         for axis in every:
-            del vars(axis)["_update_ticks"]
+            del vars(axis)[_TICKS]
 
 
 def _compact(text: str, name: str, description: str) -> str:
