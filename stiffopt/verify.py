@@ -17,7 +17,7 @@ from stiffopt.problem.files import load_problem
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.monitor import Progress
 from stiffopt.solver.solve import solve
-from stiffopt.solver.stages import ProgressCallback, SolveProgress
+from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 from stiffopt.units import convert
 
 KINDS = ("trajectory", "preload")

@@ -29,7 +29,7 @@ from stiffopt.result.solution import Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.family import ProblemFamily, WarmStart
 from stiffopt.solver.monitor import Progress
-from stiffopt.solver.stages import ProgressCallback, SolveProgress
+from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
 # Relative change of the deflection that ends a repetition: a tenth of what reports write of a gain.
 _DEFLECTION_TOLERANCE = 1e-4

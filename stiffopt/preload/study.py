@@ -24,7 +24,7 @@ from stiffopt.preload.solution import PreloadSolution
 from stiffopt.result.provenance import versions
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.monitor import Progress
-from stiffopt.solver.stages import SolveProgress
+from stiffopt.solver.solve_run import SolveProgress
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem

@@ -25,15 +25,8 @@ from stiffopt.result.solution import Solution
 from stiffopt.solver.plan import SolveStage, solver_options
 from stiffopt.solver.refinement import refined
 from stiffopt.solver.solve import notes_before, solution_of, solve_keeping
-from stiffopt.solver.stages import (
-    Outcome,
-    Programme,
-    ProgressCallback,
-    SolveRun,
-    build_programme,
-    outcome_of,
-    solve_stage,
-)
+from stiffopt.solver.solve_run import ProgressCallback, SolveRun
+from stiffopt.solver.stages import Outcome, Programme, build_programme, outcome_of, solve_stage
 from stiffopt.solver.verdict import TRUE_OBJECTIVE
 from stiffopt.solver.way_around import collisions
 from stiffopt.transcription.build import adapted

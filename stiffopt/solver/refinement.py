@@ -21,10 +21,10 @@ from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.solution import Baseline
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.plan import SolveStage
+from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.stages import (
     Outcome,
     Programme,
-    SolveRun,
     corrected,
     motors_of,
     outcome_of,

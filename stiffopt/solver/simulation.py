@@ -32,7 +32,7 @@ from stiffopt.result.simulation import (
 )
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.compensation import compensate
-from stiffopt.solver.stages import ProgressCallback, SolveProgress
+from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
 if TYPE_CHECKING:
     from stiffopt.elastic.motor import Servo

@@ -38,12 +38,8 @@ from stiffopt.solver.plan import stages
 from stiffopt.solver.refinement import refined, stopped
 from stiffopt.solver.shaping import solve_shaped
 from stiffopt.solver.simulation import check_simulation, with_simulation
-from stiffopt.solver.stages import (
-    Outcome,
-    ProgressCallback,
-    SolveRun,
-    run_stages,
-)
+from stiffopt.solver.solve_run import ProgressCallback, SolveRun
+from stiffopt.solver.stages import Outcome, run_stages
 from stiffopt.solver.unsolved import (
     as_good_as_can_be,
     below_the_base,

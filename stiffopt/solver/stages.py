@@ -4,32 +4,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import casadi as ca
 import numpy as np
 
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import is_maximised, objective_value
-from stiffopt.elastic.arm import ElasticArm
-from stiffopt.elastic.modes import Mode, modes
-from stiffopt.errors import NotSimulatedError
-from stiffopt.problem.formulation import Scales, formulate
-from stiffopt.problem.motor_model import WIDER, MotorLaw, rounded_lag
-from stiffopt.problem.resolve import ResolvedMotion
-from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.problem.formulation import formulate
+from stiffopt.problem.motor_model import WIDER
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.joint_path import JointPath
-from stiffopt.result.solution import Baseline
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.solver.avoidance import Avoidance
 from stiffopt.solver.ipopt import FEASIBLE, IpoptSolver, Multipliers, RawSolution
 from stiffopt.solver.monitor import Progress
 from stiffopt.solver.phase_one import least_excess
 from stiffopt.solver.plan import SolveStage, solver_options
+from stiffopt.solver.solve_run import SolveProgress, SolveRun
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import Mesh, uniform_mesh
 from stiffopt.transcription.nlp import BlockScales, Nlp
@@ -46,138 +38,12 @@ _ROUNDS, _COARSE_ROUNDS = 12, 2
 _SETTLED = 2e-5
 # What planes exceed falls to this share, or they are not laid anew.
 _NEARER = 0.7
-# Of the time limit: if links that may swing on end in no motion by then, they are brought to rest.
-_OF_FREE_END = 0.4
 # Excess of a row, relative to its scale, up to which a start is near the optimum.
 _NEAR = 1.0
 # And that from which on it is a corner of the motors' law passed fast.
 _SPIKE = 10.0
 # Of a start whose bounds have been drawn in, from them.
 _PUSH = 1e-3
-
-
-@dataclass(frozen=True)
-class SolveProgress:
-    """One iteration, for displays.
-
-    Attributes
-    ----------
-    stage : str
-        Which of how many, intervals and smoothing.
-    iteration : int
-    objective : float
-        In SI, of the smoothed model at the nodes.
-    violation : float
-        Worst row, relative to its scale.
-    row : str
-        Its name; empty when nothing is violated.
-    elapsed : float
-        Since the solve began [s].
-    """
-
-    stage: str
-    iteration: int
-    objective: float
-    violation: float
-    row: str
-    elapsed: float
-
-
-ProgressCallback = Callable[[SolveProgress], object]
-
-
-@dataclass
-class SolveRun:
-    """One solve in progress: its clock, its record and what it found so far.
-
-    `at_rest` says that nothing may swing on after arrival, whatever limits allow; `avoidance`, once
-    it is there, keeps the motion clear of collisions; `unavoided` says what was tried in vain,
-    `detour` is the motion along a path around.
-    """
-
-    problem: TrajectoryProblem
-    motion: ResolvedMotion
-    scales: Scales
-    progress: ProgressCallback | None
-    at_rest: bool = False
-    avoidance: Avoidance | None = None
-    unavoided: str = ""
-    detour: Baseline | None = None
-    begin: float = field(default_factory=time.perf_counter)
-    build_s: float = 0.0
-    solve_s: float = 0.0
-    iterations: int = 0
-    homotopy: list[dict[str, Any]] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-    @property
-    def elapsed(self) -> float:
-        """Seconds since the solve began."""
-        return time.perf_counter() - self.begin
-
-    @property
-    def remaining(self) -> float:
-        """Seconds left of the time limit, or of the share of it in which links may swing on."""
-        share = _OF_FREE_END if self.end_modes else 1.0
-        return max(share * self.problem.method.time_limit - self.elapsed, 0.1)
-
-    @cached_property
-    def end_modes(self) -> tuple[Mode, ...]:
-        """Modes in which the links may swing on after arrival; none where they may not."""
-        problem = self.problem
-        if self.at_rest or not problem.plans_links or problem.arrives_at_rest:
-            return ()
-        return modes(self.arm, self.motion.end)
-
-    @cached_property
-    def arm(self) -> ElasticArm:
-        """The problem's elastic arm."""
-        return ElasticArm(self.problem.robot, self.motion.start, self.problem.process_force)
-
-    @cached_property
-    def motors(self) -> MotorLaw:
-        """Motors that lead the problem's links."""
-        return MotorLaw(self.problem.robot, self.problem.process_force)
-
-    def hold_at_rest(self) -> None:
-        """Let nothing swing on after arrival from now on."""
-        self.at_rest = True
-        for known in ("end_modes", "lag"):
-            self.__dict__.pop(known, None)
-
-    @cached_property
-    def lag(self) -> np.ndarray | None:
-        """Of the joints' wind-up behind their torque, by damping (n,) [s].
-
-        None where the motors do not come to rest smoothly, or the links cannot swing.
-        """
-        problem = self.problem
-        smooth = problem.boundary_acceleration == "zero" and not np.any(problem.boundary_velocity)
-        if not (problem.plans_links and smooth) or self.end_modes:
-            return None
-        with suppress(NotSimulatedError):
-            return rounded_lag(self.arm.lag(self.motion.end))
-        return None
-
-    def in_si(self, objective: float) -> float:
-        """The objective of an NLP in the unit that people see."""
-        first = self.problem.objectives[0]
-        sign = -1.0 if is_maximised(self.problem) else 1.0
-        return sign * objective * first.weight * self.scales.of(first.name)
-
-    def record(self, stage: SolveStage, raw: RawSolution) -> None:
-        """Add one NLP solve to the record."""
-        self.solve_s += raw.solve_s
-        self.iterations += raw.iterations
-        self.homotopy.append(
-            {
-                "intervals": stage.intervals,
-                "smoothing": stage.smoothing,
-                "iterations": raw.iterations,
-                "status": raw.status,
-                "solve_s": round(raw.solve_s, 4),
-            }
-        )
 
 
 @dataclass(frozen=True)

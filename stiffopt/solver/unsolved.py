@@ -12,7 +12,7 @@ from stiffopt.result.assessment import Assessment
 from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver.stages import SolveRun
+from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.verdict import Verdict, beyond_limits
 
 # Distance from a bound at which an objective is at it.

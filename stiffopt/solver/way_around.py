@@ -29,13 +29,8 @@ from stiffopt.solver.free_path import FreeSpace
 from stiffopt.solver.guess import guess_along
 from stiffopt.solver.plan import SolveStage, stages
 from stiffopt.solver.refinement import refined, stopped
-from stiffopt.solver.stages import (
-    Outcome,
-    SolveProgress,
-    SolveRun,
-    run_stages,
-    solve_again,
-)
+from stiffopt.solver.solve_run import SolveProgress, SolveRun
+from stiffopt.solver.stages import Outcome, run_stages, solve_again
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.ocp import Guess
 

@@ -14,7 +14,7 @@ from stiffopt.preload.store import study_document
 from stiffopt.preload.study import named_values, preload_study, value_units
 from stiffopt.report.common.progress import StudyProgress
 from stiffopt.solver.monitor import Progress
-from stiffopt.solver.stages import SolveProgress
+from stiffopt.solver.solve_run import SolveProgress
 
 MORE = """[pareto]
 points = 3

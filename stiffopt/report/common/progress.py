@@ -19,7 +19,7 @@ from rich.text import Text
 
 from stiffopt.report.common.text import si
 from stiffopt.solver.monitor import Progress
-from stiffopt.solver.stages import SolveProgress
+from stiffopt.solver.solve_run import SolveProgress
 
 PLAIN_INTERVAL = 1.0
 DRAWS_PER_SECOND = 8
