@@ -37,6 +37,25 @@ def swing(problem, far=1.0):
     )
 
 
+CELL = """
+[cell]
+floor = -2.0
+[[cell.box]]
+name = "box"
+size = [0.2, 0.2, 0.2]
+position = [2.0, 0.0, 0.0]
+[[cell.plane]]
+name = "wall"
+point = [-3.0, 0.0, 0.0]
+normal = [1.0, 0.0, 0.0]
+[[cell.mesh]]
+name = "table"
+file = "link.stl"
+position = [0.0, 0.0, -1.5]
+scale = 0.001
+"""
+
+
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
@@ -44,6 +63,7 @@ def page(tmp_path_factory):
     path = write_problem(folder, minimise='objective = "dynamic_deflection"')
     text = with_shapes("upper", MESH.format(purpose="visual", name="link.stl"))
     write_robot(folder, urdf_text=text)
+    path.write_text(path.read_text() + CELL)
     problem = load_problem(path).problem
     slower = Baseline(
         name="toppra", assessment=swing(problem, 0.8), objective=1e-4, feasible=True, reason=""
