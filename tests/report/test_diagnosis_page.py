@@ -1,6 +1,7 @@
 """Pages of diagnoses: what they say agrees with the diagnosis, whatever the verdict."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from page_reader import Page
 
 from stiffopt.discovery.diagnosis import Rival
 from stiffopt.discovery.judging.unexplained import Unexplained
+from stiffopt.recording.run import Fault
 from stiffopt.report.common.text import pm, significant
 from stiffopt.report.diagnosis.held_out import trace, worst_windows
 from stiffopt.report.diagnosis.page import write_diagnosis_report
@@ -21,6 +23,7 @@ from stiffopt.report.diagnosis.residuals import (
 from stiffopt.report.diagnosis.terminal import print_diagnosis
 from stiffopt.report.diagnosis.words import (
     channels_in_words,
+    clipped_words,
     headline,
     lead,
     percent_sure,
@@ -233,3 +236,19 @@ def test_words_of_channels_units_and_probability():
     assert joint_unit("N m s/rad", prismatic=False) == "N m s/rad"
     assert percent_sure(1.0) == "above 99 %"
     assert percent_sure(0.97) == "97 %"
+
+
+def test_torques_that_are_cut_off_are_told_first():
+    """Of 35 % of the samples a friction that hangs on the position was made."""
+    told = [
+        ("run1", _saturated(2, 0.35)),
+        ("run2", _saturated(2, 0.40)),
+        ("run2", _saturated(3, 0.01)),
+    ]
+    (line,) = clipped_words(SimpleNamespace(faults=told))
+    assert line.startswith("The torque of joint 2 rests on its largest value in 40 % of run2")
+
+
+def _saturated(joint, share):
+    return Fault(signal="torque", joint=joint, kind="saturated", detail="", left_out=False,
+                 share=share)  # fmt: skip

@@ -15,6 +15,7 @@ from stiffopt.report.diagnosis.mismatch import (
 )
 from stiffopt.report.diagnosis.words import (
     channels_in_words,
+    clipped_words,
     new_and_unstated,
     place,
     prismatic,
@@ -43,7 +44,9 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     part = label == "named" and stays_open(diagnosis)
     print_lines([f"{'named in part' if part else label}: {_verdict(diagnosis)}"])
     sentence = mismatch_sentence(diagnosis)
-    more = [rod_sentence(diagnosis), *carried_over_sentences(diagnosis)]
+    more = [
+        *clipped_words(diagnosis), rod_sentence(diagnosis), *carried_over_sentences(diagnosis)
+    ]  # fmt: skip
     print_lines([line for line in (sentence, *more) if line])
     new, unstated = new_and_unstated(diagnosis)
     if diagnosis.findings:

@@ -25,6 +25,9 @@ _SURE = 0.995
 # Residual over noise of held-out runs from which a reader is told that much is left.
 _MUCH_LEFT = 2.0
 
+# Share of a run from which on a torque at its limit is told first.
+_CLIPPED = 0.05
+
 
 def place(diagnosis: Diagnosis, located: LocatedEffect) -> str:
     """Where an effect is: a joint, a link, the robot; and the run, if it has only one."""
@@ -113,6 +116,19 @@ def _open_words(diagnosis: Diagnosis) -> str:
         return ""
     where = channels_in_words(left.channels[:1])
     return f"; {significant(left.ratio, 2)} times the noise stays open in {where}"
+
+
+def clipped_words(diagnosis: Diagnosis) -> list[str]:
+    """Torques that rest on their largest value: a sentence for each joint."""
+    worst: dict[int, tuple[float, str]] = {}
+    for run, fault in diagnosis.faults:
+        if fault.kind == "saturated" and fault.joint is not None and fault.share > _CLIPPED:
+            worst[fault.joint] = max(worst.get(fault.joint, (0.0, "")), (fault.share, run))
+    return [
+        f"The torque of joint {joint} rests on its largest value in {100.0 * share:.0f} % of {run}:"
+        " what is cut off there is no physics of the joint. Record it below its limit."
+        for joint, (share, run) in sorted(worst.items())
+    ]
 
 
 def verdict_words(diagnosis: Diagnosis) -> str:
