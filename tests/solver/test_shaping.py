@@ -90,3 +90,17 @@ def test_too_short_a_duration_is_refused_before_solving(tmp_path):
         ProblemError, match=r"a swing of the arm's lowest mode, .* leaves too little"
     ):
         solve(hasty)
+
+
+@pytest.mark.slow
+def test_where_a_swing_takes_too_much_of_the_time_less_is_averaged_over(tmp_path):
+    problem = load(tmp_path, minimise=GOAL, method="intervals = 24")
+    heavy = problem.robot.with_payload(15.0, [0.0, 0.0, 0.0], [0.1, 0.1, 0.1])
+    limits = problem.active_limits
+    problem = replace(problem, robot=heavy, limits=replace(limits, torque=20.0 * limits.torque))
+    problem = replace(problem, duration=(0.4847, 0.4847))
+    solution = solve(problem)
+    assert solution.assessment.feasible(CERTIFIED)
+    assert solution.strict_baseline.name == "quintic"
+    assert solution.objective.value < solution.strict_baseline.objective
+    assert "of a swing of the arm's lowest mode" in solution.notes[-1]
