@@ -67,7 +67,8 @@ class ToolDeflection(ObjectiveKind):
         self, objective: Objective, problem: TrajectoryProblem, motion: ResolvedMotion
     ) -> list[Bound]:
         """Deflections of given rest poses, below which the peak over the motion cannot be."""
-        if not problem.robot.tool_yields(motion.points):
+        # Of a robot without any drivetrain the stage's model says what is missing.
+        if problem.robot.yields and not problem.robot.tool_yields(motion.points):
             text = (
                 f"{self.name} is zero whatever the motion: no joint of {problem.robot.name} that "
                 "yields moves the tool in the given poses. Describe the elements of the others in "
