@@ -6,7 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from stiffopt.discovery.comparison import bands
 from stiffopt.discovery.comparison.bands import BANDS, choose_bands
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.recording.recording_set import load_recordings
@@ -33,11 +35,27 @@ def test_noisy_encoders_are_followed_more_slowly() -> None:
     assert narrow.fit <= wide.fit
 
 
+def test_only_joints_that_wind_up_are_held_below_their_resonance(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A rigid joint beside an elastic one follows what its own torque bears out."""
+    recordings = load_recordings(SET)
+    robot = RobotModel(recordings)
+    runs = [recordings.open(entry) for entry in recordings.with_role("train")]
+    monkeypatch.setattr(bands, "_errors", lambda *given: np.full(2, given[2] ** -2.0))
+    usual = {"slow": 0.03, "fit": 6.0, "predict": 6.0}
+    assert choose_bands(robot, runs, **usual).predict == (6.0, 6.0)
+    first, second = robot.constants.joints
+    rigid = replace(second, chain=None)
+    robot.constants = replace(robot.constants, joints=(first, rigid))
+    assert choose_bands(robot, runs, **usual).predict == (6.0, 35.0)
+
+
 def test_too_little_motion_chooses_nothing() -> None:
     """Where nothing moves, the usual bands stay."""
     recordings = load_recordings(SET)
     robot = RobotModel(recordings)
     run = recordings.open(recordings.with_role("train")[0])
     still = replace(run, position=np.tile(run.position[:1], (len(run.time), 1)))
-    bands = choose_bands(robot, [still], slow=0.03, fit=12.0, predict=20.0)
-    assert (bands.fit, set(bands.predict)) == (12.0, {20.0})
+    chosen = choose_bands(robot, [still], slow=0.03, fit=12.0, predict=20.0)
+    assert (chosen.fit, set(chosen.predict)) == (12.0, {20.0})

@@ -15,7 +15,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.filtering import ROWS_A_BAND, ZeroPhaseFilter, derivative
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import uniform, whole
+from stiffopt.discovery.comparison.prepare import link_motion, uniform, whole
 from stiffopt.discovery.comparison.signals import smooth_sign
 from stiffopt.recording.run import RecordedRun
 
@@ -79,14 +79,16 @@ def choose_bands(
         Where too little moves to choose [Hz].
     """
     rate = 1.0 / max(run.step for run in runs)
-    # Link motion by a nominal wind-up can be had below the joints' resonances alone.
-    highest = min(_OF_RATE * rate, predict if robot.elastic else np.inf)
+    highest = _OF_RATE * rate
     tried = sorted({*(b for b in BANDS if b <= highest), min(predict, highest)})
     errors = np.array([_errors(robot, runs, band, slow) for band in tried])
     usable = np.isfinite(errors).all(axis=0)
+    # Link motion by a nominal wind-up can be had below a joint's resonance alone.
+    slower = int(np.searchsorted(tried, predict, side="right"))
+    counts = [slower if joint.elastic else len(tried) for joint in robot.constants.joints]
     bands = [
-        _widest(tried, column) if own else predict
-        for own, column in zip(usable, errors.T, strict=True)
+        _widest(tried[:count], column[:count]) if own else predict
+        for own, column, count in zip(usable, errors.T, counts, strict=True)
     ]
     if not usable.any():
         return Bands(fit=fit, predict=tuple(bands))
@@ -121,7 +123,7 @@ def _errors(robot: RobotModel, runs: Sequence[RecordedRun], band: float, slow: f
         first = 0
         for part in parts:
             used = (np.abs(part.velocity[:, j]) >= slow) & np.isfinite(part.residual[:, j])
-            columns.append(part.columns(j)[used])
+            columns.append(part.columns(j, bodies=not robot.elastic)[used])
             target.append(part.residual[used, j])
             stretch.append(first + part.stretch[used])
             first += int(part.stretch.max()) + 1
@@ -141,11 +143,15 @@ class _Samples:
     residual: np.ndarray
     stretch: np.ndarray
 
-    def columns(self, j: int) -> np.ndarray:
-        """What the torque of a joint may be made of (m, k)."""
+    def columns(self, j: int, *, bodies: bool) -> np.ndarray:
+        """What the torque of a joint may be made of (m, k).
+
+        Where links are followed through springs, too fast a band makes accelerations that are none,
+        which free bodies would take away again: nominal ones show what it does.
+        """
         speed = self.velocity[:, j]
         own = (np.ones_like(speed), smooth_sign(speed), speed, self.acceleration[:, j])
-        return np.column_stack([*own, self.bodies[:, j]])
+        return np.column_stack([*own, self.bodies[:, j]] if bodies else own)
 
 
 def _samples(
@@ -161,11 +167,13 @@ def _samples(
     margin = min(ZeroPhaseFilter(1.0 / dt, BANDS[0]).settling, len(time) // 4)
     every = max(1, (len(time) - 2 * margin) * runs // _SAMPLES)
     kept = np.arange(margin, len(time) - margin, every)
-    q, v, a = motor[kept], velocity[kept], acceleration[kept]
-    nominal = robot.spring_torque(q, v, a) + robot.rotor_inertia * a + robot.friction(v)
+    links = link_motion(robot, motor, dt, low_pass)
+    q, v, a = links.position[kept], links.velocity[kept], links.acceleration[kept]
+    speed, rate = velocity[kept], acceleration[kept]
+    nominal = links.torque[kept] + robot.rotor_inertia * rate + robot.friction(speed)
     return _Samples(
-        velocity=v,
-        acceleration=a,
+        velocity=speed,
+        acceleration=rate,
         bodies=robot.body_regressor(q, v, a),
         residual=torque[kept] - nominal,
         stretch=((time[kept] - time[0]) / length).astype(int),

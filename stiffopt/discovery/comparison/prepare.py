@@ -149,7 +149,7 @@ def prepare(
     acceleration = derivative(velocity, dt)
     slow = slow_filter(dt) if swinging else low_pass
     followed = slow.motion(followed)
-    links, swing = _link_motion(robot, followed, dt, slow), None
+    links, swing = link_motion(robot, followed, dt, slow), None
     if swinging:
         links, swing = _swinging(robot, motor, followed - links.position, links, slow)
     q, v, a = links.position, links.velocity, links.acceleration
@@ -259,7 +259,7 @@ def whole(samples: np.ndarray) -> np.ndarray:
     return out
 
 
-def _link_motion(
+def link_motion(
     robot: RobotModel, motor: np.ndarray, dt: float, low_pass: ZeroPhaseFilter
 ) -> LinkMotion:
     """Link motion and spring torque that agree with each other and with the motors' motion."""
