@@ -129,10 +129,15 @@ class Shape:
     upper: float = float("inf")
     usual: float | None = None
 
-    def grid(self, ranges: Constants) -> tuple[float, ...]:
-        """Values to start from."""
+    def asked(self, ranges: Constants) -> tuple[float, ...]:
+        """Values to start from as the entry has them."""
         values = self.starts(ranges) if callable(self.starts) else self.starts
         return tuple(float(v) for v in values)
+
+    def grid(self, ranges: Constants) -> tuple[float, ...]:
+        """Values to start from, each once and within the bounds, wherever the ranges lie."""
+        within = (min(max(v, self.lower), self.upper) for v in self.asked(ranges))
+        return tuple(dict.fromkeys(within))
 
 
 @dataclass(frozen=True)

@@ -155,7 +155,7 @@ def _faults_of_parameters(
             yield f"amplitude {amplitude.name!r} has its lower bound above its upper one."
     combinations = 1
     for shape in effect.shapes:
-        starts = shape.grid(constants)
+        starts = shape.asked(constants)
         combinations *= len(starts)
         if not starts or not all(shape.lower <= v <= shape.upper for v in starts):
             yield (

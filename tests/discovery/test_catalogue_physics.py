@@ -288,3 +288,20 @@ def test_shapes_begin_at_loads_that_the_joint_carries(name: str):
         others = [s.grid(constants)[0] for s in effect(name).shapes[1:]]
         assert rule([shape.grid(constants)[0], *others], constants)
         assert not rule([least, *others], constants)
+
+
+@pytest.mark.parametrize("name", ["backlash", "load_friction", "preload_loss"])
+def test_shapes_begin_within_their_bounds_and_without_a_cliff(name: str):
+    """Whatever a joint carries of its limit: a shape below its bound no file could state."""
+    constants, shape = ROBOT.of_joint(4).constants, effect(name).shapes[0]
+    before = None
+    for ratio in np.geomspace(1.0, 1e7, 400):  # 4 % apart
+        rated = ratio * constants.largest_torque
+        starts = shape.grid(replace(constants, torque_rated=rated, torque_max=3.0 * rated))
+        assert all(shape.lower <= start <= shape.upper for start in starts)
+        if before is None or ratio <= 13.0:  # a wrist of usual size
+            first = starts[0]
+        assert starts[0] == first or 0.9 * before <= starts[0] <= before
+        before = starts[0]
+    nothing = replace(constants, largest_torque=1e-9)
+    assert shape.grid(nothing) == (shape.lower,)

@@ -56,6 +56,12 @@ def test_the_wider_spread_counts():
     assert _estimate(values, unsure, sure).chance_of_nothing(0) > 0.3
 
 
+def test_a_chance_of_one_is_no_deviation():
+    """And is printed so, without a sign."""
+    assert f"{deviations(1.0):.0f}" == "0"
+    assert deviations(0.0455) == pytest.approx(2.0, abs=1e-3)
+
+
 def test_odds_are_those_of_sellke_and_others():
     # Table 1 of Sellke, Bayarri & Berger (2001), which rounds twice.
     for chance, error in (

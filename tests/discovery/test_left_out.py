@@ -51,6 +51,14 @@ def test_a_finding_helps_in_most_parts(falls: list[float], borne: bool) -> None:
         assert excess == pytest.approx(0.03 - LEFT_OUT_SHARE)
 
 
+@pytest.mark.parametrize("changed", [False, True])
+def test_what_acts_nowhere_is_not_borne_out(changed: bool) -> None:
+    """Columns that are zero everywhere act in no part, however the squares fall."""
+    acted = np.zeros(3, dtype=bool)
+    without = np.full((3, 1), 100.0)
+    assert _excess(0.9 * without, without, acted=acted, changed=changed) == -1.0
+
+
 @pytest.mark.parametrize(
     ("falls", "change"),
     [

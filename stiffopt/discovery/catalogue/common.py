@@ -15,8 +15,9 @@ from stiffopt.symbolic import Quantity, is_symbolic
 # shapes hold exactly, so a refined fit sets it to 1 and reports only the shapes.
 WEIGHT = Amplitude(name="weight", unit="", scale=1.0, lower=0.0, upper=1.5)
 
-# Limits of more than so many times the largest torque met are none.
-_PLACEHOLDER = 200.0
+# The last joint of a wrist carries a thirteenth of what it is rated for: a rating speaks of a joint
+# up to so many times the largest torque met. From the square of that on it is a placeholder.
+_LIGHT = 15.0
 
 
 def part(signal: Quantity, index: int) -> Quantity:
@@ -63,13 +64,13 @@ def winds_up(constants: JointConstants) -> bool:
 
 
 def carried_share(constants: JointConstants) -> float:
-    """Largest torque met over the rated one, where the limit is a placeholder; else 1.
+    """Largest torque met over the rated one, where that is a placeholder; 1 where it speaks.
 
-    Shapes that are shares of a rated torque begin so much smaller there.
+    Shapes that are shares of a rated torque begin so much smaller there. Between the two it falls
+    with the square: no joint lies on one side or the other by chance.
     """
-    if constants.torque_max <= _PLACEHOLDER * constants.largest_torque:
-        return 1.0
-    return min(constants.largest_torque / constants.torque_rated, 1.0)
+    carried = constants.largest_torque / constants.torque_rated
+    return min(1.0, max(carried, (_LIGHT * carried) ** 2))
 
 
 def along_stroke(constants: JointConstants, count: int) -> tuple[float, ...]:

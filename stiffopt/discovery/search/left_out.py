@@ -248,6 +248,8 @@ def _excess(
         return share
     if acted is not None:
         by_fold = by_fold[acted]
+        if not by_fold.size:
+            return -1.0
     if changed:
         # Where it hardly acts, as a stop that is seldom reached, it can help nothing.
         by_fold = by_fold[np.abs(by_fold) > _ACTED * np.abs(by_fold).max()]

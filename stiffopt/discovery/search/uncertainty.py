@@ -239,7 +239,7 @@ def odds_of_nothing(chance: float) -> float:
 
 def deviations(chance: float) -> float:
     """Standard deviations from nothing that a chance, of both sides, stands for."""
-    return float(-special.ndtri(0.5 * chance))
+    return abs(float(special.ndtri(0.5 * chance)))
 
 
 def significance(
