@@ -23,6 +23,7 @@ from stiffopt.discovery.diagnosis import (
 )
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import ExperimentPlan, leading_pair, plan_experiment
+from stiffopt.discovery.extended.left_open import of_means, of_samples
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.extended.schema import LeftOpenSection
 from stiffopt.discovery.identifiable import effect_checks
@@ -146,6 +147,7 @@ def diagnose(
     every = samples_a_mean(runs)
     thin = () if every == 1 else (sentence(runs, every),)
     recordings, runs = quieter(recordings, every), [thinned(run, every) for run in runs]
+    base = _of_means(base, every)
     say("check units, signs and orders")
     doubted = doubts(recordings, runs)
     if doubted and not despite_doubts:
@@ -214,7 +216,7 @@ def diagnose(
         verdict=_verdict(findings, unexplained),
         findings=findings,
         extension=whole,
-        left_open=left_open,
+        left_open=of_samples(left_open, every),
         training=training,
         search=result,
         held_out=proofs,
@@ -238,6 +240,13 @@ def diagnose(
         doubts=doubted,
         stopped=interrupted or bool(stopped),
     )
+
+
+def _of_means(base: ExtendedModel | None, every: int) -> ExtendedModel | None:
+    """The model with what it left open as means of so many samples show it."""
+    if base is None or base.left_open is None:
+        return base
+    return replace(base, left_open=of_means(base.left_open, every))
 
 
 def _parameters(

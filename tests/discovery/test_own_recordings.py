@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from small_arms import SWIVEL
 
+import stiffopt.discovery.diagnose as diagnosing
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.recording.recording_set import load_recordings
@@ -54,9 +55,12 @@ term = { sin = 0.1, cos = 0.1, waves = 4.0 }
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
+    return recorded(tmp_path_factory.mktemp("swivel"))
+
+
+def recorded(folder, step=0.01):
     """A joint with a torque that no entry of the catalogue has, and a model that leaves it open."""
-    folder = tmp_path_factory.mktemp("swivel")
-    rng, t, text = np.random.default_rng(0), np.arange(0.0, 8.0, 0.01), RECORDINGS
+    rng, t, text = np.random.default_rng(0), np.arange(0.0, 8.0, step), RECORDINGS
     for name, role, rate in (("a", "train", 1.0), ("b", "train", 1.4), ("c", "test", 1.2)):
         q = 0.8 * np.sin(rate * t) + 0.3 * np.sin(3.1 * rate * t)
         v = np.gradient(q, t)
@@ -125,3 +129,26 @@ def test_pole_pairs_are_taken_over_unless_waves_stand_in_for_them(folder, tmp_pa
     path.write_text(MODEL.replace("[nominal]", "[nominal]\ngear_ratio = [100.0]") + more)
     poles = load_extended(path).applied_to(recordings).nominal.pole_pairs
     assert (poles is not None) == taken
+
+
+@pytest.mark.parametrize("stated", ["", "\nnoise.torque = [0.1]"])
+def test_what_is_left_open_is_that_of_samples_however_many_are_taken_together(
+    tmp_path, monkeypatch, stated
+):
+    """A long set is compared by means of a few samples, a further one may be too short for that."""
+    source = recorded(tmp_path, step=0.002)
+    text = (source / "recordings.toml").read_text().replace('"swivel"\n', f'"swivel"{stated}\n', 1)
+    (source / "recordings.toml").write_text(text)
+    model, left = load_extended(source / "extended.toml"), []
+    # At five times the rate the same torque is more noise of a sample.
+    section = model.left_open.model_copy(update={"torque": (5.0**0.5 * OPEN,)})
+    for every in (1, 3):
+        monkeypatch.setattr(diagnosing, "samples_a_mean", lambda runs, every=every: every)
+        found = diagnose(source, model=replace(model, left_open=section), experiment=False)
+        assert found.verdict == "nothing_missing"
+        left.append(found.left_open.torque[0])
+    assert left[1] == pytest.approx(left[0], rel=0.05)
+    # Told as noise of what is compared.
+    assert f"counts as noise (joint 1: {(5.0 / 3.0) ** 0.5 * OPEN:.3g} N m)" in str(
+        found.assumptions
+    )

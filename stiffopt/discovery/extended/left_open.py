@@ -57,6 +57,25 @@ def left_open(
     )
 
 
+def of_means(section: LeftOpenSection, every: int) -> LeftOpenSection:
+    """The section for means of so many samples, in which white noise is that much smaller."""
+    return _times(section, every**-0.5)
+
+
+def of_samples(section: LeftOpenSection, every: int) -> LeftOpenSection:
+    """The section for the samples themselves, where it was taken from means of so many.
+
+    That is how files state it: a further set may be too short for means.
+    """
+    return _times(section, every**0.5)
+
+
+def _times(section: LeftOpenSection, factor: float) -> LeftOpenSection:
+    torque = tuple(factor * value for value in section.torque)
+    link = tuple(factor * value for value in section.link_position)
+    return section.model_copy(update={"torque": torque, "link_position": link})
+
+
 def least_factors(section: LeftOpenSection | None, noise: ChannelNoise) -> np.ndarray | None:
     """Factors (2 n,) on the noise of every channel that make it what a model left open.
 
