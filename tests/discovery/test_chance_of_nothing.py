@@ -1,5 +1,7 @@
 """How likely nothing gives what was found: by what it spreads from part to part."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -60,6 +62,18 @@ def test_a_chance_of_one_is_no_deviation():
     """And is printed so, without a sign."""
     assert f"{deviations(1.0):.0f}" == "0"
     assert deviations(0.0455) == pytest.approx(2.0, abs=1e-3)
+
+
+def test_shapes_are_held():
+    """An amplitude and a shape that only their product determines."""
+    along, across = np.array([1.0, -1.0]), np.array([1.0, 1.0])
+    spread = np.outer(along, along) + 1e-4 * np.outer(across, across)
+    estimate = replace(
+        _estimate(np.ones(1), spread, spread),
+        covariance=1e-6 * np.eye(2),
+        shape_sizes=((1.0,),),
+    )
+    assert estimate.chance_of_nothing(0) < 1e-4
 
 
 def test_odds_are_those_of_sellke_and_others():

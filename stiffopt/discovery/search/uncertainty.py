@@ -102,27 +102,28 @@ class Estimate:
 
         The largest of the linear model's (chi-square) and the jackknives', each the smaller of
         Hotelling's test and of Student's for the amplitude that stands out most, corrected for
-        their number.
+        their number; with shapes held and free. Without the effect shapes are nothing: an
+        amplitude that is known only together with them can be far from nothing all the same.
         """
-        lengths = [len(s) for s in self.sizes]
-        first = len(self.nuisance) + sum(lengths[:index])
-        own = slice(first, first + lengths[index])
-        values, k = self.values[own], lengths[index]
+        rows, _ = self._places(index)
+        k = len(self.sizes[index])
+        values = self.values[rows[:k]]
 
-        def square(covariance: np.ndarray) -> float:
-            return float(values @ np.linalg.lstsq(covariance[own, own], values)[0])
+        def held(covariance: np.ndarray) -> np.ndarray:
+            across = covariance[:k, k:]
+            return np.asarray(
+                covariance[:k, :k] - across @ np.linalg.pinv(covariance[k:, k:]) @ across.T
+            )
 
-        chances = [float(special.chdtrc(k, square(self.covariance)))]
+        linear = held(self.covariance[np.ix_(rows, rows)])
+        chances = [float(special.chdtrc(k, values @ np.linalg.lstsq(linear, values)[0]))]
         for spread, parts in zip((self.spread, self.between), self.parts, strict=True):
             if np.array_equal(spread, self.covariance):  # too few parts
                 continue
-            sd = np.sqrt(np.maximum(np.diag(spread)[own], 1e-300))
-            largest = float(np.max(np.abs(values) / sd))
-            chance = min(1.0, 2.0 * k * float(special.stdtr(parts - 1, -largest)))
-            if parts > k:
-                ratio = square(spread) * (parts - k) / (k * (parts - 1))
-                chance = min(chance, float(special.fdtrc(k, parts - k, ratio)))
-            chances.append(chance)
+            own = spread[np.ix_(rows, rows)]
+            # Each shape that is held costs one part.
+            ways = [(own[:k, :k], parts), (held(own), parts - (len(rows) - k))]
+            chances.append(min(_chance(values, *way) for way in ways if way[1] > 1))
         return max(chances)
 
     def moved(self, steps: np.ndarray) -> Estimate:
@@ -224,6 +225,19 @@ def estimate(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estima
         shape_sizes=shape_sizes,
         parts=(int(blocks.max()) + 1, int(comparison.rows.block.max()) + 1),
     )
+
+
+def _chance(values: np.ndarray, covariance: np.ndarray, parts: int) -> float:
+    """How likely nothing gives values (k,) with a covariance that so many parts told."""
+    k = len(values)
+    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    largest = float(np.max(np.abs(values) / sd))
+    chance = min(1.0, 2.0 * k * float(special.stdtr(parts - 1, -largest)))
+    if parts > k:
+        square = float(values @ np.linalg.lstsq(covariance, values)[0])
+        ratio = square * (parts - k) / (k * (parts - 1))
+        chance = min(chance, float(special.fdtrc(k, parts - k, ratio)))
+    return chance
 
 
 def odds_of_nothing(chance: float) -> float:
