@@ -14,8 +14,10 @@ from stiffopt.recording.clock import Clock, read_clock
 from stiffopt.recording.run import Fault, RecordedRun, Role, counted
 from stiffopt.recording.signals import KINDS, Signals
 
-# Steps behind lost data, in those of the rows that follow; how many of these are looked at.
-_LEAP, _AFTER = 3.0, 3
+# An arm that moved on unseen is within this factor of where its speed would have brought it.
+_UNSEEN = 1.5
+# Rows that a slowly read channel holds one value; its speed is taken over as many.
+_HELD = 3
 # A step of no more counts is none.
 _COUNTS = 4.0
 
@@ -101,28 +103,22 @@ def _without_copies(
 ) -> tuple[np.ndarray, list[Fault]]:
     """Rows without those that repeat the motion of the row before under a new stamp.
 
-    Only where the arm moves by more than four counts a sample; at rest, equal rows are nothing
-    strange. Torque is not asked, so that the motion of a run does not depend on it.
+    Only where the arm moved on meanwhile; at rest, equal rows are nothing strange. Torque is asked
+    where rows are equal for longer than a slowly read channel holds one value.
     """
     rows = clock.rows
-    same = np.ones(len(rows), dtype=bool)
-    moving = np.zeros(len(rows), dtype=bool)
-    for kind, _, column in signals.columns():
-        values = columns[column][rows]
-        if kind == "torque" or travel(values) == 0.0:
-            continue
-        same[1:] &= np.diff(values) == 0.0
-        if kind == "position":
-            count = max(resolution(values) or 1e-9 * travel(values), 3.0 * noise_level(values))
-            around = np.abs(values[4:] - values[:-4]) / 4.0
-            moving[2:-2] |= around > 4.0 * count
-    positions = np.column_stack(
-        [columns[c][rows] for k, _, c in signals.columns() if k == "position"]
-    )
-    every = np.column_stack([columns[column][rows] for _, _, column in signals.columns()])
-    empty = _resuming(positions, np.all(every == 0.0, axis=1))
-    copies = ((same & moving) | _resuming(positions, same)) & ~empty
-    copies[0] = False
+    named = [(kind, columns[column][rows]) for kind, _, column in signals.columns()]
+    positions = np.column_stack([values for kind, values in named if kind == "position"])
+    motion = _repeated([values for kind, values in named if kind != "torque"])
+    frozen = _repeated([values for _, values in named])
+    zero = np.all([values == 0.0 for _, values in named], axis=0)
+    ride = _Ride(clock.stamps[rows], positions, motion)
+    copies, empty = np.zeros(len(rows), dtype=bool), np.zeros(len(rows), dtype=bool)
+    for begin, end in stretches(zero):
+        empty[begin:end] = ride.left(begin, end)
+    for begin, end in stretches(motion & ~zero):
+        known = end - begin <= _HELD or frozen[begin:end].all()
+        copies[begin:end] = known and ride.went_on(begin, end)
     faults = [
         Fault(
             signal="time",
@@ -141,19 +137,79 @@ def _without_copies(
     return rows[~copies & ~empty], faults
 
 
-def _resuming(positions: np.ndarray, marked: np.ndarray) -> np.ndarray:
-    """Rows of those stretches (K,) behind which the positions (K, n) go on elsewhere.
+def _repeated(channels: list[np.ndarray]) -> np.ndarray:
+    """Rows (K,) in which all channels, each (K,), read what they read in the row before."""
+    same = np.ones(len(channels[0]), dtype=bool)
+    same[0] = False
+    for values in channels:
+        absent = np.isnan(values)
+        same[1:] &= (values[1:] == values[:-1]) | (absent[1:] & absent[:-1])
+    return same
 
-    An arm that rests goes on from where it rested: its first step is about as long as the next.
-    One whose data were lost is, in one step, where it would have been.
+
+class _Ride:
+    """Where the arm would have been behind rows that do not show its motion.
+
+    Parameters
+    ----------
+    time : array (K,)
+        [s].
+    positions : array (K, n)
+    same : array (K,) of bool
+        Rows whose motion is that of the row before.
     """
-    found = np.zeros(len(marked), dtype=bool)
-    steps = np.abs(np.diff(positions, axis=0))
-    count = np.array([resolution(values) or 0.0 for values in positions.T])
-    for begin, end in stretches(marked):
-        if begin == 0 or end + _AFTER >= len(marked):
-            continue
-        usual = np.nanmax(steps[end : end + _AFTER], axis=0)
-        if np.any(steps[end - 1] > _LEAP * usual + _COUNTS * count):
-            found[begin:end] = True
-    return found
+
+    def __init__(self, time: np.ndarray, positions: np.ndarray, same: np.ndarray) -> None:
+        self._time = time
+        self._positions = np.where(np.isfinite(positions), positions, np.nan)
+        self._fresh = np.flatnonzero(~same)
+        self._none = np.array([_COUNTS * _count(values) for values in positions.T])
+
+    def went_on(self, begin: int, end: int) -> bool:
+        """Whether a joint moved before rows `begin` to `end`, behind them, and as much between."""
+        if begin == 0 or end >= len(self._time):
+            return False
+        speeds, gap, step = self._around(begin, end)
+        least, most = np.sort(np.abs(speeds), axis=0) * gap
+        size, way = np.abs(step), np.sign(step)
+        fits = (size > least / _UNSEEN - self._none) & (size < most * _UNSEEN + self._none)
+        alike = np.all(np.sign(speeds) == way, axis=0) & (size > self._none)
+        return bool(np.any(fits & alike))
+
+    def left(self, begin: int, end: int) -> bool:
+        """Whether a joint leaps to what rows `begin` to `end` show, and back to where it would be."""
+        if begin == 0 or end >= len(self._time):
+            return False
+        speeds, gap, step = self._around(begin, end)
+        most = np.abs(speeds).max(axis=0)
+        usual = np.median(np.diff(self._time))
+        leap = _HELD * most * usual + self._none
+        there = np.abs(self._positions[begin] - self._positions[begin - 1]) > leap
+        back = np.abs(self._positions[end] - self._positions[end - 1]) > leap
+        return bool(np.any(there & back & (np.abs(step) < _UNSEEN * most * gap + self._none)))
+
+    def _around(self, begin: int, end: int) -> tuple[np.ndarray, float, np.ndarray]:
+        """Speeds (2, n) before and behind, time between [s] and step (n,) of the positions."""
+        speeds = np.stack([self._speed(begin - 1, -1), self._speed(end, 1)])
+        gap = float(self._time[end] - self._time[begin - 1])
+        return speeds, gap, self._positions[end] - self._positions[begin - 1]
+
+    def _speed(self, row: int, way: int) -> np.ndarray:
+        """Speeds (n,) over the rows before (-1) or behind (1) a row; 0 where the arm rests."""
+        place = int(np.searchsorted(self._fresh, row))
+        last = row
+        while 0 <= place + way < len(self._fresh) and abs(last - row) < _HELD:
+            place += way
+            if abs(int(self._fresh[place]) - last) > _HELD + 1:
+                break
+            last = int(self._fresh[place])
+        if last == row:
+            return np.zeros(self._positions.shape[1])
+        moved = self._positions[last] - self._positions[row]
+        return np.asarray(moved / (self._time[last] - self._time[row]))
+
+
+def _count(values: np.ndarray) -> float:
+    """Change of a channel (K,) that is none: a count, or its noise."""
+    least = resolution(values) or 1e-9 * travel(values)
+    return float(np.fmax(least, 3.0 * noise_level(values)))

@@ -309,3 +309,61 @@ def test_rows_of_a_connection_that_was_lost_are_left_out(columns: Columns, held:
     assert "in 30 rows, left out" in fault.detail
     assert ("read 0" in fault.detail) is not held
     np.testing.assert_array_equal(run.torque[:, 0], np.delete(before["tau1"], lost))
+
+
+def resting(t: np.ndarray, progress: np.ndarray) -> RecordedRun:
+    """Run of two joints on encoders of 1e-4 rad, whose torques have noise."""
+    count = 1e-4
+    rng = np.random.default_rng(0)
+    signals = Signals(
+        time="t", position=("q1", "q2"), velocity=None, link_position=None, torque=("a", "b")
+    )
+    columns = {"t": t, "q1": count * np.round(progress / count), "q2": np.cos(0.9 * t)}
+    columns["q2"][t >= 10.0] = columns["q2"][t >= 10.0][0]
+    columns["a"] = 10.0 * np.cos(progress) + 0.3 * rng.normal(size=len(t))
+    columns["b"] = 3.0 * np.cos(columns["q2"]) + 0.3 * rng.normal(size=len(t))
+    return cleaned(columns, signals)
+
+
+@pytest.mark.parametrize(
+    ("rate", "length", "samples"),
+    [(100.0, 8e-4, 1), (1000.0, 8e-4, 1), (20.0, 0.01, 1), (10.0, 0.02, 2)],
+    ids=["stick-slip", "stick-slip, fast", "inching", "inching in two samples"],
+)
+def test_an_arm_that_rests_between_short_moves_is_not_taken_for_lost_data(
+    rate: float, length: float, samples: int
+) -> None:
+    t = np.arange(0.0, 20.0, 1.0 / rate)
+    seconds = np.maximum(0.0, t - 10.0)
+    moved = np.floor(seconds) + np.minimum(1.0, ((seconds % 1.0) * rate + 1.0) / samples)
+    run = resting(t, 0.5 * np.sin(1.1 * np.minimum(t, 10.0)) + length * moved * (t >= 10.0))
+    assert "duplicate" not in {fault.kind for fault in run.faults}
+    np.testing.assert_array_equal(run.time, t)
+
+
+@pytest.mark.parametrize("rate", [5.0, 10.0, 100.0])
+def test_an_arm_that_picks_and_places_is_not_taken_for_lost_data(rate: float) -> None:
+    t = np.arange(0.0, 40.0, 1.0 / rate)
+    s = np.minimum(1.0, (t % 2.0) / 0.25)
+    s = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    run = resting(t, 0.6 * np.where(t // 2.0 % 2.0 == 0.0, s, 1.0 - s))
+    np.testing.assert_array_equal(run.time, t)
+
+
+def test_equal_positions_under_live_torques_are_no_lost_connection(columns: Columns) -> None:
+    """Only what nothing shows a change of was not received."""
+    for name, values in columns.items():
+        if not name.startswith("t"):
+            values[1000:1030] = values[999]
+    assert len(cleaned(columns).time) == 2500
+
+
+def test_a_joint_whose_positions_are_absent_is_told_without_warnings(columns: Columns) -> None:
+    """A warning of the numbers' library would fail."""
+    columns["q1"][:] = np.nan
+    for name, values in columns.items():
+        if name != "t":
+            values[1000:1030] = values[999]
+    run = cleaned(columns)
+    assert len(run.time) == 2470
+    assert "no sample is a number" in run.faults[1].detail
