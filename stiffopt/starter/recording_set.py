@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -87,7 +87,7 @@ def start_recording_set(
             )
     runs: list[tuple[str, str, dict[str, np.ndarray]]] = []
     if len(files) == 1:
-        table = {name: tables[files[0]][name] for name in wanted}
+        table = _kept(tables[files[0]], [*wanted, *first.asked])
         cut = int(_TRAIN * len(table[first.time]))
         if cut < _FEWEST:
             raise InputFileError(files[0], "", f"has {len(table[first.time])} rows; record more.")
@@ -101,7 +101,7 @@ def start_recording_set(
     else:
         for number, path in enumerate(files):
             role = "test" if number == len(files) - 1 else "train"
-            runs.append((_stem(path), role, {name: tables[path][name] for name in wanted}))
+            runs.append((_stem(path), role, _kept(tables[path], [*wanted, *first.asked])))
         notes.append(f"{files[-1].name} is kept for judging (test), the others are fitted to.")
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(urdf, folder / "robot.urdf")
@@ -112,6 +112,10 @@ def start_recording_set(
     return StartedSet(
         path=write_new(folder / "recordings.toml", text), guess=first, notes=tuple(notes)
     )
+
+
+def _kept(table: Mapping[str, np.ndarray], names: Sequence[str]) -> dict[str, np.ndarray]:
+    return {name: table[name] for name in names if name in table}
 
 
 def _files(data: Sequence[Path]) -> list[Path]:

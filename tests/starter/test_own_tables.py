@@ -352,3 +352,56 @@ def test_a_torque_about_an_axis_is_no_position(tmp_path):
     names = ["t", "axis 1 [deg]", "axis 2 [deg]", "axis 1 [Nm]", "axis 2 [Nm]"]
     found = guessed(tmp_path, lines(names))
     assert found.columns["torque"] == ("axis 1 [Nm]", "axis 2 [Nm]")
+
+
+def french(*heads):
+    return ["t", *(f"{word} axe {joint} [{unit}]" for word, unit in heads for joint in (1, 2))]
+
+
+@pytest.mark.parametrize("first", ["A", "Nm"])
+def test_torques_go_before_currents_of_any_language(first, tmp_path):
+    own = sorted((("Couple", "Nm"), ("Courant", "A")), key=lambda head: head[1] != first)
+    names = french(("Angle", "rad"), *own)
+    found = guessed(tmp_path, lines(names, [TIME, *VALUES, *VALUES[2:]]))
+    assert found.columns["torque"] == ("Couple axe 1 [Nm]", "Couple axe 2 [Nm]")
+    assert not any("QUESTION" in reason for reason in found.reasons)
+
+
+@pytest.mark.parametrize(("first", "asks"), [("Consigne", False), ("Erreur", True)])
+def test_of_two_families_of_angles_the_measured_one_is_taken_or_asked_for(
+    first, asks, tmp_path, capsys
+):
+    names = french((first, "rad"), ("Mesure", "rad"), ("Couple", "Nm"))
+    text = lines(names, [TIME, *VALUES[:2], *VALUES])
+    found = guessed(tmp_path, text)
+    assert found.columns["position"] == tuple(names[1:3] if asks else names[3:5])
+    questions = [reason for reason in found.reasons if "QUESTION" in reason]
+    assert len(questions) == asks
+    out = tmp_path / "set"
+    assert run(["init", "recording", str(tmp_path / "log.csv"), "--urdf", str(URDF), "--out",
+                str(out)]) == 0  # fmt: skip
+    assert ("QUESTION" in capsys.readouterr().out) == asks
+    if asks:
+        assert f"{names[3]}, {names[4]} may be the position as well" in questions[0]
+        # As the question says: the set holds these columns too.
+        written = (out / "recordings.toml").read_text()
+        assert "QUESTION" in written
+        put = written.replace(f'position = ["{names[1]}", "{names[2]}"]',
+                              f'position = ["{names[3]}", "{names[4]}"]')  # fmt: skip
+        assert put != written
+        (out / "recordings.toml").write_text(put)
+        assert load_recordings(out).runs
+
+
+def test_zeros_and_columns_without_numbers_are_no_warnings(tmp_path):
+    """A warning of the numbers' library would fail; mixed units are looked for all the same."""
+    degrees, absent = np.degrees(VALUES[0]) * 1.5, np.full(len(TIME), np.nan)
+    names = ["t", "q1", "q2", "qd1", "qd2", "tau1", "tau2"]
+    speeds = [1.5 * np.cos(TIME), 0.0 * TIME]
+    found = guessed(tmp_path, lines(names, [TIME, degrees, VALUES[1], *speeds, *VALUES[2:]]))
+    assert "QUESTION: q2 reach no more than 0.8: in rad?" in " ".join(found.reasons)
+    robot = load_robot("er3a_c60")
+    signals = {"q": [degrees, VALUES[1], absent], "qd": [*speeds, absent], "tau": VALUES[:3]}
+    table = {f"{name}{k + 1}": (own * 2)[k] for name, own in signals.items() for k in range(6)}
+    found = guess({"t": TIME, **table}, robot)
+    assert "QUESTION: q2, q5 reach no more than 0.8: in rad?" in " ".join(found.reasons)
