@@ -26,6 +26,8 @@ _FAR = 50.0
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 # No link of an arm has its mass so far from its centre [m].
 _WIDE = 10.0
+# A smaller share of an arm's mass or inertia does not matter.
+_MATTERS = 1e-3
 # Limits that are meant as none are written larger.
 _NO_LIMIT = 1e30
 
@@ -254,22 +256,57 @@ def _check_links(tree: ET.Element, path: Path) -> None:
             value = urdf_numbers(text, 1, f"{place}, inertia {key}")[0]
             if key in ("ixx", "iyy", "izz") and value < 0.0:
                 raise RobotError(f"{place}: {key} = {text} is below 0. Correct it.")
-        _check_gyration(inertial, place)
+    _check_gyrations(tree, path)
 
 
-def _check_gyration(inertial: ET.Element, place: str) -> None:
-    """Raise `RobotError` for an inertia that belongs to another unit."""
+def _check_gyrations(tree: ET.Element, path: Path) -> None:
+    """Raise `RobotError` for an inertia that moves, matters and belongs to another unit."""
+    moved = _moved_links(tree)
+    sizes = {
+        link.get("name", ""): _mass_and_moment(inertial)
+        for link in tree.findall("link")
+        if link.get("name") in moved and (inertial := link.find("inertial")) is not None
+    }
+    arm = sum(mass for mass, _ in sizes.values())
+    for name, (mass, moment) in sizes.items():
+        if not 0.0 < mass * _WIDE**2 < moment:
+            continue
+        # Frames for a tool or a sensor are given some small numbers at times.
+        others = sum(own for other, (_, own) in sizes.items() if other != name)
+        if mass > _MATTERS * arm or moment > _MATTERS * others:
+            raise RobotError(
+                f"{path}: link {name!r}: {mass:g} kg with {moment:g} kg m^2 lie"
+                f" {math.sqrt(moment / mass):.3g} m from their centre. Inertias of a URDF are in"
+                " kg m^2: were they exported in kg mm^2 or g mm^2?"
+            )
+
+
+def _mass_and_moment(inertial: ET.Element) -> tuple[float, float]:
+    """Mass [kg] and largest moment of inertia about an axis of the frame [kg m^2]."""
     mass, inertia = inertial.find("mass"), inertial.find("inertia")
     assert mass is not None
     assert inertia is not None
-    kilograms = float(mass.get("value", 0.0))
-    largest = max(float(inertia.get(key, 0.0)) for key in ("ixx", "iyy", "izz"))
-    if kilograms > 0.0 and largest > kilograms * _WIDE**2:
-        raise RobotError(
-            f"{place}: {kilograms:g} kg with {largest:g} kg m^2 lie"
-            f" {math.sqrt(largest / kilograms):.3g} m from their centre. Inertias of a URDF are in"
-            " kg m^2: were they exported in kg mm^2 or g mm^2?"
-        )
+    moments = (float(inertia.get(key, 0.0)) for key in ("ixx", "iyy", "izz"))
+    return float(mass.get("value", 0.0)), max(moments)
+
+
+def _moved_links(tree: ET.Element) -> set[str]:
+    """Links that a joint which is not fixed carries, itself or through others."""
+    moved: set[str] = set()
+    joints = [
+        (joint.get("type") != "fixed", joint.find("parent"), joint.find("child"))
+        for joint in tree.findall("joint")
+    ]
+    found = True
+    while found:
+        carried = {
+            child.get("link", "")
+            for moves, parent, child in joints
+            if child is not None and (moves or (parent is not None and parent.get("link") in moved))
+        }
+        found = not carried <= moved
+        moved |= carried
+    return moved
 
 
 def urdf_numbers(text: str, count: int, place: str, most: float = _LARGEST) -> list[float]:

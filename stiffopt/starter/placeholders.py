@@ -144,22 +144,26 @@ def questions(arm: LoadedUrdf, weight: np.ndarray, guessed: Mapping[str, object]
             f" pose: the limit{reason} of the URDF must be wrong, unless springs help."
         )
 
-    impossible = [
-        body.name
-        for body in body_tree(arm.model).bodies
-        if _no_body(np.linalg.eigvalsh(body.inertia))
-    ]
-    if impossible:
+    impossible: dict[str, list[str]] = {}
+    for body in body_tree(arm.model).bodies:
+        wrong = why_no_body(np.linalg.eigvalsh(body.inertia))
+        if wrong:
+            impossible.setdefault(wrong, []).append(body.name)
+    for wrong, names in impossible.items():
         yield (
-            f"QUESTION: the inertia of what {', '.join(impossible)} moves belongs to no body: one"
-            " principal moment is larger than the other two together. Was it exported about"
-            " another point, or are two entries swapped?"
+            f"QUESTION: the inertia of what {', '.join(names)} moves belongs to no body: one"
+            f" principal moment is {wrong}. Was it exported about another point, or are two"
+            " entries swapped?"
         )
 
 
-def _no_body(moments: np.ndarray) -> bool:
-    """Whether no body has these principal moments (3,), rising; rounding in a URDF is let pass."""
-    return bool(moments[0] < 0.0 or moments[2] > _ROUNDED * (moments[0] + moments[1]))
+def why_no_body(moments: np.ndarray) -> str:
+    """Why no body has these principal moments (3,), rising; "" but for rounding in a URDF."""
+    if moments[0] < -(_ROUNDED - 1.0) * moments[2]:
+        return "below 0"
+    if moments[2] > _ROUNDED * (moments[0] + moments[1]):
+        return "larger than the other two together"
+    return ""
 
 
 def _lengths(tree: BodyTree, tool: LinkFrame) -> np.ndarray:

@@ -22,7 +22,7 @@ from stiffopt.robot.estimated_masses import estimated_bodies, fitted_to_torques
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.frames import link_frame
 from stiffopt.robot.urdf import load_urdf
-from stiffopt.starter.placeholders import credible_torques
+from stiffopt.starter.placeholders import credible_torques, why_no_body
 
 MASS = (
     '<inertial><origin xyz="0 0 0.1"/><mass value="3"/><inertia ixx="0.03" ixy="0" ixz="0"'
@@ -391,6 +391,40 @@ def test_definitions_of_xacro_that_are_left_over_change_nothing(tmp_path):
 def test_inertias_in_square_millimetres_are_questioned(tmp_path):
     with pytest.raises(InputError, match=r"30000 kg m\^2 lie 100 m from .*g mm\^2"):
         load_robot(changed(tmp_path, [('ixx="0.03"', 'ixx="30000"')]))
+
+
+def test_frames_with_some_small_mass_do_no_harm(tmp_path):
+    """A tool's frame, and a base of the world that carries the arm but never moves."""
+    tiny = '<mass value="1e-9"/><inertia ixx="1e-6" ixy="0" ixz="0" iyy="1e-6" iyz="0" izz="1e-6"/>'
+    heavy = '<mass value="1e-4"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
+    frames = (
+        f'<link name="tcp"><inertial>{tiny}</inertial></link><joint name="to_tcp" type="fixed">'
+        '<parent link="link3"/><child link="tcp"/></joint>'
+        f'<link name="stand"><inertial>{heavy}</inertial></link><joint name="to_stand"'
+        ' type="fixed"><parent link="base"/><child link="stand"/></joint>'
+    )
+    assert load_robot(changed(tmp_path, [("</robot>", frames + "</robot>")])).n == 3
+    # The second one would slow the arm down where it moves.
+    moved = frames.replace('parent link="base"', 'parent link="link1"')
+    with pytest.raises(InputError, match=r"'stand': 0.0001 kg with 1 kg m\^2 lie 100 m from"):
+        load_robot(changed(tmp_path, [("</robot>", moved + "</robot>")]))
+
+
+@pytest.mark.parametrize(
+    ("moments", "why"),
+    [
+        ((0.0, 0.06, 0.06), ""),
+        ((0.03, 0.05, 0.01), "larger than the other two together"),
+        ((-0.005, 0.06, 0.06), "below 0"),
+    ],
+)
+def test_which_inertias_are_of_no_body(moments, why):
+    """A thin rod is one, however it is turned."""
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        turned, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        found = np.linalg.eigvalsh(turned @ np.diag(moments) @ turned.T)
+        assert why_no_body(found) == why
 
 
 def test_an_inertia_of_no_body_is_asked_about(tmp_path, capsys):
