@@ -177,7 +177,7 @@ class _Ride:
         return bool(np.any(fits & alike))
 
     def left(self, begin: int, end: int) -> bool:
-        """Whether a joint leaps to what rows `begin` to `end` show, and back to where it would be."""
+        """Whether a joint leaps to rows `begin` to `end`, and back to where it would have been."""
         if begin == 0 or end >= len(self._time):
             return False
         speeds, gap, step = self._around(begin, end)

@@ -67,20 +67,27 @@ def _pair(spreads: Spreads, worst: bool = False) -> str:
 
 
 def _times(other: Spreads, own: Spreads, worst: bool = False) -> str:
-    """How many times below the other, in flight and after arrival: "8.5 / 5.7 times below"."""
-    ratios = []
-    for theirs, ours in ((other.flight, own.flight), (other.after, own.after)):
-        above, below = (s.worst if worst else s.nominal for s in (theirs, ours))
-        ratios.append(above / below if below > 0.0 and above > 0.0 else np.nan)
-    if not any(ratio < 1.0 for ratio in ratios):
-        return (
-            " / ".join("–" if np.isnan(r) else significant(r, 2) for r in ratios) + " times below"
-        )
-    return " / ".join(
-        f"{significant(max(r, 1.0 / r), 2)} times {'below' if r >= 1.0 else 'above'}"
-        for r in ratios
-        if not np.isnan(r)
-    )
+    """How far below the other, in flight and after arrival: "8.5 / 5.7 times below"."""
+    phases = ((other.flight, own.flight), (other.after, own.after))
+    pairs = [[s.worst if worst else s.nominal for s in pair] for pair in phases]
+    (flight, first), (after, second) = (_compared(theirs, ours) for theirs, ours in pairs)
+    if first == second:
+        return f"{flight} / {after} {first}" if flight else first
+    return f"in flight {flight} {first} and after arrival {after} {second}".replace("  ", " ")
+
+
+def _compared(theirs: float, ours: float) -> tuple[str, str]:
+    """Ratio of two sizes, "" where there is none, and what it means: ("8.5", "times below")."""
+    if not np.isfinite([theirs, ours]).all():
+        return "", "not comparable with"
+    if theirs == ours:
+        return "", "equal to"
+    if 0.0 in (theirs, ours):
+        return "", "above the 0 of" if theirs == 0.0 else "at 0, below"
+    ratio = significant(max(theirs / ours, ours / theirs), 2)
+    if ratio == significant(1.0, 2):
+        return "", "about equal to"
+    return ratio, "times below" if theirs > ours else "times above"
 
 
 def compensation_notes(compensation: Compensation) -> list[str]:
