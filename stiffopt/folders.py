@@ -15,9 +15,7 @@ import hashlib
 import json
 import os
 import shutil
-import signal
 import sys
-import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path, PurePosixPath
@@ -25,6 +23,7 @@ from typing import Any
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import atomic_write, load_json
+from stiffopt.interrupts import uninterrupted
 
 MANIFEST = "manifest.json"
 # Folders that this process has written, in order.
@@ -69,7 +68,7 @@ def output_folder(
                 yield stage
             except InputFileError as error:
                 raise _from_stage(error, stage, path) from error
-            calm.enter_context(_uninterrupted())
+            calm.enter_context(uninterrupted())
             _switch(path, desk, command, of, maybe)
             written.append(path)
     except BaseException:
@@ -279,36 +278,3 @@ def _from_stage(error: InputFileError, stage: Path, path: Path) -> InputFileErro
         place = path / Path(error.path).relative_to(stage)
         return InputFileError(place, error.where, error.reason)
     return error
-
-
-@contextmanager
-def finishing() -> Iterator[None]:
-    """While an answer that took long is written: the first Ctrl-C waits, a second one ends it."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def wait(*_: object) -> None:
-        signal.signal(signal.SIGINT, before)
-        print(
-            "stiffopt: the answer is being written; Ctrl-C again throws it away.", file=sys.stderr
-        )
-
-    before = signal.signal(signal.SIGINT, wait)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-@contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Ctrl-C waits for some milliseconds, and is then too late."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)

@@ -13,7 +13,8 @@ import pytest
 
 from stiffopt import folders
 from stiffopt.errors import InputFileError
-from stiffopt.folders import MANIFEST, check_result, finishing, output_folder
+from stiffopt.folders import MANIFEST, check_result, output_folder
+from stiffopt.interrupts import finishing
 
 
 def tree(path):

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 from stiffopt.cli.base import Changes, Open, Out, app, default_folder, show_report
 from stiffopt.errors import InputError, InputFileError
-from stiffopt.folders import finishing, output_folder
+from stiffopt.folders import output_folder
+from stiffopt.interrupts import finishing
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem

@@ -10,7 +10,8 @@ from cyclopts import App, Parameter
 
 from stiffopt.cli.base import Changes, Open, Out, app, default_folder, print_json, show_report
 from stiffopt.errors import InputError, InputFileError
-from stiffopt.folders import finishing, output_folder
+from stiffopt.folders import output_folder
+from stiffopt.interrupts import finishing
 
 recording = App(name="recording", help="Look at recordings before they are used.")
 app.command(recording)

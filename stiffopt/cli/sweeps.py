@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from stiffopt.cli.base import Changes, Open, Out, app, show_report
 from stiffopt.errors import InputError
-from stiffopt.folders import finishing, output_folder
+from stiffopt.folders import output_folder
+from stiffopt.interrupts import finishing
 
 if TYPE_CHECKING:
     from stiffopt.sweep.cases import Sweep

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
@@ -69,6 +68,7 @@ from stiffopt.discovery.thresholds import (
 )
 from stiffopt.discovery.training import Training, train, training_runs
 from stiffopt.discovery.user_effects import load_effects
+from stiffopt.interrupts import finished
 from stiffopt.recording.facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
 from stiffopt.recording.thinning import quieter, samples_a_mean, sentence, thinned
@@ -79,6 +79,10 @@ Answer = TypeVar("Answer")
 _STOPPED = (
     "Stopped by the user: what was found until then is told, and more may be missing than that."
 )
+_HURRIED = (
+    "Stopped by the user when the search was over: the findings are all there, and what takes"
+    " longer beside them was left out."
+)
 _NOT_WEIGHED = (
     "Stopped by the user: what stands at a half was not weighed against what could stand in its"
     " place."
@@ -87,6 +91,8 @@ _FITTED = "Stopped by the user: friction is that of the fit, without samples nea
 _NO_LIMITS = "Stopped by the user: what would have been seen of other effects was not calculated."
 _NO_BURSTS = "Stopped by the user: nobody looked for bursts above the filter's band."
 _ONE_BAND = "Stopped by the user: standard deviations count nothing of what half the band says."
+_NO_EXPERIMENT = "Stopped by the user: no experiment was designed."
+_NO_ROD = "Stopped by the user: no black box was fitted to measure by."
 _NO_SUSPECTS = "Stopped by the user: what is left open was not asked for suspects."
 
 
@@ -161,12 +167,10 @@ def diagnose(
         sought = tuple(each for each in asked if not each.only_changed)
     say("compare with the nominal model" if base is None else f"compare with {base.source}")
     result = _searched(recordings, training, sought, base, say)
-    if training.runs[0].swing is not None and not result.stopped:
+    if training.runs[0].swing is not None and not (result.stopped or result.hurried):
         training, result = _better_swinging(recordings, training, sought, base, say, result)
     settings = training.settings
-    stopped = [_STOPPED] if result.stopped else []
-    if not result.weighed:
-        stopped.append(_NOT_WEIGHED)
+    stopped = _stopped_in(result)
 
     def assessed() -> tuple[tuple[Selected, ...], Unexplained | None]:
         say("estimate parameters")
@@ -180,33 +184,41 @@ def diagnose(
         stopped,
         lambda: _findings(result.comparison, selected, parameters, training, result.after),
     )
-    limits: tuple[DetectionLimit, ...] = ()
-    with _unless_stopped(stopped, _NO_LIMITS):
-        limits = detection_limits(Scorer(result.comparison, located), sought, result.effects)
+    limits: tuple[DetectionLimit, ...] = (
+        _unless_stopped(
+            stopped,
+            _NO_LIMITS,
+            lambda: detection_limits(Scorer(result.comparison, located), sought, result.effects),
+        )
+        or ()
+    )
     found = Extension(calibration=parameters.calibration(), effects=parameters.effects)
     if unexplained is None and not findings:
-        with _unless_stopped(stopped, _NO_BURSTS):
+
+        def burst() -> Unexplained | None:
             say("look for bursts above the filter's band")
-            unexplained = bursts(training, (*start, found), settings)
+            return bursts(training, (*start, found), settings)
+
+        unexplained = _unless_stopped(stopped, _NO_BURSTS, burst)
     new = [s for s in selected if s.located.effect.nominal not in recordings.unstated]
     pair = leading_pair(new or selected) if experiment else None
     whole = found if base is None else base.extension.followed_by(found)
     plan = None
-    with _unless_stopped(stopped, "Stopped by the user: no experiment was designed."):
-        if pair is not None and not result.stopped:
-            plan = plan_experiment(training, result, settings, pair, say=say)
+    if pair is not None:
+        plan = _unless_stopped(
+            stopped,
+            _NO_EXPERIMENT,
+            lambda: plan_experiment(training, result, settings, pair, say=say),
+        )
     # The findings are fixed: from here on other runs may be opened, and change nothing above.
     opened = HeldOut(training, settings, start, found, parts_of(found, recordings.unstated), every)
-    interrupted = False
+    if opened.measurable:
+        _unless_stopped(stopped, _NO_ROD, lambda: opened.fit_rod(say))
     try:
-        opened.predict_all(recordings, say)
+        opened.predict_all(recordings, say, hurried=bool(stopped))
     except KeyboardInterrupt:
-        interrupted = True
-        if not opened.left:
-            stopped.append("Stopped by the user: the last held-out run was not shared out.")
-    left_open = _left_open(
-        training, whole, asked, base, stopped, say, hurried=interrupted or bool(stopped)
-    )
+        stopped.append(opened.cut_short())
+    left_open = _left_open(training, whole, asked, base, stopped, say)
     proofs, taken = tuple(opened.proofs), opened.shares.found()
     seen = (*training.recorded, *(proof.run for proof in proofs))
     return Diagnosis(
@@ -230,7 +242,7 @@ def diagnose(
         next_experiment=_next_experiment(findings, plan, unexplained, taken, recordings.unstated),
         assumptions=(
             *stopped,
-            *opened.not_predicted(),
+            *opened.not_predictable(),
             *_despite(doubted),
             *thin,
             *training.assumptions,
@@ -238,7 +250,7 @@ def diagnose(
         faults=tuple((run.name, fault) for run in seen for fault in run.faults),
         experiment=plan,
         doubts=doubted,
-        stopped=interrupted or bool(stopped),
+        stopped=bool(stopped),
     )
 
 
@@ -260,37 +272,52 @@ def _parameters(
 ) -> tuple[tuple[Selected, ...], Estimate]:
     """Findings and their parameters, as far as the user waits for them."""
     comparison = result.comparison
-    estimated: Estimate | None = None
-    if training.free_bodies and not training.robot.swings:
-        with _unless_stopped(stopped, _FITTED):
-            say("take friction from all moving samples where that predicts better")
-            selected, estimated = from_all_samples(training, settings, start, comparison, selected)
-    if estimated is None:
+
+    def fitted() -> tuple[tuple[Selected, ...], Estimate]:
         located = tuple(s.located for s in selected)
         return selected, _even_if_stopped(stopped, lambda: estimate(comparison, located))
-    with _unless_stopped(stopped, _ONE_BAND):
+
+    if not training.free_bodies or training.robot.swings:
+        return fitted()
+
+    def sampled() -> tuple[tuple[Selected, ...], Estimate]:
+        say("take friction from all moving samples where that predicts better")
+        return from_all_samples(training, settings, start, comparison, selected)
+
+    kept, estimated = _unless_stopped(stopped, _FITTED, sampled) or fitted()
+
+    def asked() -> Estimate:
         say("ask half the band for the parameters")
-        estimated = doubted_by_band(training, comparison, estimated)
-    return selected, estimated
+        return doubted_by_band(training, comparison, estimated)
+
+    return kept, _unless_stopped(stopped, _ONE_BAND, asked) or estimated
+
+
+def _stopped_in(result: SearchResult) -> list[str]:
+    """What is said of a search that Ctrl-C ended, or that it came behind."""
+    stopped = [_STOPPED] if result.stopped else []
+    if not result.weighed:
+        stopped.append(_NOT_WEIGHED)
+    return stopped or ([_HURRIED] if result.hurried else [])
 
 
 def _even_if_stopped(stopped: list[str], step: Callable[[], Answer]) -> Answer:
-    """What a short step answers that none can do without: Ctrl-C ends what comes later."""
-    try:
-        return step()
-    except KeyboardInterrupt:
-        if _STOPPED not in stopped:
-            stopped.append(_STOPPED)
-        return step()
+    """What a short step behind the search answers: Ctrl-C ends what comes later."""
+    answer, hurried = finished(step)
+    if hurried and not stopped:
+        stopped.append(_HURRIED)
+    return answer
 
 
-@contextmanager
-def _unless_stopped(stopped: list[str], what: str) -> Iterator[None]:
-    """A step that Ctrl-C ends: what is left out so goes to what was stopped."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        stopped.append(what)
+def _unless_stopped(stopped: list[str], what: str, step: Callable[[], Answer]) -> Answer | None:
+    """What a step answers that can be left out: Ctrl-C does, in it or before, and `what` tells."""
+    if not stopped:
+        try:
+            return step()
+        except KeyboardInterrupt:
+            pass
+    stopped.append(what)
+    return None
 
 
 def _left_open(
@@ -300,18 +327,18 @@ def _left_open(
     base: ExtendedModel | None,
     stopped: list[str],
     say: Say,
-    *,
-    hurried: bool,
 ) -> LeftOpenSection:
     """What is left open; without suspects, which take long, where the user is in a hurry."""
     before = None if base is None else base.left_open
-    with _unless_stopped(stopped, _NO_SUSPECTS):
+
+    def suspected() -> LeftOpenSection:
         say("what is left open")
-        if training.free_bodies and not hurried:
-            return open_section(training, whole, asked, before)
-        if training.free_bodies:
-            stopped.append(_NO_SUSPECTS)
-    return open_section(training, whole, (), before)
+        return open_section(training, whole, asked, before)
+
+    found = None
+    if training.free_bodies:
+        found = _unless_stopped(stopped, _NO_SUSPECTS, suspected)
+    return found or _even_if_stopped(stopped, lambda: open_section(training, whole, (), before))
 
 
 def _better_swinging(
@@ -337,13 +364,17 @@ def _better_swinging(
         )
         still = _searched(recordings, balanced, asked, base, say)
         answers.append((balanced, still))
-        if still.effects and not still.stopped:
+        if still.effects and not (still.stopped or still.hurried):
             say("let the links swing with what was found in balance")
             about = still.comparison.found(still.fit)
             answers.append((training, _searched(recordings, training, asked, base, say, about)))
+        stopped = any(found.stopped for _, found in answers)
     except KeyboardInterrupt:
-        answers = [(own, replace(found, stopped=True)) for own, found in answers]
-    return min(answers, key=lambda answer: _residual(answer[1]))
+        stopped = True
+    # Whichever is the best: what was stopped might have been better.
+    own, best = min(answers, key=lambda answer: _residual(answer[1]))
+    hurried = any(found.hurried for _, found in answers)
+    return own, replace(best, stopped=stopped, hurried=hurried)
 
 
 def _searched(

@@ -93,11 +93,11 @@ def test_of_changes_that_are_alike_the_one_that_leaves_least_is_taken(after_mode
 
     monkeypatch.setattr(changing, "scan", scanned)
     about = after_model.about(after_model.fit())
-    told = []
-    _, effects, _ = changing.changes(
-        after_model, about, [], CAUSES[:2], 1, told.append, lambda _: None
+    told, kept = [], []
+    changing.changes(
+        after_model, about, [], CAUSES[:2], 1, told.append, lambda _: None, keep=kept.append
     )
-    assert [e.effect.name for e in effects] == ["coulomb"]
+    assert [e.effect.name for e in kept[-1][1]] == ["coulomb"]
     assert told == ["found coulomb of joint 1 (log evidence 101)"]
 
 
@@ -105,10 +105,11 @@ def test_what_a_further_change_makes_needless_goes(after_model, monkeypatch):
     """Friction at one place stood for dry friction everywhere, until that is found."""
     place = LocatedEffect(effect=effect("position_friction"), joint=0, shapes=(0.0, 1.0))
     start, _ = changing.fitted_jointly(after_model, [place])
-    _, effects, _ = changing.changes(
-        after_model, start, [place], CAUSES, 3, lambda _: None, lambda _: None
+    kept = []
+    changing.changes(
+        after_model, start, [place], CAUSES, 3, lambda _: None, lambda _: None, keep=kept.append
     )
-    assert sorted(e.effect.name for e in effects) == ["coulomb", "viscous"]
+    assert sorted(e.effect.name for e in kept[-1][1]) == ["coulomb", "viscous"]
 
 
 @pytest.mark.parametrize(
@@ -145,3 +146,55 @@ def test_ctrl_c_at_the_first_change_claims_nothing(after_model, monkeypatch):
     monkeypatch.setattr(changing, "borne_out", interrupted)
     with pytest.raises(KeyboardInterrupt):
         found(after_model)
+
+
+def test_ctrl_c_in_the_last_fit_of_a_search_keeps_all_of_it(training, monkeypatch):
+    """Where nothing was known before, so that nothing but these findings is there to tell."""
+    plain, calls = searching.fitted_jointly, []
+
+    def interrupted(comparison, effects):
+        calls.append(len(effects))
+        if calls.count(2) == 2 and len(effects) == 2:
+            raise KeyboardInterrupt
+        return plain(comparison, effects)
+
+    monkeypatch.setattr(searching, "fitted_jointly", interrupted)
+    result, names = found(replace(training, tolerance=FIXED).comparison(), strict=False)
+    assert calls == [1, 2, 2]
+    assert result.stopped
+    assert names == ["coulomb", "viscous"]
+
+
+def test_a_second_ctrl_c_in_a_search_for_changes_keeps_the_first(after_model, monkeypatch):
+    plain, told = changing.borne_out, []
+
+    def interrupted(comparison, effects):
+        if len(effects) == 2:
+            raise KeyboardInterrupt
+        return plain(comparison, effects)
+
+    def tell(line):
+        told.append(line)
+        if told.count(changing.STOPPED) == 1 and line == changing.STOPPED:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(changing, "borne_out", interrupted)
+    result = search(after_model, CAUSES, most=3, strict=True, report=tell)
+    assert result.stopped
+    assert [each.effect.name for each in result.effects] == ["coulomb"]
+
+
+def test_ctrl_c_behind_a_search_is_told_as_that(after_model, monkeypatch):
+    plain, calls = searching._relinearised, []
+
+    def interrupted(*arguments):
+        calls.append(arguments)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        return plain(*arguments)
+
+    monkeypatch.setattr(searching, "_relinearised", interrupted)
+    result, names = found(after_model)
+    assert result.hurried
+    assert not result.stopped
+    assert names == ["coulomb", "viscous"]

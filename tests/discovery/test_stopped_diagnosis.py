@@ -1,6 +1,7 @@
 """Ctrl-C during a diagnosis: what was found so far is told, and that it was stopped."""
 
 import json
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -83,9 +84,9 @@ def test_in_the_last_stages_the_findings_stay(tmp_path, monkeypatch, stage, told
         (searching, "rigid_stage", "more may be missing than that"),
         (searching, "confirmed", "was not weighed against what could stand in its place"),
         (searching, "ranked_among_rivals", "was not weighed against"),
-        (diagnosing, "assess_findings", "more may be missing than that"),
+        (diagnosing, "assess_findings", "when the search was over"),
         (diagnosing, "from_all_samples", "without samples near standstill"),
-        (diagnosing, "shares_left_out", "more may be missing than that"),
+        (diagnosing, "shares_left_out", "when the search was over"),
         (diagnosing, "detection_limits", "what would have been seen of other effects"),
     ],
 )
@@ -96,11 +97,84 @@ def test_anywhere_behind_a_first_fit_the_findings_stay(
     found = diagnosing.diagnose(unvouched(tmp_path), experiment=False)
     assert found.stopped
     assert any(left_out in each for each in found.assumptions)
+    if module is diagnosing:
+        assert not any("more may be missing" in each for each in found.assumptions)
     by_name = {finding.effect.name: finding for finding in found.findings}
     assert {"coulomb", "viscous"} <= set(by_name)
     if module is searching:
         assert by_name["coulomb"].probability <= 0.5
     assert by_name["coulomb"].parameters[0].value == pytest.approx(5.0, abs=0.5)
+
+
+def test_what_can_be_left_out_is_once_the_user_has_stopped(tmp_path, monkeypatch):
+    """What proves the findings is not, and another Ctrl-C throws none of them away."""
+    plain, calls, said = diagnosing.assess_findings, [], []
+
+    def interrupted(result):
+        calls.append(result)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        signal.raise_signal(signal.SIGINT)
+        return plain(result)
+
+    def unasked(*_, **__):
+        pytest.fail("takes long, and can be left out")
+
+    monkeypatch.setattr(diagnosing, "assess_findings", interrupted)
+    for name in ("from_all_samples", "doubted_by_band", "detection_limits", "plan_experiment"):
+        monkeypatch.setattr(diagnosing, name, unasked)
+    monkeypatch.setattr(held_out, "BlackBox", unasked)
+    found = diagnosing.diagnose(unvouched(tmp_path), progress=said.append)
+    assert found.stopped
+    assert len(calls) == 2
+    assert {"coulomb", "viscous"} <= {finding.effect.name for finding in found.findings}
+    assert [proof.run.name for proof in found.held_out] == ["c"]
+    assert any("Ctrl-C again leaves that out" in line for line in said)
+    told = " ".join(found.assumptions)
+    for left_out in (
+        "when the search was over",
+        "without samples near standstill",
+        "what half the band says",
+        "would have been seen of other effects",
+        "no black box",
+        "not asked for suspects",
+    ):
+        assert left_out in told
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_ctrl_c_in_the_black_box_leaves_the_proof(tmp_path, monkeypatch):
+    interrupted(monkeypatch, held_out, "BlackBox", 1)
+    found = diagnosing.diagnose(unvouched(tmp_path), experiment=False)
+    assert "no black box was fitted" in found.assumptions[0]
+    assert [proof.run.name for proof in found.held_out] == ["c"]
+    assert found.rod is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("later", [{"stopped": True}, {"hurried": True}])
+def test_a_search_that_was_stopped_is_told_where_another_answer_is_better(monkeypatch, later):
+    """Where links swing otherwise than the model's: three searches, of which one is the answer."""
+    plain, answers = diagnosing._searched, []
+
+    def searched(*arguments, **named):
+        if not answers:
+            answers.append(plain(*arguments, **named))
+            return answers[0]
+        worse = replace(answers[0], after=2.0 * answers[0].after, **later)
+        answers.append(worse)
+        return worse
+
+    monkeypatch.setattr(diagnosing, "_searched", searched)
+    monkeypatch.setattr(diagnosing, "SWING_MISFIT", 0.0)
+    monkeypatch.setattr(diagnosing, "leading_pair", lambda selected: selected)
+    monkeypatch.setattr(diagnosing, "plan_experiment", lambda *_, **__: pytest.fail("takes long"))
+    found = diagnosing.diagnose(written(COULOMB))
+    assert len(answers) == 2
+    assert found.stopped
+    assert found.search.after is answers[0].after
+    assert any("more may be missing" in each for each in found.assumptions) == ("stopped" in later)
+    assert "Stopped by the user: no experiment was designed." in found.assumptions
 
 
 @pytest.mark.slow

@@ -62,15 +62,29 @@ class HeldOut:
         self.left: list[str] = []
         self.unusable: list[str] = []
 
-    def predict_all(self, recordings: RecordingSet, say: Say) -> None:
-        """Open one run after another; what an interruption leaves is whole."""
+    @property
+    def measurable(self) -> bool:
+        """Whether a black box is asked what could be explained: where anything may be missing."""
+        return self._training.free_bodies and not self._training.robot.swings
+
+    def fit_rod(self, say: Say) -> None:
+        """Fit that black box to the training runs."""
+        say("fit a black box to what is left, as a measuring rod")
+        extensions = (*self._start, self._found)
+        self._box = BlackBox(self._training, self._settings, extensions, say)
+
+    def predict_all(self, recordings: RecordingSet, say: Say, *, hurried: bool = False) -> None:
+        """Open one run after another; what an interruption leaves is whole.
+
+        Where the user is in a hurry it is said that Ctrl-C leaves out this too: it is short beside
+        a search, and without it nothing is proved.
+        """
         training, settings = self._training, self._settings
         extensions = (*self._start, self._found)
         entries = recordings.with_role("test", "extrapolate")
         self.left = [entry.file for entry in entries]
-        if training.free_bodies and not training.robot.swings:
-            say("fit a black box to what is left, as a measuring rod")
-            self._box = BlackBox(training, settings, extensions, say)
+        if hurried:
+            say("stopped: runs left out are predicted still; Ctrl-C again leaves that out")
         swinging = _predicted_swinging(training, settings, extensions)
         for entry in entries:
             say(f"predict {entry.file}")
@@ -92,19 +106,20 @@ class HeldOut:
             if self._box is not None:
                 self._box.add(predictor, before, after)
 
-    def not_predicted(self) -> list[str]:
-        """Sentences about runs without a prediction."""
-        found = []
-        if self.left:
-            found.append(
-                "Stopped by the user: not all held-out runs were predicted; without a prediction:"
-                f" {', '.join(self.left)}."
-            )
-        if self.unusable:
-            found.append(
-                f"Not predicted, since a joint has no position: {', '.join(self.unusable)}."
-            )
-        return found
+    def cut_short(self) -> str:
+        """What an interruption left without a prediction."""
+        if not self.left:
+            return "Stopped by the user: the last held-out run was not shared out."
+        return (
+            "Stopped by the user: not all held-out runs were predicted; without a prediction:"
+            f" {', '.join(self.left)}."
+        )
+
+    def not_predictable(self) -> list[str]:
+        """A sentence about runs that could not be predicted, if there are any."""
+        if not self.unusable:
+            return []
+        return [f"Not predicted, since a joint has no position: {', '.join(self.unusable)}."]
 
     def rod(self) -> MeasuringRod | None:
         """What is explained of what can be; None where nobody asked a box."""

@@ -31,8 +31,10 @@ def changes(
     most: int,
     say: Callable[[str], object],
     tell: Callable[[str], object],
-) -> tuple[Comparison, list[LocatedEffect], bool]:
-    """What has changed, and whether Ctrl-C ended the search for it.
+    *,
+    keep: Callable[[Found], object],
+) -> bool:
+    """Tell what has changed, and return whether Ctrl-C ended the search for it.
 
     Where one change predicts recordings left out nearly as well as several, it is that one.
 
@@ -49,6 +51,8 @@ def changes(
         Changes at most.
     say, tell : callable
         Called with a sentence at every finding, before every try.
+    keep : callable
+        Called with what was found so far, and the comparison about it, whenever that changes.
     """
     effects = list(start)
     first: list[Candidate] = []
@@ -63,18 +67,19 @@ def changes(
             if not better:
                 break
             current, effects, best = min(better, key=lambda way: _left(way[0]))
+            keep((current, effects))
             say(f"found {best.located.label} (log evidence {best.evidence:.0f})")
         if len(effects) > len(start) + 1:
             single = _single_change(comparison, nothing, current, start, effects, first)
             if single is not None:
                 say(f"one change does nearly as well: {single[1][-1].label}")
-                current, effects = single
+                keep(single)
     except KeyboardInterrupt:
         if not effects:
             raise
         say(STOPPED)
-        return current, effects, True
-    return current, effects, False
+        return True
+    return False
 
 
 def _ways(

@@ -32,6 +32,7 @@ from stiffopt.discovery.thresholds import (
     SETTLED_DEVIATIONS,
     SETTLING_ROUNDS,
 )
+from stiffopt.interrupts import finished
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +57,8 @@ class SearchResult:
         By Ctrl-C, before everything was searched for.
     weighed : bool
         Whether everything was weighed against what could stand in its place.
+    hurried : bool
+        Whether Ctrl-C came when the search was over.
     """
 
     selected: tuple[Selected, ...]
@@ -68,6 +71,7 @@ class SearchResult:
     target: np.ndarray
     stopped: bool = False
     weighed: bool = True
+    hurried: bool = False
 
     @property
     def effects(self) -> tuple[LocatedEffect, ...]:
@@ -118,10 +122,13 @@ def search(
             raise
         say(STOPPED)
         so_far.stopped = True
-    selected, weighed = so_far.selected()
-    current, fit = _relinearised(
-        so_far.start, so_far.current, tuple(each.located for each in selected)
-    )
+
+    def answer() -> tuple[tuple[Selected, ...], bool, Comparison, Fit]:
+        selected, weighed = so_far.selected()
+        located = tuple(each.located for each in selected)
+        return selected, weighed, *_relinearised(so_far.start, so_far.current, located)
+
+    (selected, weighed, current, fit), hurried = finished(answer)
     return SearchResult(
         selected,
         current,
@@ -133,6 +140,7 @@ def search(
         target,
         so_far.stopped,
         weighed,
+        hurried,
     )
 
 
@@ -206,15 +214,18 @@ def _search(
         current, tried = fitted_jointly(so_far.start, [each.located for each in about.effects])
         so_far.fitted((current, pruned(current, tried)))
     if so_far.current.after_model:
-        current, effects, so_far.stopped = changes(
-            so_far.start, so_far.current, so_far.effects, catalogue, most, say, tell
+        so_far.stopped = changes(
+            so_far.start,
+            so_far.current,
+            so_far.effects,
+            catalogue,
+            most,
+            say,
+            tell,
+            keep=so_far.fitted,
         )
     else:
-        together = AT_ONCE if strict else 1
-        current, effects, so_far.stopped = _forward(
-            so_far.start, so_far.current, so_far.effects, catalogue, most, together, say, tell
-        )
-    so_far.fitted((current, effects))
+        _forward(so_far, catalogue, most, AT_ONCE if strict else 1, say, tell)
     if so_far.effects:
         say(f"confirm what was found ({len(so_far.effects)}) on stretches left out")
     sure = confirmed(so_far.current, so_far.effects, strict=strict)
@@ -334,20 +345,18 @@ def _restored(
 
 
 def _forward(
-    comparison: Comparison,
-    current: Comparison,
-    effects: list[LocatedEffect],
+    so_far: _SoFar,
     catalogue: Sequence[Effect],
     most: int,
     together: int,
     say: Callable[[str], object],
     tell: Callable[[str], object],
-) -> tuple[Comparison, list[LocatedEffect], bool]:
+) -> None:
     """Add the best of the catalogue, some at once, until nothing more passes, or Ctrl-C."""
-    most += len(effects)
-    stopped = False
-    while len(effects) < most:
-        scorer = Scorer(current, effects)
+    most += len(so_far.effects)
+    while len(so_far.effects) < most:
+        effects = so_far.effects
+        scorer = Scorer(so_far.current, effects)
         room = min(together, most - len(effects))
         try:
             best = _best(scan(scorer, catalogue, tell=tell), scorer, room)
@@ -355,17 +364,17 @@ def _forward(
                 break
             for each in best:
                 say(f"found {each.located.label} (log evidence {each.evidence:.0f})")
-            wider, tried = fitted_jointly(comparison, [*effects, *(e.located for e in best)])
-            current, effects = wider, pruned(wider, tried)
+            wider, tried = fitted_jointly(so_far.start, [*effects, *(e.located for e in best)])
+            so_far.fitted((wider, pruned(wider, tried)))
         except KeyboardInterrupt:
             if not effects:  # there is nothing to tell
                 raise
             say(STOPPED)
-            stopped = True
+            so_far.stopped = True
             break
-        if best[0].located.label not in [e.label for e in effects]:
+        if best[0].located.label not in [e.label for e in so_far.effects]:
             break
-    return *fitted_jointly(comparison, effects), stopped
+    so_far.fitted(fitted_jointly(so_far.start, so_far.effects))
 
 
 def _exchanged(

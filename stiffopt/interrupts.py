@@ -1,0 +1,57 @@
+"""Ctrl-C while something short is done that a long answer needs."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TypeVar
+
+Answer = TypeVar("Answer")
+
+
+@contextmanager
+def finishing() -> Iterator[None]:
+    """While an answer that took long is written: the first Ctrl-C waits, a second one ends it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def wait(*_: object) -> None:
+        signal.signal(signal.SIGINT, before)
+        print(
+            "stiffopt: the answer is being written; Ctrl-C again throws it away.", file=sys.stderr
+        )
+
+    before = signal.signal(signal.SIGINT, wait)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Ctrl-C waits until something short is done, and is then too late."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def finished(step: Callable[[], Answer]) -> tuple[Answer, bool]:
+    """What a short step answers that none can do without, and whether Ctrl-C came meanwhile.
+
+    It is done anew then, and a further Ctrl-C throws nothing away.
+    """
+    try:
+        return step(), False
+    except KeyboardInterrupt:
+        with uninterrupted():
+            return step(), True
