@@ -99,11 +99,14 @@ class Columns:
         ----------
         found : Extension
         inflation : array (2 n,), optional
-            Noise that is left in every channel over the stated one; default as stated.
+            Noise that is left in every channel over the stated one; default as stated. Where links
+            swing, what is left may be of links that were not followed yet: the stated one counts.
         near : float
             Rms over that noise of what links may do otherwise.
         """
         found = self._that_moves(found)
+        if any(run.swing is not None for run in self.runs):
+            inflation = None
         for earlier in reversed(self._family):
             if earlier._distance(found, inflation) < near:
                 return earlier
