@@ -21,6 +21,8 @@ _WORDS = {
                  "ist", "axis", "joint", "a", "j"),
 }  # fmt: skip
 CURRENT = ("current", "currents", "strom", "amps", "i")
+# Words that other signals of a joint have, too.
+_VAGUE = ("axis", "joint", "a", "j")
 _AMPERES = ("a", "ma", "arms")
 # Of several columns of one kind: measured before wanted.
 _WANTED = ("target", "cmd", "command", "desired", "des", "soll", "ref", "reference", "setpoint",
@@ -29,7 +31,9 @@ _OTHER = (
     "temperature",
     "temp",
     "temperatur",
+    "temperatures",
     "voltage",
+    "voltages",
     "acceleration",
     "accel",
     "acc",
@@ -57,7 +61,8 @@ def of_kind(names: Sequence[str], kind: str, joints: Sequence[str]) -> list[tupl
     measured = [_measured(every) for every in (fitting, foreign)]
     # A torque that is measured goes before a current.
     torques = [[n for n in every if not _is_current(n)] for every in measured]
-    for candidates in (*torques, measured[0], fitting, short, measured[1], foreign):
+    plain = [n for n in torques[0] if set(words(n)) & set(_WORDS[kind]) - set(_VAGUE)]
+    for candidates in (plain, *torques, measured[0], fitting, short, measured[1], foreign):
         found = _families(candidates, joints)
         if found:
             return found

@@ -24,6 +24,8 @@ PURE = {
     ("RangeSection", "upper"),
     ("FrontSection", "lower"),
     ("FrontSection", "upper"),
+    ("OwnBelt", "teeth_in_mesh_max"),
+    ("OwnSurface", "fractal_dimension"),
 }
 
 

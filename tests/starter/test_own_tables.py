@@ -393,6 +393,17 @@ def test_of_two_families_of_angles_the_measured_one_is_taken_or_asked_for(
         assert load_recordings(out).runs
 
 
+def test_words_that_many_signals_have_raise_no_question(tmp_path):
+    """As a robot's real-time interface names its signals."""
+    heads = ("joint_control_output", "target_q", "actual_q", "joint_temperatures", "target_moment",
+             "actual_current")  # fmt: skip
+    names = ["t", *(f"{head}_{joint}" for head in heads for joint in (0, 1))]
+    found = guessed(tmp_path, lines(names, [TIME, *VALUES * 3]))
+    assert found.columns["position"] == ("actual_q_0", "actual_q_1")
+    assert found.columns["torque"] == ("actual_current_0", "actual_current_1")
+    assert not any("QUESTION" in reason for reason in found.reasons)
+
+
 def test_zeros_and_columns_without_numbers_are_no_warnings(tmp_path):
     """A warning of the numbers' library would fail; mixed units are looked for all the same."""
     degrees, absent = np.degrees(VALUES[0]) * 1.5, np.full(len(TIME), np.nan)
