@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from stiffopt.certificate.assess import assess
-from stiffopt.certificate.objective_value import improvement, objective_value
+from stiffopt.certificate.objective_value import improvement, is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.problem.formulation import exact_path_rows
 from stiffopt.problem.limit import LIMITS
@@ -95,16 +95,27 @@ def _on_finer_mesh(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> O
             break
         outcome = finer
     if outcome.raw.converged and not _excess(outcome.assessment):
-        # What bulges between two nodes of any mesh.
-        inside, _ = _within_rows(run, outcome, outcome.transcription.nlp)
-        if _rank_of(run.problem, inside) < _rank_of(run.problem, outcome):
-            return inside
+        return _without_bulges(run, outcome)
     return outcome
 
 
-def _rank_of(problem: TrajectoryProblem, outcome: Outcome) -> tuple[bool, float]:
-    """Certified outcomes first, then by how far the objective is from what it is at the nodes."""
-    return not outcome.assessment.feasible(CERTIFIED), outcome.objective_gap
+def _without_bulges(run: SolveRun, outcome: Outcome) -> Outcome:
+    """The outcome without what bulges between two nodes of any mesh, where that makes it better."""
+    inside, _ = _within_rows(run, outcome, outcome.transcription.nlp)
+    if inside.raw.status == "interrupted":
+        outcome = stopped(outcome)
+    elif inside.raw.converged and rank(run.problem, inside) <= rank(run.problem, outcome):
+        return inside
+    # Its bounds are those that it was solved with.
+    outcome.solver.rebound(outcome.transcription.nlp)
+    return outcome
+
+
+def rank(problem: TrajectoryProblem, outcome: Outcome) -> tuple[bool, float]:
+    """What outcomes are ordered by: certified ones first, then by their certified objective."""
+    value = objective_value(problem, outcome.assessment).value
+    feasible = outcome.assessment.feasible(CERTIFIED)
+    return not feasible, -value if is_maximised(problem) else value
 
 
 def _corrected(run: SolveRun, outcome: Outcome) -> Outcome:

@@ -18,7 +18,6 @@ from stiffopt.baseline.baselines import baselines, better_baseline, strict_basel
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import (
     improvement,
-    is_maximised,
     objective_value,
 )
 from stiffopt.certificate.violations import CERTIFIED
@@ -35,7 +34,7 @@ from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.guess import guess_along, initial_guess
 from stiffopt.solver.plan import stages
-from stiffopt.solver.refinement import refined, stopped
+from stiffopt.solver.refinement import rank, refined, stopped
 from stiffopt.solver.shaping import solve_shaped
 from stiffopt.solver.simulation import check_simulation, with_simulation
 from stiffopt.solver.solve_run import ProgressCallback, SolveRun
@@ -212,15 +211,8 @@ def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outc
             last = _certified_solve(run, _perturbed(guess, problem, random), rival)
         except KeyboardInterrupt:
             return stopped(best)
-        best = min(best, last, key=lambda outcome: _rank(problem, outcome))
+        best = min(best, last, key=lambda outcome: rank(problem, outcome))
     return best
-
-
-def _rank(problem: TrajectoryProblem, outcome: Outcome) -> tuple[bool, float]:
-    """Certified outcomes first, then by objective."""
-    value = objective_value(problem, outcome.assessment).value
-    feasible = outcome.assessment.feasible(CERTIFIED)
-    return not feasible, -value if is_maximised(problem) else value
 
 
 def _certified_solve(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outcome:

@@ -1,0 +1,78 @@
+"""What is taken where the last mesh has its rows drawn in between the nodes."""
+
+from dataclasses import replace
+
+import pytest
+from small_arms import load
+
+from stiffopt.certificate.objective_value import objective_value
+from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.result.status import SolveStatus
+from stiffopt.solver import refinement
+from stiffopt.solver.solve import solve
+
+PEAK = 'objective = "dynamic_deflection"\nmeasure = "peak"'
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("refined")
+    return load(folder, duration="0.45", minimise=PEAK, method="intervals = 6")
+
+
+@pytest.fixture
+def coarse(monkeypatch):
+    """The mesh stays, so that a peak between its nodes is left to the rows."""
+    monkeypatch.setattr(refinement, "_REFINEMENTS", 0)
+    monkeypatch.setattr(refinement, "TRUE_OBJECTIVE", 0.004)
+
+
+def left_alone(problem, monkeypatch):
+    """The solution without corrections of the last mesh."""
+    with monkeypatch.context() as plain:
+        plain.setattr(refinement, "_without_bulges", lambda run, outcome: outcome)
+        return solve(problem, throw=False)
+
+
+def test_a_correction_that_runs_out_of_time_replaces_no_optimum(problem, coarse, monkeypatch):
+    before = left_alone(problem, monkeypatch)
+    assert before.status is SolveStatus.OPTIMAL
+    plain, calls = refinement.corrected, []
+
+    def late(*given):
+        calls.append(given)
+        return replace(plain(*given), status="time_limit")
+
+    monkeypatch.setattr(refinement, "corrected", late)
+    after = solve(problem, throw=False)
+    assert calls
+    assert after.status is SolveStatus.OPTIMAL
+    assert after.objective.value == before.objective.value
+
+
+def test_ctrl_c_in_a_correction_is_told(problem, coarse, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    before = left_alone(problem, monkeypatch)
+    monkeypatch.setattr(refinement, "corrected", interrupted)
+    after = solve(problem, throw=False)
+    assert after.status is SolveStatus.INTERRUPTED
+    assert after.objective.value == before.objective.value
+
+
+def test_a_correction_with_a_worse_peak_is_not_taken(problem, coarse, monkeypatch):
+    before = left_alone(problem, monkeypatch)
+    values = []
+
+    def nearer_but_worse(run, outcome, nlp):
+        worse = refinement.solve_again(run, outcome, nlp, 64.0 * outcome.smoothing)
+        assert worse.raw.converged
+        assert worse.assessment.feasible(CERTIFIED)
+        values.append(objective_value(run.problem, worse.assessment).value)
+        return replace(worse, objective_gap=0.0), nlp
+
+    monkeypatch.setattr(refinement, "_within_rows", nearer_but_worse)
+    after = solve(problem, throw=False)
+    assert values[0] > before.objective.value
+    assert after.objective.value == before.objective.value
