@@ -6,7 +6,8 @@ sum is minimised. Bounds of the variables and the equations that any motion obey
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -23,6 +24,8 @@ _PART = 0.01
 # Rows that are exceeded by more than this, relative to their scale, are scaled down to it: with
 # others beside them, steps would be lost in rounding.
 _LARGE = 100.0
+# They are looked at anew from where they were exceeded least, if that is by so many times less.
+_LESS, _ANEW = 3.0, 3
 
 
 @dataclass(frozen=True)
@@ -33,8 +36,7 @@ class LeastExcess:
     ----------
     x : array
     excess : float
-        Sum over limits of the largest by which each is exceeded, relative to its scale; less of
-        those that were exceeded very much.
+        Sum over limits of the largest by which each is exceeded, relative to its scale.
     converged : bool
     conflicts : list of NlpEntry
         What is exceeded, the most first, and then the bounds that keep it so.
@@ -64,7 +66,29 @@ def least_excess(
     parameters : array (np,)
     max_seconds : float
     """
+    begin = time.perf_counter()
     relaxed = _Relaxed(nlp, x, parameters)
+    found = _least(nlp, relaxed, x, parameters, max_seconds)
+    for _ in range(_ANEW):
+        closer = _Relaxed(nlp, found.x, parameters)
+        if not found.converged or not closer.scales_down_less_than(relaxed):
+            break
+        # What is small beside a large start is only as true as that: once more from near.
+        left = max(max_seconds - (time.perf_counter() - begin), 0.1)
+        again = _least(nlp, closer, found.x, parameters, left)
+        again = replace(again, iterations=found.iterations + again.iterations)
+        if again.status in ("interrupted", "time_limit"):
+            return again
+        if not again.converged:
+            return replace(found, iterations=again.iterations)
+        relaxed, found = closer, again
+    return found
+
+
+def _least(
+    nlp: Nlp, relaxed: _Relaxed, x: np.ndarray, parameters: np.ndarray, max_seconds: float
+) -> LeastExcess:
+    """The answer of one relaxed programme, begun at the point it is near."""
     options = IpoptOptions(
         tol=1e-6,
         acceptable_tol=1e-2,
@@ -74,7 +98,7 @@ def least_excess(
     n = len(nlp.lower_x)
     begin = np.append(np.clip(x, nlp.lower_x, nlp.upper_x), relaxed.slacks)
     raw = IpoptSolver(relaxed.nlp, options).solve(begin, parameters, max_seconds=max_seconds)
-    slack = np.maximum(raw.x[n:], 0.0)
+    slack = relaxed.unscaled(np.maximum(raw.x[n:], 0.0))
     multipliers = (relaxed.selection.T @ ca.DM(raw.multipliers_g)).full().ravel()
     g, _ = nlp.derivatives["jac_g"](raw.x[:n], nlp.parameters(parameters))
     named = relaxed.named(nlp.violations(g.full()), slack)
@@ -156,10 +180,18 @@ class _Relaxed:
             numbers=nlp.numbers,
         )
 
+    def scales_down_less_than(self, other: _Relaxed) -> bool:
+        """Whether rows that the other scales down are to be scaled down far less here."""
+        return bool(np.any(self._weight > _LESS * other._weight))
+
     @property
     def slacks(self) -> np.ndarray:
         """Slacks with which all rows hold at the point it is near, and a little more."""
         return self._begin + 1e-2
+
+    def unscaled(self, slack: np.ndarray) -> np.ndarray:
+        """Slacks relative to the scales of the rows, as those are before they are scaled down."""
+        return np.asarray(slack / self._weight)
 
     def _excess(self, x: np.ndarray) -> np.ndarray:
         """Largest excess of each group of rows at a point."""

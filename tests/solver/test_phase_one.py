@@ -11,6 +11,8 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.solver.phase_one import _Relaxed, least_excess
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import uniform_mesh
+from stiffopt.transcription.nlp import Blocks, Nlp
+from stiffopt.transcription.ocp import Rows
 
 
 def programme(tmp_path, **changes):
@@ -80,3 +82,41 @@ def test_a_cap_that_nothing_meets_is_named_soon(tmp_path, cap):
     # One stage, and the least excess.
     assert len(solution.solver.homotopy) == 1
     assert solution.solver.iterations <= 250
+
+
+def small():
+    """Rows that hold together but for 0.025 and 0.02, from a point that exceeds one by 10,000."""
+    x, p = ca.MX.sym("x", 2), ca.MX.sym("p")
+    g = ca.vertcat(1e4 * x[0], 2e4 * x[0], x[1])
+    rows, low, high = Blocks(), np.array([-np.inf, 0.05, 0.02]), np.array([0.0, np.inf, np.inf])
+    for k, name in enumerate(("far", "beside", "near")):
+        rows.add(
+            Rows.make(name, [""], low[k], high[k]),
+            None,
+            low[k].reshape(1, 1),
+            high[k].reshape(1, 1),
+        )
+    variables, lower, upper = Blocks(), np.array([-2.0, 0.0]), np.array([2.0, 0.0])
+    variables.add(Rows.make("x", ["one", "two"], -2.0, 2.0), None, lower[None], upper[None])
+    f, multipliers, sigma = ca.MX(0.0), ca.MX.sym("lam", 3), ca.MX.sym("sigma")
+    derivatives = {
+        "jac_g": ca.Function("nlp_jac_g", [x, p], [g, ca.jacobian(g, x)]),
+        "hess_lag": ca.Function("nlp_hess_l", [x, p, sigma, multipliers], [ca.MX(2, 2)]),
+    }
+    return Nlp(
+        x=x, p=p, f=f, g=g, variables=variables, rows=rows, lower_x=lower, upper_x=upper,
+        lower_g=low, upper_g=high, derivatives=derivatives,
+    )  # fmt: skip
+
+
+def test_a_small_excess_after_a_large_start_is_told_as_it_is():
+    found = least_excess(small(), np.array([1.0, 0.0]), np.ones(1))
+    assert found.converged
+    assert found.excess == pytest.approx(0.045, rel=0.02)
+    # By what is exceeded, not by what was left of it beside a large start.
+    assert [each.name for each in found.conflicts[:2]] == ["far", "near"]
+
+
+def test_slacks_of_rows_scaled_down_are_told_unscaled():
+    relaxed = _Relaxed(small(), np.array([1.0, 0.0]), np.ones(1))
+    assert relaxed.unscaled(np.array([1.0, 1.0, 1.0])) == pytest.approx([100.0, 1.0, 1.0])
