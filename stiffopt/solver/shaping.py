@@ -13,6 +13,7 @@ Source: Singer, Seering (1990), "Preshaping command inputs to reduce system vibr
 from __future__ import annotations
 
 import functools
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -57,6 +58,9 @@ _WINDOWS = ((1.0, "a swing"), (0.5, "half a swing"), (0.25, "a quarter of a swin
 # A larger excess of the motors is a corner of a joint's stiffness passed fast.
 _CORNER = 0.25
 
+# Of a solve once the time is over [s]: it ends with what it has.
+_LEAST_TIME = 0.1
+
 Solve = Callable[[TrajectoryProblem], Solution]
 
 
@@ -83,19 +87,31 @@ def solve_shaped(
     Raises
     ------
     ProblemError
-        No time is left beside a swing of the lowest mode.
+        No time is left beside the shortest window.
     """
     swing = _swing(problem, motion)
     strict = strict_baseline(problem, motion, beside)
     rival = None if strict is None or not strict.feasible else strict.assessment
+    clock = _Clock(solve, time.perf_counter() + problem.method.time_limit)
+    kept: tuple[Solution, tuple[Trajectory, Assessment] | None, str] | None = None
     for share, named in _WINDOWS:
         window = share * swing
-        made, averaged = _averaged(problem, motion, window, solve)
+        over = f"{1e3 * window:.0f} ms, {named}"
+        inner = _shorter(problem, motion, window)
+        if inner is None:
+            continue
+        made, averaged = _averaged(problem, motion, inner, window, clock.solve)
+        stopped = made.status is SolveStatus.INTERRUPTED
         behind = averaged is not None and _is_better(problem, rival, averaged[1])
-        if share == 1.0 or not behind:
-            found, shaped, over = made, averaged, f"{1e3 * window:.0f} ms, {named}"
-        if not behind or made.status is SolveStatus.INTERRUPTED:
+        if kept is None or (not behind and (made.status.usable or not kept[0].status.usable)):
+            kept = made, averaged, over
+        elif stopped:
+            kept = _interrupted(kept[0]), *kept[1:]
+        if not behind or stopped or clock.left <= 0.0:
             break
+    if kept is None:
+        raise _too_little(problem, motion, window, named)
+    found, shaped, over = kept
     solution = replace(
         found,
         baselines=beside,
@@ -136,11 +152,36 @@ def solve_shaped(
     )
 
 
+@dataclass(frozen=True)
+class _Clock:
+    """Solves that have one time limit together, which ends at an instant `end` [s]."""
+
+    plain: Solve
+    end: float
+
+    @property
+    def left(self) -> float:
+        return self.end - time.perf_counter()
+
+    def solve(self, problem: TrajectoryProblem) -> Solution:
+        method = replace(problem.method, time_limit=max(self.left, _LEAST_TIME))
+        return self.plain(replace(problem, method=method))
+
+
+def _interrupted(solution: Solution) -> Solution:
+    """What was found before Ctrl-C, said to be all there is."""
+    status = SolveStatus.INTERRUPTED
+    return replace(solution, status=status, message=status.sentence)
+
+
 def _averaged(
-    problem: TrajectoryProblem, motion: ResolvedMotion, window: float, solve: Solve
+    problem: TrajectoryProblem,
+    motion: ResolvedMotion,
+    inner: TrajectoryProblem,
+    window: float,
+    solve: Solve,
 ) -> tuple[Solution, tuple[Trajectory, Assessment] | None]:
-    """The quasi-static solution of a time shorter by a window [s], and its motion averaged."""
-    inner = _shorter(problem, motion, window)
+    """The solution of the inner quasi-static problem, and its motion averaged over a window [s]."""
     found = solve(inner)
     room = room_at_poses(problem, motion) if problem.avoids_collisions else 0.0
     shaped = _shaped(problem, found, window)
@@ -155,6 +196,8 @@ def _averaged(
             # Drawn too tight for any motion.
             tightened = _halfway(inner, tightened)
             tried = solve(tightened)
+        if tried.status is SolveStatus.INTERRUPTED:
+            found = _interrupted(found)
         if not tried.status.usable:
             break
         inner, found = tightened, tried
@@ -190,16 +233,26 @@ def _swing(problem: TrajectoryProblem, motion: ResolvedMotion) -> float:
     return 1.0 / min(lowest)
 
 
-def _shorter(problem: TrajectoryProblem, motion: ResolvedMotion, swing: float) -> TrajectoryProblem:
-    """The quasi-static problem whose motion is averaged."""
-    duration = problem.duration[0] - swing
-    needed, why = shortest_duration(problem, motion)
+def _too_little(
+    problem: TrajectoryProblem, motion: ResolvedMotion, window: float, named: str
+) -> ProblemError:
+    """What to do where the duration leaves too little beside any window."""
+    _, why = shortest_duration(problem, motion)
+    return ProblemError(
+        f"shaped_deviation takes {named} of the arm's lowest mode, {1e3 * window:.0f} ms, from "
+        f"the duration of {problem.duration[0]:g} s, which leaves too little. {why} Give a "
+        "longer duration, or minimise tool_deviation."
+    )
+
+
+def _shorter(
+    problem: TrajectoryProblem, motion: ResolvedMotion, window: float
+) -> TrajectoryProblem | None:
+    """The quasi-static problem whose motion is averaged; None where too little time is left."""
+    duration = problem.duration[0] - window
+    needed, _ = shortest_duration(problem, motion)
     if duration <= needed:
-        raise ProblemError(
-            f"shaped_deviation takes a swing of the arm's lowest mode, {1e3 * swing:.0f} ms, from "
-            f"the duration of {problem.duration[0]:g} s, which leaves too little. {why} Give a "
-            "longer duration, or minimise tool_deviation."
-        )
+        return None
     [term] = problem.objectives
     quasi_static = Objective(
         name="dynamic_deflection", measure=term.measure, accept_bound=term.accept_bound

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,9 @@ from stiffopt.elastic.uncertainty import Departure
 from stiffopt.errors import InputError, ProblemError
 from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.resolve import resolve
+from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver import shaping
 from stiffopt.solver.shaping import Averaged
 from stiffopt.solver.solve import solve
 
@@ -90,6 +93,66 @@ def test_too_short_a_duration_is_refused_before_solving(tmp_path):
         ProblemError, match=r"a swing of the arm's lowest mode, .* leaves too little"
     ):
         solve(hasty)
+
+
+def heavily_loaded(tmp_path, duration):
+    problem = load(tmp_path, minimise=GOAL, method="intervals = 16")
+    heavy = problem.robot.with_payload(15.0, [0.0, 0.0, 0.0], [0.1, 0.1, 0.1])
+    limits = problem.active_limits
+    limits = replace(limits, torque=20.0 * limits.torque)
+    return replace(problem, robot=heavy, limits=limits, duration=(duration, duration))
+
+
+@pytest.mark.slow
+def test_a_window_that_leaves_too_little_gives_way_to_a_shorter_one(tmp_path):
+    problem = heavily_loaded(tmp_path, 0.42)
+    solution = solve(problem, throw=False)
+    assert solution.status is not SolveStatus.INFEASIBLE
+    assert " a swing of the arm's lowest mode" in solution.notes[-1]
+    assert solution.duration == pytest.approx(0.42)
+
+
+@pytest.fixture
+def behind(monkeypatch):
+    """A rival that is always better, so that every window is tried."""
+    monkeypatch.setattr(shaping, "_is_better", lambda *_: True)
+
+
+def test_ctrl_c_in_a_later_window_keeps_the_first_and_is_told(tmp_path, behind, monkeypatch):
+    problem = load(tmp_path, minimise=GOAL, duration="0.8", method="intervals = 12")
+    plain, made = shaping._averaged, []
+
+    def averaged(*given):
+        if made:
+            return replace(made[0][0], status=SolveStatus.INTERRUPTED), None
+        made.append(plain(*given))
+        return made[0]
+
+    monkeypatch.setattr(shaping, "_averaged", averaged)
+    solution = solve(problem, throw=False)
+    assert solution.status is SolveStatus.INTERRUPTED
+    assert solution.message.startswith("Stopped by the user")
+    assert solution.assessment is made[0][1][1]
+
+
+def test_all_windows_have_one_time_limit(tmp_path, behind, monkeypatch):
+    problem = load(tmp_path, minimise=GOAL, duration="0.8", method="intervals = 12")
+    given, clock = [], iter(range(0, 10_000, 70))
+    monkeypatch.setattr(shaping, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
+    plain = shaping._Clock.solve
+
+    def noted(self, inner):
+        def timed(problem):
+            given.append(problem.method.time_limit)
+            return self.plain(problem)
+
+        return plain(replace(self, plain=timed), inner)
+
+    monkeypatch.setattr(shaping._Clock, "solve", noted)
+    solve(problem, throw=False)
+    assert given[0] == problem.method.time_limit - 70.0
+    assert list(given) == sorted(given, reverse=True)
+    assert 1 < len(given) <= 5
 
 
 @pytest.mark.slow
