@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt.connection import Bolt
 from stiffopt.files import atomic_write, plain, write_csv
 from stiffopt.preload.bolt_sheet import BoltSheet, bolt_sheets
 from stiffopt.preload.catalogue_choice import CatalogueChoice
@@ -21,7 +22,7 @@ from stiffopt.preload.curves import curve_rows
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.motion_result import MotionStudy
 from stiffopt.preload.pareto import ParetoFront
-from stiffopt.preload.problem import OBJECTIVES
+from stiffopt.preload.problem import OBJECTIVES, PreloadProblem
 from stiffopt.preload.solution import PreloadSolution
 from stiffopt.preload.study import PreloadStudy, named_values
 from stiffopt.result.provenance import inputs_hash
@@ -98,10 +99,21 @@ def study_document(study: PreloadStudy) -> dict[str, Any]:
         "motion": None if study.motion is None else _motion(study.motion),
         "notes": solution.notes,
         "seconds": study.seconds,
-        "inputs_hash": inputs_hash(problem),
+        "inputs_hash": study_hash(problem),
         "versions": study.versions,
     }
     return {key: plain(value) for key, value in document.items()}
+
+
+def study_hash(problem: PreloadProblem) -> str:
+    """`inputs_hash` of a study, with the numbers of bolts that it knows by their size alone."""
+    sizes = set() if problem.choose is None else set(problem.choose.sizes)
+    for joint in problem.joints:
+        chain = problem.robot.chains[joint - 1]
+        bolts = [] if chain is None else [getattr(s.element, "bolt", None) for s in chain.stages]
+        sizes |= {bolt.size for bolt in bolts if isinstance(bolt, Bolt)}
+    own = {size: row for size, row in problem.robot.own.get("bolt", {}).items() if size in sizes}
+    return inputs_hash((problem, own) if own else problem)
 
 
 def write_study(study: PreloadStudy, directory: str | Path) -> Path:

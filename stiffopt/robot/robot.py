@@ -119,7 +119,8 @@ class Robot:
     urdf: Path | None = field(default=None, compare=False)
     payload: np.ndarray | None = None
     held: tuple[HeldJoint, ...] = ()
-    own: OwnEntries = field(default_factory=dict)
+    # Parts that are used are in the chains: of the others no result knows.
+    own: OwnEntries = field(default_factory=dict, compare=False)
 
     @property
     def n(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,8 +16,11 @@ from stiffopt.cli import run
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
 from stiffopt.preload.files import load_study
+from stiffopt.preload.store import study_document, study_hash
 from stiffopt.preload.study import preload_study
+from stiffopt.problem.files import load_problem
 from stiffopt.report.preload.page import write_preload_report
+from stiffopt.result.provenance import inputs_hash
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.own_catalogue import read_own_catalogue
 
@@ -197,7 +201,33 @@ def test_a_study_tightens_and_chooses_bolts_of_ones_own(tmp_path):
     found = preload_study(loaded.problem, front_points=0)
     assert found.choice is not None
     assert "K5" in str(found.choice)
+    assert study_document(found)["inputs_hash"] == study_hash(loaded.problem)
+    assert hash_with(loaded.problem, "K5", 5.1e-3) != study_hash(loaded.problem)
+    assert hash_with(loaded.problem, "unused", 5.1e-3) == study_hash(loaded.problem)
     page = write_preload_report(found, tmp_path / "out").read_text()
     assert "K5" in page
     with pytest.raises(InputError, match="no bolt 'K5' in the catalogue"):
         catalogue.bolt("K5")
+
+
+def hash_with(study, size, diameter):
+    """Hash of a study with one of its robot's own bolts changed, or a bolt more."""
+    bolts = study.robot.own["bolt"]
+    changed = {**bolts, size: {**bolts["K5"], "size": size, "diameter": diameter}}
+    own = {**study.robot.own, "bolt": changed}
+    return study_hash(replace(study, robot=replace(study.robot, own=own)))
+
+
+def test_results_stay_those_of_their_inputs_beside_parts_that_nobody_uses(folder):
+    robot = load_robot(folder / "robot.toml")
+    assert inputs_hash(replace(robot, own={})) == inputs_hash(robot)
+    (folder / "own.toml").write_text(OWN + PARTS)
+    assert inputs_hash(load_robot(folder / "robot.toml")) == inputs_hash(robot)
+    (folder / "own.toml").write_text(OWN.replace("K2 = 8e3", "K2 = 8.5e3"))
+    assert inputs_hash(load_robot(folder / "robot.toml")) != inputs_hash(robot)
+
+
+def test_the_hash_of_a_shipped_problem_does_not_depend_on_ones_own_parts():
+    problem = load_problem(ROOT / "problems" / "ur10_torque_squared.toml").problem
+    robot = replace(problem.robot, own={"bolt": {"K5": {"size": "K5"}}})
+    assert inputs_hash(replace(problem, robot=robot)) == inputs_hash(problem)
