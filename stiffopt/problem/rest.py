@@ -110,12 +110,17 @@ def torque_sides(problem: TrajectoryProblem, motion: ResolvedMotion) -> np.ndarr
     return np.asarray(np.where(forced, 0.0, signs))
 
 
-def _never_loaded_by_gravity(problem: TrajectoryProblem, joint: int) -> bool:
-    """Whether a first joint's gravity torque is zero in all of many poses."""
+def poses_within_limits(problem: TrajectoryProblem) -> np.ndarray:
+    """Twenty poses (20, n), the same ones always, for what is so in every pose or in none."""
     random = np.random.default_rng(0)
     limits = problem.active_limits
     low = np.where(np.isfinite(limits.position_lower), limits.position_lower, -np.pi)
     high = np.where(np.isfinite(limits.position_upper), limits.position_upper, np.pi)
-    poses = low + (high - low) * random.random((20, problem.joints))
+    return np.asarray(low + (high - low) * random.random((20, problem.joints)))
+
+
+def _never_loaded_by_gravity(problem: TrajectoryProblem, joint: int) -> bool:
+    """Whether a first joint's gravity torque is zero in all of many poses."""
+    poses = poses_within_limits(problem)
     torques = [abs(gravity_torque(problem, pose)[joint - 1]) for pose in poses]
     return bool(max(torques) < 1e-9 * float(problem.robot.torque_max[joint - 1]))

@@ -239,7 +239,7 @@ def with_simulation(
     if solution.assessment is None or stopped or not problem.robot.yields:
         return solution
     motion = resolve(problem) if motion is None else motion
-    if not problem.robot.tool_yields(motion.points):
+    if not problem.robot.tool_yields(solution.assessment.position):
         return _noted(solution, "Not simulated: no joint that yields moves the tool.")
     try:
         arm = elastic_arm(problem, solution.assessment.position[0])

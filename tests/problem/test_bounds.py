@@ -6,10 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from small_arms import load, write_problem
+from synthetic_solution import solution
 
-from stiffopt import SolveStatus, solve
+from stiffopt import Limits, SolveStatus, Target, solve
+from stiffopt.baseline.baselines import baselines
 from stiffopt.cli import run
-from stiffopt.errors import ProblemError
+from stiffopt.errors import NotSimulatedError, ProblemError
+from stiffopt.problem.bounds import check_bounds
+from stiffopt.problem.resolve import resolve
+from stiffopt.solver.simulation import with_simulation
 
 # Slopes and steps of the reducer that the small arms have.
 K1 = 8e3
@@ -199,3 +204,37 @@ def test_a_tool_on_the_axis_of_all_that_yields(tmp_path, objective):
     message = refusal(replace(problem, robot=robot))
     assert message.startswith(f"{objective} is zero whatever the motion")
     assert "tool.offset" in message
+
+
+@pytest.fixture
+def aside_between(tmp_path):
+    """Only the waist yields; the tool is on its axis at both ends, straight up and folded."""
+    problem = load(tmp_path, "spatial", minimise='objective = "dynamic_deflection"')
+    chains, upper = (problem.robot.chains[0], None, None), np.full(3, 3.2)
+    robot = replace(problem.robot, chains=chains, position_upper=upper)
+    start, end = Target(joints=[0.0, -np.pi / 2, 0.0]), Target(joints=[1.0, 0.0, np.pi])
+    return replace(problem, robot=robot, limits=Limits.of(robot), start=start, end=end)
+
+
+def test_a_tool_on_the_axis_at_both_ends_alone(aside_between):
+    motion = resolve(aside_between)
+    assert not aside_between.robot.tool_yields(motion.points)
+    assert check_bounds(aside_between, motion) == ()
+
+
+def test_a_path_on_which_nothing_yields_is_refused(aside_between):
+    """Whatever other poses there are: the waist alone turns, with the arm straight up."""
+    path = np.array([[turn, -np.pi / 2, 0.0] for turn in (0.0, 0.3, 0.6, 1.0)])
+    start, end = Target(joints=path[0]), Target(joints=path[-1])
+    message = refusal(replace(aside_between, path=path, start=start, end=end))
+    assert message.startswith("dynamic_deflection is zero whatever the motion")
+
+
+def test_a_motion_that_yields_on_its_way_is_simulated(aside_between, monkeypatch):
+    def met(*given):
+        raise NotSimulatedError("as far as the arm.")
+
+    monkeypatch.setattr("stiffopt.solver.simulation.elastic_arm", met)
+    quintic = baselines(aside_between, resolve(aside_between))["quintic"].assessment
+    noted = with_simulation(aside_between, solution(3, assessment=quintic)).notes[-1]
+    assert noted == "Not simulated on the elastic arm: as far as the arm."

@@ -8,7 +8,7 @@ import numpy as np
 
 from stiffopt.errors import ProblemError
 from stiffopt.problem.objective import ACCEPT, OBJECTIVES, Bound, Objective, ObjectiveKind
-from stiffopt.problem.rest import rest_deflection, rest_poses
+from stiffopt.problem.rest import poses_within_limits, rest_deflection, rest_poses
 from stiffopt.problem.stage_terms import (
     WINDUP_SMOOTHING,
     IntegralRow,
@@ -17,6 +17,7 @@ from stiffopt.problem.stage_terms import (
     StaticVariable,
     squared_length,
 )
+from stiffopt.result.joint_path import JointPath
 
 if TYPE_CHECKING:
     from stiffopt.problem.resolve import ResolvedMotion
@@ -68,10 +69,10 @@ class ToolDeflection(ObjectiveKind):
     ) -> list[Bound]:
         """Deflections of given rest poses, below which the peak over the motion cannot be."""
         # Of a robot without any drivetrain the stage's model says what is missing.
-        if problem.robot.yields and not problem.robot.tool_yields(motion.points):
+        if problem.robot.yields and not problem.robot.tool_yields(_passed(problem, motion)):
             text = (
                 f"{self.name} is zero whatever the motion: no joint of {problem.robot.name} that "
-                "yields moves the tool in the given poses. Describe the elements of the others in "
+                "yields moves the tool in any pose. Describe the elements of the others in "
                 f"the robot file, give tool.offset, or minimise 'torque_squared'{ACCEPT}"
             )
             return [Bound(self.name, 0.0, text, True)]
@@ -133,6 +134,15 @@ class ToolDeflection(ObjectiveKind):
     def certified_value(self, objective: Objective, motion: Assessment) -> float:
         """Peak or root mean square on the fine grid [m]."""
         return float(getattr(motion.deflection_summary()[self.deflection_part], objective.measure))
+
+
+def _passed(problem: TrajectoryProblem, motion: ResolvedMotion) -> np.ndarray:
+    """Poses (K, n) that tell what any motion meets: the given ones, and some that it may take."""
+    if problem.path is None:
+        others = poses_within_limits(problem)
+    else:
+        others = JointPath.through(problem.path)(np.linspace(0.0, 1.0, 21))
+    return np.vstack([motion.points, others])
 
 
 OBJECTIVES.add(
