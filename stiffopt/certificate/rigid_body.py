@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from stiffopt.robot.bodies_in_motion import torques_along
+
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
 
@@ -46,9 +48,9 @@ def rigid_body_history(
         pin.FrameType.OP_FRAME,
     )
     frame = model.addFrame(tool, False)
-    link_torque = _torques(model, position, velocity, acceleration)
+    link_torque = torques_along(model, position, velocity, acceleration)
     still = np.zeros_like(position)
-    gravity_torque = _torques(model, position, still, still)
+    gravity_torque = torques_along(model, position, still, still)
     data = model.createData()
     count, joints = position.shape
     tool_position = np.empty((count, 3))
@@ -68,21 +70,7 @@ def link_torques(
     robot: Robot, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
 ) -> np.ndarray:
     """`RigidBodyHistory.link_torque` alone; arrays (K, n)."""
-    return _torques(_without_rotors(robot), position, velocity, acceleration)
-
-
-def _torques(
-    model: Any, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
-) -> np.ndarray:
-    """Inverse dynamics (K, n) of all instants, in one call where pinocchio was built for it."""
-    # It takes no matrices of a single row or column.
-    if min(position.shape) < 2 or not hasattr(pin, "rneaInParallel"):
-        data, rows = model.createData(), zip(position, velocity, acceleration, strict=True)
-        return np.array([pin.rnea(model, data, *row) for row in rows])
-    columns = [np.asfortranarray(each.T) for each in (position, velocity, acceleration)]
-    torque = np.empty_like(columns[0])
-    pin.rneaInParallel(1, pin.ModelPool(model, 1), *columns, torque)
-    return np.ascontiguousarray(torque.T)
+    return torques_along(_without_rotors(robot), position, velocity, acceleration)
 
 
 def _without_rotors(robot: Robot) -> Any:

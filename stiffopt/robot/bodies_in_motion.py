@@ -10,6 +10,24 @@ import pinocchio as pin
 from stiffopt.robot.frames import LinkFrame
 
 
+def torques_along(model: Any, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Torques (K, n) of a pinocchio model for position, velocity and acceleration (K, n).
+
+    In one call where pinocchio was built for it.
+    """
+    # Its transpose is what pinocchio writes to. That takes a matrix of a single row for one without
+    # gaps, whatever its strides: only an array made here is safe.
+    torque = np.empty(q.shape)
+    if hasattr(pin, "rneaInParallel"):
+        motion = (np.asarray(x, dtype=float).T for x in (q, v, a))
+        pin.rneaInParallel(1, pin.ModelPool(model, 1), *motion, torque.T)
+        return torque
+    data = model.createData()
+    for k in range(len(q)):
+        torque[k] = pin.rnea(model, data, q[k], v[k], a[k])
+    return torque
+
+
 class BodiesInMotion:
     """Torques, their slopes and the tool along motions; no rotors, no friction.
 
@@ -30,7 +48,6 @@ class BodiesInMotion:
         # A rotor turns with its motor, in front of the spring: it loads the drive alone.
         self._model.armature = np.zeros(model.nv)
         self._data = self._model.createData()
-        self._pool = pin.ModelPool(self._model, 1)
 
     def with_gravity(self, gravity: np.ndarray) -> BodiesInMotion:
         """The same bodies under another gravity (3,) [m/s^2], base axes."""
@@ -40,10 +57,7 @@ class BodiesInMotion:
 
     def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Inverse dynamics: position, velocity, acceleration (K, n) -> torque (K, n)."""
-        torque = np.empty(q.shape)
-        motion = (np.asarray(x, dtype=float).T for x in (q, v, a))
-        pin.rneaInParallel(1, self._pool, *motion, torque.T)
-        return torque
+        return torques_along(self._model, q, v, a)
 
     def gravity_torque(self, q: np.ndarray) -> np.ndarray:
         """Torque (K, n) that holds the weight at rest."""

@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from stiffopt.certificate.rigid_body import link_torques
 from stiffopt.errors import RobotError
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.frames import named_frame
@@ -36,6 +37,24 @@ def test_torque_is_inertia_times_acceleration_beside_what_the_speed_takes() -> N
     np.testing.assert_allclose(bodies.inertia_matrix(Q) @ A, added, atol=1e-11)
     held = bodies.torque(Q, np.zeros(6), np.zeros(6))
     np.testing.assert_allclose(bodies.gravity_torque(Q), held, atol=1e-12)
+
+
+@pytest.mark.parametrize("joints", [1, 6])
+@pytest.mark.parametrize("count", [1, 4])
+@pytest.mark.parametrize("parallel", [True, False])
+def test_torques_of_many_instants_with_and_without_the_parallel_call(
+    monkeypatch, joints, count, parallel
+) -> None:
+    robot = ROBOT.with_joints_locked(ROBOT.joint_names[joints:])
+    motion = np.random.default_rng(5).uniform(-1.0, 1.0, (3, count, 9))[:, :, :joints]
+    bodies = robot.rigid_bodies()
+    expected = [bodies.torque(*each) for each in zip(*motion, strict=True)]
+    if not parallel:
+        # Of pinocchio as it is where it was built without OpenMP.
+        for name in ("rneaInParallel", "ModelPool"):
+            monkeypatch.delattr(pin, name, raising=False)
+    np.testing.assert_allclose(robot.bodies_in_motion().torque(*motion), expected, atol=1e-11)
+    np.testing.assert_allclose(link_torques(robot, *motion), expected, atol=1e-11)
 
 
 def test_another_gravity_leaves_the_robot_as_it_was() -> None:
