@@ -164,10 +164,11 @@ def _path_speed(
     rows: PathLimits, linear: tuple[np.ndarray, np.ndarray, np.ndarray], joints: int
 ) -> np.ndarray | None:
     """Path speed ds/dt on the grid by toppra, or None."""
-    with _quiet(), _figures_later():
-        from toppra.algorithm import TOPPRA
-        from toppra.constraint import DiscretizationType, LinearConstraint
-        from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
+    with _quiet():
+        with _figures_later():
+            from toppra.algorithm import TOPPRA
+            from toppra.constraint import DiscretizationType, LinearConstraint
+            from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
 
         class Rows(LinearConstraint):  # type: ignore[misc]
             """Given rows in toppra's form."""
@@ -219,19 +220,28 @@ class _Later(ModuleType):
     """Stands for a module that is loaded when something of it is asked for."""
 
     def __getattr__(self, name: str) -> Any:
+        # What describes a module is asked of every one in sys.modules, by `inspect` say.
+        if name.startswith("__") and name.endswith("__"):
+            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
+        self.leave()
         return getattr(import_module(self.__name__), name)
+
+    def leave(self) -> None:
+        """Make room for the module itself, where it has not come yet."""
+        if sys.modules.get(self.__name__) is self:
+            del sys.modules[self.__name__]
 
 
 @contextmanager
 def _figures_later() -> Iterator[None]:
     """Toppra without what draws its figures, which takes as long to load as the rest of it."""
     name = "matplotlib.pyplot"
-    if name in sys.modules:
+    # Once toppra is there nothing is imported, and nobody else is to meet what stands there.
+    if name in sys.modules or "toppra.algorithm" in sys.modules:
         yield
         return
     later = sys.modules[name] = _Later(name)
     try:
         yield
     finally:
-        if sys.modules.get(name) is later:
-            del sys.modules[name]
+        later.leave()

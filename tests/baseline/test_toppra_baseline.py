@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import logging
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from stiffopt.baseline.toppra_motion import toppra_baseline
+from stiffopt.baseline.toppra_motion import _figures_later, _Later, toppra_baseline
 from stiffopt.problem.limit import Limits
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
@@ -216,3 +217,40 @@ def test_toppra_says_nothing_itself(
         assert toppra_baseline(robot(slider()), given, JointPath.through([[0.0], [1.0]])).motion
     assert not [record for record in caplog.records if record.name.startswith("toppra")]
     assert capfd.readouterr() == ("", "")
+
+
+def test_what_stands_for_the_figures_is_asked_like_any_module(monkeypatch: Any) -> None:
+    for name in ("toppra.algorithm", "matplotlib.pyplot"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    with _figures_later():
+        standing = sys.modules["matplotlib.pyplot"]
+        assert isinstance(standing, _Later)
+        assert getattr(standing, "__file__", None) is None
+        assert not hasattr(standing, "__path__")
+    assert "matplotlib.pyplot" not in sys.modules
+
+
+def test_what_stands_for_a_module_makes_room_for_it(monkeypatch: Any) -> None:
+    standing = _Later("colorsys")
+    monkeypatch.setitem(sys.modules, "colorsys", standing)
+    assert standing.rgb_to_hsv(1.0, 1.0, 1.0) == (0.0, 0.0, 1.0)
+    assert sys.modules["colorsys"].__file__
+
+
+def test_nothing_stands_for_the_figures_while_toppra_computes(monkeypatch: Any) -> None:
+    """Another thread may ask for them at any time."""
+    from toppra.algorithm import TOPPRA
+
+    met = []
+    compute = TOPPRA.compute_parameterization
+
+    def watched(*given: Any) -> Any:
+        met.append(sys.modules.get("matplotlib.pyplot"))
+        return compute(*given)
+
+    monkeypatch.setattr(TOPPRA, "compute_parameterization", watched)
+    monkeypatch.delitem(sys.modules, "matplotlib.pyplot", raising=False)
+    path = JointPath.through([[0.0], [1.0]])
+    toppra_baseline(robot(slider()), limits(1, torque=np.array([2.0])), path)
+    assert met
+    assert set(met) == {None}
