@@ -23,6 +23,7 @@ from stiffopt.result.solution import Baseline
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.stages import Outcome
+from stiffopt.transcription.nlp import NlpEntry, RowViolation
 
 # An objective worse on the fine grid than at the nodes by more than this share asks for refinement,
 # and is never called optimal.
@@ -35,7 +36,8 @@ _WORSE = CERTIFIED
 # Bounds of states and controls in a programme are limits of the joints: "control rate, acceleration
 # of joint 1 (at 50 %)" is that of the jerk.
 _BOUND = re.compile(r"(state|control|control rate|\w+ within interval), (\w+) of (joint .*)")
-_AT_END = re.compile(r"\(at (0|100) %")
+# Blocks of the programme that hold the motion itself: what is given in them is start or end.
+_MOTION = ("state", "control", "control at the start", "spline")
 _RATES = {"velocity": "acceleration", "acceleration": "jerk"}
 
 
@@ -217,13 +219,17 @@ def _message(outcome: Outcome, motion: Assessment) -> str:
     return status.sentence
 
 
-def named_conflicts(entries: Sequence[object]) -> str:
-    """Limits by name first; the many boundary states count as one entry, the last."""
-    names = list(dict.fromkeys(_as_limit(str(entry)) for entry in entries))
-    poses = [name for name in names if name.startswith(("state,", "start", "end"))]
-    limits = [name for name in names if name not in poses][:5]
-    ends = ["the given start and end"] if poses else []
-    return "; ".join(limits + ends) or "none that can be named"
+def named_conflicts(entries: Sequence[NlpEntry | RowViolation]) -> str:
+    """Limits by name first; the many values at start and end count as one entry, the last."""
+    limits, ends = [], []
+    for entry in entries:
+        named = entry.entry if isinstance(entry, RowViolation) else entry
+        given = named.given and named.name in _MOTION
+        if given or named.name.startswith(("start", "end")):
+            ends = ["the given start and end"]
+        else:
+            limits.append(_as_limit(str(entry)))
+    return "; ".join(list(dict.fromkeys(limits))[:5] + ends) or "none that can be named"
 
 
 def _as_limit(entry: str) -> str:
@@ -232,9 +238,6 @@ def _as_limit(entry: str) -> str:
     if found is None:
         return entry
     kind, quantity, rest = found.groups()
-    if kind in ("state", "control") and _AT_END.search(rest):
-        # Given at both ends: positions, rest.
-        return f"state, {quantity} of {rest}"
     if kind == "control rate":
         quantity = _RATES.get(quantity, f"rate of {quantity}")
     return f"{quantity}, {rest}"

@@ -45,6 +45,8 @@ class NlpEntry:
         -1 where the entry belongs to no point in time.
     fraction : float
         Of the phase's duration; nan where the entry belongs to no point in time.
+    given : bool
+        Whether its bounds are one value.
     """
 
     name: str
@@ -53,6 +55,7 @@ class NlpEntry:
     scale: float
     phase: int
     fraction: float
+    given: bool = False
 
     def __str__(self) -> str:
         text = f"{self.name}, {self.label}" if self.label else self.name
@@ -139,6 +142,7 @@ class Block:
             scale=float(self.rows.scale[label]),
             phase=-1 if self.places is None else int(self.places.phase[point]),
             fraction=np.nan if self.places is None else float(self.places.fraction[point]),
+            given=bool(self.lower[label, point] == self.upper[label, point]),
         )
 
 

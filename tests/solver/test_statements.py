@@ -9,9 +9,14 @@ from small_arms import load
 from stiffopt import Limits, Method, Objective, ProblemError, Target, solve
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import improvement
+from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.resolve import resolve
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.verdict import closer_model, named_conflicts
+from stiffopt.transcription.build import transcribe
+from stiffopt.transcription.mesh import uniform_mesh
+from stiffopt.transcription.nlp import NlpEntry
 
 
 def cubic(problem, duration):
@@ -88,23 +93,54 @@ def test_too_short_a_duration_is_said_without_a_solve(tmp_path):
     assert f"{way / 6.0 + 0.1:.4g} s" in solution.message
 
 
+def entry(name, label, fraction, *, given=False, phase=0):
+    return NlpEntry(name, label, "", 1.0, phase, fraction, given)
+
+
 def test_conflicts_name_limits_before_poses():
-    entries = [f"state, position of joint {j} (at 0 %)" for j in range(1, 13)]
-    assert named_conflicts([*entries, "torque, joint 2 (at 40 %)"]) == (
+    entries = [entry("state", f"position of joint {j}", 0.0, given=True) for j in range(1, 13)]
+    assert named_conflicts([*entries, entry("torque", "joint 2", 0.4)]) == (
         "torque, joint 2 (at 40 %); the given start and end"
     )
 
 
 def test_conflicts_are_limits_by_their_names():
     entries = [
-        "control rate, acceleration of joint 1 (at 96.7 %)",
-        "control, acceleration of joint 3 (at 40 %)",
-        "velocity within interval, velocity of joint 2 (at 61.7 %)",
-        "control, acceleration of joint 1 (at 100 %)",
+        entry("control rate", "acceleration of joint 1", 0.967),
+        entry("control", "acceleration of joint 3", 0.4),
+        entry("velocity within interval", "velocity of joint 2", 0.617),
+        entry("control", "acceleration of joint 1", 1.0, given=True),
     ]
     assert named_conflicts(entries) == (
         "jerk, joint 1 (at 96.7 %); acceleration, joint 3 (at 40 %); "
         "velocity, joint 2 (at 61.7 %); the given start and end"
+    )
+
+
+def test_limits_at_vias_and_free_ends_are_no_given_poses():
+    entries = [
+        entry("control", "acceleration of joint 1", 0.0),
+        entry("control", "acceleration of joint 2", 0.0, phase=1),
+        entry("state", "position of joint 1", 1.0),
+    ]
+    assert named_conflicts(entries) == (
+        "acceleration, joint 1 (at 0 %); acceleration, joint 2 (at 0 % of phase 2); "
+        "position, joint 1 (at 100 %)"
+    )
+
+
+@pytest.mark.parametrize("acceleration", ["zero", "free"])
+def test_a_programme_knows_what_is_given_at_its_ends(tmp_path, acceleration):
+    via = "via = [{ joints = [0.0, 0.3] }]"
+    problem = load(tmp_path, motion=f'boundary_acceleration = "{acceleration}"\n{via}')
+    stated = formulate(problem, resolve(problem), Scales())
+    variables = transcribe(stated, mesh=uniform_mesh(4, phases=2)).nlp.variables
+    entries = [variables.entry(k) for k in range(variables.size)]
+    given = {(e.name, e.phase, e.fraction) for e in entries if e.given}
+    ends = [(0, 0.0), (1, 1.0)]
+    expected = {("state", *end) for end in ends}
+    assert given == expected | (
+        {("control", *e) for e in ends} if acceleration == "zero" else set()
     )
 
 
