@@ -97,7 +97,7 @@ def small():
             high[k].reshape(1, 1),
         )
     variables, lower, upper = Blocks(), np.array([-2.0, 0.0]), np.array([2.0, 0.0])
-    variables.add(Rows.make("x", ["one", "two"], -2.0, 2.0), None, lower[None], upper[None])
+    variables.add(Rows.make("x", ["one", "two"], -2.0, 2.0), None, lower[:, None], upper[:, None])
     f, multipliers, sigma = ca.MX(0.0), ca.MX.sym("lam", 3), ca.MX.sym("sigma")
     derivatives = {
         "jac_g": ca.Function("nlp_jac_g", [x, p], [g, ca.jacobian(g, x)]),
