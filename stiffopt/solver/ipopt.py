@@ -223,7 +223,8 @@ class IpoptSolver:
             raise monitor.error
         word = str(solver.stats()["return_status"])
         status = monitor.stopped_by or _status(word)
-        if status == "acceptable" and monitor.at_rest(_RESTS * self.options.tol):
+        lengths = solver.stats()["iterations"]["alpha_pr"]
+        if status == "acceptable" and monitor.at_rest(_RESTS * self.options.tol, lengths):
             # Its gradient is rounding along stiff directions: no step finds anything better.
             status = "optimal"
         last = self._iterate(outputs)

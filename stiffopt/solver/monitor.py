@@ -62,6 +62,8 @@ class Iterate:
 
 # Iterations in a row in which an iterate that rests has not moved.
 _RESTING = 5
+# Length from which a step is a full one.
+_FULL = 1.0 - 1e-9
 # Excess of a row, relative to its scale, that the next iterations may mend.
 _NEARLY = 1e-2
 
@@ -126,12 +128,20 @@ class Monitor(ca.Callback):
             self.stopped_by = "iteration_limit"
         return [float(bool(self.stopped_by))]
 
-    def at_rest(self, tolerance: float) -> bool:
-        """Whether the last iterates are one, all rows kept: full steps that change nothing more."""
+    def at_rest(self, tolerance: float, lengths: Sequence[float]) -> bool:
+        """Whether the last iterates are one, all rows kept: full steps that change nothing more.
+
+        Parameters
+        ----------
+        tolerance : float
+        lengths : sequence of float
+            Of the steps of all iterations, 1 where a line search cut nothing off.
+        """
         objectives = [each.objective for each in self.history[-_RESTING:]]
         largest = max(np.abs(objectives), default=0.0)
         return bool(
             len(self.steps) >= _RESTING
+            and min(lengths[-_RESTING:]) >= _FULL
             and max(self.steps[-_RESTING:]) <= tolerance
             and np.ptp(objectives) <= tolerance * largest
             and max(each.violation for each in self.history[-_RESTING:]) <= tolerance
