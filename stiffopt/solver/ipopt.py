@@ -223,10 +223,11 @@ class IpoptSolver:
             raise monitor.error
         word = str(solver.stats()["return_status"])
         status = monitor.stopped_by or _status(word)
-        lengths = solver.stats()["iterations"]["alpha_pr"]
-        if status == "acceptable" and monitor.at_rest(_RESTS * self.options.tol, lengths):
+        if status == "acceptable":
             # Its gradient is rounding along stiff directions: no step finds anything better.
-            status = "optimal"
+            lengths = solver.stats()["iterations"]["alpha_pr"]
+            if monitor.at_rest(_RESTS * self.options.tol, lengths):
+                status = "optimal"
         last = self._iterate(outputs)
         best = last if status in ("optimal", "acceptable") else (monitor.best or last)
         reason = word
