@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
 from stiffopt.robot.bodies_in_motion import torques_along
+from stiffopt.robot.rigid_body import without_rotors
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
@@ -39,7 +40,7 @@ def rigid_body_history(
     robot: Robot, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
 ) -> RigidBodyHistory:
     """Evaluate pinocchio at every instant; arrays (K, n)."""
-    model = _without_rotors(robot)
+    model = without_rotors(robot.model)
     tool = pin.Frame(
         "stiffopt_tool",
         robot.tool.joint,
@@ -70,14 +71,7 @@ def link_torques(
     robot: Robot, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
 ) -> np.ndarray:
     """`RigidBodyHistory.link_torque` alone; arrays (K, n)."""
-    return torques_along(_without_rotors(robot), position, velocity, acceleration)
-
-
-def _without_rotors(robot: Robot) -> Any:
-    model = robot.model.copy()
-    # The rotor turns with the motor, in front of the spring: it loads the drive, not the spring.
-    model.armature = np.zeros(model.nv)
-    return model
+    return torques_along(without_rotors(robot.model), position, velocity, acceleration)
 
 
 def tool_positions(robot: Robot, position: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from stiffopt.robot.frames import LinkFrame
+from stiffopt.robot.rigid_body import without_rotors
 
 
 def torques_along(model: Any, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -44,16 +45,14 @@ class BodiesInMotion:
     """
 
     def __init__(self, model: Any) -> None:
-        self._model = model.copy()
-        # A rotor turns with its motor, in front of the spring: it loads the drive alone.
-        self._model.armature = np.zeros(model.nv)
+        self._model = without_rotors(model)
         self._data = self._model.createData()
 
     def with_gravity(self, gravity: np.ndarray) -> BodiesInMotion:
         """The same bodies under another gravity (3,) [m/s^2], base axes."""
-        changed = self._model.copy()
-        changed.gravity.linear = np.asarray(gravity, dtype=float)
-        return BodiesInMotion(changed)
+        changed = BodiesInMotion(self._model)
+        changed._model.gravity.linear = np.asarray(gravity, dtype=float)
+        return changed
 
     def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Inverse dynamics: position, velocity, acceleration (K, n) -> torque (K, n)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from stiffopt.robot.rigid_body import without_rotors
 from stiffopt.robot.robot import Robot
 
 
@@ -31,9 +32,7 @@ def joint_wrenches(
         [F, M] in N and N m about the joint's origin; axes turn with the link, the third is the
         joint's. The sixth (of a sliding joint: the third) is the torque in the joint's spring.
     """
-    # As for torques: the rotor turns with its motor, in front of the spring.
-    model = robot.model.copy()
-    model.armature = np.zeros(model.nv)
+    model = without_rotors(robot.model)
     data = model.createData()
     in_link = np.empty((*position.shape, 6))
     for k in range(len(position)):

@@ -10,6 +10,14 @@ import pinocchio as pin
 from stiffopt.robot.frames import LinkFrame
 
 
+def without_rotors(model: Any) -> Any:
+    """A copy of a pinocchio model whose joints carry no rotors."""
+    bodies = model.copy()
+    # A rotor turns with its motor, in front of the spring: it loads the drive alone.
+    bodies.armature = np.zeros(model.nv)
+    return bodies
+
+
 class RigidBodies:
     """Torques, inertia and poses of links and payload; no rotors, no friction.
 
@@ -24,9 +32,7 @@ class RigidBodies:
     """
 
     def __init__(self, model: Any) -> None:
-        self._model = model.copy()
-        # A rotor turns with its motor, in front of the spring: it loads the drive alone.
-        self._model.armature = np.zeros(model.nv)
+        self._model = without_rotors(model)
         self._data = self._model.createData()
 
     def with_gravity(self, gravity: np.ndarray) -> RigidBodies:
