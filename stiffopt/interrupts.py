@@ -1,4 +1,4 @@
-"""Ctrl-C while something short is done that a long answer needs."""
+"""Who takes Ctrl-C: while something short is done that a long answer needs, or a solve runs."""
 
 from __future__ import annotations
 
@@ -13,19 +13,12 @@ Answer = TypeVar("Answer")
 
 
 @contextmanager
-def finishing() -> Iterator[None]:
-    """While an answer that took long is written: the first Ctrl-C waits, a second one ends it."""
+def handled(handler: Callable[..., object] | signal.Handlers) -> Iterator[None]:
+    """Ctrl-C goes to a handler; only the main thread can take signals."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-
-    def wait(*_: object) -> None:
-        signal.signal(signal.SIGINT, before)
-        print(
-            "stiffopt: the answer is being written; Ctrl-C again throws it away.", file=sys.stderr
-        )
-
-    before = signal.signal(signal.SIGINT, wait)
+    before = signal.signal(signal.SIGINT, handler)
     try:
         yield
     finally:
@@ -33,16 +26,25 @@ def finishing() -> Iterator[None]:
 
 
 @contextmanager
+def finishing() -> Iterator[None]:
+    """While an answer that took long is written: the first Ctrl-C waits, a second one ends it."""
+    before = signal.getsignal(signal.SIGINT)
+
+    def wait(*_: object) -> None:
+        signal.signal(signal.SIGINT, before)
+        print(
+            "stiffopt: the answer is being written; Ctrl-C again throws it away.", file=sys.stderr
+        )
+
+    with handled(wait):
+        yield
+
+
+@contextmanager
 def uninterrupted() -> Iterator[None]:
     """Ctrl-C waits until something short is done, and is then too late."""
-    if threading.current_thread() is not threading.main_thread():
+    with handled(signal.SIG_IGN):
         yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def finished(step: Callable[[], Answer]) -> tuple[Answer, bool]:

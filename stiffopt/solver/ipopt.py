@@ -11,7 +11,8 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.errors import InputError
-from stiffopt.solver.monitor import Iterate, Monitor, Progress, interrupt_sets
+from stiffopt.interrupts import handled
+from stiffopt.solver.monitor import Iterate, Monitor, Progress
 from stiffopt.transcription.nlp import Nlp, NlpEntry, RowViolation
 
 _STATUS = {
@@ -216,7 +217,7 @@ class IpoptSolver:
         monitor = self._monitor
         monitor.begin(report, self.options.max_seconds if max_seconds is None else max_seconds)
         monitor.patience = self.options.patience
-        with interrupt_sets(monitor.interrupt):
+        with handled(lambda *_: monitor.interrupt.set()):
             outputs = solver(**inputs)
         solve_s = time.perf_counter() - monitor.started
         if monitor.error is not None:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -170,16 +168,3 @@ class Monitor(ca.Callback):
         self.history.append(progress)
         if self.report is not None:
             self.report(progress)
-
-
-@contextmanager
-def interrupt_sets(flag: threading.Event) -> Iterator[None]:
-    """Ctrl-C sets the flag instead of raising; only the main thread can take signals."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, lambda *_: flag.set())
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
