@@ -116,7 +116,7 @@ class Estimate:
             )
 
         linear = held(self.covariance[np.ix_(rows, rows)])
-        chances = [float(special.chdtrc(k, values @ np.linalg.lstsq(linear, values)[0]))]
+        chances = [float(special.chdtrc(k, _from_nothing(values, linear)[0] ** 2))]
         for spread, parts in zip((self.spread, self.between), self.parts, strict=True):
             if np.array_equal(spread, self.covariance):  # too few parts
                 continue
@@ -230,12 +230,10 @@ def estimate(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estima
 def _chance(values: np.ndarray, covariance: np.ndarray, parts: int) -> float:
     """How likely nothing gives values (k,) with a covariance that so many parts told."""
     k = len(values)
-    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    largest = float(np.max(np.abs(values) / sd))
-    chance = min(1.0, 2.0 * k * float(special.stdtr(parts - 1, -largest)))
+    together, single = _from_nothing(values, covariance)
+    chance = min(1.0, 2.0 * k * float(special.stdtr(parts - 1, -single)))
     if parts > k:
-        square = float(values @ np.linalg.lstsq(covariance, values)[0])
-        ratio = square * (parts - k) / (k * (parts - 1))
+        ratio = together**2 * (parts - k) / (k * (parts - 1))
         chance = min(chance, float(special.fdtrc(k, parts - k, ratio)))
     return chance
 
@@ -280,11 +278,17 @@ def significance(
         values = amplitudes[begin : begin + own.shape[1]]
         rows = slice(len(prior_sd) + begin, len(prior_sd) + begin + own.shape[1])
         begin += own.shape[1]
-        square = values @ np.linalg.lstsq(spread[rows, rows], values)[0]
-        together.append(float(np.sqrt(max(square, 0.0))))
-        sd = np.sqrt(np.maximum(np.diag(spread[rows, rows]), 1e-300))
-        single.append(float(np.max(np.abs(values) / sd)))
+        of_all, of_one = _from_nothing(values, spread[rows, rows])
+        together.append(of_all)
+        single.append(of_one)
     return np.array(together), np.array(single)
+
+
+def _from_nothing(values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
+    """Deviations from nothing of values (k,) together, and of the one that stands out most."""
+    square = float(values @ np.linalg.lstsq(covariance, values)[0])
+    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    return math.sqrt(max(square, 0.0)), float(np.max(np.abs(values) / sd))
 
 
 def _shape_sizes(located: LocatedEffect) -> np.ndarray:
