@@ -2,59 +2,20 @@
 
 import numpy as np
 import pytest
-from small_arms import SWIVEL
+from swivel_sets import recorded, swivel_model
 
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.soundness import sample_signals
 
-RECORDINGS = """schema = 1
-name = "swivel"
-robot = "robot.urdf"
-joints = ["swivel"]
-signals = { time = "t", position = ["q"], torque = ["tau"], torque_side = "motor" }
-"""
-MODEL = """schema = 1
-kind = "extended"
-name = "swivel"
-joints = ["swivel"]
-links = ["upper"]
-[nominal]
-[scales]
-torque_rated = [20.0]
-torque_max = [60.0]
-fastest = [1.5]
-[left_open]
-cutoff = 12.0
-predict = [20.0]
-torque = [0.2]
-link_position = [0.0]
-[[effect]]
-name = "coulomb"
-joint = 1
-term = { dFc = 5.0 }
-[[effect]]
-name = "viscous"
-joint = 1
-term = { dFv = 3.0 }
-"""
 STIFFNESS, PLACE = 40.0, 0.6
 
 
 def stopped(folder, side):
     """Runs against a stop at one end of the stroke."""
-    rng, t, text = np.random.default_rng(0), np.arange(0.0, 8.0, 0.01), RECORDINGS
-    for name, role, rate in (("a", "train", 1.0), ("b", "train", 1.4), ("c", "test", 1.2)):
-        q = 0.8 * np.sin(rate * t) + 0.3 * np.sin(3.1 * rate * t)
-        v = np.gradient(q, t)
-        tau = 0.09 * np.gradient(v, t) + 5.0 * np.tanh(v / 0.02) + 3.0 * v
-        tau += STIFFNESS * side * np.maximum(side * q - PLACE, 0.0)
-        np.savez(folder / f"{name}.npz", t=t, q=q, tau=tau + rng.normal(0.0, 0.1, t.size))
-        text += f'[[runs]]\nfile = "{name}.npz"\nrole = "{role}"\n'
-    (folder / "robot.urdf").write_text(SWIVEL)
-    (folder / "recordings.toml").write_text(text)
-    (folder / "extended.toml").write_text(MODEL)
-    return folder
+    return recorded(
+        folder, lambda q: STIFFNESS * side * np.maximum(side * q - PLACE, 0.0), swivel_model(0.2)
+    )
 
 
 @pytest.mark.parametrize("side", [1.0, pytest.param(-1.0, marks=pytest.mark.slow)])

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_arms import SWIVEL
+from swivel_sets import recorded, swivel_model
 
 import stiffopt.discovery.diagnose as diagnosing
 from stiffopt.discovery.diagnose import diagnose
@@ -14,38 +14,9 @@ from stiffopt.report.diagnosis.residuals import channel_residuals
 from stiffopt.report.diagnosis.terminal import print_diagnosis
 from stiffopt.report.diagnosis.words import headline, lead
 
-RECORDINGS = """schema = 1
-name = "swivel"
-robot = "robot.urdf"
-joints = ["swivel"]
-signals = { time = "t", position = ["q"], torque = ["tau"], torque_side = "motor" }
-"""
 # What the joint's own recordings leave, as unfiltered noise [N m].
 OPEN = 2.28
-MODEL = f"""schema = 1
-kind = "extended"
-name = "swivel"
-joints = ["swivel"]
-links = ["arm"]
-[nominal]
-[scales]
-torque_rated = [30.0]
-torque_max = [90.0]
-fastest = [1.5]
-[left_open]
-cutoff = 12.0
-predict = [20.0]
-torque = [{OPEN}]
-link_position = [0.0]
-[[effect]]
-name = "coulomb"
-joint = 1
-term = {{ dFc = 5.0 }}
-[[effect]]
-name = "viscous"
-joint = 1
-term = {{ dFv = 3.0 }}
-"""
+MODEL = swivel_model(OPEN, link="arm", rated=30.0)
 RIPPLE = """[[effect]]
 name = "rotor_ripple"
 joint = 1
@@ -55,23 +26,12 @@ term = { sin = 0.1, cos = 0.1, waves = 4.0 }
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return recorded(tmp_path_factory.mktemp("swivel"))
+    return with_waves(tmp_path_factory.mktemp("swivel"))
 
 
-def recorded(folder, step=0.01):
+def with_waves(folder, step=0.01):
     """A joint with a torque that no entry of the catalogue has, and a model that leaves it open."""
-    rng, t, text = np.random.default_rng(0), np.arange(0.0, 8.0, step), RECORDINGS
-    for name, role, rate in (("a", "train", 1.0), ("b", "train", 1.4), ("c", "test", 1.2)):
-        q = 0.8 * np.sin(rate * t) + 0.3 * np.sin(3.1 * rate * t)
-        v = np.gradient(q, t)
-        tau = 0.09 * np.gradient(v, t) + 5.0 * np.tanh(v / 0.02) + 3.0 * v
-        tau += 1.5 * np.sin(23.0 * q) + rng.normal(0.0, 0.1, t.size)
-        np.savez(folder / f"{name}.npz", t=t, q=q, tau=tau)
-        text += f'[[runs]]\nfile = "{name}.npz"\nrole = "{role}"\n'
-    (folder / "robot.urdf").write_text(SWIVEL)
-    (folder / "recordings.toml").write_text(text)
-    (folder / "extended.toml").write_text(MODEL)
-    return folder
+    return recorded(folder, lambda q: 1.5 * np.sin(23.0 * q), MODEL, step=step)
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +96,7 @@ def test_what_is_left_open_is_that_of_samples_however_many_are_taken_together(
     tmp_path, monkeypatch, stated
 ):
     """A long set is compared by means of a few samples, a further one may be too short for that."""
-    source = recorded(tmp_path, step=0.002)
+    source = with_waves(tmp_path, step=0.002)
     text = (source / "recordings.toml").read_text().replace('"swivel"\n', f'"swivel"{stated}\n', 1)
     (source / "recordings.toml").write_text(text)
     model, left = load_extended(source / "extended.toml"), []
