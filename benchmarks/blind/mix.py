@@ -24,7 +24,9 @@ ROBOT_SHARES = {
 }
 WITHOUT_LINK_ENCODERS = 0.15
 
-CATALOGUE = tuple(sorted(name for name, entry in EFFECTS.items() if not entry.outside))
+CATALOGUE = tuple(
+    sorted(name for name, entry in EFFECTS.items() if entry.drawn and not entry.outside)
+)
 OUTSIDE = tuple(sorted(name for name, entry in EFFECTS.items() if entry.outside))
 INVISIBLE_TO_MOTORS = frozenset({"encoder_offset", "encoder_zero_change", "encoder_skew"})
 

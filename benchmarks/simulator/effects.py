@@ -31,22 +31,25 @@ Builder = Callable[[World, int, float, np.random.Generator], Outcome]
 
 @dataclass(frozen=True)
 class Entry:
+    """`drawn`: in the sealed cases; those of a key stay what they are when laws are added."""
+
     build: Builder
     where: Where
     family: str
     outside: bool = False
+    drawn: bool = True
 
 
 EFFECTS: dict[str, Entry] = {}
 
 
 def effect(
-    family: str, where: Where = "joint", *, outside: bool = False
+    family: str, where: Where = "joint", *, outside: bool = False, drawn: bool = True
 ) -> Callable[[Builder], Builder]:
     """Register a builder under its function's name."""
 
     def register(build: Builder) -> Builder:
-        EFFECTS[build.__name__] = Entry(build, where, family, outside)
+        EFFECTS[build.__name__] = Entry(build, where, family, outside, drawn)
         return build
 
     return register

@@ -107,3 +107,60 @@ def thermal_friction(
 
     world.motor_loads.append(load)
     return Outcome(parameters={"b": share}, law={"activation": energy})
+
+
+@effect("friction", drawn=False)
+def lubricated_friction(
+    world: World, joint: int, severity: float, rng: np.random.Generator
+) -> Outcome:
+    """A film of oil: the teeth touch through it where speed and viscosity are low.
+
+    The share of load and preload that is carried by touching teeth is a rational function of speed
+    times viscosity, which falls with temperature as Andrade's law says.
+    """
+    slope = 0.04 * severity * spread(rng)
+    touching = 0.12 * severity * spread(rng)
+    warm = 0.02 * severity * spread(rng) * world.robot.coulomb[joint]  # [N m/K]
+    speed = rng.uniform(0.06, 0.12)
+    knee = 0.03 * world.robot.torque_rated[joint]
+    share, absolute = 0.02 * severity * spread(rng), IDENTIFIED_AT + 273.15
+
+    def viscosity(state: State) -> np.ndarray:
+        kelvin = state.temperature[:, joint] + 273.15
+        return np.asarray(np.exp(share * absolute**2 * (1.0 / kelvin - 1.0 / absolute)))
+
+    def law(state: State, up: np.ndarray, down: np.ndarray) -> None:
+        film = np.abs(state.motor_velocity[:, joint]) * viscosity(state) / speed
+        touch = 1.0 / (1.0 + film**1.6)
+        load = np.sqrt(state.spring[:, joint] ** 2 + knee**2) - knee
+        rise = state.temperature[:, joint] - IDENTIFIED_AT
+        more = slope * load + (touching * load + warm * rise) * touch
+        up[:, joint] += more
+        down[:, joint] += more
+
+    def load(state: State, torque: np.ndarray) -> None:
+        change = viscosity(state) - 1.0
+        torque[:, joint] += world.viscous[joint] * change * state.motor_velocity[:, joint]
+
+    world.friction.append(law)
+    world.motor_loads.append(load)
+    return Outcome(law={"slope": slope, "touching": touching, "warm": float(warm), "speed": speed})
+
+
+@effect("friction", drawn=False)
+def friction_drift(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """Friction that is another on every day: a factor on all of it, log-normal from run to run."""
+    level = world.robot.coulomb[joint]
+    days = 0.15 * severity * spread(rng) * rng.standard_normal(world.runs)
+    factor = np.expm1(days)
+
+    def law(state: State, up: np.ndarray, down: np.ndarray) -> None:
+        up[:, joint] += factor * level
+        down[:, joint] += factor * level
+
+    def load(state: State, torque: np.ndarray) -> None:
+        torque[:, joint] += factor * world.viscous[joint] * state.motor_velocity[:, joint]
+
+    world.friction.append(law)
+    world.motor_loads.append(load)
+    return Outcome(law={"of_runs": (factor * level).tolist()})

@@ -134,3 +134,43 @@ def external_contact(
 
     world.link_loads.append(load)
     return Outcome(parameters={"k": stiffness, "z": top}, law={"damping": damping, "rim": rim})
+
+
+@effect("contact", "robot", drawn=False)
+def touched(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """Somebody pushes at the tool for a while, in one training run and in one held-out run."""
+    model, data = world.model, world.model.createData()
+    tool = model.getFrameId("tool0")
+    force = 0.6 * severity * spread(rng) * 9.81 * world.robot.payload_mass
+    held_out = [r for r in range(world.runs) if r not in world.training]
+    pushes = []
+    for runs in (world.training, held_out):
+        if runs:
+            length = float(rng.uniform(0.5, 1.0))
+            begin = float(rng.uniform(0.15, 0.65)) * world.spec.seconds
+            way = rng.standard_normal(3)
+            pushes.append((int(rng.choice(runs)), begin, length, way / np.linalg.norm(way)))
+
+    def load(state: State, torque: np.ndarray) -> None:
+        if state.step == 0.0:
+            return
+        for r, begin, length, way in pushes:
+            phase = (state.time - begin) / length
+            if not 0.0 < phase < 1.0:
+                continue
+            hand = min(phase, 1.0 - phase, 0.2) / 0.2 * (1.0 + 0.2 * np.sin(9.0 * phase))
+            jacobian = pin.computeFrameJacobian(
+                model, data, state.link[r], tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+            )[:3]
+            torque[r] += jacobian.T @ (force * hand * way)
+
+    world.link_loads.append(load)
+    return Outcome(
+        law={
+            "force": force,
+            "pushes": [
+                {"run": world.plans[r].name, "begin": begin, "end": begin + length}
+                for r, begin, length, _ in pushes
+            ],
+        }
+    )

@@ -92,6 +92,9 @@ class Amplitude:
         Physical bounds over the scale.
     changed : float
         How many times larger it is typically where it has changed since a model was made.
+    own : bool
+        Whether the effect has it where other entries have the rest: unless one of these stands out
+        the effect is not there.
     """
 
     name: str
@@ -100,6 +103,7 @@ class Amplitude:
     lower: float = -float("inf")
     upper: float = float("inf")
     changed: float = 1.0
+    own: bool = False
 
     def size(self, constants: Constants) -> float:
         """Typical size for a joint or robot."""

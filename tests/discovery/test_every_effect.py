@@ -47,6 +47,7 @@ TRIALS = (
     Trial("asym_friction", 2, 5),
     Trial("position_friction", 1, 6),
     Trial("thermal_friction", 1, 7),
+    Trial("lubricated_friction", 1, 41),
     Trial("backlash", 2, 8),
     Trial("hysteresis", 1, 9),
     Trial("stiffness_linear", 2, 10),

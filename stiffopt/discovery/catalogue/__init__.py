@@ -15,6 +15,7 @@ from stiffopt.discovery.catalogue.elastic import BACKLASH, HYSTERESIS
 from stiffopt.discovery.catalogue.friction import FRICTION
 from stiffopt.discovery.catalogue.inertial import INERTIAL
 from stiffopt.discovery.catalogue.joint_damping import JOINT_DAMPING
+from stiffopt.discovery.catalogue.lubricated_friction import LUBRICATED_FRICTION
 from stiffopt.discovery.catalogue.periodic import PERIODIC
 from stiffopt.discovery.catalogue.preload_loss import PRELOAD_LOSS
 from stiffopt.discovery.catalogue.sensors import SENSORS
@@ -25,6 +26,7 @@ from stiffopt.errors import InputError, nearest
 
 CATALOGUE: tuple[Effect, ...] = (
     *FRICTION,
+    LUBRICATED_FRICTION,
     COUPLED_DRIVE,
     BACKLASH,
     HYSTERESIS,

@@ -24,9 +24,20 @@ from stiffopt.discovery.settings import SIGN_SPEED
 from stiffopt.symbolic import Quantity, smooth_abs
 
 # Share of the rated torque below which a carried load has no definite side.
-_LOAD_ROUNDING, _LEAST_LOAD = 0.02, 0.002
+_ROUNDED_SHARE, _LEAST_LOAD = 0.02, 0.002
 # Of the speed within which friction has no definite sign, what rounds the size of a speed.
 _ROUNDED = 0.1
+
+
+def rounded_speed(velocity: Quantity) -> Quantity:
+    """Size of a speed, rounded at zero, so that a power of it has slopes everywhere."""
+    return smooth_abs(velocity, _ROUNDED * SIGN_SPEED)
+
+
+def rounded_load(signals: JointSignals, share: Quantity) -> Quantity:
+    """Size of the load carried, rounded within a share of the rated torque about zero [N m]."""
+    rounding = share * signals.constants.torque_rated
+    return smooth_abs(signals.spring_torque, rounding) - rounding
 
 
 def coulomb_term(
@@ -49,8 +60,7 @@ def stribeck_term(
     """Friction A exp(-|w/vs|^n) sg(w) at low speed, n = 2 after Gauss and 1 after Tustin."""
     w = signals.motor_velocity
     speed, power = shapes
-    # Away from zero, a power of the rounded speed has slopes everywhere.
-    fall = np.exp(-((smooth_abs(w, _ROUNDED * SIGN_SPEED) / speed) ** power))
+    fall = np.exp(-((rounded_speed(w) / speed) ** power))
     return Term(drive_torque=amplitudes[0] * fall * smooth_sign(w))
 
 
@@ -58,8 +68,7 @@ def load_friction_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
     """Friction mu |s| sg(w) of the load, the size of the load rounded at zero."""
-    rounding = shapes[0] * signals.constants.torque_rated
-    load = smooth_abs(signals.spring_torque, rounding) - rounding
+    load = rounded_load(signals, shapes[0])
     return Term(drive_torque=amplitudes[0] * load * smooth_sign(signals.motor_velocity))
 
 
@@ -92,11 +101,13 @@ def thermal_friction_term(
     return Term(drive_torque=(amplitudes[0] * viscous + amplitudes[1] * dry) * fall)
 
 
-def _half_dry(constants: JointConstants) -> float:
+def half_dry(constants: JointConstants) -> float:
+    """Half the dry friction, typical of what is added to it [N m]."""
     return 0.5 * dry_friction(constants)
 
 
-def _slow_speeds(constants: JointConstants) -> tuple[float, ...]:
+def slow_speeds(constants: JointConstants) -> tuple[float, ...]:
+    """Speeds below which dry friction may rise [rad/s]."""
     highest = min(0.5, max(0.5 * constants.fastest, 0.03))
     return tuple(float(v) for v in np.geomspace(0.02, highest, 5))
 
@@ -111,6 +122,21 @@ def _in_stroke(shapes: Sequence[float], constants: JointConstants) -> bool:
 def _places(constants: JointConstants) -> tuple[float, ...]:
     return along_stroke(constants, 10)
 
+
+def definite_load(share: float, constants: JointConstants) -> bool:
+    """Whether a load is rounded enough to be that of a joint."""
+    return share >= _LEAST_LOAD * carried_share(constants)
+
+
+# How small a load is rubs nowhere the same, and is no value of a datasheet: it moves mu.
+LOAD_ROUNDING = Shape(
+    name="rounding",
+    unit="",
+    starts=lambda constants: (_ROUNDED_SHARE * carried_share(constants),),
+    lower=1e-7,
+    upper=0.1,
+    usual=_ROUNDED_SHARE,
+)
 
 COULOMB = Effect(
     name="coulomb",
@@ -128,7 +154,7 @@ COULOMB = Effect(
     reference="ArmstrongEtAl1994",
     change_robot=add_to_nominal_value,
     term=coulomb_term,
-    amplitudes=(Amplitude(name="dFc", unit="N m", scale=_half_dry, lower=-2.0, upper=10.0),),
+    amplitudes=(Amplitude(name="dFc", unit="N m", scale=half_dry, lower=-2.0, upper=10.0),),
     separate="Move at three speeds or more, in both directions: Coulomb friction does not change"
     " with speed.",
 )
@@ -167,9 +193,9 @@ STRIBECK = Effect(
     confused_with=("hysteresis",),
     reference="ArmstrongEtAl1994",
     term=stribeck_term,
-    amplitudes=(Amplitude(name="A", unit="N m", scale=_half_dry, lower=0.0, upper=4.0),),
+    amplitudes=(Amplitude(name="A", unit="N m", scale=half_dry, lower=0.0, upper=4.0),),
     shapes=(
-        Shape(name="vs", unit="rad/s", starts=_slow_speeds, lower=0.005, upper=0.5),
+        Shape(name="vs", unit="rad/s", starts=slow_speeds, lower=0.005, upper=0.5),
         Shape(name="n", unit="", starts=(1.0, 2.0), lower=0.5, upper=2.5),
     ),
     report=lambda amplitudes, shapes, constants: {"A": amplitudes[0], "vs": shapes[0]},
@@ -189,19 +215,9 @@ LOAD_FRICTION = Effect(
     reference="BittencourtAxelsson2014",
     term=load_friction_term,
     amplitudes=(Amplitude(name="mu", unit="", scale=0.1, lower=0.0, upper=6.0),),
-    # How small a load is rubs nowhere the same, and is no value of a datasheet: it moves mu.
-    shapes=(
-        Shape(
-            name="rounding",
-            unit="",
-            starts=lambda constants: (_LOAD_ROUNDING * carried_share(constants),),
-            lower=1e-7,
-            upper=0.1,
-            usual=_LOAD_ROUNDING,
-        ),
-    ),
+    shapes=(LOAD_ROUNDING,),
     report=lambda amplitudes, shapes, constants: {"mu": amplitudes[0]},
-    possible=lambda shapes, constants: shapes[0] >= _LEAST_LOAD * carried_share(constants),
+    possible=lambda shapes, constants: definite_load(shapes[0], constants),
     separate="Repeat one path with two payloads, in both directions: a gain error keeps its sign"
     " when the motion turns round.",
 )
@@ -220,7 +236,7 @@ ASYM_FRICTION = Effect(
     reference="ArmstrongEtAl1994",
     term=asym_friction_term,
     amplitudes=(
-        Amplitude(name="dFc", unit="N m", scale=_half_dry, lower=-2.0, upper=2.0),
+        Amplitude(name="dFc", unit="N m", scale=half_dry, lower=-2.0, upper=2.0),
         Amplitude(name="dFv", unit="N m s/rad", scale=viscous_friction, lower=-1.0, upper=1.0),
     ),
     separate="Stop for a second in several postures: a torque offset and a gravity error act at"

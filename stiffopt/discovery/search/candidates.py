@@ -15,6 +15,7 @@ from stiffopt.discovery.comparison.evidence import Added, AddedSums, Beside, pos
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.pace import Pace
+from stiffopt.discovery.thresholds import NAMED_DEVIATIONS
 
 # Share of its work on one channel from which an effect acts on another: less is the swing of links
 # that others set going.
@@ -121,7 +122,7 @@ class Scorer:
         if not np.isfinite(size).all() or not np.any(size > 1e-12):
             return None
         found, kept = self._bounded(located, sums)
-        if found is None:
+        if found is None or not _itself(located, found, kept):
             return None
         mean = np.zeros(len(size))
         covariance = np.zeros((len(size),) * 2)
@@ -231,6 +232,15 @@ class Scorer:
             },
         )
         return best
+
+
+def _itself(located: LocatedEffect, found: Added, kept: np.ndarray) -> bool:
+    """Whether it shows what it alone has: without that it is another effect with more freedom."""
+    own = np.array([amplitude.own for amplitude in located.effect.amplitudes])
+    if not own.any():
+        return True
+    sure = np.abs(found.mean) > NAMED_DEVIATIONS * np.sqrt(np.diag(found.covariance))
+    return bool(np.any(sure & own[kept]))
 
 
 def scan(

@@ -1,0 +1,90 @@
+"""Friction of a lubricated joint: of load, speed and temperature together.
+
+Bittencourt and Axelsson (2014) measured what none of the separate laws has: a load rubs more at low
+speed, where the film is thin, and a warm film is thin up to higher speeds. Their law, as a change
+from dry and viscous friction at the temperature where those were identified, with the speed below
+which the film is thin growing as viscosity falls (one exponent for both) in place of a line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stiffopt.discovery.catalogue.common import WEIGHT, dry_friction, viscous_friction
+from stiffopt.discovery.catalogue.friction import (
+    LOAD_ROUNDING,
+    definite_load,
+    half_dry,
+    rounded_load,
+    rounded_speed,
+    slow_speeds,
+)
+from stiffopt.discovery.comparison.signals import JointConstants, JointSignals, smooth_sign
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.symbolic import Quantity
+
+# Of the speed, as measured there.
+_EXPONENT = 1.3
+# Range of temperatures over which the low-speed part typically grows by its own size [K].
+_RANGE = 20.0
+
+
+def lubricated_friction_term(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Friction of the load, more of it where the film is thin, and viscous friction that falls."""
+    of_load, of_load_slow, slow, slow_by_kelvin, weight = amplitudes
+    speed, exponent, rounding = shapes
+    w, rise = signals.motor_velocity, signals.temperature_rise
+    viscosity = np.exp(-exponent * rise)
+    thin = np.exp(-((rounded_speed(w) * viscosity / speed) ** _EXPONENT))
+    load = rounded_load(signals, rounding)
+    level = of_load * load + (of_load_slow * load + slow + slow_by_kelvin * rise) * thin
+    viscous = viscous_friction(signals.constants) * (viscosity - 1.0)
+    return Term(drive_torque=level * smooth_sign(w) + weight * viscous * w)
+
+
+def _by_kelvin(constants: JointConstants) -> float:
+    return 0.5 * dry_friction(constants) / _RANGE
+
+
+LUBRICATED_FRICTION = Effect(
+    name="lubricated_friction",
+    family="friction",
+    scope="joint",
+    equation="tau += (mu*abs(s) + (mu_slow*abs(s) + A + A_T*(T - T0))*thin)*sg(w)"
+    " + (eta - 1)*Fv*w, eta = exp(-b*(T - T0)), thin = exp(-abs(eta*w/vs)^1.3)",
+    signature="motor torque off against the motion by a share of the load that is larger at low"
+    " speed, or at low speed by more as the housing warms",
+    phrase="friction that depends on load, speed and temperature together",
+    needs=("torque", "moves", "reverses", "slow"),
+    confused_with=("load_friction", "stribeck", "thermal_friction"),
+    reference="BittencourtAxelsson2014",
+    term=lubricated_friction_term,
+    amplitudes=(
+        Amplitude(name="mu", unit="", scale=0.1, lower=0.0, upper=6.0),
+        Amplitude(name="mu_slow", unit="", scale=0.1, lower=0.0, upper=6.0, own=True),
+        Amplitude(name="A", unit="N m", scale=half_dry, lower=0.0, upper=4.0),
+        Amplitude(name="A_T", unit="N m/K", scale=_by_kelvin, lower=0.0, upper=4.0, own=True),
+        WEIGHT,
+    ),
+    shapes=(
+        Shape(name="vs", unit="rad/s", starts=slow_speeds, lower=0.005, upper=0.5),
+        Shape(name="b", unit="1/K", starts=(0.03,), lower=1e-4, upper=0.1),
+        LOAD_ROUNDING,
+    ),
+    report=lambda amplitudes, shapes, constants: {
+        "mu": amplitudes[0],
+        "mu_slow": amplitudes[1],
+        "A": amplitudes[2],
+        "A_T": amplitudes[3],
+        "vs": shapes[0],
+        "b": amplitudes[4] * shapes[1],
+    },
+    possible=lambda shapes, constants: definite_load(shapes[2], constants),
+    separate="Move at five speeds down to 0.02 rad/s, with two payloads, cold and after half an"
+    " hour of work: a load that rubs more when slow, and slow friction that grows with warmth, are"
+    " of the film.",
+)
