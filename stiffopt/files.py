@@ -129,6 +129,12 @@ def read_text(path: str | os.PathLike[str]) -> str:
         raise InputFileError(path, "", f"cannot be read: {error.strerror}.") from error
 
 
+_NO_PLACE = (
+    "there is no such place in the file. Sections of a list are counted from 1, such as"
+    " minimise[1].weight."
+)
+
+
 def with_changes(data: dict[str, Any], changes: Sequence[str], path: object) -> dict[str, Any]:
     """Content of a file with entries changed: "motion.duration=0.5 s", "minimise[1].weight=2".
 
@@ -160,7 +166,7 @@ def with_changes(data: dict[str, Any], changes: Sequence[str], path: object) -> 
         elif isinstance(held, dict) and not last.startswith("["):
             held[last] = value
         else:
-            raise InputFileError(path, f"--set {place}", "there is no such place in the file.")
+            raise InputFileError(path, f"--set {place}", _NO_PLACE)
     return data
 
 
@@ -169,7 +175,7 @@ def _held(held: Any, key: str, place: str, path: object) -> Any:
         return held.setdefault(key, {})
     if isinstance(held, list) and key.startswith("[") and 1 <= int(key[1:-1]) <= len(held):
         return held[int(key[1:-1]) - 1]
-    raise InputFileError(path, f"--set {place}", "there is no such place in the file.")
+    raise InputFileError(path, f"--set {place}", _NO_PLACE)
 
 
 def load_json(path: str | os.PathLike[str]) -> Any:

@@ -23,7 +23,8 @@ app = App(
 
 app.register_install_completion_command(add_to_startup=False)
 
-Out = Annotated[Path, Parameter(name="--out", help="Folder for the results; made if missing.")]
+OUT_NAMES = ("--out", "-o")
+Out = Annotated[Path, Parameter(name=OUT_NAMES, help="Folder for the results; made if missing.")]
 
 Changes = Annotated[
     tuple[str, ...],
@@ -74,14 +75,17 @@ def number_or_text(argument: str) -> float | str:
         return argument.strip()
 
 
-# Of commands that take a folder of results: understood, and refused with a reason.
+# Of commands that take a folder of results or write a first file: understood, and refused with a
+# reason.
 NoChanges = Annotated[tuple[str, ...], Parameter(name="--set", negative=(), show=False)]
+_RESULTS = (
+    "a folder of results is what was solved, and has no entries to change. Solve, study or"
+    " diagnose again with --set."
+)
+STARTED = "the file that this writes is yours to edit, and the command that reads it takes --set."
 
 
-def refuse_changes(changes: tuple[str, ...]) -> None:
-    """Raise `InputError` where entries of a folder of results were to be changed."""
+def refuse_changes(changes: tuple[str, ...], why: str = _RESULTS) -> None:
+    """Raise `InputError` where entries were to be changed of what has none."""
     if changes:
-        raise InputError(
-            f"--set {shortened(changes[0])}: a folder of results is what was solved, and has no"
-            " entries to change. Solve, study or diagnose again with --set."
-        )
+        raise InputError(f"--set {shortened(changes[0])}: {why}")

@@ -200,6 +200,7 @@ def stiffness(
     out: Out | None = None,
     drivetrain: Path | None = None,
     changes: Changes = (),
+    open_report: Open = False,
 ) -> int:
     """Joint stiffness against torque, with and without contacts: stiffness.csv, plots and a page.
 
@@ -223,6 +224,7 @@ def stiffness(
         write_stiffness_csv(rows, stage / "stiffness.csv")
         page = write_stiffness_report(arm, rows, stage)
     print(f"Wrote {folder / 'stiffness.csv'} and {folder / page.name}")
+    show_report(folder, open_report, page.name)
     return 0
 
 

@@ -187,7 +187,13 @@ def check(
 
 
 @app.command(name="identify-stiffness")
-def identify_stiffness(recordings: Path, *, out: Out | None = None, changes: Changes = ()) -> int:
+def identify_stiffness(
+    recordings: Path,
+    *,
+    out: Out | None = None,
+    changes: Changes = (),
+    open_report: Open = False,
+) -> int:
     """Find the joint stiffness of an arm from deflections measured under known forces.
 
     Writes stiffness.json, stiffness.csv, residuals.csv and report.html.
@@ -212,4 +218,5 @@ def identify_stiffness(recordings: Path, *, out: Out | None = None, changes: Cha
         write_static_report(result, stage)
         write_static(result, stage)
     print_static(result, folder)
+    show_report(folder, open_report)
     return 0

@@ -7,18 +7,30 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from stiffopt.cli.base import app, number_or_text
+from stiffopt.cli.base import (
+    OUT_NAMES,
+    STARTED,
+    NoChanges,
+    app,
+    number_or_text,
+    refuse_changes,
+)
 from stiffopt.report.common.terminal import print_lines
 
 init = App(name="init", help="Write files to begin with: robot, problem, recording, flange.")
 app.command(init)
 
-File = Annotated[Path | None, Parameter(name="--out", help="File to write; never over another.")]
+File = Annotated[Path | None, Parameter(name=OUT_NAMES, help="File to write; never over another.")]
 
 
 @init.command
 def robot(
-    urdf: Path, *, tip: str | None = None, catalogue: Path | None = None, out: File = None
+    urdf: Path,
+    *,
+    tip: str | None = None,
+    catalogue: Path | None = None,
+    out: File = None,
+    changes: NoChanges = (),
 ) -> int:
     """Write the robot file of a URDF: limits, candidates of reducers, what is estimated marked.
 
@@ -34,6 +46,7 @@ def robot(
     from stiffopt.starter.robot_file import robot_text
     from stiffopt.starter.writing import write_new
 
+    refuse_changes(changes, STARTED)
     path = out or urdf.with_name(f"{urdf.stem}_robot.toml")
     started = robot_text(urdf, path.parent, tip, catalogue=catalogue)
     written = write_new(path, started.text)
@@ -48,7 +61,7 @@ def robot(
 
 
 @init.command
-def problem(source: str, *, out: File = None) -> int:
+def problem(source: str, *, out: File = None, changes: NoChanges = ()) -> int:
     """Write a first trajectory problem for a robot.
 
     Parameters
@@ -60,6 +73,7 @@ def problem(source: str, *, out: File = None) -> int:
     from stiffopt.starter.problem_file import problem_text
     from stiffopt.starter.writing import write_new
 
+    refuse_changes(changes, STARTED)
     arm = load_robot(source)
     file = source if source in shipped_robots() else Path(source)
     path = out or (file.parent if isinstance(file, Path) else Path()) / f"{arm.name}_first.toml"
@@ -70,7 +84,15 @@ def problem(source: str, *, out: File = None) -> int:
 
 @init.command
 def recording(
-    data: list[Path], *, urdf: Path, out: Path | None = None, rate: float | None = None
+    data: list[Path],
+    *,
+    urdf: Path,
+    out: Annotated[
+        Path | None,
+        Parameter(name=OUT_NAMES, help="Folder of the set; default NAME_set beside the data."),
+    ] = None,
+    rate: float | None = None,
+    changes: NoChanges = (),
 ) -> int:
     """Write a recording set of one's own tables or bags: what it guesses, it says.
 
@@ -82,13 +104,12 @@ def recording(
         Files or folders; the last of several is kept for judging, a single one is cut in two.
     urdf
         Of the arm, as far as it is known.
-    out
-        Folder of the set; default NAME_set beside the data.
     rate
         Rows a second, where no column is a time.
     """
     from stiffopt.starter.recording_set import start_recording_set
 
+    refuse_changes(changes, STARTED)
     folder = out or data[0].with_name(f"{data[0].stem}_set")
     started = start_recording_set(data, urdf, folder, rate)
     print_lines(
@@ -106,12 +127,17 @@ def recording(
 @init.command
 def flange(
     *,
-    out: Annotated[Path, Parameter(name="--out", help="Folder for the files.")] = Path("flange"),
+    out: Annotated[Path, Parameter(name=OUT_NAMES, help="Folder for the files.")] = Path("flange"),
     torque: str = "100 N*m",
     size: str = "M5",
     grade: str = "12.9",
     count: int = 8,
     circle: str = "50 mm",
+    axial_force: str = "0 N",
+    shear_force: str = "0 N",
+    tilting_moment: str = "0 N*m",
+    catalogue: Path | None = None,
+    changes: NoChanges = (),
 ) -> int:
     """Write a preload study of one bolted flange; no URDF is needed.
 
@@ -120,17 +146,26 @@ def flange(
     torque
         That the flange has to carry.
     size
-        Of the bolts, `stiffopt catalogue bolts`.
+        Of the bolts, `stiffopt catalogue bolts`, or one's own.
     grade
         8.8, 10.9 or 12.9.
     count
         Number of bolts.
     circle
         Diameter of the circle they lie on.
+    axial_force
+        Along the axis of the circle, beside the torque.
+    shear_force
+        Across the axis.
+    tilting_moment
+        About axes across that of the circle: weight and motion of what is overhung.
+    catalogue
+        One's own catalogue file, whose bolts can be named by --size.
     """
     from stiffopt.starter.flange_files import write_flange
     from stiffopt.units import to_si
 
+    refuse_changes(changes, STARTED)
     files = write_flange(
         out,
         torque=to_si(number_or_text(torque), "torque", "--torque"),
@@ -138,6 +173,10 @@ def flange(
         grade=grade,
         count=count,
         circle=to_si(number_or_text(circle), "length", "--circle"),
+        axial_force=to_si(number_or_text(axial_force), "force", "--axial-force"),
+        shear_force=to_si(number_or_text(shear_force), "force", "--shear-force"),
+        tilting_moment=to_si(number_or_text(tilting_moment), "torque", "--tilting-moment"),
+        own=catalogue,
     )
     print_lines((f"Wrote {', '.join(map(str, files))}.", f"Next: stiffopt preload {files[-1]}"))
     return 0

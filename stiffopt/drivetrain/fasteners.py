@@ -6,7 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from stiffopt.drivetrain.tables import Entry, find, read_table, rows, source_text
+from stiffopt.drivetrain.tables import (
+    Entry,
+    find,
+    own_entries,
+    read_table,
+    rows,
+    source_text,
+)
 from stiffopt.errors import InputError, nearest
 
 
@@ -209,17 +216,39 @@ def bolt_expansion() -> float:
 
 
 def washer(size: str) -> WasherData:
-    """Look up the hardened washer of a bolt size."""
+    """Look up the hardened washer of a bolt: one's own, else of its size, else of its diameter.
+
+    Raises
+    ------
+    InputError
+        There is none, or the head is wider than it.
+    """
+    own = own_entries("washer")
     table = read_table("bolts")["washers"]
     known = {name: row for name, row in table.items() if isinstance(row, dict)}
-    row = find("washer", size, known)
-    return WasherData(
-        name=size,
-        provenance=table["provenance"],
-        source=table["source"],
-        pressure=float(table["pressure"]),
-        **row,
-    )
+    for_bolt = bolt(size)
+    if size in own:
+        row = {key: own[size][key] for key in ("diameter", "thickness", "provenance", "source")}
+        pressure = own[size]["pressure"]
+        row["pressure"] = float(table["pressure"]) if pressure is None else pressure
+    else:
+        same = (name for name in known if bolt(name).diameter == for_bolt.diameter)
+        row = dict(known.get(size) or known.get(next(same, "")) or {})
+        row |= {key: table[key] for key in ("pressure", "provenance", "source")}
+    if "diameter" not in row or row["diameter"] < for_bolt.bearing_diameter:
+        found = (
+            "no packaged washer is for it"
+            if "diameter" not in row
+            else (
+                f"its head bears on {1e3 * for_bolt.bearing_diameter:g} mm, and the washer is"
+                f" {1e3 * row['diameter']:g} mm wide"
+            )
+        )
+        raise InputError(
+            f'bolt {size}: {found}. Add a [[washer]] with size = "{size}", diameter and thickness'
+            " to your catalogue file, or leave the washer out."
+        )
+    return WasherData(name=size, **row)
 
 
 def coating_names() -> list[str]:

@@ -35,6 +35,8 @@ class UtilisationRow:
         Step of VDI 2230, where it is one.
     binding : bool
         False: tells, but stops no design.
+    warns : str
+        Of a row that stops no design: what counts where it is exceeded, the design or the warning.
     """
 
     kind: str
@@ -50,6 +52,7 @@ class UtilisationRow:
     remedy: str = ""
     equation: str = ""
     binding: bool = True
+    warns: str = ""
 
     @property
     def name(self) -> str:

@@ -206,6 +206,11 @@ def _warnings(steps: Verification, least: float, shift: float) -> Iterator[Utili
         provenance="catalogue",
         remedy="a narrower ring, larger heads, washers, or a finite-element model",
         binding=False,
+        warns=(
+            "preload and torque are right by the formulas, but so wide a ring is pressed less"
+            " evenly than these take it, and slips and opens earlier. The warning counts: take"
+            " slip and opening for estimates"
+        ),
     )
     if math.isfinite(shift):
         limit = transverse_slip_limit(
@@ -225,6 +230,10 @@ def _warnings(steps: Verification, least: float, shift: float) -> Iterator[Utili
             provenance="catalogue",
             remedy="longer or more slender bolts, more preload, or a locking feature",
             binding=False,
+            warns=(
+                "preload and torque stand as they are, but they do not keep bolts from turning"
+                " loose where the load comes again and again. Both count: tighten so, and lock"
+            ),
         )
 
 

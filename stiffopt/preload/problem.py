@@ -23,6 +23,7 @@ from stiffopt.declaration import (
     check_fields,
 )
 from stiffopt.drivetrain.stage import Stage
+from stiffopt.drivetrain.tables import with_own
 from stiffopt.errors import ProblemError, nearest
 from stiffopt.fastening.limits import (
     PreloadLimit,
@@ -280,7 +281,9 @@ class PreloadProblem:
             )
         self._check_joints()
         self._check_load_cases()
-        if not self.elements:
+        with with_own(self.robot.own):
+            elements = self.elements
+        if not elements:
             raise ProblemError(
                 f"{self.robot.name}: joints {', '.join(map(str, self.joints))} have no bolted "
                 "flange and no pins, so there is no preload to choose."

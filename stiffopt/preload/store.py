@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from stiffopt.connection import Bolt
+from stiffopt.drivetrain.tables import with_own
 from stiffopt.files import atomic_write, plain, write_csv
 from stiffopt.preload.bolt_sheet import BoltSheet, bolt_sheets
 from stiffopt.preload.catalogue_choice import CatalogueChoice
@@ -45,6 +46,11 @@ def study_document(study: PreloadStudy) -> dict[str, Any]:
     dict
         Plain numbers, strings, lists and dicts; no NaN and no infinity.
     """
+    with with_own(study.problem.robot.own):
+        return _document(study)
+
+
+def _document(study: PreloadStudy) -> dict[str, Any]:
     problem, solution = study.problem, study.solution
     document = {
         "schema": SCHEMA,
@@ -112,7 +118,11 @@ def study_hash(problem: PreloadProblem) -> str:
         chain = problem.robot.chains[joint - 1]
         bolts = [] if chain is None else [getattr(s.element, "bolt", None) for s in chain.stages]
         sizes |= {bolt.size for bolt in bolts if isinstance(bolt, Bolt)}
-    own = {size: row for size, row in problem.robot.own.get("bolt", {}).items() if size in sizes}
+    own = {
+        kind: {size: row for size, row in problem.robot.own.get(kind, {}).items() if size in sizes}
+        for kind in ("bolt", "washer")
+    }
+    own = {kind: parts for kind, parts in own.items() if parts}
     return inputs_hash((problem, own) if own else problem)
 
 

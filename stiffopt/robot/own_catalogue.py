@@ -125,6 +125,23 @@ class OwnBolt(OwnPart):
         return super().entry() | known
 
 
+class OwnWasher(OwnPart):
+    """A hardened washer; without one a bolt has that of ISO 7089 for its diameter."""
+
+    kind = "washer"
+    size: Annotated[str, Doc("Of the bolt that it is for, one's own or a packaged one.")]
+    diameter: Annotated[Length, PART, Doc("Outer diameter.")]
+    thickness: Annotated[Length, PART, Doc("Thickness h_S.")]
+    pressure: Annotated[
+        Pressure | None, POSITIVE, Doc("That it bears under the head; default that of 300 HV.")
+    ] = None
+
+    @property
+    def called(self) -> str:
+        """Size of its bolt."""
+        return self.size
+
+
 class OwnKey(OwnPart):
     """A parallel key, named by its width and height."""
 
@@ -208,6 +225,7 @@ class CatalogueFile(Section):
     kind: Annotated[Literal["catalogue"], Doc("Kind of file.")]
     reducer: Annotated[tuple[OwnReducer, ...], Doc("Reducers; their names come first.")] = ()
     bolt: Annotated[tuple[OwnBolt, ...], Doc("Bolts; their sizes come first.")] = ()
+    washer: Annotated[tuple[OwnWasher, ...], Doc("Washers, by the size of their bolts.")] = ()
     key: Annotated[tuple[OwnKey, ...], Doc("Keys, by width and height.")] = ()
     belt: Annotated[tuple[OwnBelt, ...], Doc("Belt profiles.")] = ()
     surface: Annotated[tuple[OwnSurface, ...], Doc("Pairs of surfaces.")] = ()
@@ -225,7 +243,8 @@ def read_own_catalogue(path: str | os.PathLike[str]) -> OwnEntries:
     document = read_document(path, CatalogueFile, "catalogue")
     found: dict[str, dict[str, Any]] = {}
     parts: tuple[OwnPart, ...] = (
-        *document.reducer, *document.bolt, *document.key, *document.belt, *document.surface,
+        *document.reducer, *document.bolt, *document.washer, *document.key, *document.belt,
+        *document.surface,
     )  # fmt: skip
     for part in parts:
         where, own = f"{part.kind}[{part.called}]", found.setdefault(part.kind, {})

@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 from stiffopt.declaration import PART
 from stiffopt.drivetrain import catalogue
+from stiffopt.drivetrain.catalogue import with_own
 from stiffopt.errors import InputError, nearest
-from stiffopt.starter.writing import number, quoted, write_new
+from stiffopt.robot.own_catalogue import read_own_catalogue
+from stiffopt.starter.writing import beside, number, quoted, write_new
 
 
 def write_flange(
-    folder: Path, *, torque: float, size: str, grade: str, count: int, circle: float
+    folder: Path,
+    *,
+    torque: float,
+    size: str,
+    grade: str,
+    count: int,
+    circle: float,
+    axial_force: float = 0.0,
+    shear_force: float = 0.0,
+    tilting_moment: float = 0.0,
+    own: Path | None = None,
 ) -> list[Path]:
     """Write flange.urdf, flange_robot.toml and flange.toml into a folder.
 
@@ -26,7 +39,45 @@ def write_flange(
     count : int
     circle : float
         Diameter of the bolts' circle [m].
+    axial_force, shear_force : float
+        Along the axis of the circle and across it, magnitudes [N].
+    tilting_moment : float
+        About axes across that of the circle, magnitude [N m].
+    own : Path, optional
+        One's own catalogue file, whose bolts come first.
     """
+    beside_torque = {
+        "axial_force": axial_force,
+        "shear_force": shear_force,
+        "tilting_moment": tilting_moment,
+    }
+    for name, value in beside_torque.items():
+        if not value >= 0.0:
+            raise InputError(f"--{name.replace('_', '-')} is a magnitude, got {value:g}.")
+    with with_own({} if own is None else read_own_catalogue(own)):
+        texts = _texts(
+            torque=torque,
+            size=size,
+            grade=grade,
+            count=count,
+            circle=circle,
+            beside_torque=beside_torque,
+            catalogue_line="" if own is None else f"catalogue = {quoted(beside(own, folder))}\n",
+        )
+    return [write_new(folder / name, text) for name, text in texts.items()]
+
+
+def _texts(
+    *,
+    torque: float,
+    size: str,
+    grade: str,
+    count: int,
+    circle: float,
+    beside_torque: Mapping[str, float],
+    catalogue_line: str,
+) -> dict[str, str]:
+    """Text of each file by its name."""
     if size not in catalogue.bolt_sizes():
         raise InputError(f"--size: no bolt {size!r}. {nearest(size, catalogue.bolt_sizes())}")
     if grade not in catalogue.bolt_grades():
@@ -46,10 +97,18 @@ def write_flange(
         )
     if circle <= 4.0 * bolt:
         raise InputError(f"--circle: {circle:g} m is too small for {count} bolts {size}.")
-    inner, outer = circle / 2.0 - 1.5 * bolt, circle / 2.0 + 1.5 * bolt
-    texts = {
+    # As wide as the formulas for even pressure reach.
+    half = math.floor(min(15e3 * bolt, 7.4e3 * data.bearing_diameter)) / 1e4
+    inner, outer = circle / 2.0 - half, circle / 2.0 + half
+    loads = "\n".join(
+        f"{name} = [{number(value)}]{' ' * (17 - len(name))}# {_LOADS[name]}"
+        for name, value in beside_torque.items()
+        if value > 0.0
+    )
+    return {
         "flange.urdf": _URDF.format(torque=f"{torque:g}"),
         "flange_robot.toml": _ROBOT.format(
+            catalogue=catalogue_line,
             torque=number(torque),
             inner=number(inner),
             outer=number(outer),
@@ -60,11 +119,18 @@ def write_flange(
             # Somewhat below what the bolt bears: a study only needs where to start.
             preload=number(round(0.4 * catalogue.proof_stress(grade) * data.stress_area, -1)),
         ),
-        "flange.toml": _STUDY.format(torque=number(torque)),
+        "flange.toml": _STUDY.format(torque=number(torque), loads=loads or _NO_LOADS),
     }
-    return [write_new(folder / name, text) for name, text in texts.items()]
 
 
+_LOADS = {
+    "axial_force": "[N] along the axis, taken to pull",
+    "shear_force": "[N] across the axis",
+    "tilting_moment": "[N m] about axes across the flange's: bends it open on one side",
+}
+_NO_LOADS = "\n".join(
+    f"# {name} = [0.0]{' ' * (15 - len(name))}# {said}" for name, said in _LOADS.items()
+)
 _URDF = """<!-- Stands in for the machine: one joint that the flange is in. -->
 <robot name="flange">
 <link name="base"/>
@@ -79,7 +145,7 @@ schema = 1
 kind = "robot"
 name = "flange"
 urdf = "flange.urdf"
-
+{catalogue}
 [[joint]]
 name = "flange"
 torque_max = {torque}           # [N m] that has to be carried
@@ -88,8 +154,8 @@ torque_max = {torque}           # [N m] that has to be carried
 name = "flange"
 type = "bolted_flange"
 ratio = 1.0
-inner_radius = {inner}       # [m] of the ring that touches; estimated: 1.5 bolts inside
-outer_radius = {outer}       # and outside of the circle
+inner_radius = {inner}       # [m] of the ring that touches; estimated: as far inside
+outer_radius = {outer}       # as outside of the circle
 bolt = {{ size = {size}, grade = {grade}, count = {count}, circle_diameter = {circle} }}
 surface = "fine_steel"          # `stiffopt catalogue surfaces`; estimated
 friction = 0.15                 # of the faces; estimated
@@ -107,6 +173,7 @@ joints = [1]
 [[load_case]]
 name = "largest torque"
 torque = [{torque}]             # [N m], one entry a joint
+{loads}
 
 [tightening]
 method = "torque_wrench"        # or angle, yield

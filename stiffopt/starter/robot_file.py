@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -50,6 +51,11 @@ _LARGE = 350.0
 _SHOWN = 3
 # Links this far from the tool are another place [m]; so many of them are told.
 _AHEAD, _MOST_TIPS = 1e-3, 6
+# How links that tools are meant for are called.
+_TOOL = re.compile("tcp|tool|flange|effector", re.IGNORECASE)
+# Masses that torque limits change by less than this are as they were.
+_SAME_SCALE = 0.05
+_NO_REDUCER = "# No packaged reducer bears"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +151,7 @@ def robot_text(
         for j, each in enumerate(body_tree(arm.model).bodies):
             own = {p.quantity: p for p in doubted if p.joint == each.name}
             lines += ["", *_joint(arm, j, each, float(demands[j]), own)]
-    notes = [*_notes(arm, bodies, tool.link, doubted)]
+    notes = [*_notes(arm, bodies, tool.link, doubted, lines)]
     if tip is None:
         notes[1:1] = _farther_out(arm, tool)
     return StartedRobot(text="\n".join(lines) + "\n", notes=tuple(notes))
@@ -156,6 +162,7 @@ def _notes(
     bodies: Mapping[str, EstimatedBody],
     tool: str,
     doubted: Sequence[Placeholder],
+    lines: Sequence[str],
 ) -> Iterator[str]:
     """What was guessed or left out, a sentence each."""
     yield f"The arm: {', '.join(arm.joints)}; its tool is fixed to {tool}."
@@ -192,6 +199,12 @@ def _notes(
                 f"QUESTION: the {what} of {len(taken)} joints is a placeholder: {said}. Guessed"
                 f" values stand in the file, marked estimated: put those of the data sheet."
             )
+    bare = [line for line in lines if line.startswith(_NO_REDUCER)]
+    if bare:
+        yield (
+            f"RIGID: for {len(bare)} of the joints no packaged reducer bears the torque; give yours"
+            " in the file, or what yields there is left out."
+        )
     yield from questions(arm, _weights(arm), bodies)
 
 
@@ -204,10 +217,12 @@ def _farther_out(arm: LoadedUrdf, tool: LinkFrame) -> Iterator[str]:
     }
     ahead = sorted((way, name) for name, way in found.items() if way > _AHEAD)
     if ahead:
+        named = [name for _, name in ahead if _TOOL.search(name)]
+        best = named[-1] if named else ahead[0][1]
         listed_ = ", ".join(f"{name} ({1e3 * way:.0f} mm away)" for way, name in ahead[:_MOST_TIPS])
         yield (
             f"Fixed to {tool.link} are also {listed_}: for the tool there, name one,"
-            f" such as --tip {shlex.quote(ahead[0][1])}."
+            f" such as --tip {shlex.quote(best)}."
         )
 
 
@@ -233,7 +248,7 @@ def _how(body: EstimatedBody) -> str:
             "housings and rods from joint to joint, thick at the base, for want of any shape, at"
             f" {ROD_DENSITY:g} kg/m^3"
         )
-    if body.scale == 1.0:
+    if abs(body.scale - 1.0) < _SAME_SCALE:
         return said
     return f"{said}, times {body.scale:.2g} for what the torque limits can hold"
 
@@ -332,7 +347,7 @@ def _reducer(torque: float) -> Iterator[str]:
     yield ""
     if not fitting:
         yield (
-            f"# No packaged reducer bears {number(torque)} N m again and again. Give yours:"
+            f"{_NO_REDUCER} {number(torque)} N m again and again. Give yours:"
             " the joint is rigid until then."
         )
         yield "# [[joint.element]]"

@@ -12,6 +12,7 @@ from stiffopt.preload.problem import OBJECTIVES
 from stiffopt.report.common.citations import preload_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
 from stiffopt.report.common.robot import joint_units
+from stiffopt.report.preload.cautions import cautions
 from stiffopt.report.preload.curves_figure import curves_figure
 from stiffopt.report.preload.figures import (
     front_figure,
@@ -110,7 +111,8 @@ def _written(study: PreloadStudy, directory: str | Path) -> Path:
         "mark": EstimateMarks(problem).of,
         "changes": stiffness_changes(problem, solution),
         "posed": any(case.jacobian is not None for case in solution.cases),
-        "most_used": most_used(solution.rows),
+        "cautions": cautions(solution.rows),
+        "most_used": most_used([row for row in solution.rows if row.binding]),
         "matrix": utilisation_matrix(solution.rows),
         "loosened": loosened_connections(study.loosening),
         "worth": preload_worth(study.sensitivity),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, si, significant
+from stiffopt.report.preload.cautions import cautions
 from stiffopt.report.preload.words import (
     fasteners,
     headline,
@@ -42,6 +43,7 @@ def print_study(study: PreloadStudy, folder: Path) -> None:
             f"Catalogue: {study.choice.message}" if study.choice is not None else None,
             study.motion.note if study.motion is not None else None,
             *(f"Note: {note}" for note in solution.notes),
+            *(f"Warning: {each}" for each in cautions(solution.rows)),
             f"Report: {folder / 'report.html'}",
         )
     )
@@ -51,9 +53,9 @@ def _row(study: PreloadStudy, element: FreeElement) -> tuple[str, ...]:
     """One connection."""
     solution, key = study.solution, element.key
     preload, torque = solution.preloads[key], solution.tightening[key]
-    # What no preload changes is not used up by it.
+    # What no preload changes is not used up by it, nor is a warning.
     fixed = {limit.name for limit in element.limits if not limit.depends_on_preload}
-    own = [r for r in solution.rows if r.element == key and r.kind not in fixed]
+    own = [r for r in solution.rows if r.element == key and r.binding and r.kind not in fixed]
     used = max(own, key=lambda r: r.utilisation)
     return (
         readable(key),
