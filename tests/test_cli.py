@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from small_arms import ROOT, write_problem, write_robot
 
-from stiffopt.cli import run
+from stiffopt.cli import app, run
 from stiffopt.cli.base import default_folder
 from stiffopt.result.store import trajectory_columns
 
@@ -265,3 +266,37 @@ def test_entries_can_be_changed_on_every_command_that_reads_a_file(tmp_path, cap
     (tmp_path / "static.toml").write_text('schema = 1\nkind = "static"\n')
     assert run(["identify-stiffness", str(tmp_path), "--set", "nonsense"]) == 2
     assert "needs KEY=VALUE" in capsys.readouterr().err
+
+
+WRITE = [
+    *("solve", "preload", "stiffness", "diagnose", "identify-stiffness", "export", "simulate"),
+    *("modes", "sweep", "init robot", "init problem", "init recording", "init flange"),
+]
+HAVE_A_PAGE = [
+    *("solve", "preload", "stiffness", "diagnose", "identify-stiffness", "simulate", "sweep"),
+]
+
+
+@pytest.mark.parametrize("command", WRITE)
+def test_every_command_that_writes_has_the_short_form_of_out(command, capsys):
+    assert run([*command.split(), "--help"]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"--out -o", said)
+    assert ("--open" in said) == (command in HAVE_A_PAGE)
+
+
+def test_the_short_form_of_out_is_the_long_one(tmp_path, capsys):
+    robot = str(ROOT / "problems" / "two_link_robot.toml")
+    assert run(["stiffness", robot, "-o", str(tmp_path / "s")]) == 0
+    assert run(["init", "problem", robot, "-o", str(tmp_path / "first.toml")]) == 0
+    assert (tmp_path / "s" / "stiffness.csv").is_file()
+    assert (tmp_path / "first.toml").is_file()
+    assert run(["init", "problem", robot, "-o", str(tmp_path / "x.toml"), "--set", "a=1"]) == 2
+    assert "the command that reads it takes --set" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_of_shells_knows_commands_and_options(shell):
+    text = app.generate_completion(shell=shell)
+    for word in ("identify-stiffness", "recording", "open", "set", "quiet"):
+        assert word in text

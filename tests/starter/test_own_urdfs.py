@@ -16,8 +16,11 @@ from stiffopt.cli import run
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
 from stiffopt.errors import InputError, NotSimulatedError, ProblemError, RobotError
+from stiffopt.problem.clear_poses import check_clear_poses
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.resolve import resolve
+from stiffopt.robot.cell import Cell
+from stiffopt.robot.clearance import ClearanceModel
 from stiffopt.robot.estimated_masses import estimated_bodies, fitted_to_torques
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.frames import link_frame
@@ -460,3 +463,59 @@ def test_a_tool_behind_a_held_joint_is_not_too_far_out(tmp_path):
     assert run(["init", "robot", str(urdf), "--tip", "link3"]) == 0
     assert run(["init", "problem", str(tmp_path / "arm_robot.toml")]) == 0
     resolve(load_problem(tmp_path / "arm_first.toml").problem)
+
+
+BAR = '<collision><origin xyz="0 0 0.3"/><geometry><box size="0.1 0.1 0.6"/></geometry></collision>'
+
+
+def folded(folder, effort=80.0, velocity=2.0):
+    """Three links with shapes; about the middle of its range the third lies on the first."""
+    body = MASS.replace("</inertial>", "</inertial>" + BAR)
+    limits = {"b": (-0.3, 0.3), "c": (1.3, 4.9), "a": (-2.0, 2.0)}
+    parts, parent = "", "base"
+    for name, axis in (("a", "0 0 1"), ("b", "0 1 0"), ("c", "0 1 0")):
+        low, high = limits[name]
+        inside = f'<limit lower="{low}" upper="{high}" effort="{effort}" velocity="{velocity}"/>'
+        one = joint(name, parent, f"link_{name}", inside, axis=axis, origin="0 0 0.4")
+        parts, parent = parts + one.replace(MASS, body), f"link_{name}"
+    return written(folder, parts)
+
+
+def test_a_first_problem_keeps_links_from_each_other(tmp_path, capsys):
+    urdf = folded(tmp_path)
+    arm = load_robot(urdf)
+    shapes = ClearanceModel(arm, Cell())
+    middle = 0.5 * (arm.position_lower + arm.position_upper)
+    assert shapes.distances(middle).min() < 0.0
+    assert run(["init", "problem", str(urdf), "-o", str(tmp_path / "p.toml")]) == 0
+    problem = load_problem(tmp_path / "p.toml").problem
+    motion = resolve(problem)
+    check_clear_poses(problem, motion)
+    for share in (0.0, 0.3, 0.7, 1.0):
+        pose = motion.start + share * (motion.end - motion.start)
+        assert shapes.distances(pose).min() > 0.0
+
+
+def test_a_first_problem_leaves_weak_drives_their_time(tmp_path):
+    """Their torque, not speed or acceleration, decides how long the motion takes."""
+    durations = []
+    for effort in (200.0, 7.0):
+        folder = tmp_path / f"{effort:g}"
+        folder.mkdir()
+        urdf = folded(folder, effort, 20.0)
+        assert run(["init", "problem", str(urdf), "-o", str(folder / "p.toml")]) == 0
+        problem = load_problem(folder / "p.toml").problem
+        durations.append(problem.duration[1])
+        motion = resolve(problem)
+        s = np.linspace(0.0, 1.0, 101)
+        law = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        way = motion.end - motion.start
+        q = motion.start + law[:, None] * way
+        rate = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / durations[-1] ** 2
+        speed = 30.0 * s**2 * (1.0 - s) ** 2 / durations[-1]
+        bodies = problem.robot.rigid_bodies()
+        most = max(
+            np.abs(bodies.torque(q[k], speed[k] * way, rate[k] * way)).max() for k in range(101)
+        )
+        assert most < 0.85 * effort
+    assert durations[1] > durations[0]
