@@ -104,7 +104,8 @@ def _poses(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     raise RobotError(
         f"{robot.name}: in none of {_TRIES} poses do its drives hold its weight:"
         f" {robot.joint_names[least_joint]} has {robot.torque_max[least_joint]:g} N m and needs"
-        f" {needed:.3g} at least, and room to move. Correct torque_max of the robot file, or its masses."
+        f" {needed:.3g} at least, and room to move. Correct torque_max of the robot file, or its"
+        " masses."
     )
 
 
