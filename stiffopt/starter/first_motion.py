@@ -58,7 +58,7 @@ def first_motion(robot: Robot) -> FirstMotion:
 
 def _between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Poses along the straight way (_PLACES, n)."""
-    return start + np.linspace(0.0, 1.0, _PLACES)[:, None] * (end - start)
+    return np.asarray(start + np.linspace(0.0, 1.0, _PLACES)[:, None] * (end - start))
 
 
 def _poses(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
