@@ -98,9 +98,9 @@ def most_used(rows: Sequence[UtilisationRow]) -> list[UtilisationRow]:
     """Requirements to look at first, most used first.
 
     The worst load case of each kind and owner; where these are too many, the worst owner of each
-    kind.
+    kind. Warnings stop no design: `cautions` has those that are exceeded.
     """
-    shown = _by_owner(rows)
+    shown = _by_owner(row for row in rows if row.binding)
     if len(shown) > _SHOWN_ROWS:
         shown = list(_worst(rows, lambda row: row.kind, _used).values())
     return sorted(shown, key=lambda row: -row.utilisation)
