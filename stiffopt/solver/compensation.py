@@ -212,7 +212,12 @@ class _Compensator:
         shape = (len(commands), len(arms))
         flight = swings.peak.reshape(shape).max(axis=1)
         after = swings.peak_after.reshape(shape).max(axis=1)
-        lead, share = tried[int(np.argmin(flight + after))]
+        best = [tried[k] for k in np.argsort(flight + after, kind="stable")]
+        # The coarse grid may step over what lasts less than its step, such as the jerk at an end.
+        lead, share = next(
+            (each for each in best if self._beyond_plan(each[0].command(each[1])) <= CERTIFIED),
+            best[0],
+        )
         return lead, share, signs
 
     def _leads(self) -> list[_Lead]:
@@ -227,7 +232,7 @@ class _Compensator:
                 link,
                 widened(
                     functools.partial(self._law.motion, link),
-                    self._beyond_plan,
+                    functools.partial(self._beyond_plan, points=_COARSE),
                     smoothing,
                     CERTIFIED,
                 ),
@@ -264,11 +269,11 @@ class _Compensator:
 
     def _within(self, motors: Trajectory) -> bool:
         """Whether the limits that the plan keeps are kept; some no method of its kind can take."""
-        return self._beyond_plan(motors) <= CERTIFIED
+        return self._beyond_plan(motors, _COARSE) <= CERTIFIED
 
-    def _beyond_plan(self, motors: Trajectory) -> float:
+    def _beyond_plan(self, motors: Trajectory, points: int | None = None) -> float:
         """Largest excess of limits that the plan keeps."""
-        excess = self._excess(motors, _COARSE)
+        excess = self._excess(motors, points)
         kept = [each.value for each in excess if each.limit not in self._motion.exceeded]
         return max(kept, default=0.0)
 
