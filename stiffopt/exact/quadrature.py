@@ -129,16 +129,12 @@ def antiderivative(
         right = np.column_stack((middle[open_], pending[open_, 1]))
         pending = np.vstack((left, right))
     done.sort(key=lambda panel: panel[0])
+    series = np.array([slopes * half_width for _, half_width, slopes, _ in done])
+    ends = np.cumsum(2.0 * series[:, 0])
+    known = np.isfinite(ends)
     integrals = np.zeros((len(done), _ORDER + 1))
-    start = 0.0
-    for k, (_, half_width, slopes, _) in enumerate(done):
-        series = slopes * half_width
-        if np.isfinite(start) and np.isfinite(series[0]):
-            integrals[k] = legendre.legint(series, lbnd=-1)
-            integrals[k, 0] += start
-            start += 2.0 * series[0]
-        else:
-            integrals[k, 0] = start = np.inf
+    integrals[known] = legendre.legint(series[known], lbnd=-1, axis=1)
+    integrals[:, 0] += np.where(known, np.concatenate([[0.0], ends[:-1]]), np.inf)
     return Antiderivative(
         edges=np.array([panel[0] for panel in done] + [upper]),
         coefficients=integrals,

@@ -106,16 +106,14 @@ def _tilt(model: PreloadModel, preloads: np.ndarray, index: int) -> tuple[float,
 def _compliances(
     model: PreloadModel, joint: int, preloads: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    torques = np.array([case.torque[joint - 1] for case in model.cases])
-    smooth = [float(model.compliance(preloads, joint, case)) for case in model.cases]
-    return np.array(smooth), model.exact_compliance(preloads, joint, torques)
+    smooth = np.asarray(model.compliances(preloads, joint))
+    return smooth, model.exact_compliance(preloads, joint, model.torques(joint)[0])
 
 
 def _windups(
     model: PreloadModel, joint: int, preloads: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    smooth = [float(model.net_windup(preloads, joint, case)) for case in model.cases]
-    return np.array(smooth), model.net_windups(preloads, joint)
+    return np.asarray(model.windups(preloads, joint)), model.net_windups(preloads, joint)
 
 
 def _linear(

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 
 from stiffopt.connection import BoltedFlange, ClampingPins, Connection
@@ -27,7 +28,7 @@ from stiffopt.preload.flange_loads import slip_safety, verification
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.problem import FreeElement, PreloadProblem
 from stiffopt.preload.tilted_tool import tilt_vector, tilted_tool, tilts
-from stiffopt.symbolic import Quantity
+from stiffopt.symbolic import Quantity, is_symbolic
 
 
 @dataclass(frozen=True)
@@ -141,26 +142,35 @@ class PreloadModel:
         rows = vdi_rows(steps, largest, shift, least)
         return tuple(replace(row, joint=element.joint, element=element.key) for row in rows)
 
-    # ---- smooth law: arrays, SX, MX
+    def torques(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
+        """Torques of a joint in the load cases and their references (cases,) each [N m]."""
+        loads, references = zip(
+            *(
+                (case.torque[joint - 1], 0.0)
+                if case.reference_torque is None
+                else (case.torque[joint - 1], case.reference_torque[joint - 1])
+                for case in self.cases
+            ),
+            strict=True,
+        )
+        return np.array(loads), np.array(references)
 
-    def compliance(self, preloads: Quantity, joint: int, case: LoadCase) -> Quantity:
-        """Tangent compliance of the elements that the study changes [rad/(N m)]."""
-        torque = float(case.torque[joint - 1])
+    # ---- smooth law: arrays or, for symbolic preloads, SX
+
+    def compliances(self, preloads: Quantity, joint: int) -> Quantity:
+        """Tangent compliances of what the study changes, of all load cases [rad/(N m)]."""
         least = self._least(preloads, joint)
-        return self._joints[joint].varying.tangent_compliance(torque, preloads=least)
+        torques = _like(preloads, self.torques(joint)[0])
+        return self._joints[joint].varying.tangent_compliance(torques, preloads=least)
 
-    def windup(self, preloads: Quantity, joint: int, torque: float) -> Quantity:
-        """Wind-up of the elements that the study changes [rad]."""
+    def windups(self, preloads: Quantity, joint: int) -> Quantity:
+        """Wind-ups of what the study changes beyond those of the reference torques [rad]."""
         least = self._least(preloads, joint)
-        return self._joints[joint].varying.windup(torque, preloads=least)
-
-    def net_windup(self, preloads: Quantity, joint: int, case: LoadCase) -> Quantity:
-        """`windup` beyond that of the load case's reference torque [rad]."""
-        angle = self.windup(preloads, joint, float(case.torque[joint - 1]))
-        if case.reference_torque is not None:
-            reference = float(case.reference_torque[joint - 1])
-            angle = angle - self.windup(preloads, joint, reference)
-        return angle
+        loaded, unloaded = (
+            self._joints[joint].varying.windup(_like(preloads, torques), preloads=least)
+            for torques in self.torques(joint)
+        )
+        return loaded - unloaded
 
     def slip_torque(self, preloads: Quantity, index: int) -> Quantity:
         """Joint torque at which an element slips [N m]; linear in its preloads."""
@@ -295,14 +305,7 @@ class PreloadModel:
 
     def net_windups(self, preloads: np.ndarray, joint: int) -> np.ndarray:
         """Exact wind-up of a joint beyond that of the reference torque (cases,) [rad]."""
-        torques = np.array([case.torque[joint - 1] for case in self.cases])
-        references = np.array(
-            [
-                0.0 if case.reference_torque is None else case.reference_torque[joint - 1]
-                for case in self.cases
-            ]
-        )
-        angles = self.exact_windup(preloads, joint, np.concatenate([torques, references]))
+        angles = self.exact_windup(preloads, joint, np.concatenate(self.torques(joint)))
         loaded, unloaded = np.split(angles, 2)
         slips = np.isinf(loaded) | np.isinf(unloaded)
         return np.asarray(np.where(slips, np.inf, loaded - np.where(slips, 0.0, unloaded)))
@@ -380,6 +383,11 @@ def preload_of(element: FreeElement) -> float:
     assert fastened.preload is not None
     net = isinstance(fastened, BoltedFlange) and fastened.preload_is == "net"
     return float(element.largest(fastened.preload) if net else fastened.preload)
+
+
+def _like(preloads: Quantity, torques: np.ndarray) -> Quantity:
+    """Torques as what the preloads are: arrays, or constants of SX."""
+    return ca.SX(torques) if is_symbolic(preloads) else torques
 
 
 def _one_fastener(element: Connection) -> Connection:

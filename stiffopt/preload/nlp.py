@@ -216,11 +216,12 @@ class PreloadNlp:
         """Tangent compliance of a joint in every load case."""
         if joint not in self._built:
             row = self.joints.index(joint)
+            smooth = self.model.compliances(self._preloads, joint)
             self._built[joint] = [
-                self.model.compliance(self._preloads, joint, case)
+                smooth[k]
                 + self._rest_compliance[row, k]
                 + self._times_own(self._compliance_slope, joint, k)
-                for k, case in enumerate(self.model.cases)
+                for k in range(len(self.model.cases))
             ]
         return self._built[joint]
 
@@ -236,6 +237,7 @@ class PreloadNlp:
     def _squared_deflections(self) -> list[tuple[str, Quantity]]:
         """Square of the tool's deflection in every load case with a pose [m^2]."""
         found = []
+        smooth = {joint: self.model.windups(self._preloads, joint) for joint in self.joints}
         for k, case in enumerate(self.model.cases):
             if case.jacobian is None:
                 continue
@@ -243,7 +245,7 @@ class PreloadNlp:
             for j in range(self.n):
                 angle = self._rest_windup[j, k]
                 if j + 1 in self.joints:
-                    angle = angle + self.model.net_windup(self._preloads, j + 1, case)
+                    angle = angle + smooth[j + 1][k]
                     angle = angle + self._times_own(self._windup_slope, j + 1, k)
                 angles.append(angle)
             vector = ca.mtimes(ca.DM(case.jacobian), ca.vertcat(*angles)) + self._turned(k)

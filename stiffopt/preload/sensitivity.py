@@ -153,7 +153,7 @@ def compliance_slopes(model: PreloadModel, preloads: np.ndarray) -> np.ndarray:
     """
     symbol = ca.SX.sym("preload", model.size)
     joints = model.problem.joints
-    values = [model.compliance(symbol, joint, case) for joint in joints for case in model.cases]
+    values = [model.compliances(symbol, joint) for joint in joints]
     slope = ca.jacobian(ca.vertcat(*values), symbol)
     function = ca.Function("slopes", [symbol], [ca.densify(slope)])
     return np.asarray(function(preloads)).reshape(len(joints), len(model.cases), model.size)

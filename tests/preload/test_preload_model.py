@@ -68,10 +68,10 @@ def test_smooth_law_follows_the_exact_one(joint, name):
         preloads = np.array([share * ceiling])
         at = np.array([torque])
         exact = model.exact_compliance(preloads, joint, at) - model.rest_compliance(joint, at)
-        smooth = model.compliance(preloads, joint, model.cases[0])
+        smooth = model.compliances(preloads, joint)[0]
         assert smooth == pytest.approx(float(exact[0]), rel=0.02)
         angle = model.exact_windup(preloads, joint, at) - model.rest_windup(joint, at)
-        assert model.windup(preloads, joint, torque) == pytest.approx(float(angle[0]), rel=0.02)
+        assert model.windups(preloads, joint)[0] == pytest.approx(float(angle[0]), rel=0.02)
 
 
 def test_drivetrain_holds_the_least_preloads_from_motor_to_link():
@@ -200,9 +200,7 @@ def test_rows_of_the_programme_are_exact_where_the_law_was_shifted():
 def test_stiffness_slopes_of_the_smooth_law_agree_with_differences_of_the_exact_one():
     model = PreloadModel(study(case(j2=50.0)))
     symbol = ca.SX.sym("f", 2)
-    slope = ca.Function(
-        "slope", [symbol], [ca.jacobian(model.compliance(symbol, 2, model.cases[0]), symbol)]
-    )
+    slope = ca.Function("slope", [symbol], [ca.jacobian(model.compliances(symbol, 2), symbol)])
     preloads = 0.9 * model.spread([e.capacity for e in model.elements])
     found = np.asarray(slope(preloads)).ravel()
     for column, step in enumerate(1e-4 * preloads):
@@ -231,8 +229,8 @@ def test_sectors_of_equal_preload_sum_to_the_ring(joint):
     assert single.exact_windup(apart, joint, torques) == pytest.approx(
         equal.exact_windup(together, joint, torques), rel=1e-8
     )
-    assert single.compliance(apart, joint, cases[0]) == pytest.approx(
-        equal.compliance(together, joint, cases[0]), rel=1e-6
+    assert single.compliances(apart, joint) == pytest.approx(
+        equal.compliances(together, joint), rel=1e-6
     )
     for index in range(len(shares)):
         assert single.slip_torque(apart, index) == pytest.approx(
