@@ -163,8 +163,9 @@ def _rigid(diagnosis: Diagnosis) -> dict[str, Any] | None:
     if rigid is None:
         return None
     return {
-        "reidentified": bool(rigid.width),
-        "width": rigid.width,
+        "reidentified": bool(rigid.widths),
+        "width": max(rigid.widths, default=0.0),
+        "widths": list(rigid.widths),
         "gain": rigid.gain,
         "single": None if rigid.single is None else rigid.single.located.label,
     }

@@ -8,7 +8,7 @@ in whole runs where there are several, else in stretches.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -207,6 +207,27 @@ def _columns(
     owner = np.repeat(np.arange(-1, len(effects)), [len(sd), *(part.shape[1] for part in parts)])
     prior = np.concatenate([sd, np.ones(len(owner) - len(sd))])
     return np.column_stack([nuisance, *parts]), prior, owner
+
+
+class LeftOut:
+    """What fits of nominal values and effects leave of parts that they did not look at.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        With the noise by which it is judged.
+    effects : sequence of LocatedEffect
+    """
+
+    def __init__(self, comparison: Comparison, effects: Sequence[LocatedEffect]) -> None:
+        columns, prior, _ = _columns(comparison, effects)
+        self._sums = _sums(comparison, columns, prior, _folds(comparison))
+
+    def squares(self, first: np.ndarray) -> float:
+        """Sum of squares over noise, with other deviations of the first nominal values (k,)."""
+        prior = np.concatenate([first, self._sums.prior[len(first) :]])
+        sums = replace(self._sums, prior=prior)
+        return float(sums.errors(np.arange(len(prior))).sum())
 
 
 class _Left:

@@ -152,7 +152,7 @@ def _part_words(diagnosis: Diagnosis, part: Part) -> str:
 def _masses(diagnosis: Diagnosis, effects: Sequence[LocatedEffect]) -> str:
     found = [f"{e.effect.title} ({place(diagnosis, e)})" for e in effects]
     rigid = diagnosis.search.rigid
-    if rigid is not None and rigid.width:
+    if rigid is not None and rigid.widths:
         found.append("rigid model re-identified")
     elif not found:
         return "nominal values within their tolerances"

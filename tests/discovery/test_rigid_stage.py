@@ -1,0 +1,61 @@
+"""The rigid model re-identified: each body as far as recordings left out bear it out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison.bodies import body_units
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.search.rigid import OF_A_BODY, WIDTHS, rigid_stage
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import Training, train
+from stiffopt.recording.recording_set import load_recordings
+
+SET = Path(__file__).parents[2] / "problems" / "recordings" / "two_link_friction"
+THERE = LocatedEffect(effect=effect("coulomb"), joint=1)
+
+
+@pytest.fixture(scope="module")
+def training() -> Training:
+    return train(load_recordings(SET), Settings(), swinging=False)
+
+
+def _balanced(training: Training) -> Comparison:
+    """Gas in a cylinder on a crank holds the first joint: no mass of any link."""
+
+    def held(run: PreparedRun) -> PreparedRun:
+        angle = run.signals.link_position[:, 0] + 0.5
+        length = np.sqrt(1.09 - 0.6 * np.cos(angle))
+        added = np.zeros_like(run.torque)
+        added[:, 0] = 60.0 * (1.2 / (1.9 - length)) ** 1.3 * 0.3 * np.sin(angle) / length
+        nothing = np.zeros_like(run.deflection_used)
+        return replace(run, torque=run.torque + added, deflection_used=nothing)
+
+    return replace(training, runs=tuple(map(held, training.runs))).comparison()
+
+
+def test_a_body_that_must_go_far_takes_no_other_along(training: Training) -> None:
+    """The link that the cylinder holds takes its torque up; the other stays where it is known."""
+    comparison = _balanced(training)
+    stage = rigid_stage(comparison, [THERE], ())
+    assert stage.single is None
+    assert stage.widths[0] in WIDTHS[-2:]
+    assert stage.widths[1] in OF_A_BODY[:2]
+    free = stage.bodies(comparison)
+    assert free is not None
+    together = WIDTHS[-1] / np.array(stage.widths)[:, None] * free
+    assert _moved(comparison, free) < 0.2 * _moved(comparison, together)
+
+
+def _moved(comparison: Comparison, bodies: np.ndarray) -> float:
+    """How far a fit moves the second body, over its typical sizes."""
+    fit = comparison.with_bodies(bodies).fit([THERE])
+    own = fit.posterior.mean[: bodies.size].reshape(bodies.shape)[1]
+    return float(np.linalg.norm(own / body_units(comparison.robot)[1]))
