@@ -487,8 +487,10 @@ def _next_experiment(
     Of a value that the nominal model does not give nobody doubts that it is there.
     """
     if unexplained is not None and shares and not unexplained.brief:
-        found = [each.share for each in shares if each.part and each.part.kind == "finding"]
-        if shares[-1].share > max(found, default=0.0):
+        kind, _, _ = unexplained.channels[0].rpartition("_")
+        own = [each for each in shares if each.measured == kind]
+        found = [each.share for each in own if each.part and each.part.kind == "finding"]
+        if own and own[-1].share > max(found, default=0.0):
             return " ".join([next_recording(unexplained), *([plan.sentence] if plan else [])])
     if plan is not None:
         return plan.sentence

@@ -174,7 +174,8 @@ class Diagnosis(Shown):
     held_out : tuple of RunProof
         Test and extrapolation runs with their predictions before and after.
     shares : tuple of Share
-        What the mismatch is made of on held-out runs, the largest first, what is open last.
+        What the mismatch of torques, then that of link encoders is made of on held-out runs: the
+        largest first, what is open last.
     rod : MeasuringRod or None
         What is explained of what a black box could explain, where nobody vouches for the model.
     not_carried_over : tuple of NotCarriedOver

@@ -153,6 +153,7 @@ def _share(share: Share) -> dict[str, Any]:
         "joints": []
         if part is None
         else sorted({e.joint + 1 for e in part.effects if e.joint is not None}),
+        "measured": share.measured,
         "share": share.share,
     }
 

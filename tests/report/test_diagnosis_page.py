@@ -8,10 +8,12 @@ import pytest
 from page_reader import Page
 
 from stiffopt.discovery.diagnosis import Rival
+from stiffopt.discovery.judging.shares import Share
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.recording.run import Fault
 from stiffopt.report.common.text import pm, significant
 from stiffopt.report.diagnosis.held_out import trace, worst_windows
+from stiffopt.report.diagnosis.mismatch import mismatches
 from stiffopt.report.diagnosis.page import write_diagnosis_report
 from stiffopt.report.diagnosis.residuals import (
     binned,
@@ -196,6 +198,36 @@ def test_rivals_are_ranked(friction, tmp_path):
     assert [row[2:4] for row in rivals] == [["joint 1", "60 %"], ["joint 2", "40 %"]]
     assert "40 % sure" in page.text
     assert "Coulomb friction of joint 1" in page.text
+
+
+def test_torques_and_encoders_are_shared_out_each_for_themselves(friction, tmp_path, capsys):
+    part = next(each.part for each in friction.shares if each.part is not None)
+    shares = tuple(
+        Share(part=own, measured=measured, share=share)
+        for measured, own, share in (
+            ("torque", part, 0.992),
+            ("torque", None, 0.008),
+            ("link_position", part, -0.25),
+            ("link_position", None, 1.25),
+        )
+    )
+    mixed = replace(friction, shares=shares)
+    torques, encoders = [each.sentence for each in mismatches(mixed)]
+    assert torques == (
+        "Of the mismatch of the torques on runs left out: 99 % Coulomb friction (joint 2), "
+        "0.8 % open."
+    )
+    assert encoders == (
+        "Of the mismatch of the link encoders on runs left out: 125 % open. There it is made worse:"
+        " Coulomb friction (joint 2) by 25 %."
+    )
+    print_diagnosis(mixed, tmp_path)
+    shown, page = " ".join(capsys.readouterr().out.split()), page_of(mixed, tmp_path).text
+    for sentence in (torques, encoders):
+        assert sentence in shown
+        assert sentence in page
+    (only,) = mismatches(replace(friction, shares=shares[:2]))
+    assert only.sentence.startswith("Of the mismatch on runs left out: ")
 
 
 def test_values_without_a_nominal_one_are_no_surprise(friction):

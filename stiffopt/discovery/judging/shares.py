@@ -1,14 +1,14 @@
 """What the mismatch is made of: how much each part of the answer takes away on runs left out.
 
-The mismatch is the squares over the sensors' noise that the nominal model leaves above it, all
-channels together, as in the residuals over noise that an answer states. Parts are taken in the
-order of what they take away beside those before them, so that shares add up to one with what stays
-open.
+The mismatch is the squares over the sensors' noise that the nominal model leaves above it, torques
+and link encoders each for themselves: an encoder's noise is so small that its offset would hide all
+else. Parts are taken in the order of what they take away beside those before them, so that shares
+add up to one with what stays open.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -18,6 +18,9 @@ from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.proof.proof import RunProof, used_samples
+
+# Mean square above the noise, over its variance, of a residual of twice the noise.
+_CLEAR = 3.0
 
 Kind = Literal["unstated", "nominal", "usual", "finding"]
 
@@ -57,12 +60,15 @@ class Share:
     ----------
     part : Part or None
         None for what stays open.
+    measured : str
+        "torque" or "link_position".
     share : float
-        Of the squares above noise that the nominal model leaves on runs left out; below zero where
-        it does harm there.
+        Of the squares above noise that the nominal model leaves there on runs left out; below zero
+        where it does harm.
     """
 
     part: Part | None
+    measured: str
     share: float
 
 
@@ -101,9 +107,9 @@ class Shares:
 
     def __init__(self, parts: Sequence[Part]) -> None:
         self._parts = tuple(parts)
-        # Products of what stays open and of what each part takes away, over the noise's variance.
-        self._gram = np.zeros((len(parts) + 1, len(parts) + 1))
-        self._samples = 0
+        # By what is measured: products of what stays open and of what each part takes away, over
+        # the noise's variance, and the number of samples.
+        self._sums: dict[str, tuple[np.ndarray, int]] = {}
 
     def add(
         self,
@@ -116,37 +122,45 @@ class Shares:
         without = [predictor.predict(*start, part.left_out_of(found)) for part in self._parts]
         run = predictor.run
         judged = {(each.kind, each.joint): each for each in proof.channels}
-        gram, samples = self._gram.copy(), self._samples
+        sums, none = dict(self._sums), np.zeros((len(self._parts) + 1, len(self._parts) + 1))
         for kind, joint, used in used_samples(run, predictor.velocity):
             if used is None or (kind, joint) not in judged:
                 continue
             channel = judged[kind, joint]
-            samples += channel.samples
             places = np.searchsorted(run.stamps, run.time)[used]
             own = getattr(proof.after, kind)[places, joint]
             left = getattr(run, kind)[used, joint] - own
             added = [own - getattr(each, kind)[places, joint] for each in without]
             columns = np.column_stack([left, *added]) / channel.noise
-            gram += columns.T @ columns
+            gram, samples = sums.get(kind, (none, 0))
+            sums[kind] = gram + columns.T @ columns, samples + channel.samples
         # The whole run or, where an interruption comes before, none of it.
-        self._gram, self._samples = gram, samples
+        self._sums = sums
 
     def found(self) -> tuple[Share, ...]:
-        """Shares in the order of what they take away, what is open last; may be none."""
-        mismatch = float(self._gram.sum()) - self._samples
-        if mismatch <= 0.0:
-            return ()
+        """Shares by what is measured, in the order of what they take away, then what is open.
+
+        Of what the nominal model leaves within twice its noise only if that is the largest.
+        """
+        above = {kind: float(gram.sum()) - n for kind, (gram, n) in self._sums.items()}
+        clear = [kind for kind, (_, n) in self._sums.items() if above[kind] > _CLEAR * n]
+        largest = max(above, key=above.__getitem__, default=None)
+        chosen = clear or [kind for kind in above if kind == largest and above[kind] > 0.0]
+        return tuple(share for kind in chosen for share in self._found(kind, above[kind]))
+
+    def _found(self, measured: str, mismatch: float) -> Iterator[Share]:
+        gram, samples = self._sums[measured]
 
         def open_with(out: set[int]) -> float:
             """Share of the mismatch that is open with all parts but these."""
             kept = [0, *(k + 1 for k in sorted(out))]
-            return (float(self._gram[np.ix_(kept, kept)].sum()) - self._samples) / mismatch
+            return (float(gram[np.ix_(kept, kept)].sum()) - samples) / mismatch
 
-        out, now, shares = set(range(len(self._parts))), 1.0, []
+        out, now = set(range(len(self._parts))), 1.0
         while out:
             left = {k: open_with(out - {k}) for k in out}
             best = min(left, key=left.__getitem__)
-            shares.append(Share(part=self._parts[best], share=now - left[best]))
+            yield Share(part=self._parts[best], measured=measured, share=now - left[best])
             out.remove(best)
             now = left[best]
-        return (*shares, Share(part=None, share=now))
+        yield Share(part=None, measured=measured, share=now)

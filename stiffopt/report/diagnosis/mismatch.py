@@ -24,6 +24,22 @@ if TYPE_CHECKING:
 
 # Shares below are not told apart from nothing.
 _LEAST = 0.005
+_MEASURED = {"torque": "the torques", "link_position": "the link encoders"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mismatch:
+    """What one kind of channel's mismatch on runs left out is made of.
+
+    Parameters
+    ----------
+    sentence : str
+    pieces : list of NamedShare
+        The largest first and what is open last.
+    """
+
+    sentence: str
+    pieces: list[NamedShare]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,26 +75,37 @@ class UnstatedRow:
     explains: str
 
 
-def named_shares(diagnosis: Diagnosis) -> list[NamedShare]:
-    """Pieces of the mismatch, the largest first and what is open last."""
-    return [
-        NamedShare(
-            words="open" if each.part is None else _part_words(diagnosis, each.part),
-            share=each.share,
-            open=each.part is None,
-        )
-        for each in diagnosis.shares
-        if each.part is None or abs(each.share) >= _LEAST
-    ]
+def mismatches(diagnosis: Diagnosis) -> list[Mismatch]:
+    """Of torques and link encoders, in words; none without runs left out or findings."""
+    if not diagnosis.findings:
+        return []
+    kinds = list(dict.fromkeys(each.measured for each in diagnosis.shares))
+    found = []
+    for kind in kinds:
+        pieces = [
+            NamedShare(
+                words="open" if each.part is None else _part_words(diagnosis, each.part),
+                share=each.share,
+                open=each.part is None,
+            )
+            for each in diagnosis.shares
+            if each.measured == kind and (each.part is None or abs(each.share) >= _LEAST)
+        ]
+        of = f" of {_MEASURED[kind]}" if len(kinds) > 1 else ""
+        found.append(Mismatch(sentence=_sentence(of, pieces), pieces=pieces))
+    return found
 
 
-def mismatch_sentence(diagnosis: Diagnosis) -> str:
-    """What the mismatch on runs left out is made of; "" without such runs."""
-    shares = named_shares(diagnosis)
-    if not shares or not diagnosis.findings:
-        return ""
-    parts = ", ".join(f"{100 * each.share:.0f} % {each.words}" for each in shares)
-    return f"Of the mismatch on runs left out: {parts}."
+def _sentence(of: str, pieces: Sequence[NamedShare]) -> str:
+    helps = ", ".join(f"{_percent(p.share)} {p.words}" for p in pieces if p.share >= 0.0)
+    harms = listed(f"{p.words} by {_percent(-p.share)}" for p in pieces if p.share < 0.0)
+    text = f"Of the mismatch{of} on runs left out: {helps or 'nothing is explained'}."
+    return f"{text} There it is made worse: {harms}." if harms else text
+
+
+def _percent(share: float) -> str:
+    size = 100.0 * share
+    return f"{size:.0f} %" if size >= 1.0 or size == 0.0 else f"{size:.1g} %"
 
 
 def rod_sentence(diagnosis: Diagnosis) -> str:

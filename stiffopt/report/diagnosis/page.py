@@ -25,8 +25,7 @@ from stiffopt.report.diagnosis.figures import (
 from stiffopt.report.diagnosis.held_out import Trace, overlay_figure, trace, worst_windows
 from stiffopt.report.diagnosis.mismatch import (
     carried_over_sentences,
-    mismatch_sentence,
-    named_shares,
+    mismatches,
     rod_sentence,
     unstated_rows,
 )
@@ -113,8 +112,7 @@ def write_diagnosis_report(
         "verdict": verdict_words(diagnosis),
         "proof": proof_sentence(diagnosis),
         "unexplained": unexplained_sentence(diagnosis),
-        "mismatch": mismatch_sentence(diagnosis),
-        "shares": named_shares(diagnosis),
+        "mismatches": mismatches(diagnosis),
         "rod": rod_sentence(diagnosis),
         "carried_over": carried_over_sentences(diagnosis),
         "new": new,

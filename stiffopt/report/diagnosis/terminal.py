@@ -9,7 +9,7 @@ from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, pm, significant
 from stiffopt.report.diagnosis.mismatch import (
     carried_over_sentences,
-    mismatch_sentence,
+    mismatches,
     rod_sentence,
     unstated_rows,
 )
@@ -43,11 +43,9 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     label = diagnosis.verdict
     part = label == "named" and stays_open(diagnosis)
     print_lines([f"{'named in part' if part else label}: {_verdict(diagnosis)}"])
-    sentence = mismatch_sentence(diagnosis)
-    more = [
-        *clipped_words(diagnosis), rod_sentence(diagnosis), *carried_over_sentences(diagnosis)
-    ]  # fmt: skip
-    print_lines([line for line in (sentence, *more) if line])
+    more = [each.sentence for each in mismatches(diagnosis)]
+    more += [*clipped_words(diagnosis), rod_sentence(diagnosis), *carried_over_sentences(diagnosis)]
+    print_lines([line for line in more if line])
     new, unstated = new_and_unstated(diagnosis)
     if diagnosis.findings:
         rows = [_row(diagnosis, finding) for finding in new]
