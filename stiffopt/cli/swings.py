@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,8 +18,11 @@ from stiffopt.cli.base import (
     refuse_changes,
     show_report,
 )
-from stiffopt.errors import InputError
+from stiffopt.errors import InputError, shortened
 from stiffopt.folders import output_folder
+
+# Entries that a simulation may change: no motion depends on them.
+_UNSURE = re.compile(r"\s*uncertainty\b")
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,13 +42,16 @@ def simulate(
     bandwidth: float | None = None,
     feed_forward: float = 1.0,
     delay: str = "0 s",
-    changes: NoChanges = (),
+    damping: float | None = None,
+    changes: Changes = (),
     open_report: Open = False,
 ) -> int:
     """Simulate a solved motion and its baselines on the elastic arm.
 
     Writes simulation.json, simulation.csv (the optimised motion every 0.5 ms) and simulation.html,
-    where the arm can be seen swinging.
+    where the arm can be seen swinging. Where the solve wrote a command.csv, it is judged anew too:
+    on the arm as modelled, at the bounds of what is uncertain, and as drawn from within them; --set
+    changes entries of [uncertainty], such as uncertainty.stiffness=0.3.
 
     Parameters
     ----------
@@ -62,17 +69,20 @@ def simulate(
         Share of the command's velocity that the loop is fed forward, 0 to 1.
     delay
         Dead time of the loop.
+    damping
+        Of all joints that yield, share of critical, in place of what the robot file states.
     """
     from stiffopt.elastic.arm import rigid_arm
     from stiffopt.elastic.motor import Servo
     from stiffopt.report.solve.simulation_page import write_simulation_report
-    from stiffopt.report.solve.terminal import print_simulation
+    from stiffopt.report.solve.terminal import print_compensation, print_simulation
     from stiffopt.result.store import write_simulation
+    from stiffopt.solver.compensation import recompensated
     from stiffopt.solver.simulation import elastic_arm, simulate_motions
     from stiffopt.solver.stored import read_result
     from stiffopt.units import to_si
 
-    refuse_changes(changes)
+    refuse_changes(tuple(each for each in changes if not _UNSURE.match(each)))
     settled = to_si(number_or_text(band), "length", "--band")
     late = to_si(number_or_text(delay), "time", "--delay")
     if settled <= 0.0:
@@ -80,16 +90,27 @@ def simulate(
     if bandwidth is None and (late != 0.0 or feed_forward != 1.0):
         raise InputError("delay and feed-forward are of a position loop: give its --bandwidth too.")
     servo = None if bandwidth is None else Servo(bandwidth, feed_forward, late)
-    stored = read_result(result, problem)
+    stored = read_result(result, problem, changes)
+    if changes and stored.command is None:
+        raise InputError(
+            f"--set {shortened(changes[0])}: uncertainties are of a command, and {result} has no "
+            "command.csv. result.json says why."
+        )
     if not stored.problem.robot.yields:
         raise rigid_arm(stored.problem.robot)
     folder = out or result
     with output_folder(folder, "simulate", of="solve") as stage:
         arm = elastic_arm(stored.problem, stored.optimised.position[0])
-        found = simulate_motions(stored.problem, arm, stored.motions(), servo=servo, band=settled)
-        path = folder / write_simulation(found, stage).name
-        page = write_simulation_report(stored.problem, arm, found, stage)
+        arm = arm if damping is None else arm.damped(damping)
+        motions, led = stored.motions(), None
+        found = simulate_motions(stored.problem, arm, motions, servo=servo, band=settled)
+        if stored.command is not None:
+            led = recompensated(stored.problem, arm, motions, stored.command, servo)
+        path = folder / write_simulation(found, stage, led).name
+        page = write_simulation_report(stored.problem, arm, found, stage, led)
     print_simulation(found)
+    if led is not None:
+        print_compensation(led)
     print(f"Wrote {path}, {path.with_suffix('.csv').name} and {page.name}")
     show_report(folder, open_report, page.name)
     return 0

@@ -134,6 +134,23 @@ class ElasticArm:
         found.assumed_damping = tuple(j for j in self.assumed_damping if j not in found.following)
         return found
 
+    def damped(self, share: float) -> ElasticArm:
+        """Copy whose joints that yield all have a share of their critical damping.
+
+        Raises
+        ------
+        RobotError
+            The share is not from 0 to 1.
+        """
+        if not 0.0 <= share <= 1.0:
+            raise RobotError(
+                f"damping is a share of the critical one, from 0 to 1; got {share:g}. 2 % is 0.02."
+            )
+        found = copy.copy(self)
+        found.damping = np.where(self.elastic, share * np.nan_to_num(self._critical), 0.0)
+        found.assumed_damping = ()
+        return found
+
     def without_force(self) -> ElasticArm:
         """The same arm, without the process force."""
         found = copy.copy(self)

@@ -134,6 +134,22 @@ class Servo:
         """Whether it does: with all of the command's velocity, without delay."""
         return self.feed_forward == 1.0 and self.delay == 0.0
 
+    def __str__(self) -> str:
+        delay = f" and {1e3 * self.delay:g} ms delay" if self.delay else ""
+        forward = f"{100.0 * self.feed_forward:.3g} % velocity feed-forward"
+        return f"{self.bandwidth:g} Hz with {forward}{delay}"
+
+    def lagging(self, command: MotorMotion, until: float, share: float) -> MotorMotion:
+        """Motor motion with a share of the lag, to the time `until` [s]."""
+        late = self.follow(command, until)
+        exact = 1.0 - share
+        return MotorMotion(
+            late.time,
+            share * late.position(late.time) + exact * command.position(late.time),
+            share * late(late.time, 1) + exact * command(late.time, 1),
+            command.duration,
+        )
+
     def follow(self, command: MotorMotion, until: float) -> MotorMotion:
         """Motor motion from rest under this command, to the time `until` [s]."""
         gain = 2.0 * np.pi * self.bandwidth

@@ -92,18 +92,18 @@ class Uncertainty:
             )
         return np.array(np.broadcast_to(given, (joints,)))
 
-    def statements(self, carries: bool) -> tuple[str, ...]:
-        """What is uncertain, in words; `carries` says whether there is a payload."""
+    def statements(self, carries: bool, servo: bool = True) -> tuple[str, ...]:
+        """What is uncertain, in words: of a payload and of the servos, where they are."""
         shares = np.atleast_1d(np.asarray(self.stiffness, dtype=float))
         sizes = "/".join(f"{100 * share:.3g}" for share in dict.fromkeys(shares.tolist()))
+        from stiffopt.elastic.motor import Servo
+
         found = [f"stiffness of each joint within {sizes} %", f"damping {100 * self.damping:.3g} %"]
         if carries:
             found.append(f"payload {100 * self.payload:.3g} %")
-        found.append(
-            f"servo of at least {self.servo_bandwidth:g} Hz with "
-            f"{100 * self.servo_feed_forward:.3g} % velocity feed-forward"
-            + (f" and {1e3 * self.servo_delay:g} ms delay" if self.servo_delay else "")
-        )
+        if servo:
+            loop = Servo(self.servo_bandwidth, self.servo_feed_forward, self.servo_delay)
+            found.append(f"servo of at least {loop}")
         return tuple(found)
 
 

@@ -101,6 +101,8 @@ class Compensation:
     uncertainty : tuple of str
         What was taken as uncertain, in words.
     draws : int
+    loop : str
+        Of the position loops that all arms have, in words; "" where servos are uncertain.
     """
 
     motions: tuple[CompensatedMotion, ...]
@@ -108,6 +110,7 @@ class Compensation:
     refusal: str
     uncertainty: tuple[str, ...]
     draws: int
+    loop: str = ""
 
     @property
     def optimised(self) -> CompensatedMotion:

@@ -18,12 +18,13 @@ from stiffopt.errors import InputFileError
 from stiffopt.files import atomic_write, load_json, plain, write_csv
 from stiffopt.folders import check_result
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
-from stiffopt.result.compensation_store import compensation_document
+from stiffopt.result.compensation_store import COMMAND_FILE, compensation_document
 from stiffopt.result.simulation import ElasticMotion, SimulatedPart, Simulation
 from stiffopt.result.solution import Baseline, ObjectiveValue, Solution
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.compensation import Compensation
 
 SCHEMA = 1
 EXPORT_RATE = 500.0
@@ -203,10 +204,20 @@ def write_trajectory(assessment: Assessment, directory: str | Path) -> Path:
     return path
 
 
-def write_simulation(simulation: Simulation, directory: str | Path) -> Path:
-    """Write simulation.json and simulation.csv (the optimised motion); return the first's path."""
+def write_simulation(
+    simulation: Simulation, directory: str | Path, compensation: Compensation | None = None
+) -> Path:
+    """Write simulation.json and simulation.csv (the optimised motion); return the first's path.
+
+    With what the command gives on uncertain arms, where there is a command.
+    """
     folder = Path(directory)
-    document = plain({"schema": SCHEMA, **(simulation_document(simulation) or {})})
+    content = {"schema": SCHEMA, **(simulation_document(simulation) or {})}
+    if compensation is not None:
+        # Of the command that lies there already.
+        led = {**(compensation_document(compensation) or {}), "command": COMMAND_FILE}
+        content["compensation"] = {**led, "servo": compensation.loop or None}
+    document = plain(content)
     found = simulation.optimised.simulated
     joints = range(1, found.position.shape[1] + 1)
     names = ["t", *(f"deviation_{axis}" for axis in "xyz")]

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +20,7 @@ from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.elastic.many_arms import ManyArms, Member, Swings
 from stiffopt.elastic.motor import MotorMotion
-from stiffopt.elastic.simulate import simulate
+from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.elastic.uncertainty import Departure, bounded, corners, draws, one_at_a_time
 from stiffopt.problem.motor_model import MotorLaw, law_smoothing
@@ -31,6 +31,8 @@ from stiffopt.solver.corners import widened
 
 if TYPE_CHECKING:
     from stiffopt.elastic.arm import ElasticArm
+    from stiffopt.elastic.motor import Servo
+    from stiffopt.elastic.uncertainty import Uncertainty
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.result.assessment import Violation
     from stiffopt.result.simulation import SimulatedMotion
@@ -92,6 +94,39 @@ def compensate(
     )
 
 
+def recompensated(
+    problem: TrajectoryProblem,
+    arm: ElasticArm,
+    motions: Sequence[PlannedMotion],
+    made: MadeCommand,
+    servo: Servo | None = None,
+) -> Compensation:
+    """As `compensate`, with a command of the first motion that exists already.
+
+    Parameters
+    ----------
+    problem, arm, motions : as of `compensate`
+        The problem's uncertainties may be others than those the command was made for.
+    made : MadeCommand
+    servo : Servo, optional
+        How the motors of every arm follow; what is uncertain of servos does not count then.
+    """
+    law = MotorLaw(problem.robot, problem.process_force)
+    own, *others = motions
+    found = [_Compensator(problem, arm, own, law, made.plan, servo).given(made)]
+    found += [_Compensator(problem, arm, m, law, servo=servo).compensated()[0] for m in others]
+    return Compensation(
+        motions=tuple(found),
+        command=None,
+        refusal="",
+        uncertainty=problem.uncertainty.statements(
+            arm.robot.payload is not None, servo=servo is None
+        ),
+        draws=problem.uncertainty.draws,
+        loop="" if servo is None else str(servo),
+    )
+
+
 def compensated(
     problem: TrajectoryProblem, arm: ElasticArm, motion: PlannedMotion
 ) -> tuple[CompensatedMotion, Trajectory]:
@@ -111,6 +146,25 @@ def _refusal(problem: TrajectoryProblem, excess: tuple[Violation, ...]) -> str:
         f"No command.csv: to make the links do this motion, the motors would exceed {named}. "
         f"{other} within the motors' limits, give a longer duration, or plan with lower {limits}."
     )
+
+
+@dataclass(frozen=True, eq=False)
+class MadeCommand:
+    """A command that keeps the motors' limits, as it was made earlier.
+
+    Parameters
+    ----------
+    command, plan : MotorMotion
+        Of the motors; what the links are to do.
+    spacing : float or None
+        As of `CompensatedMotion`.
+    share : float
+    """
+
+    command: MotorMotion
+    plan: MotorMotion
+    spacing: float | None
+    share: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,26 +195,58 @@ class _Lead:
 
 
 class _Compensator:
-    """One planned motion on the many arms."""
+    """One planned motion on the many arms; with a servo that is known, all of them have it."""
 
     def __init__(
-        self, problem: TrajectoryProblem, arm: ElasticArm, motion: PlannedMotion, law: MotorLaw
+        self,
+        problem: TrajectoryProblem,
+        arm: ElasticArm,
+        motion: PlannedMotion,
+        law: MotorLaw,
+        plan: MotorMotion | None = None,
+        servo: Servo | None = None,
     ) -> None:
         self._problem, self._arm, self._motion, self._law = problem, arm, motion, law
         self._follows = MotorMotion(motion.time, motion.position, motion.velocity)
-        self._plan = self._follows if motion.link is None else MotorMotion.of(motion.link)
-        self._many = ManyArms(arm, self._plan, problem.uncertainty.servo)
-        self._nominal = Departure.none(arm.robot.n)
+        if plan is None:
+            plan = self._follows if motion.link is None else MotorMotion.of(motion.link)
+        self._plan, self._known = plan, servo
+        self._servo = problem.uncertainty.servo if servo is None else servo
+        self._many = ManyArms(arm, self._plan, self._servo)
         self._carries = arm.robot.payload is not None
-        self._corners = corners(problem.uncertainty, arm.robot.n, self._carries)
+        (self._nominal,) = self._driven([Departure.none(arm.robot.n)])
+        self._corners = self._driven(corners(self._unsure, arm.robot.n, self._carries))
+
+    @property
+    def _unsure(self) -> Uncertainty:
+        unsure = self._problem.uncertainty
+        if self._known is None:
+            return unsure
+        # One that follows exactly differs in nothing.
+        return replace(unsure, servo_feed_forward=1.0, servo_delay=0.0)
+
+    def _driven(self, arms: list[Departure]) -> list[Departure]:
+        return arms if self._known is None else [replace(each, servo=1.0) for each in arms]
 
     def compensated(self) -> tuple[CompensatedMotion, Trajectory]:
         """What compensation gives, and the command."""
         lead, share, signs = self._chosen()
         trajectory = lead.command(share)
         command = MotorMotion.of(trajectory)
-        unsure, follows, plan = self._problem.uncertainty, self._follows, self._plan
-        drawn = draws(unsure, self._arm.robot.n, self._carries)
+        found = self._on_all(command, signs, lead.spacing, share)
+        return replace(found, excess=self._excess(trajectory)), trajectory
+
+    def given(self, made: MadeCommand) -> CompensatedMotion:
+        """What a command gives that keeps the motors' limits."""
+        first = self._with_single(made.command)
+        return self._on_all(made.command, self._worst_signs(*first), made.spacing, made.share)
+
+    def _on_all(
+        self, command: MotorMotion, signs: list[Departure], spacing: float | None, share: float
+    ) -> CompensatedMotion:
+        """What a command gives on the arm as modelled, at its bounds, as drawn."""
+        follows, plan = self._follows, self._plan
+        drawn = self._driven(draws(self._unsure, self._arm.robot.n, self._carries))
         arms = [self._nominal, *self._corners, *signs, *drawn]
         members = [Member(command=follows, departure=each, reference=follows) for each in arms]
         members += [Member(command=command, departure=each, reference=plan) for each in arms]
@@ -171,17 +257,16 @@ class _Compensator:
         worst = None
         if self._motion.name == "optimised":
             worst = self._simulated(command, arms[int(np.argmax(swings.peak[count:]))])
-        motion = CompensatedMotion(
+        return CompensatedMotion(
             name=self._motion.name,
             planned=planned,
             compensated=own,
             simulated=self._simulated(command, self._nominal),
             worst=worst,
-            spacing=lead.spacing,
+            spacing=spacing,
             share=share,
-            excess=self._excess(trajectory),
+            excess=(),
         )
-        return motion, trajectory
 
     def _chosen(self) -> tuple[_Lead, float, list[Departure]]:
         """Spline and share of the least worst case; the worst signs of the joints' stiffness."""
@@ -195,12 +280,7 @@ class _Compensator:
             if share == 1.0 or self._within(lead.command(share))
         ]
         commands = [MotorMotion.of(lead.command(share)) for lead, share in tried]
-        single = one_at_a_time(self._problem.uncertainty, self._arm.robot.n)
-        first = [self._nominal, *single]
-        swings = self._many.swings(
-            [Member(command=commands[0], departure=arm, reference=self._plan) for arm in first]
-        )
-        signs = self._worst_signs(swings, len(first))
+        signs = self._worst_signs(*self._with_single(commands[0]))
         arms = [*self._corners, *signs]
         swings = self._many.swings(
             [
@@ -242,12 +322,19 @@ class _Compensator:
         ]
         return [*own, *splines]
 
+    def _with_single(self, command: MotorMotion) -> tuple[Swings, int]:
+        """The nominal arm, then those with one softer joint each; how many."""
+        single = self._driven(one_at_a_time(self._unsure, self._arm.robot.n))
+        arms = [self._nominal, *single]
+        members = [Member(command=command, departure=arm, reference=self._plan) for arm in arms]
+        return self._many.swings(members), len(arms)
+
     def _worst_signs(self, swings: Swings, count: int) -> list[Departure]:
         """Arms whose joints are softer and stiffer such that their errors add up, to first order.
 
         The first member is the nominal arm, those up to `count` have one softer joint each.
         """
-        unsure, found = self._problem.uncertainty, []
+        unsure, found = self._unsure, []  # type: Uncertainty, list[Departure]
         share = swings.deviation[1:count] - swings.deviation[0]
         joints = np.flatnonzero(unsure.shares(self._arm.robot.n))
         for chosen in (swings.flight, ~swings.flight):
@@ -265,7 +352,7 @@ class _Compensator:
                 bounded(unsure, side * signs, -1.0, payload, float(unsure.servo is not None))
                 for side in (-1.0, 1.0)
             ]
-        return found
+        return self._driven(found)
 
     def _within(self, motors: Trajectory) -> bool:
         """Whether the limits that the plan keeps are kept; some no method of its kind can take."""
@@ -287,7 +374,11 @@ class _Compensator:
         return tuple(each for each in found if each.value > CERTIFIED)
 
     def _simulated(self, command: MotorMotion, departure: Departure) -> SimulatedMotion:
-        return simulate(self._arm.departed(departure), command, reference=self._plan)
+        arm, servo = self._arm.departed(departure), self._servo
+        if servo is None or departure.servo == 0.0:
+            return simulate(arm, command, reference=self._plan)
+        late = servo.lagging(command, command.duration + REST, departure.servo)
+        return simulate(arm, late, reference=self._plan)
 
 
 def _spreads(

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from stiffopt.baseline.baselines import baselines
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.elastic.motor import MotorMotion
 from stiffopt.errors import InputFileError
 from stiffopt.files import read_table
+from stiffopt.folders import check_result
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.resolve import ResolvedMotion, resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment, PeakRms
+from stiffopt.result.compensation_store import COMMAND_FILE
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.store import RESULT_FILE, TRAJECTORY_FILE, read_document
+from stiffopt.solver.compensation import MadeCommand
 from stiffopt.solver.simulation import PlannedMotion, rivals
 
 
@@ -33,12 +39,15 @@ class StoredResult:
     optimised : PlannedMotion
     windup : array (K, n)
         Of the joints along the stored motion [rad].
+    command : MadeCommand or None
+        Of command.csv, where there is one.
     """
 
     problem: TrajectoryProblem
     motion: ResolvedMotion
     optimised: PlannedMotion
     windup: np.ndarray
+    command: MadeCommand | None = None
 
     def motions(self) -> list[PlannedMotion]:
         """The stored motion, then the baselines made anew."""
@@ -46,7 +55,9 @@ class StoredResult:
         return [self.optimised, *rivals(self.problem, self.motion, beside)]
 
 
-def read_result(folder: Path, problem: Path | None = None) -> StoredResult:
+def read_result(
+    folder: Path, problem: Path | None = None, changes: Sequence[str] = ()
+) -> StoredResult:
     """Read result.json and trajectory.csv of a folder, and the problem that they name.
 
     Parameters
@@ -54,6 +65,9 @@ def read_result(folder: Path, problem: Path | None = None) -> StoredResult:
     folder : Path
     problem : Path, optional
         Problem file in place of the one that the result names.
+    changes : sequence of str
+        Of entries of its [uncertainty], such as "uncertainty.stiffness=0.3": the motion is the same
+        for all of them.
 
     Raises
     ------
@@ -84,6 +98,9 @@ def read_result(folder: Path, problem: Path | None = None) -> StoredResult:
             f"{problem} is not what was solved: it or its robot has changed since, or the solve "
             "was with --model. Solve it again.",
         )
+    if changes:
+        unsure = load_problem(problem, changes).problem.uncertainty
+        stated = replace(stated, uncertainty=unsure)
     certificate = document.get("certificate")
     if not isinstance(certificate, dict):
         raise InputFileError(path, "certificate", "this solve found no motion to simulate.")
@@ -102,12 +119,48 @@ def read_result(folder: Path, problem: Path | None = None) -> StoredResult:
         parts=parts,
         counted=worst <= CERTIFIED,
     )
-    return StoredResult(problem=stated, motion=resolve(stated), optimised=own, windup=windup)
+    return StoredResult(
+        problem=stated,
+        motion=resolve(stated),
+        optimised=own,
+        windup=windup,
+        command=_command(folder, document, own),
+    )
+
+
+def _command(folder: Path, document: dict[str, Any], planned: PlannedMotion) -> MadeCommand | None:
+    """The command that the solve wrote, None where it wrote none."""
+    path, joints = folder / COMMAND_FILE, planned.position.shape[1]
+    try:
+        made = document["compensation"]
+        if made is None or made["command"] is None:
+            return None
+        own = made["motions"]["optimised"]
+        spacing, share = own["knot_spacing"], float(own["share_of_windup"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputFileError(
+            folder / RESULT_FILE, "compensation", f"has no usable {error}."
+        ) from error
+    check_result(folder, RESULT_FILE, COMMAND_FILE)
+    time, position, velocity = _table(path, joints, ("q", "qd"))
+    names = [f"link{j}" for j in range(1, joints + 1)]
+    table = read_table(folder / TRAJECTORY_FILE, ["t"], names)
+    plan = MotorMotion(planned.time, planned.position, planned.velocity)
+    if all(name in table for name in names):
+        moments = np.array(table["t"])
+        links = CubicSpline(moments, np.array([table[n] for n in names]).T, bc_type="clamped")
+        plan = MotorMotion(moments, links(moments), links(moments, 1))
+    return MadeCommand(MotorMotion(time, position, velocity), plan, spacing, share)
 
 
 def _trajectory(path: Path, joints: int) -> tuple[np.ndarray, ...]:
     """Times (K,), positions, velocities and wind-ups (K, n) of a trajectory.csv."""
-    names = [[f"{quantity}{j}" for j in range(1, joints + 1)] for quantity in ("q", "qd", "windup")]
+    return _table(path, joints, ("q", "qd", "windup"))
+
+
+def _table(path: Path, joints: int, quantities: Sequence[str]) -> tuple[np.ndarray, ...]:
+    """Times (K,) and quantities of the joints (K, n) of a table."""
+    names = [[f"{quantity}{j}" for j in range(1, joints + 1)] for quantity in quantities]
     table = read_table(path, ["t", *(name for own in names for name in own)])
     time = np.array(table["t"])
     if time[0] != 0.0 or not np.all(np.diff(time) > 0.0):

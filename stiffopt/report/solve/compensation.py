@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -11,6 +13,8 @@ from stiffopt.result.compensation import CompensatedMotion, Compensation, Spread
 from stiffopt.result.compensation_store import COMMAND_FILE
 
 _FOLLOW, _LEAD = "as planned", "compensated"
+# What its figure shows, for those who do not see it.
+COMPENSATED = "Peak deviations on uncertain arms, as planned and compensated"
 # Dots of draws are spread over this height of a row.
 _SPREAD = 0.25
 
@@ -37,6 +41,17 @@ def _limits(motion: CompensatedMotion, how: str) -> str:
     if how == _FOLLOW:
         return "–"
     return f"exceeds {motion.excess[0].describe()}" if motion.excess else "kept"
+
+
+def compensation_section(compensation: Compensation | None) -> dict[str, Any] | None:
+    """Text, table and notes, as pages have them; None where nothing was compensated."""
+    if compensation is None:
+        return None
+    return {
+        "text": compensation_text(compensation),
+        "table": compensation_table(compensation),
+        "notes": compensation_notes(compensation),
+    }
 
 
 def compensation_text(compensation: Compensation) -> str:
@@ -98,7 +113,9 @@ def compensation_notes(compensation: Compensation) -> list[str]:
         if own.spacing is None
         else f"Splines with knots every {si(own.spacing, 's', 2)} smooth the plan"
     )
+    loop = compensation.loop
     return [
+        *([f"Every arm's motors follow by position loops of {loop}."] if loop else []),
         f"Uncertain: {listed(compensation.uncertainty)}. The worst arm has each at a bound, or the "
         f"joints' stiffness such that their errors add up; {compensation.draws} arms are drawn "
         "evenly between the bounds.",

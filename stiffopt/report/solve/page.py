@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from stiffopt.baseline.baselines import better_baseline
 from stiffopt.certificate.violations import CERTIFIED
@@ -14,10 +14,9 @@ from stiffopt.report.common.robot import estimated_inputs, joint_units
 from stiffopt.report.common.text import capital, scale, words
 from stiffopt.report.solve.arm import arm_in_space
 from stiffopt.report.solve.compensation import (
+    COMPENSATED,
     compensation_figure,
-    compensation_notes,
-    compensation_table,
-    compensation_text,
+    compensation_section,
 )
 from stiffopt.report.solve.figures import (
     PARTS,
@@ -44,7 +43,6 @@ from stiffopt.result.solution import Baseline, Solution
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
-    from stiffopt.result.compensation import Compensation
 
 REPORT_FILE = "report.html"
 
@@ -84,7 +82,7 @@ def write_solve_report(
         "swing_notes": (
             [] if solution.simulation is None else simulation_notes(solution.simulation)
         ),
-        "lead": _lead(solution.compensation),
+        "lead": compensation_section(solution.compensation),
         "better": better_baseline(problem, solution.baselines),
         "absent": "".join(f" No {name} motion: {reason}" for name, reason in absent.items()),
         "terms": [] if solution.objective is None else _terms(solution.objective.terms),
@@ -114,17 +112,6 @@ def write_solve_report(
         context |= {"space": arm.embedded, "still": arm.caption}
     path = Path(directory) / REPORT_FILE
     return write_page("solve/page.html.j2", path, context, figures, filters)
-
-
-def _lead(compensation: Compensation | None) -> dict[str, Any] | None:
-    """Text, table and notes of the compensated motions."""
-    if compensation is None:
-        return None
-    return {
-        "text": compensation_text(compensation),
-        "table": compensation_table(compensation),
-        "notes": compensation_notes(compensation),
-    }
 
 
 def _headline(solution: Solution) -> str:
@@ -190,6 +177,6 @@ def _figures(problem: TrajectoryProblem, solution: Solution, part: str) -> PageF
         figures.draw(
             "compensation",
             compensation_figure(solution.compensation),
-            "Peak deviations on uncertain arms, as planned and compensated",
+            COMPENSATED,
         )
     return figures

@@ -11,11 +11,17 @@ from stiffopt.report.common.page import PageFigures, write_page
 from stiffopt.report.common.text import si
 from stiffopt.report.scene.embedded import embedded_scene
 from stiffopt.report.scene.poses import Poses, joint_shares, tool_jacobian
+from stiffopt.report.solve.compensation import (
+    COMPENSATED,
+    compensation_figure,
+    compensation_section,
+)
 from stiffopt.report.solve.swing import simulation_notes, simulation_table, swing_figure
 
 if TYPE_CHECKING:
     from stiffopt.elastic.arm import ElasticArm
     from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.compensation import Compensation
     from stiffopt.result.simulation import SimulatedMotion, Simulation
 
 PAGE_FILE = "simulation.html"
@@ -24,7 +30,11 @@ _AFTER, _FRAMES = 0.4, 241
 
 
 def write_simulation_report(
-    problem: TrajectoryProblem, arm: ElasticArm, simulation: Simulation, directory: str | Path
+    problem: TrajectoryProblem,
+    arm: ElasticArm,
+    simulation: Simulation,
+    directory: str | Path,
+    compensation: Compensation | None = None,
 ) -> Path:
     """Write simulation.html and its figures; return its path.
 
@@ -35,6 +45,8 @@ def write_simulation_report(
         That was simulated.
     simulation : Simulation
     directory : path
+    compensation : Compensation, optional
+        Of the command that is written, on uncertain arms.
     """
     own = simulation.optimised.simulated
     shown = [motion for motion in simulation.motions if motion.name != "optimised"][:1]
@@ -42,6 +54,9 @@ def write_simulation_report(
     motions |= {each.name: swinging_poses(arm, each.simulated) for each in shown}
     figures = PageFigures("simulation", png=False)
     figures.draw("swing", swing_figure(simulation), "Deviation of the tool over time")
+    if compensation is not None:
+        drawn = compensation_figure(compensation)
+        figures.draw("compensation", drawn, COMPENSATED)
     scene = embedded_scene(problem.robot, motions, "swing", problem.cell)
     figures.draw("arm", scene.still, "The arm with the paths of its tool")
     after = "" if own.peak_after is None else f", {si(own.peak_after, 'm', 3)} after arrival"
@@ -50,6 +65,7 @@ def write_simulation_report(
         "headline": f"The tool swings by up to {si(own.peak, 'm', 3)} in flight{after}",
         "simulated": simulation_table(simulation),
         "notes": simulation_notes(simulation),
+        "lead": compensation_section(compensation),
         "space": scene.embedded,
         "still": scene.caption,
     }

@@ -1,0 +1,106 @@
+"""`stiffopt simulate` of a solve that wrote a command: the same arms again, or others."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+from small_arms import write_problem
+
+from stiffopt.cli import run
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory):
+    """Folder of a problem whose solve in `out` wrote a command.csv."""
+    folder = tmp_path_factory.mktemp("led")
+    extra = "[uncertainty]\ndraws = 50"
+    path = write_problem(folder, minimise='objective = "tool_deviation"', extra=extra)
+    assert run(["solve", str(path), "--out", str(folder / "out"), "--quiet"]) == 0
+    assert (folder / "out" / "command.csv").is_file()
+    return folder
+
+
+def led(folder, *options, out):
+    """What simulation.json says of the optimised motion, compensated."""
+    assert run(["simulate", str(folder / "out"), "--out", str(folder / out), *options]) == 0
+    document = json.loads((folder / out / "simulation.json").read_text())["compensation"]
+    assert document["command"] == "command.csv"
+    return document, document["motions"]["optimised"]["compensated"]
+
+
+def test_the_command_is_judged_as_the_solve_judged_it(solved, capsys):
+    document, anew = led(solved, out="same")
+    assert document["servo"] is None
+    inside = json.loads((solved / "out" / "result.json").read_text())["compensation"]
+    before = inside["motions"]["optimised"]["compensated"]
+    for phase in ("in_flight", "after_arrival"):
+        for size in ("nominal", "worst"):
+            assert anew[phase][size] == pytest.approx(before[phase][size], rel=0.02, abs=1e-7)
+        assert len(anew[phase]["draws"]) == 50
+    assert set(document["motions"]) == set(inside["motions"])
+    assert "Commanded as command.csv" in capsys.readouterr().out
+    page = (solved / "same" / "simulation.html").read_text()
+    assert "Commanded by command.csv" in page
+    assert "Diamond: the arm as modelled" in page
+
+
+@pytest.mark.slow
+def test_a_servo_is_that_of_every_arm(solved, capsys):
+    _, exact = led(solved, out="exact")
+    options = ("--bandwidth", "20", "--feed-forward", "0.9")
+    document, lagging = led(solved, *options, out="lagging")
+    assert document["servo"] == "20 Hz with 90 % velocity feed-forward"
+    assert lagging["in_flight"]["nominal"] > 5 * exact["in_flight"]["nominal"]
+    assert min(lagging["in_flight"]["draws"]) > 5 * exact["in_flight"]["nominal"]
+    assert "position loops of 20 Hz with 90 %" in capsys.readouterr().out
+    full = document["motions"]["optimised"]
+    simulated = full["simulated"]["in_flight"]["peak"]
+    assert simulated == pytest.approx(lagging["in_flight"]["nominal"], rel=0.02)
+
+
+@pytest.mark.slow
+def test_what_is_uncertain_can_be_asked_anew(solved):
+    _, wide = led(solved, out="wide")
+    _, near = led(solved, "--set", "uncertainty.stiffness=0.05", out="near")
+    assert near["in_flight"]["worst"] < 0.7 * wide["in_flight"]["worst"]
+    # Made for 2 % of critical damping.
+    _, damped = led(solved, "--damping", "0.2", out="damped")
+    assert damped["in_flight"]["nominal"] > 3 * wide["in_flight"]["nominal"]
+    told = [
+        json.loads((solved / out / "simulation.json").read_text())["assumed_damping"]
+        for out in ("wide", "damped")
+    ]
+    assert told == [[1, 2], []]
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        (["--set", "motion.duration=0.7"], "has no entries to change"),
+        (["--set", "uncertainty.stiffness=1.2"], "below 1"),
+        (["--set", "uncertainty.stiff=0.1"], "stiff"),
+        (["--damping", "2"], "damping is a share of the critical one"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused_in_a_sentence(solved, capsys, options, what):
+    assert run(["simulate", str(solved / "out"), *options]) == 2
+    assert what in capsys.readouterr().err
+
+
+def test_a_command_that_was_changed_or_is_missing_is_told(solved, tmp_path, capsys):
+    shutil.copytree(solved, tmp_path / "copy")
+    out = tmp_path / "copy" / "out"
+    with (out / "command.csv").open("a") as stream:
+        stream.write("9,9,9\n")
+    assert run(["simulate", str(out)]) == 2
+    assert "was changed since" in capsys.readouterr().err
+    (out / "command.csv").unlink()
+    assert run(["simulate", str(out)]) == 2
+    assert "command.csv" in capsys.readouterr().err
+    document = json.loads((out / "result.json").read_text())
+    (out / "manifest.json").unlink()
+    (out / "result.json").write_text(json.dumps({**document, "compensation": None}))
+    assert run(["simulate", str(out), "--set", "uncertainty.stiffness=0.1"]) == 2
+    assert "uncertainties are of a command" in capsys.readouterr().err
