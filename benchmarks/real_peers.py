@@ -27,9 +27,10 @@ BANDS = (6.0, 12.0, 20.0, 35.0, 60.0, 100.0, 150.0)
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A run with its nominal prediction."""
+    """A run with its nominal prediction, each joint in a band of its own [Hz]."""
 
     run: RecordedRun
+    bands: tuple[float, ...]
     predictor: Predictor
     nominal: Prediction
     velocity: np.ndarray
@@ -67,7 +68,7 @@ def _motion(diagnosis: Diagnosis, run: RecordedRun, bands: tuple[float, ...]) ->
     training = diagnosis.training
     own = replace(diagnosis.settings, predict=bands)
     predictor = Predictor(training.robot, run, training.constants, own)
-    return Motion(run, predictor, predictor.predict(), predictor.velocity)
+    return Motion(run, bands, predictor, predictor.predict(), predictor.velocity)
 
 
 def _left_out(train: list[Motion], j: int) -> float:

@@ -1,4 +1,4 @@
-"""Solve the UR10's problems by stiffopt and its peers in turn, and write RESULTS.md beside this.
+"""Solve problems of two arms by stiffopt and its peers in turn, and write RESULTS.md beside this.
 
     python -m benchmarks.peers install [NAME ...]   # each in an environment of its own
     python -m benchmarks.peers [--rounds 3] [--keep]
@@ -16,11 +16,13 @@ import os
 import resource
 import statistics
 import subprocess
-import sys
 import tempfile
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks.environments import Environments
 from benchmarks.peers.formula import python_source
 from benchmarks.peers.judge import Judged, judge
 
@@ -28,19 +30,50 @@ HERE = Path(__file__).parent
 DATA = Path(
     os.environ.get("STIFFOPT_BENCHMARKS", HERE.parents[2] / "shared" / "benchmarks")
 ).resolve()
-ENVIRONMENTS = Path(os.environ.get("STIFFOPT_PEERS", HERE / "environments"))
-# Of each peer what its environment needs. None: that of stiffopt.
-PEERS: dict[str, tuple[str, ...] | None] = {
-    "stiffopt": None,
-    "acados": ("comma-deps-acados==0.2.2.post92", "numpy==2.4.6"),
-    "rockit": ("rockit-meco==0.6.7", "casadi==3.8.2", "numpy>=2.2,<2.5", "scipy", "matplotlib"),
-    "crocoddyl": ("crocoddyl==3.2.1", "numpy>=2.2,<2.5"),
-    "toppra": None,
-}
-TASKS = {
-    "torque_squared": ("stiffopt", "acados", "rockit", "crocoddyl"),
-    "minimum_time": ("stiffopt", "rockit", "toppra"),
-}
+# None: what stiffopt itself runs in.
+PEERS = Environments(
+    Path(os.environ.get("STIFFOPT_PEERS", HERE / "environments")),
+    {
+        "stiffopt": None,
+        "acados": ("comma-deps-acados==0.2.2.post92", "numpy==2.4.6"),
+        "rockit": ("rockit-meco==0.6.7", "casadi==3.8.2", "numpy>=2.2,<2.5", "scipy", "matplotlib"),
+        "crocoddyl": ("crocoddyl==3.2.1", "numpy>=2.2,<2.5"),
+        "drake": ("drake==1.51.1", "numpy==2.4.6"),
+        "toppra": None,
+    },
+)
+
+
+@dataclass(frozen=True)
+class Task:
+    """A problem.
+
+    Attributes
+    ----------
+    title : str
+    numbers : Path
+    kind : {"torque_squared", "minimum_time"}
+    unfit : dict of str to str
+        Peers that it is no problem for, with the reason.
+    """
+
+    title: str
+    numbers: Path
+    kind: str
+    unfit: dict[str, str]
+
+
+UNFIT = {"crocoddyl": "does not apply: its steps are fixed"}
+TASKS = (
+    Task(
+        "UR10, torque squared",
+        DATA / "ur10.json",
+        "torque_squared",
+        {"toppra": "does not apply: minimum time on a given path"},
+    ),
+    Task("UR10, minimum time", DATA / "ur10.json", "minimum_time", UNFIT),
+    Task("Two links, minimum time", HERE / "two_link.json", "minimum_time", UNFIT),
+)
 HEAD = """`python -m benchmarks.peers --keep` wrote this; CPU seconds of one thread, medians of
 rounds in which all run in turn. All start from constant speed on the straight joint line. The judge
 drives pinocchio's model by each answer's control on 20 instants an interval: objective, largest
@@ -50,48 +83,33 @@ straight line only: what a free path is compared with."""
 INTERVALS = 100
 
 
-def install(names: list[str]) -> None:
-    """Make the environments."""
-    for name in names or list(PEERS):
-        needed = PEERS[name]
-        if needed is None:
-            continue
-        folder = ENVIRONMENTS / name
-        subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
-        done = subprocess.run([str(folder / "bin" / "pip"), "install", "-q", *needed], check=False)
-        print(f"{name}: {'installed' if done.returncode == 0 else 'does not install here'}")
-
-
-def python_of(name: str) -> Path | None:
-    """The interpreter of a peer; None where it is absent."""
-    if PEERS[name] is None:
-        return Path(sys.executable)
-    found = ENVIRONMENTS / name / "bin" / "python"
-    return found if found.is_file() else None
-
-
-def task_of(kind: str) -> dict[str, Any]:
+def task_of(task: Task) -> dict[str, Any]:
     """The problem as a file says it, with the inverse dynamics as text."""
     import pinocchio as pin
 
     from stiffopt.dynamics.newton_euler import inverse_dynamics
     from stiffopt.robot.body_tree import body_tree
 
-    numbers = json.loads((DATA / "ur10.json").read_text())
-    urdf = str(DATA / numbers["urdf"])
-    dynamics = inverse_dynamics(body_tree(pin.buildModelFromUrdf(urdf)))
+    numbers = json.loads(task.numbers.read_text())
+    urdf = task.numbers.with_name(numbers["urdf"])
+    model = pin.buildModelFromUrdf(str(urdf))
+    tree = ET.parse(urdf).getroot()
+    children = {child.get("link") for child in tree.iterfind("joint/child")}
+    links = [link.get("name") for link in tree.iterfind("link")]
     kept = ("start", "end", "velocity_max", "torque_max", "duration")
     return {key: numbers[key] for key in kept} | {
-        "kind": kind,
+        "kind": task.kind,
         "intervals": INTERVALS,
-        "urdf": urdf,
-        "dynamics": python_source(dynamics, "inverse_dynamics"),
+        "urdf": str(urdf),
+        "root": next(name for name in links if name not in children),
+        "joints": list(model.names)[1:],
+        "dynamics": python_source(inverse_dynamics(body_tree(model)), "inverse_dynamics"),
     }
 
 
 def asked(name: str, task: Path) -> dict[str, Any] | None:
     """One answer of a peer, with the CPU seconds of its whole process."""
-    python = python_of(name)
+    python = PEERS.python(name)
     assert python is not None
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(
@@ -110,10 +128,12 @@ def asked(name: str, task: Path) -> dict[str, Any] | None:
     return answer
 
 
-def table(kind: str, runs: dict[str, list[dict[str, Any]]], judged: dict[str, Judged]) -> list[str]:
+def table(
+    task: Task, runs: dict[str, list[dict[str, Any]]], judged: dict[str, Judged]
+) -> list[str]:
     """A task's table; ratios are of the second solve, to stiffopt's."""
     lines = [
-        f"## UR10, {kind.replace('_', ' ')}, {INTERVALS} intervals",
+        f"## {task.title}, {INTERVALS} intervals",
         "",
         "| | build s | first solve s | second s | second over stiffopt's | from its end s | whole"
         " process s | iterations | objective s | over a limit | end missed by rad |",
@@ -124,10 +144,15 @@ def table(kind: str, runs: dict[str, list[dict[str, Any]]], judged: dict[str, Ju
         values = [run[key] for run in runs[name] if key in run]
         return statistics.median(values) if values else None
 
-    for name in TASKS[kind]:
+    for name in PEERS.packages:
         if not runs.get(name):
-            absent = "absent" if python_of(name) is None else "no answer"
-            lines.append(f"| {name} | {absent} |" + " |" * 9)
+            if name in task.unfit:
+                why = task.unfit[name]
+            elif PEERS.python(name) is None:
+                why = f"absent: {PEERS.absence(name)}"
+            else:
+                why = "no answer"
+            lines.append(f"| {name} | {why} |" + " |" * 9)
             continue
         second, own = median(name, "second_s"), median("stiffopt", "second_s")
         assert second is not None
@@ -136,7 +161,7 @@ def table(kind: str, runs: dict[str, list[dict[str, Any]]], judged: dict[str, Ju
         cells = [f"{value:.3g}" for value in values if value is not None]
         warm, worth = median(name, "warm_s"), judged[name]
         cells += [f"{second:.3g}", f"{second / own:.2f}", "–" if warm is None else f"{warm:.2g}"]
-        cells += [f"{median(name, 'process_s'):.3g}", f"{runs[name][-1]['iterations']}"]
+        cells += [f"{median(name, 'process_s'):.3g}", f"{runs[name][-1].get('iterations', '–')}"]
         cells += [f"{worth.objective:.5f}", f"{worth.excess:.2%}", f"{worth.miss:.1e}"]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     return [*lines, ""]
@@ -146,18 +171,19 @@ def measure(rounds: int) -> list[str]:
     """All tasks by all peers that are there."""
     lines = []
     with tempfile.TemporaryDirectory() as folder:
-        for kind, names in TASKS.items():
-            task = task_of(kind)
-            path = Path(folder, f"{kind}.json")
-            path.write_text(json.dumps(task))
+        for number, task in enumerate(TASKS):
+            numbers = task_of(task)
+            path = Path(folder, f"{number}.json")
+            path.write_text(json.dumps(numbers))
+            there = [n for n in PEERS.packages if n not in task.unfit and PEERS.python(n)]
             runs: dict[str, list[dict[str, Any]]] = {}
             for _ in range(rounds):
-                for name in names:
-                    answer = None if python_of(name) is None else asked(name, path)
+                for name in there:
+                    answer = asked(name, path)
                     if answer is not None:
                         runs.setdefault(name, []).append(answer)
-            judged = {name: judge(task, found[-1]) for name, found in runs.items()}
-            lines += table(kind, runs, judged)
+            judged = {name: judge(numbers, found[-1]) for name, found in runs.items()}
+            lines += table(task, runs, judged)
             print("\n".join(lines), flush=True)
     return lines
 
@@ -170,7 +196,7 @@ def main() -> None:
     parser.add_argument("--keep", action="store_true", help="write RESULTS.md")
     given = parser.parse_args()
     if given.what[:1] == ["install"]:
-        install(given.what[1:])
+        PEERS.install(given.what[1:])
         return
     lines = measure(given.rounds)
     if given.keep:

@@ -41,12 +41,16 @@ def judge(task: dict[str, Any], answer: dict[str, Any]) -> Judged:
     speed, torque_max = np.array(task["velocity_max"]), np.array(task["torque_max"])
     for k, width in enumerate(np.diff(times)):
         local = np.linspace(0.0, width, FINE + 1)
-        if "torque_held" in answer:
-            torque = np.array(answer["torque_held"][k])
-            rows = [(q, v, torque)]
-            for h in np.diff(local):
-                q, v = _runge_kutta(model, data, q, v, torque, h)
-                rows.append((q, v, torque))
+        if "torque" in answer or "torque_held" in answer:
+            if "torque" in answer:
+                ends = [np.array(answer["torque"][k + i]) for i in (0, 1)]
+            else:
+                ends = [np.array(answer["torque_held"][k])] * 2
+            torques = [ends[0] + t / width * (ends[1] - ends[0]) for t in local]
+            rows = [(q, v, torques[0])]
+            for before, after, h in zip(torques, torques[1:], np.diff(local), strict=False):
+                q, v = _runge_kutta(model, data, q, v, (before, after), h)
+                rows.append((q, v, after))
         else:
             if "acceleration" in answer:
                 first, last = (np.array(answer["acceleration"][k + i]) for i in (0, 1))
@@ -72,16 +76,24 @@ def judge(task: dict[str, Any], answer: dict[str, Any]) -> Judged:
 
 
 def _runge_kutta(
-    model: Any, data: Any, q: np.ndarray, v: np.ndarray, torque: np.ndarray, h: float
+    model: Any,
+    data: Any,
+    q: np.ndarray,
+    v: np.ndarray,
+    torques: tuple[np.ndarray, np.ndarray],
+    h: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    def rate(state: np.ndarray) -> np.ndarray:
+    """One step under a torque that is linear in time."""
+
+    def rate(state: np.ndarray, part: float) -> np.ndarray:
+        torque = (1.0 - part) * torques[0] + part * torques[1]
         a = pin.aba(model, data, state[: model.nq], state[model.nq :], torque)
         return np.concatenate([state[model.nq :], a])
 
     x = np.concatenate([q, v])
-    k1 = rate(x)
-    k2 = rate(x + h / 2.0 * k1)
-    k3 = rate(x + h / 2.0 * k2)
-    k4 = rate(x + h * k3)
+    k1 = rate(x, 0.0)
+    k2 = rate(x + h / 2.0 * k1, 0.5)
+    k3 = rate(x + h / 2.0 * k2, 0.5)
+    k4 = rate(x + h * k3, 1.0)
     x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
     return x[: model.nq], x[model.nq :]

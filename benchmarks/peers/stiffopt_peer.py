@@ -1,4 +1,4 @@
-"""The UR10's problems by stiffopt, as a process like those of its peers; see peers/__main__.py."""
+"""The problems by stiffopt, as a process like those of its peers; see peers/__main__.py."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SCHEME = "piecewise_linear_acceleration"
 
 def problem_of(task: dict[str, Any]) -> TrajectoryProblem:
     """The task as a problem."""
-    robot = load_robot("ur10").with_payload(5.0, [0.0, 0.0, 0.0], [0.01, 0.01, 0.01])
+    robot = load_robot(task["urdf"])
     unlimited = np.full(robot.n, np.inf)
     own = Limits.of(robot)
     limits = Limits(
@@ -45,7 +45,7 @@ def problem_of(task: dict[str, Any]) -> TrajectoryProblem:
         robot=robot,
         start=Target(joints=np.array(task["start"])),
         end=Target(joints=np.array(task["end"])),
-        duration=(0.3, 4.0) if free else (task["duration"], task["duration"]),
+        duration=tuple(f * task["duration"] for f in ((0.2, 3.0) if free else (1.0, 1.0))),
         objectives=(Objective(name="duration" if free else "torque_squared"),),
         limits=limits,
         boundary_acceleration="free",
