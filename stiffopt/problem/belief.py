@@ -8,6 +8,7 @@ import numpy as np
 from stiffopt.dynamics.friction import smoothing_width
 from stiffopt.problem.coordinates import coordinates_of
 from stiffopt.problem.formulation import stage_model
+from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.believed import Believed
 from stiffopt.result.trajectory import Trajectory
@@ -16,7 +17,7 @@ PARTS = ("static", "dynamic", "process", "total")
 
 
 def believed_of(
-    problem: TrajectoryProblem, motion: Trajectory, smoothing: float, *, elastic: bool
+    problem: TrajectoryProblem, motion: Trajectory, smoothing: Smoothing, *, elastic: bool
 ) -> Believed:
     """Evaluate the stage model at the nodes and midpoints of a motion.
 
@@ -25,8 +26,8 @@ def believed_of(
     problem : TrajectoryProblem
     motion : Trajectory
         Of the problem's coordinates: all joints, or the one of a fixed path.
-    smoothing : float
-        Factor on the smoothing widths in the last stage.
+    smoothing : Smoothing
+        Of the last stage.
     elastic : bool
         Whether stiffness plays a part in the problem.
     """

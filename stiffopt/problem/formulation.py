@@ -1,14 +1,14 @@
 """From a trajectory problem to the optimal-control problem that is transcribed.
 
 States are joint positions and velocities, controls are accelerations (or path position, speed and
-acceleration on a fixed path); torque enters by inverse dynamics. The one parameter is the factor on
-the smoothing widths of the stiffness model.
+acceleration on a fixed path); torque enters by inverse dynamics. The parameters are factors on the
+widths over which laws are smooth (`problem.smoothing`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -17,9 +17,10 @@ import numpy as np
 from stiffopt.dynamics.kinematics import tool_pose
 from stiffopt.problem.arrival import Arrival
 from stiffopt.problem.coordinates import Coordinates, coordinates_of
-from stiffopt.problem.motor_model import MotorModel, NearMotorModel
+from stiffopt.problem.motor_model import WIDER, MotorModel, NearMotorModel
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.rest import torque_sides
+from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.stage_model import StageModel
 from stiffopt.problem.stage_terms import IntegralRow, ObjectiveTerms, PathRows, StaticVariable
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
@@ -73,8 +74,9 @@ def formulate(
     coordinates = coordinates_of(problem)
     size, order = coordinates.size, coordinates.order
     x, u = ca.SX.sym("x", order * size), ca.SX.sym("u", size)
-    p = ca.SX.sym("smoothing")
-    model = stage_model(problem, coordinates, x, u, p, torque_sides(problem, motion))
+    p = ca.SX.sym("smoothing", len(fields(Smoothing)))
+    sides = torque_sides(problem, motion)
+    model = stage_model(problem, coordinates, x, u, Smoothing(*ca.vertsplit(p)), sides)
     goal = _WeightedSum(problem, model, scales)
     blocks = [*_limit_rows(problem, model, coordinates, margins), *goal.path_rows]
     path = _stacked([row for block in blocks for row in block.expressions])
@@ -106,7 +108,7 @@ def formulate(
         static_upper=np.full(len(goal.variables), np.inf),
         static_scale=np.array(goal.static_scales),
         chains=tuple((*(k * size + i for k in range(order)), i) for i in range(size)),
-        parameters=np.ones(1),
+        parameters=np.ones(p.numel()),
         **_bounds(problem, motion, coordinates, margins, swings_on=bool(modes)),
     )
 
@@ -120,12 +122,13 @@ def exact_path_rows(
     """
     coordinates = coordinates_of(problem)
     x, u = ca.SX.sym("x", coordinates.order * coordinates.size), ca.SX.sym("u", coordinates.size)
-    p, sides = ca.SX.sym("smoothing"), torque_sides(problem, motion)
+    p, sides = ca.SX.sym("smoothing", len(fields(Smoothing))), torque_sides(problem, motion)
+    smoothing = Smoothing(*ca.vertsplit(p))
     if problem.plans_links:
         derivatives = [*ca.vertsplit(x, coordinates.size), u]
-        model: StageModel = MotorModel(problem.robot, derivatives, p, sides, problem.process_force)
+        model: StageModel = _leading(MotorModel, problem, derivatives, smoothing, sides)
     else:
-        model = stage_model(problem, coordinates, x, u, p, sides)
+        model = stage_model(problem, coordinates, x, u, smoothing, sides)
     goal = _WeightedSum(problem, model, scales)
     blocks = [*_limit_rows(problem, model, coordinates, {}), *goal.path_rows]
     rows = _stacked([row for block in blocks for row in block.expressions])
@@ -137,19 +140,37 @@ def stage_model(
     coordinates: Coordinates,
     x: Quantity,
     u: Quantity,
-    smoothing: Quantity,
+    smoothing: Smoothing,
     sides: np.ndarray,
 ) -> StageModel:
     """The stage model of a problem at a state and control of its coordinates."""
     if problem.plans_links:
         derivatives = [*ca.vertsplit(x, coordinates.size), u]
-        return NearMotorModel(problem.robot, derivatives, smoothing, sides, problem.process_force)
+        return _leading(NearMotorModel, problem, derivatives, smoothing, sides)
     return StageModel(
         problem.robot,
         *coordinates.joint_motion(x, u),
         problem.process_force,
-        smoothing=smoothing,
+        smoothing=smoothing.stiffness,
         sides=sides,
+    )
+
+
+def _leading(
+    kind: type[MotorModel],
+    problem: TrajectoryProblem,
+    derivatives: list[Quantity],
+    smoothing: Smoothing,
+    sides: np.ndarray,
+) -> MotorModel:
+    """Motors that lead the problem's links."""
+    return kind(
+        problem.robot,
+        derivatives,
+        smoothing.stiffness,
+        sides,
+        problem.process_force,
+        WIDER * smoothing.corners,
     )
 
 
@@ -293,7 +314,7 @@ def _end_waypoint(
     if not modes:
         return place
     x = ca.SX.sym("x", coordinates_of(problem).order * problem.joints)
-    model = _motors(problem, x, p)
+    model = _motors(problem, x, Smoothing(*ca.vertsplit(p)))
     limits, joints = problem.active_limits, [f"joint {j + 1}" for j in range(problem.joints)]
     rows, expressions = [], []
     speed, acceleration = (
@@ -362,7 +383,7 @@ def _tool_pose(problem: TrajectoryProblem) -> tuple[ca.SX, Quantity, Quantity, Q
     x = ca.SX.sym("x", coordinates_of(problem).order * n)
     joints = x[:n]
     if problem.plans_links:
-        joints = _motors(problem, x, smoothing_stages(problem)[-1]).position
+        joints = _motors(problem, x, Smoothing(smoothing_stages(problem)[-1])).position
     tool = problem.robot.tool
     position, rotation = tool_pose(
         problem.robot.tree, tool.joint, tool.offset, tool.rotation, joints
@@ -370,9 +391,7 @@ def _tool_pose(problem: TrajectoryProblem) -> tuple[ca.SX, Quantity, Quantity, Q
     return x, joints, position, rotation
 
 
-def _motors(problem: TrajectoryProblem, x: Quantity, smoothing: Quantity) -> MotorModel:
-    """Motors at a state of the links, by the law with this factor on its smoothing widths."""
+def _motors(problem: TrajectoryProblem, x: Quantity, smoothing: Smoothing) -> MotorModel:
+    """Motors at a state of the links, by the law with these factors on its smoothing widths."""
     n = problem.joints
-    return MotorModel(
-        problem.robot, ca.vertsplit(x, n), smoothing, np.zeros(n), problem.process_force
-    )
+    return _leading(MotorModel, problem, ca.vertsplit(x, n), smoothing, np.zeros(n))

@@ -64,7 +64,7 @@ class MotorModel(StageModel):
         As for `StageModel`.
     process_force : array_like (3,)
         Acts on the tool all the time, base axes [N].
-    wider : float
+    wider : SX or float
         Smoothing widths of the motors' law over those of the deflection.
     """
 
@@ -75,7 +75,7 @@ class MotorModel(StageModel):
         smoothing: Quantity,
         sides: np.ndarray,
         process_force: object = (0.0, 0.0, 0.0),
-        wider: float = WIDER,
+        wider: Quantity = WIDER,
     ) -> None:
         self.robot, self.smoothing, self.sides, self.wider = robot, smoothing, sides, wider
         self.process_force = np.asarray(process_force, dtype=float)

@@ -79,6 +79,8 @@ class ObjectiveKind(ABC):
         Whether it is about what swings on after arrival, so that the certificate simulates it.
     comparable : bool
         Whether the optimiser's value is to agree with the certified one.
+    of_drives : bool
+        Whether it holds the drives' torque, and so their dry friction.
     shaped : bool
         Whether the motion is averaged over a swing of the arm's lowest mode.
     comparatives : (str, str)
@@ -99,6 +101,7 @@ class ObjectiveKind(ABC):
     plans_links = False
     of_arrival = False
     comparable = True
+    of_drives = False
     shaped = False
     comparatives = ("less", "more")
     compared_as_ratio = True

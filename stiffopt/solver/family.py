@@ -20,6 +20,7 @@ from stiffopt.problem.bounds import shortest_duration
 from stiffopt.problem.clear_poses import check_clear_poses
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
+from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.solution import Solution
 from stiffopt.solver.plan import SolveStage, solver_options
@@ -46,7 +47,7 @@ class WarmStart:
     x, multipliers_x, multipliers_g : array
         Of the last programme, in units.
     mesh : list of array
-    smoothing : float
+    smoothing : Smoothing
     scales : mapping of objective name to float
         Its programme was scaled by.
     block_scales : BlockScales
@@ -60,7 +61,7 @@ class WarmStart:
     multipliers_x: np.ndarray
     multipliers_g: np.ndarray
     mesh: Mesh
-    smoothing: float
+    smoothing: Smoothing
     scales: Mapping[str, float]
     block_scales: BlockScales
     method: str
@@ -77,7 +78,7 @@ class WarmStart:
             x=self.x,
             multipliers_x=self.multipliers_x,
             multipliers_g=self.multipliers_g,
-            smoothing=np.array(self.smoothing),
+            smoothing=self.smoothing.parameters,
             method=np.array(self.method),
             **arrays,  # type: ignore[arg-type]
         )
@@ -97,7 +98,7 @@ class WarmStart:
                 held["multipliers_x"],
                 held["multipliers_g"],
                 numbered("mesh"),
-                float(held["smoothing"]),
+                Smoothing(*held["smoothing"].tolist()),
                 {n[6:]: float(held[n]) for n in held.files if n.startswith("scale_")},
                 BlockScales(tuple(numbered("of_x")), tuple(numbered("of_g"))),
                 str(held["method"]),

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.problem.formulation import smoothing_stages
+from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.solver.ipopt import IpoptOptions
@@ -27,33 +28,32 @@ class SolveStage:
     Parameters
     ----------
     intervals : int
-    smoothing : float
-        Factor on the smoothing widths of the stiffness model.
+    smoothing : Smoothing
     new_mesh : bool
         Place the intervals anew, short where the controls of the stage before change.
     """
 
     intervals: int
-    smoothing: float
+    smoothing: Smoothing
     new_mesh: bool = False
 
 
 def stages(problem: TrajectoryProblem, intervals: int) -> tuple[SolveStage, ...]:
     """Stages that end at `intervals` with the narrowest smoothing the problem needs."""
     coarse = max(intervals // 2, min(_LEAST_INTERVALS, intervals))
-    widths = smoothing_stages(problem)
+    widths = tuple(map(Smoothing, smoothing_stages(problem)))
     if len(widths) == 1:
         # Smooth problems converge from the guess at once; a coarse mesh would only cost time.
-        return (SolveStage(intervals, 1.0),)
+        return (SolveStage(intervals, Smoothing(1.0)),)
     if problem.plans_links:
         # Long chains of integrators take a new mesh badly: one, and the narrow smoothing at once.
         return (SolveStage(coarse, widths[1]), SolveStage(intervals, widths[-1], new_mesh=True))
-    if widths == WINDUP_SMOOTHING:
+    if smoothing_stages(problem) == WINDUP_SMOOTHING:
         # Each mesh follows the motion before it. A middle one costs less than a second fine one,
         # and its peaks are as low. Neither has to grow with the last one.
         coarse = min(coarse, _MOST_COARSE)
         middle = max(min(2 * intervals // 3, _MOST_MIDDLE), coarse)
-        between = float(np.sqrt(widths[-2] * widths[-1]))
+        between = Smoothing(float(np.sqrt(np.prod(WINDUP_SMOOTHING[-2:]))))
         return (
             SolveStage(coarse, widths[0]),
             SolveStage(middle, between, new_mesh=True),

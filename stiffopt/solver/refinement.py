@@ -31,6 +31,7 @@ from stiffopt.solver.stages import (
     run_stages,
     solve_again,
 )
+from stiffopt.solver.standstill import at_rest
 from stiffopt.solver.verdict import TRUE_OBJECTIVE
 from stiffopt.transcription.between import Excess, drawn_in, excess_of, tightened
 from stiffopt.transcription.nlp import Nlp
@@ -42,6 +43,8 @@ _AIM = 0.8 * CERTIFIED
 # Gap of the objective between nodes that a finer mesh is worth, where a baseline is better.
 _CLOSE = 1e-3
 _REFINEMENTS = 3
+# Gap of the objective from which on joints that creep are brought to rest, so often at most.
+_CREEP, _STANDS = 5e-3, 2
 _GROWTH = 1.25
 _CORRECTIONS = 12
 # Of a row's bound at once: a larger excess is a narrow one, and goes with less.
@@ -72,6 +75,7 @@ def refined(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> Outcome:
 def _on_finer_mesh(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> Outcome:
     """A finer mesh, short where the controls change; from the second time on tighter limits."""
     margins: dict[str, float] = {}
+    outcome = _standing(run, outcome)
     for attempt in range(1, _REFINEMENTS + 1):
         excess = _excess(outcome.assessment)
         true = _CLOSE if _is_behind(run.problem, outcome, rival) else TRUE_OBJECTIVE
@@ -93,9 +97,31 @@ def _on_finer_mesh(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> O
             return stopped(outcome)
         if _failed(finer.raw):
             break
-        outcome = finer
+        outcome = _standing(run, finer)
     if outcome.raw.converged and not _excess(outcome.assessment):
         return _without_bulges(run, outcome)
+    return outcome
+
+
+def _standing(run: SolveRun, outcome: Outcome) -> Outcome:
+    """The outcome with joints that creep at rest, as far as that makes it better."""
+    free = outcome.transcription
+    if not any(objective.kind.of_drives for objective in run.problem.objectives):
+        return outcome
+    for _ in range(_STANDS):
+        if not outcome.raw.converged or outcome.objective_gap <= _CREEP:
+            break
+        standing = at_rest(free, outcome.raw.x, run.problem)
+        if standing is None:
+            break
+        try:
+            found = solve_again(run, outcome, standing.nlp, outcome.smoothing)
+        except KeyboardInterrupt:
+            return stopped(outcome)
+        if not found.raw.converged or rank(run.problem, found) >= rank(run.problem, outcome):
+            outcome.solver.rebound(outcome.transcription.nlp)
+            return stopped(outcome) if found.raw.status == "interrupted" else outcome
+        outcome = replace(found, transcription=standing)
     return outcome
 
 
@@ -151,26 +177,26 @@ def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nl
         for attempt in range(1, _CORRECTIONS + 1):
             if rows is None or known is None:
                 excess = _excess(outcome.assessment)
-                if not raw.converged or not (excess or outcome.objective_gap > TRUE_OBJECTIVE):
+                if not _to_mend(outcome, excess):
                     break
                 if attempt > 1 and max(excess.values(), default=0.0) > _CORNER:
-                    smoothing *= 2.0
+                    smoothing = replace(smoothing, corners=2.0 * smoothing.corners)
                 rows = rows or exact_path_rows(run.problem, run.motion, run.scales)
-                known = excess_of(made.transcription, raw.x, np.array([smoothing]), rows)
-                # What the rows do not know, such as the delay by damping, is the same all along.
-                seen = known.largest
-                unseen = {k: v for k, v in excess.items() if seen.get(k, 0.0) < _SEEN * v}
+                known = excess_of(made.transcription, raw.x, smoothing.parameters, rows)
+                unseen = _unseen(known, excess)
             haste = min(2.0 ** (attempt - 1), _HASTE)
-            nlp = tightened(nlp, known, most=_LARGEST_STEP, haste=haste, limits=LIMITS)
-            nlp = drawn_in(nlp, {k: min(v, _LARGEST_STEP) for k, v in unseen.items()})
+            found = tightened(nlp, known, most=_LARGEST_STEP, haste=haste, limits=LIMITS)
+            found = drawn_in(found, unseen)
+            if _same_bounds(found, nlp) and smoothing == outcome.smoothing:
+                break
+            nlp = found
             again = corrected(run, made, raw, nlp, smoothing)
             if _failed(again):
                 break
             raw, known = again, None
             if raw.converged and not unseen:
-                known = excess_of(made.transcription, raw.x, np.array([smoothing]), rows)
-                if not _speaks_for_itself(known):
-                    known = None
+                left = excess_of(made.transcription, raw.x, smoothing.parameters, rows)
+                known = left if _speaks_for_itself(left) else None
             if known is None:
                 outcome = outcome_of(run, made, raw, smoothing)
         if outcome.raw is not raw:
@@ -180,6 +206,20 @@ def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nl
             outcome = outcome_of(run, made, raw, smoothing)
         outcome = stopped(outcome)
     return outcome, nlp
+
+
+def _to_mend(outcome: Outcome, excess: dict[str, float]) -> bool:
+    return outcome.raw.converged and (bool(excess) or outcome.objective_gap > TRUE_OBJECTIVE)
+
+
+def _unseen(known: Excess, excess: dict[str, float]) -> dict[str, float]:
+    """What the rows do not know, such as the delay by damping: it is the same all along."""
+    unseen = {k: v for k, v in excess.items() if known.largest.get(k, 0.0) < _SEEN * v}
+    return {k: min(v, _LARGEST_STEP) for k, v in unseen.items()}
+
+
+def _same_bounds(one: Nlp, other: Nlp) -> bool:
+    return np.array_equal(one.lower_g, other.lower_g) and np.array_equal(one.upper_g, other.upper_g)
 
 
 def _speaks_for_itself(excess: Excess) -> bool:

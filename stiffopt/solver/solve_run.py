@@ -144,7 +144,7 @@ class SolveRun:
         self.homotopy.append(
             {
                 "intervals": stage.intervals,
-                "smoothing": stage.smoothing,
+                "smoothing": stage.smoothing.stiffness,
                 "iterations": raw.iterations,
                 "status": raw.status,
                 "solve_s": round(raw.solve_s, 4),

@@ -14,6 +14,7 @@ from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.problem.formulation import formulate
 from stiffopt.problem.motor_model import WIDER
+from stiffopt.problem.smoothing import Smoothing
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
@@ -59,7 +60,7 @@ class Outcome:
     objective_gap : float
         How much worse the certified objective is than the one at the nodes, relative.
     solver : IpoptSolver
-    smoothing : float
+    smoothing : Smoothing
         Of the last stage.
     """
 
@@ -69,7 +70,7 @@ class Outcome:
     assessment: Assessment
     objective_gap: float
     solver: IpoptSolver
-    smoothing: float
+    smoothing: Smoothing
 
 
 def run_stages(
@@ -110,14 +111,14 @@ def run_stages(
     return outcome_of(run, made, raw, stage.smoothing)
 
 
-def solve_again(run: SolveRun, before: Outcome, nlp: Nlp, smoothing: float) -> Outcome:
+def solve_again(run: SolveRun, before: Outcome, nlp: Nlp, smoothing: Smoothing) -> Outcome:
     """Solve the last stage again from where it ended, with other bounds or smoothing."""
     made = Programme(before.transcription, before.solver)
     return outcome_of(run, made, corrected(run, made, before.raw, nlp, smoothing), smoothing)
 
 
 def corrected(
-    run: SolveRun, made: Programme, before: RawSolution, nlp: Nlp, smoothing: float
+    run: SolveRun, made: Programme, before: RawSolution, nlp: Nlp, smoothing: Smoothing
 ) -> RawSolution:
     """As `solve_again`, without looking at the motion."""
     made.solver.rebound(nlp)
@@ -130,8 +131,8 @@ def motors_of(run: SolveRun, outcome: Outcome, share: float, *, sagged: bool) ->
 
     With springs that carry the links where they hang, or where they are planned.
     """
-    smoothing, x = share * outcome.smoothing, outcome.raw.x
-    return _trajectory(run, outcome.transcription, x, smoothing, sagged=sagged)
+    law, x = share * outcome.smoothing.law, outcome.raw.x
+    return _trajectory(run, outcome.transcription, x, law, sagged=sagged)
 
 
 def _solved(
@@ -194,7 +195,7 @@ def _looked_into(
     ended = raw.converged or raw.status in ("interrupted", "time_limit")
     if ended or raw.violation <= FEASIBLE or not made.transcription.nlp.derivatives:
         return raw, False
-    nlp, parameters = made.solver.nlp, np.array([stage.smoothing])
+    nlp, parameters = made.solver.nlp, stage.smoothing.parameters
     begin = time.perf_counter()
     # From where the stage began: what led nowhere has led away.
     found = least_excess(nlp, x, parameters, run.remaining)
@@ -267,11 +268,13 @@ def solve_stage(
     push: float = 1e-8,
 ) -> RawSolution:
     """Solve one stage; where it stalls, once more from the best point without multipliers."""
-    report = _reporter(run, f"{text}, {stage.intervals} intervals, smoothing {stage.smoothing:g}")
+    report = _reporter(
+        run, f"{text}, {stage.intervals} intervals, smoothing {stage.smoothing.stiffness:g}"
+    )
     for start in (warm, None):
         raw = made.solver.solve(
             x,
-            np.array([stage.smoothing]),
+            stage.smoothing.parameters,
             warm=start,
             barrier=barrier,
             push=push,
@@ -286,9 +289,9 @@ def solve_stage(
     return raw
 
 
-def outcome_of(run: SolveRun, made: Programme, raw: RawSolution, smoothing: float) -> Outcome:
+def outcome_of(run: SolveRun, made: Programme, raw: RawSolution, smoothing: Smoothing) -> Outcome:
     """The motion of a solved stage, with its certificate."""
-    trajectory = _trajectory(run, made.transcription, raw.x, smoothing)
+    trajectory = _trajectory(run, made.transcription, raw.x, smoothing.law)
     assessment = assess(run.problem, trajectory)
     return Outcome(
         raw=raw,
@@ -331,7 +334,7 @@ def build_programme(
     mesh: Mesh,
     guess: Guess | None = None,
     scales: BlockScales | None = None,
-    smoothing: float | None = None,
+    smoothing: Smoothing | None = None,
 ) -> Programme:
     """Transcribe a problem on a mesh, with its own scales or given ones, and set up its solver.
 
@@ -355,7 +358,7 @@ def _solvable(run: SolveRun, transcription: Transcription, *, near: bool = False
     return Programme(transcription, IpoptSolver(transcription.nlp, options))
 
 
-def _near(transcription: Transcription, guess: Guess, smoothing: float) -> bool:
+def _near(transcription: Transcription, guess: Guess, smoothing: Smoothing) -> bool:
     """Whether a guess exceeds no row by much."""
     return _excess(transcription, guess, smoothing) <= _NEAR
 
@@ -368,16 +371,17 @@ def _no_spike(
     Passed fast, a narrow corner asks for many times a motor's jerk: no solve gets rid of that.
     """
     smoothing = stage.smoothing
-    while smoothing < before.smoothing and _excess(transcription, guess, smoothing) > _SPIKE:
-        smoothing *= 2.0
+    widest = before.smoothing.law
+    while smoothing.law < widest and _excess(transcription, guess, smoothing) > _SPIKE:
+        smoothing = replace(smoothing, corners=2.0 * smoothing.corners)
     return replace(stage, smoothing=smoothing)
 
 
-def _excess(transcription: Transcription, guess: Guess, smoothing: float) -> float:
+def _excess(transcription: Transcription, guess: Guess, smoothing: Smoothing) -> float:
     """The largest by which a guess exceeds a row, relative to its scale."""
     nlp = transcription.nlp
     rows = ca.Function("rows", [nlp.x, nlp.p], [nlp.g])
-    found = rows(transcription.pack(guess), nlp.parameters(np.array([smoothing])))
+    found = rows(transcription.pack(guess), nlp.parameters(smoothing.parameters))
     return float(nlp.violations(found.full()).max(initial=0.0))
 
 
@@ -389,7 +393,7 @@ def _trajectory(
     run: SolveRun,
     transcription: Transcription,
     x: np.ndarray,
-    smoothing: float,
+    law: float,
     *,
     sagged: bool = False,
 ) -> Trajectory:
@@ -397,7 +401,7 @@ def _trajectory(
     problem = run.problem
     motion = Trajectory.from_acceleration(*transcription.acceleration_polynomials(x))
     if problem.plans_links:
-        return run.motors.motion(motion, WIDER * smoothing, run.lag, sagged=sagged)
+        return run.motors.motion(motion, WIDER * law, run.lag, sagged=sagged)
     if problem.path is None:
         return motion
     return JointPath.through(problem.path).follow(motion)

@@ -19,6 +19,7 @@ from stiffopt.errors import InputError
 from stiffopt.problem.formulation import Scales, exact_path_rows, formulate
 from stiffopt.problem.motor_model import WIDER, MotorLaw, MotorModel, NearMotorModel, rounded_lag
 from stiffopt.problem.resolve import resolve
+from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.trajectory import Method
 from stiffopt.result.store import export_times, write_trajectory
 from stiffopt.result.trajectory import Trajectory
@@ -225,7 +226,7 @@ def test_bounds_are_drawn_in_about_what_exceeds_them(planar):
     transcription = transcribe(ocp, mesh=uniform_mesh(8))
     x = transcription.pack(initial_guess(planar, motion, baselines(planar, motion)))
     rows = exact_path_rows(planar, motion, Scales())
-    excess = excess_of(transcription, x, np.array([SMOOTHING]), rows)
+    excess = excess_of(transcription, x, Smoothing(SMOOTHING).parameters, rows)
     nlp = tightened(transcription.nlp, excess, most=0.1)
     change = transcription.nlp.upper_g - nlp.upper_g
     changed = np.flatnonzero(np.nan_to_num(change))
@@ -238,3 +239,19 @@ def test_bounds_are_drawn_in_about_what_exceeds_them(planar):
     # Again from there, bounds only move further in.
     further = tightened(nlp, excess, most=0.1)
     assert np.all(np.nan_to_num(nlp.upper_g - further.upper_g) >= 0.0)
+
+
+def test_wide_corners_are_the_motors_alone(planar):
+    problem = replace(planar, limits=replace(planar.limits, dynamic_deflection=1e-3))
+    motion, random = resolve(problem), np.random.default_rng(3)
+    rows = exact_path_rows(problem, motion, Scales())
+    blocks = formulate(problem, motion, Scales()).path_rows
+    names = [block.name for block in blocks for _ in block.labels]
+    state, control = random.normal(size=10) * np.repeat([0.3, 1, 10, 1e2, 1e3], 2), np.zeros(2)
+    narrow, wide = (
+        rows(state, control, 1e-4, Smoothing(SMOOTHING, corners).parameters).full().ravel()
+        for corners in (1.0, 4.0)
+    )
+    changed = {name for name, a, b in zip(names, narrow, wide, strict=True) if a != b}
+    assert changed == {"velocity", "acceleration"}
+    assert any("deflection" in name for name in names)

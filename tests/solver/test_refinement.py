@@ -7,9 +7,11 @@ from small_arms import load
 
 from stiffopt.certificate.objective_value import objective_value
 from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.problem.objective import Objective
+from stiffopt.problem.smoothing import Smoothing
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver import refinement
-from stiffopt.solver.solve import solve
+from stiffopt.solver.solve import solve, solve_keeping
 
 PEAK = 'objective = "dynamic_deflection"\nmeasure = "peak"'
 
@@ -66,7 +68,9 @@ def test_a_correction_with_a_worse_peak_is_not_taken(problem, coarse, monkeypatc
     values = []
 
     def nearer_but_worse(run, outcome, nlp):
-        worse = refinement.solve_again(run, outcome, nlp, 64.0 * outcome.smoothing)
+        worse = refinement.solve_again(
+            run, outcome, nlp, Smoothing(64.0 * outcome.smoothing.stiffness)
+        )
         assert worse.raw.converged
         assert worse.assessment.feasible(CERTIFIED)
         values.append(objective_value(run.problem, worse.assessment).value)
@@ -76,3 +80,16 @@ def test_a_correction_with_a_worse_peak_is_not_taken(problem, coarse, monkeypatc
     after = solve(problem, throw=False)
     assert values[0] > before.objective.value
     assert after.objective.value == before.objective.value
+
+
+def test_nothing_is_solved_again_where_no_row_is_exceeded(problem, monkeypatch):
+    def never(*_):
+        raise AssertionError
+
+    smooth = replace(problem, objectives=(Objective(name="torque_squared"),))
+    _, kept = solve_keeping(smooth)
+    run, outcome = kept
+    monkeypatch.setattr(refinement, "corrected", never)
+    worse = replace(outcome, objective_gap=0.5)
+    after, _ = refinement._within_rows(run, worse, worse.transcription.nlp)
+    assert after is worse

@@ -67,6 +67,7 @@ class TorqueSquared(JointIntegral):
     unit = "s"
     description = "Integral over time of the sum over `joints` of (drive torque / torque_max)^2."
     phrase = "integral of the squared torque ratios"
+    of_drives = True
 
     def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
         """Square of the share of the largest drive torque."""
