@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import product
 from typing import get_args
 
@@ -17,7 +18,7 @@ from stiffopt.discovery.comparison.signals import (
 )
 from stiffopt.discovery.effect import Effect, Need, Scope, Term
 from stiffopt.recording.nominal_files import joint_chain
-from stiffopt.symbolic import is_symbolic
+from stiffopt.symbolic import Quantity, is_symbolic
 
 PARTS = ("drive_torque", "link_torque", "deflection", "reading", "previous_torque")
 SCOPES = get_args(Scope)
@@ -25,6 +26,25 @@ SCOPES = get_args(Scope)
 MOST_STARTS = 30
 _JOINTS = 6
 _TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GivenArm:
+    """Signals of an arm as they are given, see `ArmSignals`."""
+
+    tool_position: Quantity
+    tool_velocity: Quantity
+    tool_jacobian: Quantity
+    body_regressor: Quantity
+    tilt: Quantity
+
+    def thinned(self, every: int) -> GivenArm:
+        """Every so many samples."""
+        return GivenArm(**{name: value[::every] for name, value in vars(self).items()})
+
+    def with_bodies(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> GivenArm:
+        """The same: its bodies are made up for any motion."""
+        return self
 
 
 def sample_signals(count: int = 60, dt: float = 0.01) -> RobotSignals:
@@ -67,11 +87,13 @@ def sample_signals(count: int = 60, dt: float = 0.01) -> RobotSignals:
         windup=windup,
         drive_torque=torque + friction,
         drive_torque_rate=np.gradient(torque + friction, dt, axis=0),
-        tool_position=tool,
-        tool_velocity=np.gradient(tool, dt, axis=0),
-        tool_jacobian=lever,
-        body_regressor=body,
-        tilt=20.0 * np.stack([np.sin(angle), np.cos(angle)], axis=2),
+        arm=GivenArm(
+            tool_position=tool,
+            tool_velocity=np.gradient(tool, dt, axis=0),
+            tool_jacobian=lever,
+            body_regressor=body,
+            tilt=20.0 * np.stack([np.sin(angle), np.cos(angle)], axis=2),
+        ),
         last_link=_JOINTS - 1,
         link=2,
         constants=constants,

@@ -1,4 +1,4 @@
-"""Rigid-body dynamics and kinematics of an arm along a whole motion, many instants at once."""
+"""Rigid-body dynamics of an arm along a whole motion, many instants at once."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from stiffopt.robot.frames import LinkFrame
 from stiffopt.robot.rigid_body import without_rotors
 
 
@@ -30,7 +29,7 @@ def torques_along(model: Any, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np
 
 
 class BodiesInMotion:
-    """Torques, their slopes and the tool along motions; no rotors, no friction.
+    """Torques along motions and their slopes; no rotors, no friction.
 
     Parameters
     ----------
@@ -76,33 +75,24 @@ class BodiesInMotion:
         inertia = np.triu(upper)
         return position, velocity, inertia + np.triu(upper, 1).swapaxes(1, 2)
 
-    def torque_regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Torques for a unit of every inertial parameter (K, n, 10 n).
+    def changed_torque(
+        self, change: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray
+    ) -> np.ndarray:
+        """Torques (K, n) of changed inertial parameters (n, 10): what they add to those of any.
 
-        Ten columns a body: its `Body.inertial_parameters`.
+        Parameters
+        ----------
+        change : array (n, 10)
+            In the order of `Body.inertial_parameters`; of bodies that need not exist by themselves.
+        q, v, a : array (K, n)
         """
-        model, data = self._model, self._data
-        count, n = q.shape
-        found = np.empty((count, n, 10 * n))
-        for k in range(count):
-            # pin drops an axis for an arm of one joint.
-            full = pin.computeJointTorqueRegressor(model, data, q[k], v[k], a[k])
-            found[k] = np.reshape(full, (n, 10 * n))
-        return found
-
-    def tool(self, frame: LinkFrame, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Position (K, 3) [m] of a frame in the base, and its Jacobian (K, 3, n), base axes."""
-        model, data = self._model, self._data
-        count, n = q.shape
-        place, rotation = np.empty((count, 3)), np.empty((count, 3, 3))
-        twists = np.empty((count, 6, n))
-        for k in range(count):
-            full = pin.computeJointJacobians(model, data, q[k])
-            pose = data.oMi[frame.joint]
-            place[k], rotation[k] = pose.translation, pose.rotation
-            twists[k] = np.reshape(full, (6, n))
-        position = place + rotation @ frame.offset
-        # Joints behind the frame do not move it.
-        carries = [j in model.supports[frame.joint] for j in range(1, n + 1)]
-        linear, turning = twists[:, :3] * carries, twists[:, 3:] * carries
-        return position, linear + np.cross(turning, position[:, :, None], axis=1)
+        torques = []
+        for times in (1.0, 0.0):
+            model = self._model.copy()
+            for body, values in enumerate(change, start=1):
+                # On top of a mass that none of it can take away.
+                whole = times * values
+                whole[0] += 1.0 + abs(values[0])
+                model.inertias[body] = pin.Inertia.FromDynamicParameters(whole)
+            torques.append(torques_along(model, q, v, a))
+        return np.asarray(torques[0] - torques[1])

@@ -187,7 +187,10 @@ def test_symbols_of_one_sample_serve_the_terms_of_the_robot():
     joints = 6
     body, tilt = ca.SX.sym("Y", joints, 60), ca.SX.sym("g", joints, 2)
     lever, tool = ca.SX.sym("J", 3, joints), ca.SX.sym("p", 1, 3)
-    one = replace(ROBOT, body_regressor=body, tilt=tilt, tool_jacobian=lever, tool_position=tool)
+    arm = replace(
+        ROBOT.arm, body_regressor=body, tilt=tilt, tool_jacobian=lever, tool_position=tool
+    )
+    one = replace(ROBOT, arm=arm)
     symbols = [body, tilt, lever, tool]
     k = 7
     numbers = [

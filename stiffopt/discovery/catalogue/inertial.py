@@ -17,7 +17,7 @@ from stiffopt.discovery.comparison.signals import (
 )
 from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Term
 from stiffopt.robot.robot import Robot
-from stiffopt.symbolic import Quantity
+from stiffopt.symbolic import Quantity, is_symbolic
 
 # Inertial parameters of a body in a regressor: mass, three first moments, six of the inertia.
 _A_BODY = 10
@@ -37,7 +37,9 @@ def body_term(signals: RobotSignals, amplitudes: Sequence[Quantity], body: int) 
     """Torques of changed inertial parameters of one body."""
     torque: Quantity = 0.0
     for k, amplitude in enumerate(amplitudes):
-        torque = torque + amplitude * part(signals.body_regressor, _A_BODY * body + k)
+        # Columns are asked for one by one.
+        if is_symbolic(amplitude) or amplitude:
+            torque = torque + amplitude * part(signals.body_regressor, _A_BODY * body + k)
     return Term(link_torque=torque)
 
 

@@ -123,7 +123,7 @@ def _errors(robot: RobotModel, runs: Sequence[RecordedRun], band: float, slow: f
         first = 0
         for part in parts:
             used = (np.abs(part.velocity[:, j]) >= slow) & np.isfinite(part.residual[:, j])
-            columns.append(part.columns(j, bodies=not robot.elastic)[used])
+            columns.append(part.columns(j)[used])
             target.append(part.residual[used, j])
             stretch.append(first + part.stretch[used])
             first += int(part.stretch.max()) + 1
@@ -139,11 +139,11 @@ class _Samples:
 
     velocity: np.ndarray
     acceleration: np.ndarray
-    bodies: np.ndarray
+    bodies: np.ndarray | None
     residual: np.ndarray
     stretch: np.ndarray
 
-    def columns(self, j: int, *, bodies: bool) -> np.ndarray:
+    def columns(self, j: int) -> np.ndarray:
         """What the torque of a joint may be made of (m, k).
 
         Where links are followed through springs, too fast a band makes accelerations that are none,
@@ -151,7 +151,7 @@ class _Samples:
         """
         speed = self.velocity[:, j]
         own = (np.ones_like(speed), smooth_sign(speed), speed, self.acceleration[:, j])
-        return np.column_stack([*own, self.bodies[:, j]] if bodies else own)
+        return np.column_stack(own if self.bodies is None else [*own, self.bodies[:, j]])
 
 
 def _samples(
@@ -174,7 +174,7 @@ def _samples(
     return _Samples(
         velocity=speed,
         acceleration=rate,
-        bodies=robot.body_regressor(q, v, a),
+        bodies=None if robot.elastic else robot.body_regressor(q, v, a),
         residual=torque[kept] - nominal,
         stretch=((time[kept] - time[0]) / length).astype(int),
     )

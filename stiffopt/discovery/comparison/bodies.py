@@ -8,8 +8,6 @@ semidefinite pseudo-inertia (Wensing, Kim, Slotine 2018), to which fits keep.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-
 import numpy as np
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
@@ -50,27 +48,6 @@ def body_units(robot: RobotModel) -> np.ndarray:
 def nominal_bodies(robot: RobotModel) -> np.ndarray:
     """Nominal inertial parameters (n, 10)."""
     return np.array([robot.arm.tree.bodies[j].inertial_parameters for j in robot.order])
-
-
-def body_torque(
-    robot: RobotModel, regressor: np.ndarray, change: Mapping[str, float]
-) -> np.ndarray | None:
-    """Torques (K, n) of changed parameters, by their names; None where none is.
-
-    Parameters
-    ----------
-    robot : RobotModel
-    regressor : array (K, n, 10 n)
-    change : mapping of str to float
-    """
-    values = np.array([change.get(name, 0.0) for name in body_names(robot)])
-    return np.asarray(regressor @ values) if values.any() else None
-
-
-def body_columns(robot: RobotModel, regressor: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """Torques (K, n) for a unit of every parameter, with its name."""
-    for k, name in enumerate(body_names(robot)):
-        yield name, regressor[:, :, k]
 
 
 def pseudo_inertia(parameters: np.ndarray) -> np.ndarray:

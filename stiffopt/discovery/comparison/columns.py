@@ -11,7 +11,7 @@ import numpy as np
 from stiffopt.discovery.comparison.extension import Extension, around, moves_links
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.nuisance import MOVES_LINKS, NuisanceColumn, nuisance_columns
+from stiffopt.discovery.comparison.nuisance import MOVES_LINKS, nuisance_columns
 from stiffopt.discovery.comparison.pieces import PieceColumns, PieceProducts, Pieces, PieceSums
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.rows import ChannelNoise, ChannelRows
@@ -160,23 +160,17 @@ class Columns:
         return self._made[free]
 
     def _nominal_columns(self) -> _Nominal:
-        per_run: list[list[NuisanceColumn]] = [
-            list(nuisance_columns(run, self.robot, self.tolerance, self.bodies))
-            for run in self.runs
-        ]
         # A joint at rest in one run, or links that could not be followed there, have no column.
-        order = {c.name: c for own in per_run for c in own}
-        by_name = [{c.name: c for c in own} for own in per_run]
-        matrix = np.zeros((self.rows.size, len(order)))
-        for column, name in enumerate(order):
-            channels = [
-                own[name].added.channels(run, self.robot) if name in own else (None, None)
-                for own, run in zip(by_name, self.runs, strict=True)
-            ]
-            matrix[:, column] = self.rows.flatten(
-                [c[0] for c in channels], [c[1] for c in channels]
-            )
-        return _Nominal(list(order), np.array([c.sd for c in order.values()]), matrix)
+        sd: dict[str, float] = {}
+        columns: dict[str, np.ndarray] = {}
+        # One after another: a long run has no room for all of them before they are thinned.
+        for number, run in enumerate(self.runs):
+            for each in nuisance_columns(run, self.robot, self.tolerance, self.bodies):
+                sd[each.name] = each.sd
+                rows = columns.setdefault(each.name, np.zeros(self.rows.size))
+                self.rows.put(rows, number, *each.added.channels(run, self.robot))
+        matrix = np.column_stack([*columns.values(), np.zeros((self.rows.size, 0))])
+        return _Nominal(list(sd), np.array(list(sd.values())), matrix)
 
     @cached_property
     def target(self) -> np.ndarray:

@@ -7,11 +7,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.bodies import body_torque
 from stiffopt.discovery.comparison.filtering import derivative
 from stiffopt.discovery.comparison.located_effect import Contribution, LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.nuisance import MOVES_LINKS, OF_SPRINGS, nuisance_columns
+from stiffopt.discovery.comparison.nuisance import (
+    MOVES_LINKS,
+    OF_BODIES,
+    OF_SPRINGS,
+    changed_bodies,
+    nuisance_columns,
+)
 from stiffopt.discovery.comparison.prepare import PreparedRun, with_link_torque
 from stiffopt.discovery.comparison.swing import LinkMotion, Swing, damping_of, slow_filter
 from stiffopt.recording.nominal import Tolerance
@@ -286,7 +291,7 @@ def _followed(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prep
     """
     assert run.swing is not None
     springs = run.springs(robot, _damping(robot, extension))
-    bodies = _values(extension, ("mass", "com", "body"))
+    bodies = _values(extension, OF_BODIES)
     sprung = replace(
         extension,
         calibration=_values(extension, OF_SPRINGS).calibration,
@@ -378,8 +383,8 @@ def _nearly(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prepar
 def _with_regressor(run: PreparedRun, robot: RobotModel) -> PreparedRun:
     """The run with the regressor of its links' motion."""
     s = run.signals
-    regressor = robot.body_regressor(s.link_position, s.link_velocity, s.link_acceleration)
-    return replace(run, signals=replace(s, body_regressor=regressor))
+    arm = s.arm.with_bodies(s.link_position, s.link_velocity, s.link_acceleration)
+    return replace(run, signals=replace(s, arm=arm))
 
 
 def _with_links(run: PreparedRun, robot: RobotModel, links: LinkMotion) -> PreparedRun:
@@ -468,7 +473,7 @@ def added_inertia(
             few.signals,
             link_velocity=rest,
             link_acceleration=acceleration,
-            body_regressor=robot.body_regressor(q, rest, acceleration),
+            arm=few.signals.arm.with_bodies(q, rest, acceleration),
         )
         here = replace(few, signals=signals)
         return sum((_change(here, robot, each).link_torque for each in extensions), rest)
@@ -481,13 +486,15 @@ def added_inertia(
 def _change(run: PreparedRun, robot: RobotModel, extension: Extension) -> _Change:
     change = _Change(*(np.zeros_like(run.signals.spring_torque) for _ in range(4)))
     values = {name: value for name, value in extension.calibration.items() if value}
-    if values:
-        for column in nuisance_columns(run, robot, _EVERY, asked=values.__contains__):
+    bodies = {name for name in values if name.split()[0] in OF_BODIES}
+    if bodies:
+        parameters = changed_bodies(robot, values)
+        change.link_torque[:] += run.signals.body_regressor.torque(parameters)
+    others = values.keys() - bodies
+    if others:
+        for column in nuisance_columns(run, robot, _EVERY, asked=others.__contains__):
             # What knees share is asked for by one of them.
             change.add(column.added, values.get(column.name, 0.0))
-        bodies = body_torque(robot, run.signals.body_regressor, extension.calibration)
-        if bodies is not None:
-            change.link_torque[:] += bodies
     for each in extension.effects:
         change.add(each.located.contribution(run, each.amplitudes))
     return change

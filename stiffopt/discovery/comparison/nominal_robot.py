@@ -1,4 +1,4 @@
-"""The nominal model of a recording set along a motion: torques, wind-up, friction, regressors."""
+"""The nominal model of a recording set along a motion: torques, wind-up, friction."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from stiffopt.discovery.comparison.signals import (
 from stiffopt.discovery.settings import filled
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
+from stiffopt.robot.along_motion import body_torques, tool_along
 from stiffopt.robot.frames import first_link_of
 
 
@@ -33,6 +34,8 @@ class RobotModel:
         Joints.
     rotor_inertia, coulomb, viscous : array (n,)
         Zero where the set is silent.
+    kept_torques : dict
+        Torques of single bodies along motions, those asked for last.
     """
 
     def __init__(self, recordings: RecordingSet) -> None:
@@ -45,6 +48,7 @@ class RobotModel:
         self.coulomb = self.arm.coulomb[self.order]
         self.viscous = self.arm.viscous[self.order]
         self._balance = recordings.nominal.counterbalance
+        self.kept_torques: dict[tuple[object, int], np.ndarray] = {}
 
     # ---- constants
 
@@ -135,9 +139,8 @@ class RobotModel:
 
     def windup(self, torque: np.ndarray) -> np.ndarray:
         """Nominal wind-up under spring torques [rad]."""
-        return np.column_stack(
-            [joint.windup(torque[:, j]) for j, joint in enumerate(self.constants.joints)]
-        )
+        joints = enumerate(self.constants.joints)
+        return np.array([joint.windup(torque[:, j]) for j, joint in joints]).T
 
     def compliance(self, torque: np.ndarray) -> np.ndarray:
         """Slope of the nominal wind-up [rad/(N m)]."""
@@ -170,13 +173,23 @@ class RobotModel:
         position, velocity, acceleration = (x[:, self.order][..., self.order] for x in slopes)
         return position, velocity, acceleration
 
+    def body_torques(self, body: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Spring torques for the inertial parameters of one body (K, n, 10)."""
+        motion = (self._of_robot(x) for x in (q, v, a))
+        return body_torques(self.arm.tree, int(self.order[body]), *motion)[:, self.order]
+
     def body_regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Spring torques for the inertial parameters of every body (K, n, 10 n)."""
-        full = self._bodies.torque_regressor(*(self._of_robot(x) for x in (q, v, a)))
-        if np.array_equal(self.order, np.arange(self.n)):
-            return full
-        columns = np.concatenate([np.arange(10 * j, 10 * j + 10) for j in self.order])
-        return np.asarray(full[:, self.order][..., columns])
+        return np.concatenate([self.body_torques(b, q, v, a) for b in range(self.n)], axis=2)
+
+    def changed_torque(
+        self, change: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray
+    ) -> np.ndarray:
+        """Spring torques (K, n) of changed inertial parameters (n, 10)."""
+        by_body = np.empty_like(change)
+        by_body[self.order] = change
+        motion = (self._of_robot(x) for x in (q, v, a))
+        return self._bodies.changed_torque(by_body, *motion)[:, self.order]
 
     def tilt(self, q: np.ndarray) -> np.ndarray:
         """Change of the gravity torques for a turn of the base about x and y (K, n, 2)."""
@@ -184,17 +197,16 @@ class RobotModel:
         turned = [-np.cross(axis, self.recordings.gravity) for axis in np.eye(3)[:2]]
         return np.stack([self.gravity_torque(q, gravity) for gravity in turned], axis=2)
 
-    def tool(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Tool position (K, 3), velocity (K, 3) and position Jacobian (K, 3, n)."""
-        position, jacobian = self._bodies.tool(self.arm.tool, self._of_robot(q))
-        jacobian = jacobian[..., self.order]
-        return position, np.einsum("kij,kj->ki", jacobian, v), jacobian
+    def tool(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Tool position (K, 3) and its Jacobian (K, 3, n)."""
+        position, jacobian = tool_along(self.arm.tree, self.arm.tool, self._of_robot(q))
+        return position, jacobian[..., self.order]
 
     def temperature_rise(self, run: RecordedRun, count: int) -> np.ndarray:
         """Housing temperature above that at which friction was identified (K, n) [K]."""
         reference = self.recordings.nominal.friction_temperature
         if run.temperature is None or reference is None:
-            return np.zeros((count, self.n))
+            return np.zeros((self.n, count)).T
         return np.tile(np.asarray(run.temperature, dtype=float) - reference, (count, 1))
 
     def _of_robot(self, values: np.ndarray) -> np.ndarray:

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.bodies import body_columns
+from stiffopt.discovery.comparison.bodies import A_BODY, body_names
 from stiffopt.discovery.comparison.located_effect import Contribution
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.signals import smooth_sign
 from stiffopt.recording.nominal import Tolerance
+from stiffopt.robot.body_tree import Body
 
 # Relative standard deviation of the torques at which a reducer's slope changes, and the width over
 # which it does.
 _KNEE = 0.08
 # Values that move links, by the first word of their names.
 OF_SPRINGS = ("stiffness", "T1", "T2", "rounding")
-MOVES_LINKS = (*OF_SPRINGS, "joint_damping", "mass", "com", "body")
+OF_BODIES = ("mass", "com", "body")
+MOVES_LINKS = (*OF_SPRINGS, "joint_damping", *OF_BODIES)
 
 
 # Whether a value is asked for, by its name.
@@ -73,8 +75,8 @@ def nuisance_columns(
     if bodies is None:
         yield from _bodies(run, robot, tolerance, asked)
     else:
-        named = body_columns(robot, signals.body_regressor)
-        for (name, torque), sd in zip(named, bodies.ravel(), strict=True):
+        for k, (name, sd) in enumerate(zip(body_names(robot), bodies.ravel(), strict=True)):
+            torque = signals.body_regressor[..., k]
             yield NuisanceColumn(name, float(sd), Contribution(link_torque=torque))
     compliance_free = np.zeros_like(signals.spring_torque)
 
@@ -162,22 +164,32 @@ def _bodies(
     """Mass and centre of mass of every body."""
     for position, joint in enumerate(robot.order):
         body = robot.arm.tree.bodies[joint]
-        regressor = run.signals.body_regressor[:, :, 10 * position : 10 * position + 10]
-        now = body.inertial_parameters
-        if tolerance.mass and asked(f"mass {position + 1}"):
-            added = Contribution(link_torque=regressor @ now)
-            yield NuisanceColumn(f"mass {position + 1}", tolerance.mass, added)
-        if not tolerance.com:
-            continue
-        for axis in range(3):
-            name = f"com {position + 1} {'xyz'[axis]}"
-            if not asked(name):
-                continue
-            shift = np.zeros(3)
-            shift[axis] = 1e-5
-            moved = replace(body, centre=body.centre + shift)
-            torque = regressor @ ((moved.inertial_parameters - now) / 1e-5)
-            yield NuisanceColumn(name, tolerance.com, Contribution(link_torque=torque))
+        for name, change in _slopes(position, body):
+            sd = getattr(tolerance, name.split()[0])
+            if sd and asked(name):
+                torque = run.signals.body_regressor.of(position) @ change
+                yield NuisanceColumn(name, sd, Contribution(link_torque=torque))
+
+
+def _slopes(position: int, body: Body) -> Iterator[tuple[str, np.ndarray]]:
+    """Change (10,) of a body's parameters for a unit of its mass and its centre, by name."""
+    now = body.inertial_parameters
+    yield f"mass {position + 1}", now
+    for axis in range(3):
+        shift = np.zeros(3)
+        shift[axis] = 1e-5
+        moved = replace(body, centre=body.centre + shift)
+        yield f"com {position + 1} {'xyz'[axis]}", (moved.inertial_parameters - now) / 1e-5
+
+
+def changed_bodies(robot: RobotModel, values: Mapping[str, float]) -> np.ndarray:
+    """Changes of all inertial parameters (n, 10) that nominal values make, by their names."""
+    change = [values.get(name, 0.0) for name in body_names(robot)]
+    found = np.array(change).reshape(robot.n, A_BODY)
+    for position, joint in enumerate(robot.order):
+        for name, slope in _slopes(position, robot.arm.tree.bodies[joint]):
+            found[position] += values.get(name, 0.0) * slope
+    return found
 
 
 def merged(tolerance: Tolerance, default: Tolerance) -> Tolerance:

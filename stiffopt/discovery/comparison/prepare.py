@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
+from stiffopt.discovery.comparison.arm_along import ArmAlong
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, derivative
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.signals import JointSignals, RobotConstants, RobotSignals
@@ -152,11 +153,16 @@ def prepare(
     links, swing = link_motion(robot, followed, dt, slow), None
     if swinging:
         links, swing = _swinging(robot, motor, followed - links.position, links, slow)
+    if swing is None:
+        # Each joint in one piece of memory, of which no copy is made for its effects.
+        links = LinkMotion(
+            *(np.asfortranarray(getattr(links, part.name)) for part in fields(LinkMotion))
+        )
+        motor, velocity, acceleration = map(np.asfortranarray, (motor, velocity, acceleration))
     q, v, a = links.position, links.velocity, links.acceleration
     windup = robot.windup(links.spring)
     friction = robot.friction(velocity)
     drive = robot.rotor_inertia * acceleration + links.torque + friction
-    tool = robot.tool(q, v)
     signals = RobotSignals(
         time=time,
         dt=dt,
@@ -173,11 +179,7 @@ def prepare(
         windup=windup,
         drive_torque=drive,
         drive_torque_rate=derivative(low_pass(drive), dt),
-        tool_position=tool[0],
-        tool_velocity=tool[1],
-        tool_jacobian=tool[2],
-        body_regressor=robot.body_regressor(q, v, a),
-        tilt=robot.tilt(q),
+        arm=ArmAlong(robot, q, v, a),
         last_link=robot.n - 1,
         link=robot.n - 1,
         constants=constants or robot.constants,

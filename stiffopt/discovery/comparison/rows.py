@@ -98,22 +98,35 @@ class ChannelRows:
         torque, deflection : sequence of array (K, n) or None, one a run
         """
         out = np.zeros(self.size)
-        begin = 0
-        for run, places, *both in zip(self.runs, self._places, torque, deflection, strict=True):
-            for kind, values in enumerate(both):
-                own = places.samples[kind * self.n : (kind + 1) * self.n]
-                ends = begin + np.cumsum([len(where) for where in own])
-                if values is not None and ends[-1] > begin:
-                    scale = (self.noise.torque, self.noise.deflection)[kind]
-                    acted = np.flatnonzero(np.any(values, axis=0))
-                    passed = run.low_pass.thinned(np.ascontiguousarray(values[:, acted]))
-                    for j, column in zip(acted, passed.T, strict=True):
-                        where = places.rows[kind * self.n + j]
-                        out[ends[j] - len(where) : ends[j]] = column[where] / (
-                            scale[j] * run.low_pass.noise_gain
-                        )
-                begin = int(ends[-1])
+        for number, both in enumerate(zip(torque, deflection, strict=True)):
+            self.put(out, number, *both)
         return out
+
+    def put(
+        self, out: np.ndarray, number: int, torque: np.ndarray | None, deflection: np.ndarray | None
+    ) -> None:
+        """Put what is added to the channels (K, n) of one run (from 0) into its rows of a column.
+
+        Parameters
+        ----------
+        out : array (m,)
+        number : int
+        torque, deflection : array (K, n) or None
+        """
+        run, places, begins = self.runs[number], self._places[number], self._begins[number]
+        for kind, values in enumerate((torque, deflection)):
+            own = slice(kind * self.n, (kind + 1) * self.n)
+            if values is None or not any(len(where) for where in places.samples[own]):
+                continue
+            scale = (self.noise.torque, self.noise.deflection)[kind]
+            acted = np.flatnonzero(np.any(values, axis=0))
+            passed = run.low_pass.thinned(np.ascontiguousarray(values[:, acted]))
+            for j, column in zip(acted, passed.T, strict=True):
+                where = places.rows[kind * self.n + j]
+                begin = begins[kind * self.n + j]
+                out[begin : begin + len(where)] = column[where] / (
+                    scale[j] * run.low_pass.noise_gain
+                )
 
     def of_channels(
         self, added: Sequence[Sequence[tuple[str, int, int, np.ndarray]]], count: int

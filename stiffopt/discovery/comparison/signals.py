@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -217,39 +217,88 @@ class RobotConstants:
     tool_range: np.ndarray
 
 
+class ArmSignals(Protocol):
+    """Signals of the arm as a whole, beside those of its joints."""
+
+    @property
+    def tool_position(self) -> Quantity:
+        """Of the tool in the base frame (K, 3) [m]."""
+
+    @property
+    def tool_velocity(self) -> Quantity:
+        """Of the tool in the base frame (K, 3) [m/s]."""
+
+    @property
+    def tool_jacobian(self) -> Quantity:
+        """Of its position (K, 3, n)."""
+
+    @property
+    def body_regressor(self) -> Any:
+        """Joint torques for the inertial parameters of every body (K, n, 10 n) [N m per unit].
+
+        (m, m c, I) of the moving bodies, one after another; where it is worked out on demand,
+        entries [..., k].
+        """
+
+    @property
+    def tilt(self) -> Quantity:
+        """Change of the spring torques for a turn of the base about x and y (K, n, 2) [N m/rad]."""
+
+    def thinned(self, every: int) -> ArmSignals:
+        """Every so many samples."""
+
+    def with_bodies(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> ArmSignals:
+        """The same with the bodies' torques along another motion (K, n)."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RobotSignals(MotionSignals):
     """Signals of the whole robot.
 
     Parameters
     ----------
-    tool_position, tool_velocity : (K, 3)
-        Base frame [m], [m/s].
-    tool_jacobian : (K, 3, n)
-    body_regressor : (K, n, 10 n)
-        Joint torques for the inertial parameters (m, m c, I) of every moving body, after one
-        another [N m per unit].
-    tilt : (K, n, 2)
-        Change of the spring torques for a turn of the base about x and y [N m/rad].
+    arm : ArmSignals
+        Whose signals are this one's, too.
     last_link, link : int
         Index of the last link, and of the one that an effect is about.
     constants : RobotConstants
     """
 
-    tool_position: Quantity
-    tool_velocity: Quantity
-    tool_jacobian: Quantity
-    body_regressor: Quantity
-    tilt: Quantity
+    arm: ArmSignals
     last_link: int
     link: int
     constants: RobotConstants
+
+    @property
+    def tool_position(self) -> Quantity:
+        """As of the arm."""
+        return self.arm.tool_position
+
+    @property
+    def tool_velocity(self) -> Quantity:
+        """As of the arm."""
+        return self.arm.tool_velocity
+
+    @property
+    def tool_jacobian(self) -> Quantity:
+        """As of the arm."""
+        return self.arm.tool_jacobian
+
+    @property
+    def body_regressor(self) -> Any:
+        """As of the arm."""
+        return self.arm.body_regressor
+
+    @property
+    def tilt(self) -> Quantity:
+        """As of the arm."""
+        return self.arm.tilt
 
     def thinned(self, every: int) -> RobotSignals:
         """Every so many samples; the clock stays."""
         fields = {name: value for name, value in vars(self).items() if np.ndim(value) > 0}
         kept: dict[str, Any] = {name: value[::every] for name, value in fields.items()}
-        return replace(self, **kept)
+        return replace(self, arm=self.arm.thinned(every), **kept)
 
     def of_joint(self, index: int) -> JointSignals:
         """Signals of one joint (0-based)."""

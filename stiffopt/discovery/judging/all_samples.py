@@ -127,19 +127,18 @@ class _Rows:
         ]
         for number, run in enumerate(training.recorded):
             predictor = Predictor(training.robot, run, training.constants, settings)
-            now = predictor.predict(*start, found).torque
-            added = [
-                predictor.predict(*start, _raised(found, name, training)).torque - now
-                for name in names
-            ]
+            each = [found, *(_raised(found, name, training) for name in names)]
             places = np.searchsorted(run.stamps, run.time)
+            predicted = predictor.predict_each([(*start, extension) for extension in each])
+            now, *raised = (prediction.torque[places] for prediction in predicted)
             share = (run.time - run.time[0]) / float(run.time[-1] - run.time[0])
             fold = number * parts + np.minimum((share * parts).astype(int), parts - 1)
             for kind, joint, used in used_samples(run, predictor.velocity):
                 if kind != "torque" or used is None:
                     continue
-                left = run.torque[used, joint] - now[places[used], joint]
-                columns = np.column_stack([each[places[used], joint] for each in added])
+                left = run.torque[used, joint] - now[used, joint]
+                columns = np.column_stack([torque[used, joint] for torque in raised])
+                columns -= now[used, joint][:, None]
                 rows[joint].append((columns, left, fold[used]))
         self._rows = rows
 

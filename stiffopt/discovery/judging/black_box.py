@@ -175,7 +175,10 @@ class _Samples:
     """What the model leaves in the training runs, thinned."""
 
     def __init__(self, n: int) -> None:
-        self._parts: list[list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = [[] for _ in range(n)]
+        # Signals of whole runs are those of all joints: samples are taken of them once they count.
+        self._parts: list[list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]] = [
+            [] for _ in range(n)
+        ]
 
     def add(self, predictor: Predictor, after: Prediction, stretch: np.ndarray) -> None:
         run = predictor.run
@@ -184,26 +187,31 @@ class _Samples:
         for kind, joint, used in used_samples(run, predictor.velocity):
             if kind == "torque" and used is not None:
                 left = run.torque[used, joint] - after.torque[places[used], joint]
-                self._parts[joint].append((signals[used], left, stretch[used]))
+                own = np.flatnonzero(used)
+                self._parts[joint].append((signals, own, left, stretch[used]))
 
     def signals(self, joint: int) -> np.ndarray:
         """Signals (m, s) of the samples of a joint."""
-        parts = [part[0] for part in self._parts[joint]]
-        return np.vstack(parts)[self._kept(joint)] if parts else np.zeros((0, 1))
+        kept, begin, found = self._kept(joint), 0, [np.zeros((0, 1))]
+        for signals, own, _, _ in self._parts[joint]:
+            here = kept[(kept >= begin) & (kept < begin + len(own))] - begin
+            found.append(signals[own[here]])
+            begin += len(own)
+        return np.vstack(found[1:] or found)
 
     def fitted(self, joint: int) -> SmoothFunction | None:
         """The box of a joint; None where it predicts nothing."""
         if not self._parts[joint]:
             return None
         kept = self._kept(joint)
-        left = np.concatenate([part[1] for part in self._parts[joint]])[kept]
-        stretch = np.concatenate([part[2] for part in self._parts[joint]])[kept]
+        left = np.concatenate([part[2] for part in self._parts[joint]])[kept]
+        stretch = np.concatenate([part[3] for part in self._parts[joint]])[kept]
         if len(np.unique(stretch)) < 2:
             return None
         return smooth_function(_columns(self.signals(joint)), left, stretch)
 
     def _kept(self, joint: int) -> np.ndarray:
-        count = sum(len(part[1]) for part in self._parts[joint])
+        count = sum(len(own) for _, own, _, _ in self._parts[joint])
         return np.unique(np.linspace(0, count - 1, _SAMPLES).astype(int))
 
 

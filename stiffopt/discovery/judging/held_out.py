@@ -96,7 +96,7 @@ class HeldOut:
             predictor = Predictor(
                 training.robot, run, training.constants, settings, swinging=swinging
             )
-            before, after = predictor.predict(*self._start), predictor.predict(*extensions)
+            before, after = predictor.predict_each([self._start, extensions])
             proof = prove(run, predictor.velocity, before, after, training.noise)
             self.proofs.append(proof)
             self.velocities.append(predictor.velocity)

@@ -119,7 +119,8 @@ class Shares:
         proof: RunProof,
     ) -> None:
         """Take in a run that is predicted with everything, and without each part."""
-        without = [predictor.predict(*start, part.left_out_of(found)) for part in self._parts]
+        each = [(*start, part.left_out_of(found)) for part in self._parts]
+        without = list(predictor.predict_each(each))
         run = predictor.run
         judged = {(each.kind, each.joint): each for each in proof.channels}
         sums, none = dict(self._sums), np.zeros((len(self._parts) + 1, len(self._parts) + 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,27 +65,29 @@ class Predictor:
         swinging: bool = True,
     ) -> None:
         self.robot, self.run = robot, run
+        self._constants, self._swinging = constants, swinging
         self._position = _at_stamps(run.time, run.position, run.stamps)
-        self._others: dict[float, tuple[PreparedRun, list[int]]] = {}
+        # Joints whose torque follows another band than the rest.
+        self._others: dict[float, list[int]] = {}
+        self._settings = settings
         if prepared is not None and prepared.swing is not None:
             self.nominal = prepared
             return
         widest = PREDICTED_CUTOFF
         usual = max(settings.fit_band, widest) if settings.predict is None else widest
-        # What is predicted must not be seen.
-        blind = replace(run, torque=np.full_like(run.torque, np.nan), link_position=None)
-
-        def along(cutoff: float) -> PreparedRun:
-            narrowed = replace(settings, cutoff=cutoff)
-            return prepare(robot, blind, 0, constants, narrowed, swinging=swinging)
-
-        self.nominal = along(usual)
-        # Joints whose torque follows another band than the rest.
+        self.nominal = self._along(usual)
         bands = settings.predict or (usual,) * robot.n
         self._others = {
-            band: (along(band), [j for j, own in enumerate(bands) if own == band])
+            band: [j for j, own in enumerate(bands) if own == band]
             for band in sorted(set(bands) - {usual})
         }
+
+    def _along(self, cutoff: float) -> PreparedRun:
+        """The run in another band; what is predicted must not be seen."""
+        run = self.run
+        blind = replace(run, torque=np.full_like(run.torque, np.nan), link_position=None)
+        settings = replace(self._settings, cutoff=cutoff)
+        return prepare(self.robot, blind, 0, self._constants, settings, swinging=self._swinging)
 
     @property
     def velocity(self) -> np.ndarray:
@@ -96,17 +99,31 @@ class Predictor:
 
     def predict(self, *extensions: Extension) -> Prediction:
         """Prediction of the nominal model with extensions, each on top of those before it."""
-        prepared = extended(self.nominal, self.robot, *extensions)
-        signals, stamps = prepared.signals, self.run.stamps
-        drive, deflection = signals.drive_torque.copy(), signals.windup + prepared.beside
-        for other, joints in self._others.values():
-            along = extended(other, self.robot, *extensions).signals.drive_torque
-            drive[:, joints] = along[:, joints]
-        return Prediction(
-            stamps=stamps,
-            torque=_at_stamps(prepared.time, drive, stamps),
-            link_position=self._position - _at_stamps(prepared.time, deflection, stamps),
-        )
+        return next(self.predict_each([extensions]))
+
+    def predict_each(self, several: Sequence[Sequence[Extension]]) -> Iterator[Prediction]:
+        """As `predict` of each, one after another: other bands are prepared once for all.
+
+        One of them at a time, since a long run has no room for more.
+        """
+        stamps = self.run.stamps
+        drives, deflections = [], []
+        for extensions in several:
+            prepared = extended(self.nominal, self.robot, *extensions)
+            drives.append(prepared.signals.drive_torque.copy())
+            deflections.append(prepared.signals.windup + prepared.beside)
+        for band, joints in self._others.items():
+            other = self._along(band)
+            for drive, extensions in zip(drives, several, strict=True):
+                along = extended(other, self.robot, *extensions).signals.drive_torque
+                drive[:, joints] = along[:, joints]
+        time = self.nominal.time
+        for drive, deflection in zip(drives, deflections, strict=True):
+            yield Prediction(
+                stamps=stamps,
+                torque=_at_stamps(time, drive, stamps),
+                link_position=self._position - _at_stamps(time, deflection, stamps),
+            )
 
 
 def _at_stamps(time: np.ndarray, values: np.ndarray, stamps: np.ndarray) -> np.ndarray:

@@ -176,12 +176,7 @@ def may_have(robot: RobotModel, motion: Motion, joint: int) -> Additions:
     """What a robot may have besides: a spring at the joint, another payload."""
     angle, at = motion.position[:, joint], motion.position
     last = int(np.argmax(robot.order))
-    rows = zip(at, motion.velocity, motion.acceleration, strict=True)
-    body = 10 * last
-    payload = [
-        robot.body_regressor(q[None], v[None], a[None])[0, joint, body : body + 10]
-        for q, v, a in rows
-    ]
+    payload = robot.body_torques(last, at, motion.velocity, motion.acceleration)[:, joint]
     masses = robot.constants.masses
     mass = _PAYLOAD * float(masses.sum())
     weight = robot.gravity_torque(at, robot.recordings.gravity)[:, joint]
@@ -191,7 +186,7 @@ def may_have(robot: RobotModel, motion: Motion, joint: int) -> Additions:
     inertia = moment * _LEVER
     body_lower = [-float(masses[last]), *[-moment] * 3, *[-inertia] * 6]
     return Additions(
-        columns=np.column_stack([angle, np.sin(angle), np.cos(angle), np.array(payload)]),
+        columns=np.column_stack([angle, np.sin(angle), np.cos(angle), payload]),
         lower=np.array([-stretch, -spring, -spring, *body_lower]),
         upper=np.array([stretch, spring, spring, mass, *[moment] * 3, *[inertia] * 6]),
     )

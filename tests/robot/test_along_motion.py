@@ -1,0 +1,76 @@
+"""Torques of single bodies and the tool along motions, against pinocchio instant by instant."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from gantry_arm import gantry
+
+from stiffopt.robot.along_motion import body_torques, tool_along
+from stiffopt.robot.bodies_in_motion import BodiesInMotion
+from stiffopt.robot.body_tree import body_tree
+from stiffopt.robot.files import load_robot
+from stiffopt.robot.frames import LinkFrame
+from stiffopt.robot.rigid_body import RigidBodies
+
+# A column that turns, carries the gantry askew, and beside it an arm of its own.
+BRANCHED = (
+    gantry()
+    .replace('<link name="base">', '<link name="floor"/><link name="base">')
+    .replace(
+        "</robot>",
+        '<joint name="turn" type="revolute"><parent link="floor"/><child link="base"/>'
+        '<origin xyz="0.1 0.2 0.3" rpy="0.4 0.5 0.6"/><axis xyz="0.6 0 0.8"/>'
+        '<limit lower="-3" upper="3" effort="10" velocity="3"/></joint><link name="side">'
+        '<inertial><origin xyz="0.1 0 0.05"/><mass value="2"/><inertia ixx="1e-2" ixy="1e-3"'
+        ' ixz="2e-3" iyy="3e-2" iyz="-1e-3" izz="4e-2"/></inertial></link><joint name="branch"'
+        ' type="revolute"><parent link="cart"/><child link="side"/><origin xyz="0 0 0.2"'
+        ' rpy="1 0 0"/><axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="10" velocity="3"/>'
+        "</joint></robot>",
+    )
+)
+MODELS = {
+    "er3a": load_robot("er3a_c60").model,
+    "branched": pin.buildModelFromXML(BRANCHED),
+}
+# More instants than are worked on at once.
+COUNT = 2100
+
+
+@pytest.fixture(params=MODELS)
+def model(request):
+    return MODELS[request.param]
+
+
+@pytest.fixture
+def motion(model):
+    return np.random.default_rng(3).uniform(-2.0, 2.0, (3, COUNT, model.nv))
+
+
+def test_torques_of_single_bodies_are_columns_of_the_regressor(model, motion) -> None:
+    tree, exact = body_tree(model), RigidBodies(model)
+    own = np.concatenate([body_torques(tree, b, *motion) for b in range(tree.n)], axis=2)
+    for k in (0, 1, COUNT - 1):
+        expected = exact.torque_regressor(*motion[:, k])
+        np.testing.assert_allclose(own[k], expected, atol=1e-12 * np.abs(expected).max())
+
+
+def test_changed_bodies_need_what_their_parameters_make_of_the_columns(model, motion) -> None:
+    tree = body_tree(model)
+    change = np.random.default_rng(4).normal(0.0, 1.0, (tree.n, 10))
+    change[0] = 0.0
+    own = sum(body_torques(tree, b, *motion) @ change[b] for b in range(tree.n))
+    torque = BodiesInMotion(model).changed_torque(change, *motion)
+    np.testing.assert_allclose(torque, own, atol=1e-11 * np.abs(own).max())
+
+
+def test_tool_and_its_jacobian(model, motion) -> None:
+    exact = RigidBodies(model)
+    for joint in (1, model.nv):
+        frame = LinkFrame(joint, np.array([0.1, -0.2, 0.3]), np.eye(3))
+        position, jacobian = tool_along(body_tree(model), frame, motion[0])
+        for k in (0, COUNT - 1):
+            q = motion[0, k]
+            np.testing.assert_allclose(position[k], exact.pose(frame, q)[0], atol=1e-13)
+            np.testing.assert_allclose(jacobian[k], exact.jacobian(frame, q)[:3], atol=1e-13)
