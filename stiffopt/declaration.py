@@ -12,7 +12,7 @@ declares a length in metres above zero. A frozen dataclass whose fields are decl
 What concerns several fields is checked in `__post_init__` after `check_fields`; an `InputError`
 from there is reported with the section's place in the file. `declared(cls)` gives the declarations
 to those who build a section from a part of an object. This module knows neither pint nor pydantic:
-`stiffopt.files` says how texts are read (`Unit.reader`), the catalogue which names it has
+`stiffopt.validation` says how texts are read (`Unit.reader`), the catalogue which names it has
 (`Named.tables`).
 """
 
@@ -109,7 +109,7 @@ class Unit:
     dimension: str
     joint: bool = False
     bare: bool = False
-    # How a file's entry becomes an SI number; set by `stiffopt.files`.
+    # How a file's entry becomes an SI number; set by `stiffopt.validation`.
     reader: ClassVar[Callable[[Unit], Callable[[object], float]]]
 
     @property

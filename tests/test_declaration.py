@@ -21,7 +21,7 @@ from stiffopt.declaration import (
     check_fields,
 )
 from stiffopt.errors import InputError, InputFileError, OutOfValidityError
-from stiffopt.files import Section, validate
+from stiffopt.validation import Section, validate
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -7,15 +7,8 @@ from pydantic import Field
 
 from stiffopt.declaration import Length
 from stiffopt.errors import InputFileError
-from stiffopt.files import (
-    Section,
-    atomic_write,
-    check_header,
-    load_json,
-    load_toml,
-    validate,
-    write_csv,
-)
+from stiffopt.files import atomic_write, check_header, load_json, load_toml, write_csv
+from stiffopt.validation import Section, validate
 
 
 class Circle(Section):

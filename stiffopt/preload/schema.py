@@ -19,9 +19,9 @@ from stiffopt.declaration import (
     Torque,
 )
 from stiffopt.fastening.tightening import Tightening
-from stiffopt.files import Section
 from stiffopt.preload.problem import Choice, Requirements
 from stiffopt.problem.schema import PayloadSection, ToolSection, Vector3
+from stiffopt.validation import Section
 
 # Keys of a load case of which exactly one says where its torques come from.
 _KINDS = ("torque", "trajectory", "joints", "position")

@@ -27,11 +27,11 @@ from stiffopt.declaration import (
     declared,
 )
 from stiffopt.elastic.uncertainty import Uncertainty
-from stiffopt.files import Section
 from stiffopt.problem.limit import LIMITS, LimitKey
 from stiffopt.problem.objective import OBJECTIVES, Objective
 from stiffopt.problem.trajectory import Method
 from stiffopt.robot.cell import Cell
+from stiffopt.validation import Section
 
 Vector3 = tuple[Length, Length, Length]
 

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from stiffopt.errors import InputFileError
-from stiffopt.files import load_toml, validate, with_changes
+from stiffopt.files import load_toml, with_changes
 from stiffopt.recording.assumptions import assumptions, of_nominal
 from stiffopt.recording.clean import clean
 from stiffopt.recording.nominal import Noise, Nominal, Tolerance
@@ -29,6 +29,7 @@ from stiffopt.recording.run import RecordedRun, Role
 from stiffopt.recording.schema import NominalSection, RecordingsFile, RunSection
 from stiffopt.recording.signals import Signals, as_signals
 from stiffopt.robot.robot import Robot
+from stiffopt.validation import validate
 
 FILE = "recordings.toml"
 # Endings of recordings as they come from a logger.

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 from pydantic import ConfigDict, Field
 
 from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Bounds, Doc, Unit
-from stiffopt.files import Section
 from stiffopt.recording.nominal import Tolerance
+from stiffopt.validation import Section
 
 Names = tuple[str, ...]
 Text = Annotated[str, Field(min_length=1)]

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from stiffopt.discovery.extended.schema import ExtendedFile
-from stiffopt.files import Section
 from stiffopt.preload.schema import PreloadFile
 from stiffopt.problem.schema import problem_file
 from stiffopt.recording.schema import RecordingsFile, StaticFile
 from stiffopt.robot.own_catalogue import CatalogueFile
 from stiffopt.robot.schema import robot_file
 from stiffopt.sweep.schema import SweepFile
+from stiffopt.validation import Section
 
 # More names of the catalogue than these are not written out.
 _NAMES_SHOWN = 12

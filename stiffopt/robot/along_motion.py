@@ -62,7 +62,7 @@ def tool_along(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> tuple[np.ndar
         carried, turned = None, np.eye(3)[..., None]
         for joint in _carriers(tree, frame.joint - 1):
             body = tree.bodies[joint]
-            rotation, origin = _placed(body, own[joint])
+            rotation, origin = _frame_in_parent(body, own[joint])
             position[:, part] += np.sum(turned * origin, axis=1)
             turned = np.sum(turned[:, :, None] * rotation, axis=1)
             carried = _Carried.on(carried, body, joint, rotation, origin)
@@ -119,7 +119,7 @@ def _add_torques(
     carried = None
     for joint in _carriers(tree, number):
         body = tree.bodies[joint]
-        rotation, origin = _placed(body, q[joint])
+        rotation, origin = _frame_in_parent(body, q[joint])
         rising = rising + _cross(turning_rate, origin)
         rising = rising + _cross(turning, _cross(turning, origin))
         turning, turning_rate, rising = _turned(rotation, np.stack([turning, turning_rate, rising]))
@@ -153,7 +153,7 @@ def _carriers(tree: BodyTree, body: int) -> list[int]:
     return found
 
 
-def _placed(body: Body, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _frame_in_parent(body: Body, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rotation (3, 3, K) and origin (3, K) of a body's frame in that of its parent."""
     if body.prismatic:
         along = (body.rotation @ body.axis)[:, None] * position

@@ -21,7 +21,7 @@ from stiffopt.declaration import POSITIVE, Declared, Doc, Length, Named, declare
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import InputError
-from stiffopt.files import Section
+from stiffopt.validation import Section
 
 
 class Cited(Section):

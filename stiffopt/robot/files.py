@@ -15,7 +15,7 @@ from stiffopt.declaration import bounds, unit
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.tables import OwnEntries
 from stiffopt.errors import InputError, InputFileError, nearest
-from stiffopt.files import check_header, load_toml, validate, with_changes
+from stiffopt.files import check_header, load_toml, with_changes
 from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.element_sections import Cited
 from stiffopt.robot.elements import ElementBuilder, located
@@ -26,6 +26,7 @@ from stiffopt.robot.robot import Robot, Source
 from stiffopt.robot.schema import JointSection, PlaceSection, RobotFile, robot_file
 from stiffopt.robot.urdf import UNLIMITED, LinkBody, load_urdf
 from stiffopt.units import fit_joint
+from stiffopt.validation import validate
 
 if TYPE_CHECKING:
     import pinocchio as pin

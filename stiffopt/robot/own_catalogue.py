@@ -26,8 +26,9 @@ from stiffopt.declaration import (
 )
 from stiffopt.drivetrain.tables import OwnEntries
 from stiffopt.errors import InputError, InputFileError
-from stiffopt.files import Section, read_document
+from stiffopt.files import read_document
 from stiffopt.robot.element_sections import Cited
+from stiffopt.validation import Section
 
 # Of an ISO metric thread: pitch and core diameter are d less so many pitches.
 _PITCH_DIAMETER, _CORE_DIAMETER = 0.649519, 1.226869

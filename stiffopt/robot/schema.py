@@ -33,8 +33,8 @@ from stiffopt.declaration import (
     Named,
     declared,
 )
-from stiffopt.files import Model, Section
 from stiffopt.robot.element_sections import Cited, ElementSection, element_section, section_key
+from stiffopt.validation import Model, Section
 
 Vector = tuple[Length, Length, Length]
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from stiffopt.declaration import Bounds, Doc
-from stiffopt.files import Section
+from stiffopt.validation import Section
 
 # More cases than this are a slip of the pen.
 MOST_CASES = 100_000

@@ -14,7 +14,7 @@ from stiffopt.discovery.extended.schema import EffectSection, LeftOpenSection
 from stiffopt.discovery.search.identifiable_effects import of_changes
 from stiffopt.discovery.settings import Settings
 from stiffopt.errors import InputFileError
-from stiffopt.files import validate
+from stiffopt.validation import validate
 
 NOISE = ChannelNoise(np.array([0.1, 0.2]), np.array([np.nan, 1e-5]))
 CHOSEN = Settings(cutoff=8.0, predict=(6.0, 20.0))

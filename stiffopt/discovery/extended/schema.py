@@ -7,7 +7,6 @@ from typing import Annotated
 from pydantic import Field
 
 from stiffopt.declaration import NOT_NEGATIVE, POSITIVE, Bounds, Doc, Frequency, Unit
-from stiffopt.files import Section
 from stiffopt.recording.schema import (
     JointPosition,
     JointTorque,
@@ -16,6 +15,7 @@ from stiffopt.recording.schema import (
     NominalSection,
     Ratio,
 )
+from stiffopt.validation import Section
 
 # Far above the bands that motions of arms have, and amplitudes over their scales.
 _BAND = Bounds(above=0.0, most=1e4)
