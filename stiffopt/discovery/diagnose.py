@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from stiffopt.discovery.catalogue import CATALOGUE
+from stiffopt.discovery.catalogue import CATALOGUE, of_runs
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.diagnosis import (
@@ -28,8 +28,11 @@ from stiffopt.discovery.extended.schema import LeftOpenSection
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.discovery.judging.all_samples import from_all_samples
 from stiffopt.discovery.judging.bursts import bursts
-from stiffopt.discovery.judging.carried_over import not_carried_over
+from stiffopt.discovery.judging.carried_over import drifts, not_carried_over
 from stiffopt.discovery.judging.detection import DetectionLimit, detection_limits
+from stiffopt.discovery.judging.episodes import (
+    training_tracks,
+)
 from stiffopt.discovery.judging.held_out import HeldOut
 from stiffopt.discovery.judging.left_open import open_section
 from stiffopt.discovery.judging.modes import mode_shifts
@@ -43,27 +46,23 @@ from stiffopt.discovery.sanity.gate import doubts
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.identifiable_effects import (
     identifiable_effects,
-    of_changes,
-    of_unseen,
-    unstated_effects,
-    without_bounds,
 )
 from stiffopt.discovery.search.left_out import repeated, shares_left_out
 from stiffopt.discovery.search.rivals import Selected
-from stiffopt.discovery.search.search import SearchResult, search
+from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.search.uncertainty import (
     Estimate,
     deviations,
     estimate,
     odds_of_nothing,
 )
+from stiffopt.discovery.searched import answered
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.thresholds import (
     MISFIT_ODDS,
     MISFIT_RATIO,
     OPEN_RATIO,
     OPEN_SHARE,
-    SWING_MISFIT,
     UNREPEATED_ODDS,
 )
 from stiffopt.discovery.training import Training, train, training_runs
@@ -145,11 +144,11 @@ def diagnose(
     settings = settings or Settings()
     say = progress or (lambda _: None)
     extra = _given(effects)
-    catalogue = (*CATALOGUE, *extra)
     base = load_extended(model, extra) if isinstance(model, str | os.PathLike) else model
     if base is not None:
         recordings = base.applied_to(recordings)
     runs = training_runs(recordings, say)
+    catalogue = of_runs((*CATALOGUE, *extra), [run.name for run in runs])
     every = samples_a_mean(runs)
     thin = () if every == 1 else (sentence(runs, every),)
     recordings, runs = quieter(recordings, every), [thinned(run, every) for run in runs]
@@ -166,9 +165,7 @@ def diagnose(
     if training.least is None:
         sought = tuple(each for each in asked if not each.only_changed)
     say("compare with the nominal model" if base is None else f"compare with {base.source}")
-    result = _searched(recordings, training, sought, base, say)
-    if training.runs[0].swing is not None and not (result.stopped or result.hurried):
-        training, result = _better_swinging(recordings, training, sought, base, say, result)
+    training, result, touched = answered(recordings, training, sought, base, say)
     settings = training.settings
     stopped = _stopped_in(result)
 
@@ -211,7 +208,9 @@ def diagnose(
             lambda: plan_experiment(training, result, settings, pair, say=say),
         )
     # The findings are fixed: from here on other runs may be opened, and change nothing above.
-    opened = HeldOut(training, settings, start, found, parts_of(found, recordings.unstated), every)
+    tracks = training_tracks(result.comparison, result.fit)
+    parts = parts_of(found, recordings.unstated)
+    opened = HeldOut(training, settings, start, found, parts, every, tracks)
     if opened.measurable:
         _unless_stopped(stopped, _NO_ROD, lambda: opened.fit_rod(say))
     try:
@@ -220,6 +219,7 @@ def diagnose(
         stopped.append(opened.cut_short())
     left_open = _left_open(training, whole, asked, base, stopped, say)
     proofs, taken = tuple(opened.proofs), opened.shares.found()
+    drift = drifts(found, training.constants, opened.velocities)
     seen = (*training.recorded, *(proof.run for proof in proofs))
     return Diagnosis(
         recordings=recordings,
@@ -234,7 +234,9 @@ def diagnose(
         held_out=proofs,
         shares=taken,
         rod=opened.rod(),
-        not_carried_over=not_carried_over(proofs, opened.velocities),
+        not_carried_over=not_carried_over(proofs, opened.velocities, drift),
+        drift=drift,
+        episodes=(*touched, *opened.episodes),
         modes=mode_shifts(result.comparison, result.fit),
         catalogue=catalogue,
         detection_limits=limits,
@@ -339,76 +341,6 @@ def _left_open(
     if training.free_bodies:
         found = _unless_stopped(stopped, _NO_SUSPECTS, suspected)
     return found or _even_if_stopped(stopped, lambda: open_section(training, whole, (), before))
-
-
-def _better_swinging(
-    recordings: RecordingSet,
-    training: Training,
-    asked: Sequence[Effect],
-    base: ExtendedModel | None,
-    say: Say,
-    result: SearchResult,
-) -> tuple[Training, SearchResult]:
-    """The answer, or a better one where links swing otherwise than the model's by far.
-
-    Slopes about the nominal swing do not reach a mode that lies far off; a comparison of slow
-    motion, links in balance, does, and what it finds is a motion to go on from.
-    """
-    if _residual(result) <= SWING_MISFIT:
-        return training, result
-    say("the swing of the links is not that of the model: compare them in balance")
-    answers = [(training, result)]
-    try:
-        balanced = train(
-            recordings, training.settings, base, say, training.recorded, swinging=False
-        )
-        still = _searched(recordings, balanced, asked, base, say)
-        answers.append((balanced, still))
-        if still.effects and not (still.stopped or still.hurried):
-            say("let the links swing with what was found in balance")
-            about = still.comparison.found(still.fit)
-            answers.append((training, _searched(recordings, training, asked, base, say, about)))
-        stopped = any(found.stopped for _, found in answers)
-    except KeyboardInterrupt:
-        stopped = True
-    # Whichever is the best: what was stopped might have been better.
-    own, best = min(answers, key=lambda answer: _residual(answer[1]))
-    hurried = any(found.hurried for _, found in answers)
-    return own, replace(best, stopped=stopped, hurried=hurried)
-
-
-def _searched(
-    recordings: RecordingSet,
-    training: Training,
-    asked: Sequence[Effect],
-    base: ExtendedModel | None,
-    say: Say,
-    about: Extension | None = None,
-) -> SearchResult:
-    """What was found in training runs, from another answer on where one is given."""
-    comparison = training.comparison()
-    unstated = unstated_effects(
-        asked, recordings, training.constants.joints, usual=training.free_bodies
-    )
-    if base is not None:
-        # What the model has seen it was asked for when it was made.
-        unstated = of_unseen(unstated, comparison.unseen, base.extension)
-    return search(
-        comparison,
-        without_bounds(of_changes(asked) if comparison.after_model else asked, recordings),
-        start=unstated,
-        most=training.most,
-        strict=training.free_bodies,
-        reidentify=training.reidentified,
-        about=about,
-        report=say,
-    )
-
-
-def _residual(result: SearchResult) -> float:
-    """What is left over the noise, rms over the channels."""
-    used = result.after[np.isfinite(result.after)]
-    return float(np.sqrt(np.mean(used**2)))
 
 
 def _despite(doubted: Sequence[Doubt]) -> list[str]:

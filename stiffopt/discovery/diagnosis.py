@@ -13,8 +13,9 @@ from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import ExperimentPlan
 from stiffopt.discovery.extended.schema import LeftOpenSection
 from stiffopt.discovery.judging.black_box import MeasuringRod
-from stiffopt.discovery.judging.carried_over import NotCarriedOver
+from stiffopt.discovery.judging.carried_over import Drift, NotCarriedOver
 from stiffopt.discovery.judging.detection import DetectionLimit
+from stiffopt.discovery.judging.episodes import Episode
 from stiffopt.discovery.judging.modes import ModeShift
 from stiffopt.discovery.judging.shares import Share
 from stiffopt.discovery.judging.unexplained import Unexplained
@@ -196,6 +197,10 @@ class Diagnosis(Shown):
         separate, or no motion separates them better than the training runs.
     doubts : tuple of Doubt
         What the recordings contradict of their own description; diagnosed all the same.
+    drift : tuple of Drift
+        Friction that differs from run to run: what predictions of single runs may be off by.
+    episodes : tuple of Episode
+        Times in which something touched the arm; no part of the fit, and of no proof.
     stopped : bool
         By Ctrl-C; the first assumptions tell what was not done.
     modes : tuple of ModeShift
@@ -225,6 +230,8 @@ class Diagnosis(Shown):
     modes: tuple[ModeShift, ...] = ()
     doubts: tuple[Doubt, ...] = ()
     stopped: bool = False
+    episodes: tuple[Episode, ...] = ()
+    drift: tuple[Drift, ...] = ()
 
     def facts(self) -> dict[str, str]:
         """Verdict, findings and residuals in a few words."""

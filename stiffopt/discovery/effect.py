@@ -43,6 +43,7 @@ Need = Literal[
     "tool_frame",
     "before",
     "runs",
+    "three_runs",
 ]
 
 
@@ -218,8 +219,18 @@ class Effect:
         sensor that the term acts on, and motion.
     confused_with : tuple of str
         Names of effects that ordinary motions separate poorly from it; one side says it.
+    twin : str
+        Name of an effect that says much the same in another form, one with an amplitude where the
+        other has a shape. Evidence prices amplitudes and no shapes, so that between the two the
+        fits count, and what the data determine of either; one side says it.
     reference : str
         Source of its form: a key of references.bib, or the source in words.
+    drawn : callable, optional
+        (amplitudes, shapes, constants) -> by name, what a reported value may be off by since few
+        runs were drawn of all [its unit].
+    of_runs : callable, optional
+        (names) -> the entry with an amplitude for each of some runs, drawn about a mean that all
+        share; (names, seen=False) -> where runs of these names are others.
     change_robot : callable, optional
         Puts a finding into the robot that a planner computes with.
     """
@@ -246,7 +257,10 @@ class Effect:
     nominal_words: str = ""
     needs: tuple[Need, ...] = ()
     confused_with: tuple[str, ...] = ()
+    twin: str = ""
     reference: str = ""
+    drawn: Report | None = None
+    of_runs: Callable[..., Effect] | None = None
     change_robot: ChangeRobot | None = None
 
     def __post_init__(self) -> None:
@@ -257,6 +271,20 @@ class Effect:
         ):
             if not getattr(self, field_name):
                 object.__setattr__(self, field_name, default)
+
+    @property
+    def has_own(self) -> bool:
+        """Whether some amplitudes tell it from other effects."""
+        return any(each.own for each in self.amplitudes)
+
+    @property
+    def telling(self) -> list[int]:
+        """Places of the amplitudes that tell it from other effects."""
+        return [k for k, each in enumerate(self.amplitudes) if each.own]
+
+    def is_twin(self, other: Effect) -> bool:
+        """Whether both say much the same in other forms."""
+        return self.twin == other.name or other.twin == self.name
 
     def phrase_of(self, amplitudes: Sequence[float]) -> str:
         """What is missing, in a headline."""

@@ -32,6 +32,7 @@ LACKS: dict[Need, str] = {
     "tool_frame": "tool_frame is not given",
     "before": "there is no joint before it",
     "runs": "there is only one training run",
+    "three_runs": "there are fewer than three training runs",
 }
 
 
@@ -101,6 +102,7 @@ def effect_checks(
         "pole_pairs": nominal.pole_pairs is not None,
         "tool_frame": recordings.tool_frame is not None,
         "runs": training_runs > 1,
+        "three_runs": training_runs >= 3,
     }
 
     def met(need: Need, joint: int | None) -> bool:

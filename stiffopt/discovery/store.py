@@ -64,6 +64,8 @@ def answer(diagnosis: Diagnosis) -> dict[str, Any]:
         "rigid_model": _rigid(diagnosis),
         "black_box": _rod(diagnosis),
         "not_carried_over": [vars(each) for each in diagnosis.not_carried_over],
+        "drift": [vars(each) | {"joint": each.joint + 1} for each in diagnosis.drift],
+        "episodes": [vars(each) for each in diagnosis.episodes],
         "detection_limits": [
             {
                 "effect": limit.effect.name,

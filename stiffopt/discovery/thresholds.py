@@ -93,6 +93,10 @@ UNREPEATED_ODDS = 0.5
 # Residual over noise of a fit with swinging links from which one in balance is tried as well [0037]
 SWING_MISFIT = 1.5
 
+# How often a search is made anew without times in which something touched the arm: what it had
+# explained away may show another.
+TOUCHED_ROUNDS = 2
+
 # A fit is taken about itself until links move by less than this, rms over noise, or amplitudes by
 # less than so many of their standard deviations, so many times at most [0037]
 SETTLED, SETTLED_DEVIATIONS, SETTLING_ROUNDS = 0.02, 0.1, 4

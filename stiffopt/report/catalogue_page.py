@@ -40,6 +40,7 @@ _NEEDS: dict[Need, str] = {
     "tool_frame": "tool frame",
     "before": "a joint before it",
     "runs": "several runs",
+    "three_runs": "three runs",
 }
 
 

@@ -11,6 +11,7 @@ from simulated_sets import COULOMB
 from small_arms import SWIVEL
 
 import stiffopt.discovery.diagnose as diagnosing
+import stiffopt.discovery.searched as searches
 from stiffopt.cli import run
 from stiffopt.discovery.judging import held_out
 from stiffopt.discovery.search import search as searching
@@ -155,7 +156,7 @@ def test_ctrl_c_in_the_black_box_leaves_the_proof(tmp_path, monkeypatch):
 @pytest.mark.parametrize("later", [{"stopped": True}, {"hurried": True}])
 def test_a_search_that_was_stopped_is_told_where_another_answer_is_better(monkeypatch, later):
     """Where links swing otherwise than the model's: three searches, of which one is the answer."""
-    plain, answers = diagnosing._searched, []
+    plain, answers = searches._searched, []
 
     def searched(*arguments, **named):
         if not answers:
@@ -165,8 +166,8 @@ def test_a_search_that_was_stopped_is_told_where_another_answer_is_better(monkey
         answers.append(worse)
         return worse
 
-    monkeypatch.setattr(diagnosing, "_searched", searched)
-    monkeypatch.setattr(diagnosing, "SWING_MISFIT", 0.0)
+    monkeypatch.setattr(searches, "_searched", searched)
+    monkeypatch.setattr(searches, "SWING_MISFIT", 0.0)
     monkeypatch.setattr(diagnosing, "leading_pair", lambda selected: selected)
     monkeypatch.setattr(diagnosing, "plan_experiment", lambda *_, **__: pytest.fail("takes long"))
     found = diagnosing.diagnose(written(COULOMB))

@@ -13,6 +13,7 @@ from stiffopt.discovery.catalogue.contacts import CONTACTS
 from stiffopt.discovery.catalogue.coupled_drive import COUPLED_DRIVE
 from stiffopt.discovery.catalogue.elastic import BACKLASH, HYSTERESIS
 from stiffopt.discovery.catalogue.friction import FRICTION
+from stiffopt.discovery.catalogue.friction_drift import FRICTION_DRIFT
 from stiffopt.discovery.catalogue.inertial import INERTIAL
 from stiffopt.discovery.catalogue.joint_damping import JOINT_DAMPING
 from stiffopt.discovery.catalogue.lubricated_friction import LUBRICATED_FRICTION
@@ -27,6 +28,7 @@ from stiffopt.errors import InputError, nearest
 CATALOGUE: tuple[Effect, ...] = (
     *FRICTION,
     LUBRICATED_FRICTION,
+    FRICTION_DRIFT,
     COUPLED_DRIVE,
     BACKLASH,
     HYSTERESIS,
@@ -42,6 +44,9 @@ CATALOGUE: tuple[Effect, ...] = (
     *CONTACTS,
 )
 
+# Runs of which each can have an amplitude.
+_MOST_RUNS = 20
+
 
 def confused_with(entry: Effect, effects: Sequence[Effect] = CATALOGUE) -> tuple[str, ...]:
     """Names of the effects that ordinary motions separate poorly from one, whichever says so."""
@@ -49,6 +54,22 @@ def confused_with(entry: Effect, effects: Sequence[Effect] = CATALOGUE) -> tuple
         other.name
         for other in effects
         if other.name in entry.confused_with or entry.name in other.confused_with
+    )
+
+
+def of_runs(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, ...]:
+    """Effects with amplitudes for each of some runs, where they have such; too many are left out.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+    runs : sequence of str
+        Names of the training runs.
+    """
+    return tuple(
+        each if each.of_runs is None else each.of_runs(tuple(runs))
+        for each in effects
+        if each.of_runs is None or len(runs) <= _MOST_RUNS
     )
 
 

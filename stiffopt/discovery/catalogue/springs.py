@@ -100,6 +100,7 @@ GRAVITY_SPRING = Effect(
     phrase="a counterbalance other than nominal",
     needs=("torque", "moves"),
     confused_with=("cable_spring",),
+    twin="cable_spring",
     term=gravity_spring_term,
     amplitudes=(
         Amplitude(name="k_sin", unit="N m/rad", scale=_share_of_rated, lower=-20.0, upper=20.0),

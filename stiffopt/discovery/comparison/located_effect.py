@@ -84,6 +84,11 @@ class LocatedEffect:
         """What tells it from others: name, place and shapes."""
         return (self.effect.name, self.joint, self.link, self.run, self.shapes)
 
+    @property
+    def by_run(self) -> bool:
+        """Whether what it adds to a run says nothing of other runs."""
+        return self.run is not None or self.effect.of_runs is not None
+
     def near(self, other: LocatedEffect) -> bool:
         """Whether it could stand in the other's place: at its joint or next to it, or nowhere."""
         if self.joint is None or other.joint is None:

@@ -165,6 +165,7 @@ def prepare(
     drive = robot.rotor_inertia * acceleration + links.torque + friction
     signals = RobotSignals(
         time=time,
+        run=run.name,
         dt=dt,
         session_time=time + (run.session_time or 0.0),
         temperature_rise=robot.temperature_rise(run, len(time)),

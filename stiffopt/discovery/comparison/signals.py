@@ -141,6 +141,8 @@ class MotionSignals:
     ----------
     time, session_time
         Since the run's begin, since switching on [s]; (K,) always.
+    run : str
+        Name of the run.
     dt : float
         Of the clock, which is uniform [s].
     temperature_rise
@@ -174,6 +176,7 @@ class MotionSignals:
     windup: Quantity
     drive_torque: Quantity
     drive_torque_rate: Quantity
+    run: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -315,6 +318,7 @@ class RobotSignals(MotionSignals):
 
         return JointSignals(
             time=self.time,
+            run=self.run,
             dt=self.dt,
             session_time=self.session_time,
             previous_position=before("motor_position"),

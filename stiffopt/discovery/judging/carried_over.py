@@ -3,17 +3,19 @@
 A joint that is colder on another day, an encoder that was referenced anew, a current sensor that
 drifted: the run is then predicted badly for a reason that no model of the robot can know. Where one
 value of a channel explains the most of what is left in a run, that is said, with the value. Nothing
-is corrected by it: the run stays left out.
+is corrected by it: the run stays left out. Where friction was found to differ from run to run, a
+further run differs as well: how far from the mean is said in spreads.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.signals import smooth_sign
+from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.comparison.signals import RobotConstants, smooth_sign
 from stiffopt.discovery.proof.proof import RunProof, used_samples
 from stiffopt.discovery.settings import MOVING
 
@@ -31,9 +33,10 @@ class NotCarriedOver:
     ----------
     run, channel : str
     kind : str
-        "constant", "dry friction" or "viscous friction".
+        "constant", "dry friction", "viscous friction", or "friction drift" where friction was found
+        to differ from run to run.
     value : float
-        More than in training [SI].
+        More than in training [SI]; of a drift in its spreads.
     share : float
         Of the squares that are left in the channel.
     """
@@ -45,8 +48,59 @@ class NotCarriedOver:
     share: float
 
 
+@dataclass(frozen=True, kw_only=True)
+class Drift:
+    """By how much the friction of a joint differs from run to run, one standard deviation.
+
+    Parameters
+    ----------
+    joint : int
+        From 0.
+    dry, viscous : float
+        [N m], [N m s/rad]
+    rms : float
+        Of its torque over the held-out runs: what their predictions are off by [N m].
+    """
+
+    joint: int
+    dry: float
+    viscous: float
+    rms: float = 0.0
+
+    def torque(self, speed: np.ndarray) -> np.ndarray:
+        """Torque of one spread [N m]."""
+        return np.asarray(self.dry * smooth_sign(speed) + self.viscous * speed)
+
+
+def drifts(
+    found: Extension, constants: RobotConstants, velocities: Sequence[np.ndarray]
+) -> tuple[Drift, ...]:
+    """Friction that was found to differ from run to run.
+
+    Parameters
+    ----------
+    found : Extension
+    constants : RobotConstants
+    velocities : sequence of array (K, n)
+        Of the joints in held-out runs [rad/s].
+    """
+    every = []
+    for each in found.effects:
+        located = each.located
+        if located.effect.of_runs is None or located.joint is None:
+            continue
+        values = located.effect.parameters(
+            each.amplitudes, located.shapes, located.constants(constants)
+        )
+        own = Drift(joint=located.joint, dry=values["dFc_spread"], viscous=values["dFv_spread"])
+        parts = [own.torque(v[:, own.joint]) for v in velocities]
+        torque = np.concatenate(parts) if parts else np.zeros(1)
+        every.append(replace(own, rms=float(np.sqrt(np.nanmean(torque**2)))))
+    return tuple(every)
+
+
 def not_carried_over(
-    proofs: Sequence[RunProof], velocities: Sequence[np.ndarray]
+    proofs: Sequence[RunProof], velocities: Sequence[np.ndarray], drift: Sequence[Drift] = ()
 ) -> tuple[NotCarriedOver, ...]:
     """Single values that explain the most of what is left in a run.
 
@@ -55,8 +109,10 @@ def not_carried_over(
     proofs : sequence of RunProof
     velocities : sequence of array (K, n)
         Of the joints in each of these runs [rad/s].
+    drift : sequence of Drift
     """
     found = []
+    of_joint = {each.joint: each for each in drift}
     for proof, velocity in zip(proofs, velocities, strict=True):
         run = proof.run
         places = np.searchsorted(run.stamps, run.time)
@@ -68,7 +124,8 @@ def not_carried_over(
             left = getattr(run, kind)[used, joint] - getattr(proof.after, kind)[places[used], joint]
             if len(left) < _FEWEST or np.sqrt(np.mean(left**2)) < _ABOVE * noise[name]:
                 continue
-            best = _best(left, velocity[used, joint], kind == "torque")
+            own = of_joint.get(joint) if kind == "torque" else None
+            best = _best(left, velocity[used, joint], kind == "torque", own)
             if best is not None:
                 share, value, what = best
                 found.append(
@@ -77,11 +134,16 @@ def not_carried_over(
     return tuple(found)
 
 
-def _best(left: np.ndarray, speed: np.ndarray, torque: bool) -> tuple[float, float, str] | None:
+def _best(
+    left: np.ndarray, speed: np.ndarray, torque: bool, drift: Drift | None
+) -> tuple[float, float, str] | None:
     """Share, value and kind of what takes away most, if it does so all along the run."""
     shapes = {"constant": np.ones_like(left)}
     if torque and speed.min() < -MOVING and speed.max() > MOVING:
         shapes |= {"dry friction": smooth_sign(speed), "viscous friction": speed}
+    if drift is not None:
+        # Known to differ, it is no news that it does.
+        shapes = {"friction drift": drift.torque(speed)}
     found = []
     part = np.arange(len(left)) * _PARTS // len(left)
     for kind, shape in shapes.items():

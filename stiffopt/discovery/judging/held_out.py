@@ -8,6 +8,13 @@ import numpy as np
 
 from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.judging.black_box import BlackBox, MeasuringRod
+from stiffopt.discovery.judging.episodes import (
+    Episode,
+    Track,
+    episodes_in,
+    held_out_track,
+    without,
+)
 from stiffopt.discovery.judging.shares import Part, Shares
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.proof.proof import RunProof, nrmse, prove
@@ -33,10 +40,15 @@ class HeldOut:
         Of what was found, to be shared out.
     every : int
         Samples that means are taken over, as of the training runs.
+    known : sequence of Track
+        What is left of the training runs.
 
     Attributes
     ----------
     proofs : list of RunProof
+        Without the episodes.
+    episodes : list of Episode
+        In which something touched the arm.
     velocities : list of array (K, n)
         Of the joints in these runs.
     shares : Shares
@@ -52,10 +64,13 @@ class HeldOut:
         found: Extension,
         parts: Sequence[Part],
         every: int = 1,
+        known: Sequence[Track] = (),
     ) -> None:
         self._training, self._settings = training, settings
         self._start, self._found, self._every = start, found, every
         self._box: BlackBox | None = None
+        self._known = tuple(known)
+        self.episodes: list[Episode] = []
         self.proofs: list[RunProof] = []
         self.velocities: list[np.ndarray] = []
         self.shares = Shares(parts)
@@ -97,7 +112,12 @@ class HeldOut:
                 training.robot, run, training.constants, settings, swinging=swinging
             )
             before, after = predictor.predict_each([self._start, extensions])
+            track = held_out_track(run, predictor, after, training.noise.channels)
+            touched = episodes_in([track], self._known)
+            # What a hand did tells nothing of the model.
+            predictor.run = run = without(run, touched)
             proof = prove(run, predictor.velocity, before, after, training.noise)
+            self.episodes += touched
             self.proofs.append(proof)
             self.velocities.append(predictor.velocity)
             self.left.remove(entry.file)

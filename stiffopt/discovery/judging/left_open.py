@@ -46,6 +46,6 @@ def open_section(
         suspects = {
             candidate.located.label: candidate.evidence / own.rows.size
             for candidate in scan(Scorer(own), of_changes(catalogue), refined=_REFINED)
-            if candidate.evidence > _LEAST and candidate.located.run is None
+            if candidate.evidence > _LEAST and not candidate.located.by_run
         }
     return left_open(ratio, training.noise.channels, training.settings, suspects, before)

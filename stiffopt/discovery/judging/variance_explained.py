@@ -29,15 +29,23 @@ def variance_explained(
 
     Notes
     -----
-    Every block (a training run; a stretch where runs are few) is predicted with nominal values and
+    Every block (a training run; a stretch where runs are few, and for what is of each run) is
+    predicted with nominal values and
     amplitudes fitted to the other blocks, once with all of it and once without what the effect in
     question adds. Nominal values stay as fitted beside the effect: fitted without it, they leave
     their tolerances to stand in for it. Above noise: less what the rows' stated noise alone would
     leave.
     """
-    residual, added = _left_out(comparison, effects)
+    runs = comparison.rows.block if comparison.blocks > 1 else stretches(comparison)
+    # One run cannot be predicted from others where there is none, nor what is of one run alone.
+    by_run = [each.by_run for each in effects]
+    ways = [_left_out(comparison, effects, runs)]
+    if any(by_run):
+        ways.append(_left_out(comparison, effects, stretches(comparison)))
     shares = []
-    for own_part, channel in zip(added, channels, strict=True):
+    for index, channel in enumerate(channels):
+        residual, added = ways[by_run[index]]
+        own_part = added[index]
         own = comparison.rows.channel == channel
         noise = float(own.sum())
         before = float(np.sum((residual + own_part)[own] ** 2)) - noise
@@ -47,7 +55,7 @@ def variance_explained(
 
 
 def _left_out(
-    comparison: Comparison, effects: tuple[LocatedEffect, ...]
+    comparison: Comparison, effects: tuple[LocatedEffect, ...], block: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residual (m,) of blocks that the fit did not see, and what each effect adds to them (e, m).
 
@@ -57,8 +65,6 @@ def _left_out(
     parts = [comparison.effect_columns(e) for e in effects]
     columns = np.column_stack([nuisance, *parts])
     prior = np.concatenate([sd, np.ones(sum(p.shape[1] for p in parts))])
-    # One run cannot be predicted from others where there is none.
-    block = comparison.rows.block if comparison.blocks > 1 else stretches(comparison)
     sums = BlockSums(columns, comparison.target, block, int(block.max()) + 1)
     gram, moment, square = (x.sum(axis=0) for x in (sums.gram, sums.moment, sums.square))
     residual = np.empty_like(comparison.target)

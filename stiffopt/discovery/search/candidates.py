@@ -236,11 +236,10 @@ class Scorer:
 
 def _itself(located: LocatedEffect, found: Added, kept: np.ndarray) -> bool:
     """Whether it shows what it alone has: without that it is another effect with more freedom."""
-    own = np.array([amplitude.own for amplitude in located.effect.amplitudes])
-    if not own.any():
+    if not located.effect.has_own:
         return True
     sure = np.abs(found.mean) > NAMED_DEVIATIONS * np.sqrt(np.diag(found.covariance))
-    return bool(np.any(sure & own[kept]))
+    return bool(np.any(sure & np.isin(kept, located.effect.telling)))
 
 
 def scan(

@@ -80,7 +80,11 @@ def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[
     new = {k: _never_seen(comparison, columns[:, owner == k]) for k in judged}
     ways = [_Left(comparison, columns, prior, fine=False)]
     chosen = dict.fromkeys(judged, ways[0])
-    seldom = [k for k in judged if ways[0].acted(columns[:, owner == k]).sum() < _FEWEST]
+    seldom = [
+        k
+        for k in judged
+        if effects[k].by_run or ways[0].acted(columns[:, owner == k]).sum() < _FEWEST
+    ]
     if seldom:
         # As where joints move one a run: nothing but the run itself could say anything of it.
         finer = _Left(comparison, columns, prior, fine=True)
@@ -184,7 +188,7 @@ def repeated(comparison: Comparison, effects: Sequence[LocatedEffect]) -> tuple[
         own = left + part @ fit.posterior.mean[begin : begin + part.shape[1]]
         begin += part.shape[1]
         acted = [float(np.sum(part[half == h] ** 2)) for h in (0, 1)]
-        if located.run is not None or min(acted) <= _ACTED * max(acted):
+        if located.by_run or min(acted) <= _ACTED * max(acted):
             found.append(True)
             continue
         found.append(min(_fall(part, own, half == h) for h in (0, 1)) > 0.0)

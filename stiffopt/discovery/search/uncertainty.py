@@ -90,9 +90,13 @@ class Estimate:
         )
         variances = [
             np.einsum("ij,jk,ik->i", slopes, matrix[np.ix_(rows, rows)], slopes)
-            for matrix in (self.covariance, self.spread, self.between)
+            for matrix in (self.covariance, self.spread, self._between(index))
         ]
-        sd = np.sqrt(np.max(variances, axis=0))
+        variance = np.max(variances, axis=0)
+        if effect.drawn is not None:
+            few = effect.drawn(found.amplitudes, found.located.shapes, constants)
+            variance = variance + np.array([few[name] for name in names]) ** 2
+        sd = np.sqrt(variance)
         return {
             name: (float(v), float(s)) for name, v, s in zip(names, report(inputs), sd, strict=True)
         }
@@ -117,7 +121,7 @@ class Estimate:
 
         linear = held(self.covariance[np.ix_(rows, rows)])
         chances = [float(special.chdtrc(k, _from_nothing(values, linear)[0] ** 2))]
-        for spread, parts in zip((self.spread, self.between), self.parts, strict=True):
+        for spread, parts in zip((self.spread, self._between(index)), self.parts, strict=True):
             if np.array_equal(spread, self.covariance):  # too few parts
                 continue
             own = spread[np.ix_(rows, rows)]
@@ -125,6 +129,11 @@ class Estimate:
             ways = [(own[:k, :k], parts), (held(own), parts - (len(rows) - k))]
             chances.append(min(_chance(values, *way) for way in ways if way[1] > 1))
         return max(chances)
+
+    def _between(self, index: int) -> np.ndarray:
+        """Covariance by leaving out whole runs; what is of each run cannot be asked so."""
+        by_run = self.effects[index].located.by_run
+        return self.covariance if by_run else self.between
 
     def moved(self, steps: np.ndarray) -> Estimate:
         """The estimate with first amplitudes moved by steps (e,) over their sizes.
@@ -257,30 +266,42 @@ def deviations(chance: float) -> float:
 def significance(
     comparison: Comparison, effects: Sequence[LocatedEffect]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Jackknife deviations from nothing of every effect, shapes held.
+    """Jackknife deviations from nothing of every effect.
+
+    Shapes are held, save of effects that have amplitudes of their own: those are told from others
+    by them, whatever the shapes.
 
     Returns
     -------
     together, single : array (e,)
-        Of its amplitudes together, and of the one that is known best by itself. Amplitudes that
-        are alike along the recordings can be sure together and nothing apart: what such an effect
-        would add on another motion is not known.
+        Of its amplitudes together, and of the one that is known best by itself (of those that it
+        alone has, where it has such). Amplitudes that are alike along the recordings can be sure
+        together and nothing apart: what such an effect would add on another motion is not known.
     """
     fit = comparison.fit(effects)
     _, prior_sd, nuisance = comparison.nuisance
     columns = [comparison.effect_columns(e) for e in effects]
     amplitudes = fit.amplitudes()
-    prior = np.concatenate([prior_sd, np.ones(len(amplitudes))])
-    matrix = np.column_stack([nuisance, *columns])
+    slopes, begin = [], 0
+    for located, own in zip(effects, columns, strict=True):
+        values = amplitudes[begin : begin + own.shape[1]]
+        begin += own.shape[1]
+        if located.effect.has_own:
+            for i, step in enumerate(_shape_sizes(located)):
+                slopes.append(_shape_slope(comparison, located, values, i, step))
+    prior = np.concatenate([prior_sd, np.ones(len(amplitudes)), np.full(len(slopes), _SHAPE_PRIOR)])
+    matrix = np.column_stack([nuisance, *columns, *slopes])
     _, spread = _jackknife(comparison, matrix, prior, stretches(comparison))
     together, single, begin = [], [], 0
-    for own in columns:
+    for located, own in zip(effects, columns, strict=True):
         values = amplitudes[begin : begin + own.shape[1]]
         rows = slice(len(prior_sd) + begin, len(prior_sd) + begin + own.shape[1])
         begin += own.shape[1]
-        of_all, of_one = _from_nothing(values, spread[rows, rows])
-        together.append(of_all)
-        single.append(of_one)
+        together.append(_from_nothing(values, spread[rows, rows])[0])
+        telling = located.effect.telling if located.effect.has_own else list(range(len(values)))
+        single.append(
+            _from_nothing(values[telling], spread[rows, rows][np.ix_(telling, telling)])[1]
+        )
     return np.array(together), np.array(single)
 
 

@@ -20,6 +20,7 @@ from stiffopt.units import joint_unit
 if TYPE_CHECKING:
     from stiffopt.discovery.comparison.located_effect import LocatedEffect
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
+    from stiffopt.discovery.judging.carried_over import Drift
     from stiffopt.discovery.judging.shares import Part
 
 # Shares below are not told apart from nothing.
@@ -126,8 +127,16 @@ def rod_sentence(diagnosis: Diagnosis) -> str:
 
 def carried_over_sentences(diagnosis: Diagnosis) -> list[str]:
     """One for every value that does not carry over to a held-out run."""
-    found = []
+    found = [_drift_words(diagnosis, each) for each in diagnosis.drift]
     for each in diagnosis.not_carried_over:
+        if each.kind == "friction drift":
+            found.append(
+                f"Friction of {each.run} in {channel_words(each.channel)} lies"
+                f" {significant(abs(each.value), 2)} spreads"
+                f" {'above' if each.value > 0.0 else 'below'} the mean of the training runs"
+                f" ({100 * each.share:.0f} % of what is left there)."
+            )
+            continue
         kind, _, joint = each.channel.rpartition("_")
         slides = diagnosis.training.constants.joints[int(joint) - 1].prismatic
         unit = "rad" if kind == "link_position" else "N m"
@@ -138,6 +147,32 @@ def carried_over_sentences(diagnosis: Diagnosis) -> list[str]:
             f"{what} does not carry over: {each.run} has {value} more than the training runs in"
             f" {channel_words(each.channel)} ({100 * each.share:.0f} % of what is left there)."
         )
+    return found
+
+
+def _drift_words(diagnosis: Diagnosis, each: Drift) -> str:
+    slides = diagnosis.training.constants.joints[each.joint].prismatic
+    return (
+        f"Friction of joint {each.joint + 1} differs from run to run: a further run is predicted"
+        f" with the mean, give or take {significant(each.rms, 2)} {joint_unit('N m', slides)} (one"
+        " standard deviation between runs)."
+    )
+
+
+def episode_sentences(diagnosis: Diagnosis) -> list[str]:
+    """One for every time in which something touched the arm."""
+    joints = diagnosis.training.constants.joints
+    found = []
+    for each in diagnosis.episodes:
+        sizes = listed(
+            f"joint {j} up to {significant(size, 2)} {joint_unit('N m', joints[j - 1].prismatic)}"
+            for j, size in zip(each.joints, each.sizes, strict=True)
+        )
+        if each.role == "train":
+            head, tail = "Something touched the arm in", "left out of the fit"
+        else:
+            head, tail = "A contact does not carry over to", "left out of what judges the model"
+        found.append(f"{head} {each.run}: {each.begin:.2f} to {each.end:.2f} s, {sizes}; {tail}.")
     return found
 
 

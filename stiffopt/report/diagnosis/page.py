@@ -25,6 +25,7 @@ from stiffopt.report.diagnosis.figures import (
 from stiffopt.report.diagnosis.held_out import Trace, overlay_figure, trace, worst_windows
 from stiffopt.report.diagnosis.mismatch import (
     carried_over_sentences,
+    episode_sentences,
     mismatches,
     rod_sentence,
     unstated_rows,
@@ -114,7 +115,7 @@ def write_diagnosis_report(
         "unexplained": unexplained_sentence(diagnosis),
         "mismatches": mismatches(diagnosis),
         "rod": rod_sentence(diagnosis),
-        "carried_over": carried_over_sentences(diagnosis),
+        "carried_over": [*episode_sentences(diagnosis), *carried_over_sentences(diagnosis)],
         "new": new,
         "not_given": unstated_rows(diagnosis, unstated),
         "shown": shown,

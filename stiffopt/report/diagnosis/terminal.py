@@ -9,6 +9,7 @@ from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, pm, significant
 from stiffopt.report.diagnosis.mismatch import (
     carried_over_sentences,
+    episode_sentences,
     mismatches,
     rod_sentence,
     unstated_rows,
@@ -44,7 +45,8 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     part = label == "named" and stays_open(diagnosis)
     print_lines([f"{'named in part' if part else label}: {_verdict(diagnosis)}"])
     more = [each.sentence for each in mismatches(diagnosis)]
-    more += [*clipped_words(diagnosis), rod_sentence(diagnosis), *carried_over_sentences(diagnosis)]
+    more += [*clipped_words(diagnosis), *episode_sentences(diagnosis), rod_sentence(diagnosis)]
+    more += carried_over_sentences(diagnosis)
     print_lines([line for line in more if line])
     new, unstated = new_and_unstated(diagnosis)
     if diagnosis.findings:

@@ -1,0 +1,403 @@
+"""Episodes in which somebody or something touches the arm: found, told, and left out of the rest.
+
+What the robot lacks acts whenever its state comes by again. A hand acts at a time: in one run, for
+a moment, in states that leave nothing when they come by without it. Such a stretch is neither
+friction nor weight; a fit that has to explain it makes both of it. It is sought in what is left
+beside findings, and left out of all that is judged. A brake that drags acts against the motion
+whichever way that goes; that is no touch, and stays with what is open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from stiffopt.discovery.comparison.comparison import Comparison, Fit
+from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.comparison.rows import ChannelNoise
+from stiffopt.discovery.comparison.signals import RobotConstants, RobotSignals
+from stiffopt.discovery.proof.predict import Prediction, Predictor
+from stiffopt.discovery.proof.proof import used_samples
+from stiffopt.discovery.training import Training
+from stiffopt.recording.run import RecordedRun
+
+# Rms over what is usual in a channel from which something happens there, and down to which it goes
+# on; of a moment so long [s].
+_STRONG, _FADED, _MOMENT = 5.0, 2.0, 0.3
+# Shorter ones are bursts [s]; and a channel is understood where the rest of it is left at most so
+# many times as large as is usual there.
+_SHORTEST, _UNDERSTOOD = 0.25, 2.0
+# Longest share of a run, and of all runs, in which an accident happens.
+_OF_RUN, _OF_RUNS = 0.3, 0.5
+# What is left out on either side [s]: filters reach over the ends.
+_MARGIN = 0.25
+# A normal variable's standard deviation over the median of its size.
+_NORMAL = 1.4826
+# How near a state is that counts as the same, over the ranges met; the share of an episode that
+# must have been met without it, the neighbours asked, and the share that they may explain.
+_NEAR, _MET, _NEIGHBOURS, _KNOWN = 0.25, 0.5, 5, 0.3
+# A hand is slow: functions a second that follow it, and the least share that they explain. Against
+# the motion they explain less than this of what they leave along it.
+_FUNCTIONS, _SLOW, _DRAGS = 4.0, 0.5, 0.8
+# Samples a second that are looked at, at most.
+_RATE = 100.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Episode:
+    """A time in which something touched the arm.
+
+    Parameters
+    ----------
+    run, role : str
+    begin, end : float
+        Time of the run [s].
+    joints : tuple of int
+        Whose torque it changed, from 1.
+    sizes : tuple of float
+        Largest torque of it at each of them [N m], or force [N].
+    """
+
+    run: str
+    role: str
+    begin: float
+    end: float
+    joints: tuple[int, ...]
+    sizes: tuple[float, ...]
+
+    def holds(self, time: np.ndarray) -> np.ndarray:
+        """Which times of its run are left out (K,)."""
+        return (time > self.begin - _MARGIN) & (time < self.end + _MARGIN)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """What is left of one run.
+
+    Parameters
+    ----------
+    run, role : str
+    time : array (K,)
+        [s]
+    left : array (K, 2 n)
+        Of torques, then of motor less link angles, over the noise; nan where nothing is judged.
+    unit : array (2 n,)
+        Torque at the link that one of these stands for [N m].
+    velocity : array (K, n)
+        [rad/s]
+    state : array (K, n, 3)
+        Angle, speed and load of each joint over the ranges met.
+    """
+
+    run: str
+    role: str
+    time: np.ndarray
+    left: np.ndarray
+    unit: np.ndarray
+    velocity: np.ndarray
+    state: np.ndarray
+
+    @property
+    def usual(self) -> np.ndarray:
+        """Size of what is left in each channel, whatever happens for a while (2 n,)."""
+        sizes = [np.abs(c[np.isfinite(c)]) for c in self.left.T]
+        return np.array([max(1.0, _NORMAL * np.median(s)) if s.size else 1.0 for s in sizes])
+
+    def strength(self) -> np.ndarray:
+        """Rms about every moment over what is usual (K, 2 n); 0 where nothing is judged."""
+        known = np.isfinite(self.left)
+        square = np.where(known, self.left / self.usual, 0.0) ** 2
+        half = 0.5 * _MOMENT
+        first = np.searchsorted(self.time, self.time - half)
+        last = np.searchsorted(self.time, self.time + half, "right")
+        sums = [np.vstack([np.zeros(v.shape[1]), np.cumsum(v, axis=0)]) for v in (square, known)]
+        total, count = (s[last] - s[first] for s in sums)
+        # A sample or two are an outlier.
+        return np.asarray(np.sqrt(total / np.maximum(count, 3)))
+
+
+def training_tracks(comparison: Comparison, fit: Fit) -> list[Track]:
+    """What a fit leaves of the training runs."""
+    rows, n = comparison.rows, comparison.robot.n
+
+    def place(run: PreparedRun) -> np.ndarray:
+        return np.arange(len(run.time))
+
+    number = rows.sampled(lambda run: np.full(len(run.time), comparison.runs.index(run)))
+    places = rows.sampled(place)
+    tracks = []
+    for index, run in enumerate(comparison.runs):
+        own = number == index
+        grid = np.arange(0, len(run.time), run.low_pass.step)
+        left = np.full((len(grid), 2 * n), np.nan)
+        left[places[own] // run.low_pass.step, rows.channel[own]] = fit.residual[own]
+        gain = run.low_pass.noise_gain
+        tracks.append(
+            _track(run.name, run.role, run.time[grid], left, rows.noise, gain, run.signals, grid)
+        )
+    return tracks
+
+
+def held_out_track(
+    run: RecordedRun, predictor: Predictor, after: Prediction, noise: ChannelNoise
+) -> Track:
+    """What predictions leave of a run."""
+    places = np.searchsorted(run.stamps, run.time)
+    columns = []
+    for kind, joint, used in used_samples(run, predictor.velocity):
+        own = np.full(len(run.time), np.nan)
+        scale = noise.torque if kind == "torque" else noise.deflection
+        if used is not None and np.isfinite(scale[joint]):
+            measured = getattr(run, kind)[used, joint]
+            own[used] = (measured - getattr(after, kind)[places[used], joint]) / scale[joint]
+        columns.append(own)
+    every = max(1, round(1.0 / (_RATE * run.step)))
+    time = run.time[::every]
+    signals = predictor.nominal.signals
+    nearest = np.clip(np.searchsorted(signals.time, time), 0, len(signals.time) - 1)
+    left = np.column_stack(columns)[::every]
+    return _track(run.name, run.role, time, left, noise, 1.0, signals, nearest)
+
+
+def _track(
+    run: str,
+    role: str,
+    time: np.ndarray,
+    left: np.ndarray,
+    noise: ChannelNoise,
+    gain: float,
+    signals: RobotSignals,
+    places: np.ndarray,
+) -> Track:
+    constants: RobotConstants = signals.constants
+    joints = constants.joints
+    stroke = np.array([j.stroke for j in joints])
+    angle, speed = signals.motor_position[places], signals.motor_velocity[places]
+    load = signals.spring_torque[places]
+    ranges = (
+        np.maximum(np.ptp(stroke, axis=1), 1e-9),
+        2.0 * np.array([max(j.fastest, 1e-9) for j in joints]),
+        2.0 * np.array([max(j.largest_torque, 1e-9) for j in joints]),
+    )
+    softness = np.array([float(j.compliance(0.0)) if j.elastic else np.inf for j in joints])
+    return Track(
+        run=run,
+        role=role,
+        time=time,
+        left=left,
+        unit=gain * np.concatenate([noise.torque, np.nan_to_num(noise.deflection) / softness]),
+        velocity=speed,
+        state=np.stack([v / r for v, r in zip((angle, speed, load), ranges, strict=True)], axis=2),
+    )
+
+
+def episodes_in(tracks: Sequence[Track], others: Sequence[Track] = ()) -> tuple[Episode, ...]:
+    """Times in which something touched the arm, in some runs.
+
+    Parameters
+    ----------
+    tracks : sequence of Track
+        Of the runs that are asked about.
+    others : sequence of Track
+        Of runs whose states are known to leave nothing.
+
+    Notes
+    -----
+    A channel in which anything strong happens that is no touch tells of none: it is not understood.
+    """
+    strengths = [track.strength() for track in tracks]
+    quiet = np.zeros(tracks[0].left.shape[1], dtype=bool)
+    while True:
+        found = [
+            _stretches(track, np.where(quiet, 0.0, strength))
+            for track, strength in zip(tracks, strengths, strict=True)
+        ]
+        if not any(found) or _too_often(tracks, found):
+            return ()
+        known = _Known(tracks, found, others)
+        wrong = quiet | ~known.understood
+        for track, strength, stretches in zip(tracks, strengths, found, strict=True):
+            for stretch in stretches:
+                strong = np.flatnonzero(~quiet & _strong(track, strength, stretch))
+                alone = len(strong) == 1 and track.velocity.shape[1] > 1
+                for channel in strong:
+                    if not _is_touch(track, stretch, int(channel), known, alone=alone):
+                        wrong[channel] = True
+        if np.array_equal(wrong, quiet):
+            break
+        quiet = wrong
+    return tuple(
+        _episode(track, np.where(quiet, 0.0, strength), stretch)
+        for track, strength, stretches in zip(tracks, strengths, found, strict=True)
+        for stretch in stretches
+    )
+
+
+Stretch = tuple[float, float]
+
+
+def _inside(track: Track, stretch: Stretch) -> np.ndarray:
+    return (track.time >= stretch[0]) & (track.time <= stretch[1])
+
+
+def _strong(track: Track, strength: np.ndarray, stretch: Stretch) -> np.ndarray:
+    return np.asarray(strength[_inside(track, stretch)].max(axis=0) > _STRONG)
+
+
+def _stretches(track: Track, strength: np.ndarray) -> list[Stretch]:
+    """Stretches that go on about something strong in any channel, joined where they are near."""
+    going = np.zeros(len(track.time) + 2, dtype=bool)
+    for channel in strength.T:
+        on = np.concatenate([[False], channel > _FADED, [False]])
+        edges = np.flatnonzero(np.diff(on.astype(int)))
+        for first, last in zip(edges[::2], edges[1::2], strict=True):
+            if channel[first:last].max() > _STRONG:
+                going[first + 1 : last + 1] = True
+    edges = np.flatnonzero(np.diff(going.astype(int)))
+    found: list[Stretch] = []
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        begin, end = float(track.time[first]), float(track.time[last - 1])
+        if found and begin - found[-1][1] < _MOMENT:
+            begin = found.pop()[0]
+        found.append((begin, end))
+    return found
+
+
+def _too_often(tracks: Sequence[Track], found: Sequence[list[Stretch]]) -> bool:
+    """Whether it happens in so many runs, or for so long, that it is no accident."""
+    if sum(map(bool, found)) > max(1.0, _OF_RUNS * len(tracks)):
+        return True
+    return any(
+        sum(end - begin for begin, end in own) > _OF_RUN * float(np.ptp(track.time))
+        for track, own in zip(tracks, found, strict=True)
+    )
+
+
+class _Known:
+    """What is left in states that were met apart from all stretches."""
+
+    def __init__(
+        self, tracks: Sequence[Track], found: Sequence[list[Stretch]], others: Sequence[Track]
+    ) -> None:
+        self._parts = [(track, np.ones(len(track.time), dtype=bool)) for track in others]
+        for track, stretches in zip(tracks, found, strict=True):
+            apart = np.ones(len(track.time), dtype=bool)
+            for begin, end in stretches:
+                # What comes just before and after says nothing of another visit.
+                apart &= (track.time < begin - 1.0) | (track.time > end + 1.0)
+            self._parts.append((track, apart))
+
+    @property
+    def understood(self) -> np.ndarray:
+        """Channels in which little is left apart from the stretches (2 n,)."""
+        square, count = 0.0, 0.0
+        for track, apart in self._parts:
+            left = track.left[apart] / track.usual
+            square = square + np.nansum(left**2, axis=0)
+            count = count + np.isfinite(left).sum(axis=0)
+        return np.asarray(square <= _UNDERSTOOD**2 * np.maximum(count, 1))
+
+    def explains(self, track: Track, inside: np.ndarray, channel: int) -> bool:
+        """Whether nothing is known of what is left in those states, or the same happens there."""
+        joint = channel % track.velocity.shape[1]
+        states, values = [], []
+        for other, apart in self._parts:
+            used = apart & np.isfinite(other.left[:, channel])
+            states.append(other.state[used, joint])
+            values.append(other.left[used, channel] / other.usual[channel])
+        place, value = np.concatenate(states), np.concatenate(values)
+        if len(place) < _NEIGHBOURS:
+            return True
+        away, which = cKDTree(place).query(track.state[inside, joint], k=_NEIGHBOURS)
+        if np.mean(away[:, 0] < _NEAR) < _MET:
+            return True
+        own = track.left[inside, channel] / track.usual[channel]
+        beside = own - value[which].mean(axis=1)
+        return float(beside @ beside) < (1.0 - _KNOWN) * float(own @ own)
+
+
+def _is_touch(track: Track, stretch: Stretch, channel: int, known: _Known, *, alone: bool) -> bool:
+    """Whether a stretch is slow, not against the motion, and not of the state.
+
+    In one channel of several alone it is against the motion unless that turns round.
+    """
+    if stretch[1] - stretch[0] < _SHORTEST + _MOMENT:
+        return False
+    inside = _inside(track, stretch) & np.isfinite(track.left[:, channel])
+    left, time = track.left[inside, channel], track.time[inside]
+    n = track.velocity.shape[1]
+    count = int(np.clip(_FUNCTIONS * (stretch[1] - stretch[0]), 2, len(left) // 3))
+    phase = (time - stretch[0]) / max(stretch[1] - stretch[0], 1e-9)
+    slow = np.cos(np.pi * np.outer(phase, np.arange(count + 1)))
+
+    def remaining(columns: np.ndarray) -> float:
+        return float(np.sum((left - columns @ np.linalg.lstsq(columns, left)[0]) ** 2))
+
+    along = remaining(slow)
+    if along > (1.0 - _SLOW) * float(left @ left):
+        return False
+    if channel < n:
+        side = np.sign(track.velocity[inside, channel])
+        turns = bool(np.any(side != side[0]))
+        if remaining(slow * side[:, None]) < _DRAGS * along or (alone and not turns):
+            return False
+    return not known.explains(track, inside, channel)
+
+
+def _episode(track: Track, strength: np.ndarray, stretch: Stretch) -> Episode:
+    inside = _inside(track, stretch)
+    n = track.velocity.shape[1]
+    strong = _strong(track, strength, stretch)
+    left = np.abs(np.nan_to_num(track.left[inside]))
+    time = track.time[inside]
+    # A moment is as strong about its ends as half of it within.
+    above = time[np.any((left > 3.0 * track.usual)[:, strong], axis=1)]
+    sizes = left.max(axis=0) * track.unit
+    joints = [j for j in range(n) if strong[j] or strong[n + j]]
+    return Episode(
+        run=track.run,
+        role=track.role,
+        begin=float(above[0]) if above.size else stretch[0],
+        end=float(above[-1]) if above.size else stretch[1],
+        joints=tuple(j + 1 for j in joints),
+        sizes=tuple(float(sizes[j] if strong[j] else sizes[n + j]) for j in joints),
+    )
+
+
+def without(run: RecordedRun, episodes: Sequence[Episode]) -> RecordedRun:
+    """The run, whose sensors say nothing while something touches the arm."""
+    out = np.zeros(len(run.time), dtype=bool)
+    for each in episodes:
+        if each.run == run.name:
+            out |= each.holds(run.time)
+    if not out.any():
+        return run
+
+    def kept(values: np.ndarray) -> np.ndarray:
+        return np.where(out[:, None], np.nan, values)
+
+    link = None if run.link_position is None else kept(run.link_position)
+    return replace(run, torque=kept(run.torque), link_position=link)
+
+
+def training_without(training: Training, episodes: Sequence[Episode]) -> Training:
+    """Training runs that are judged without the episodes."""
+
+    def masked(run: PreparedRun) -> PreparedRun:
+        apart = np.ones(len(run.time), dtype=bool)
+        for each in episodes:
+            if each.run == run.name:
+                apart &= ~each.holds(run.time)
+        torque, deflection = run.torque_used, run.deflection_used
+        return replace(
+            run, torque_used=torque & apart[:, None], deflection_used=deflection & apart[:, None]
+        )
+
+    return replace(
+        training,
+        runs=tuple(map(masked, training.runs)),
+        recorded=tuple(without(run, episodes) for run in training.recorded),
+    )

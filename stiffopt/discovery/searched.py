@@ -1,0 +1,184 @@
+"""Searches of the training runs: links in balance where these swing otherwise, hands left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.effect import Effect
+from stiffopt.discovery.extended.model import ExtendedModel
+from stiffopt.discovery.judging.episodes import (
+    Episode,
+    episodes_in,
+    training_tracks,
+    training_without,
+)
+from stiffopt.discovery.search.identifiable_effects import (
+    of_changes,
+    of_unseen,
+    unstated_effects,
+    without_bounds,
+)
+from stiffopt.discovery.search.search import SearchResult, search
+from stiffopt.discovery.thresholds import SWING_MISFIT, TOUCHED_ROUNDS
+from stiffopt.discovery.training import Training, train
+from stiffopt.interrupts import finished
+from stiffopt.recording.recording_set import RecordingSet
+
+Say = Callable[[str], object]
+
+
+def answered(
+    recordings: RecordingSet,
+    training: Training,
+    asked: Sequence[Effect],
+    base: ExtendedModel | None,
+    say: Say,
+) -> tuple[Training, SearchResult, tuple[Episode, ...]]:
+    """What was found in training runs.
+
+    Parameters
+    ----------
+    recordings : RecordingSet
+    training : Training
+    asked : sequence of Effect
+        What the recordings can tell of the catalogue.
+    base : ExtendedModel or None
+        That is started from.
+    say : callable
+        Called with a sentence at every step.
+
+    Returns
+    -------
+    training : Training
+        That the answer is about.
+    result : SearchResult
+    touched : tuple of Episode
+        Times in the runs that are left out of it.
+    """
+    comparison = training.comparison()
+    # What shows beside the nominal model already is no part of the first search.
+    touched = episodes_in(training_tracks(comparison, comparison.fit()))
+    if touched:
+        say(_leaves_out(touched))
+        training = training_without(training, touched)
+        comparison = training.comparison()
+    result = _searched(recordings, training, asked, base, say, comparison=comparison)
+    if training.runs[0].swing is not None and not (result.stopped or result.hurried):
+        training, result = _better_swinging(recordings, training, asked, base, say, result)
+    training, result, later = _untouched(recordings, training, asked, base, say, result)
+    return training, result, (*touched, *later)
+
+
+def _better_swinging(
+    recordings: RecordingSet,
+    training: Training,
+    asked: Sequence[Effect],
+    base: ExtendedModel | None,
+    say: Say,
+    result: SearchResult,
+) -> tuple[Training, SearchResult]:
+    """The answer, or a better one where links swing otherwise than the model's by far.
+
+    Slopes about the nominal swing do not reach a mode that lies far off; a comparison of slow
+    motion, links in balance, does, and what it finds is a motion to go on from.
+    """
+    if _residual(result) <= SWING_MISFIT:
+        return training, result
+    say("the swing of the links is not that of the model: compare them in balance")
+    answers = [(training, result)]
+    try:
+        balanced = train(
+            recordings, training.settings, base, say, training.recorded, swinging=False
+        )
+        still = _searched(recordings, balanced, asked, base, say)
+        answers.append((balanced, still))
+        if still.effects and not (still.stopped or still.hurried):
+            say("let the links swing with what was found in balance")
+            about = still.comparison.found(still.fit)
+            answers.append((training, _searched(recordings, training, asked, base, say, about)))
+        stopped = any(found.stopped for _, found in answers)
+    except KeyboardInterrupt:
+        stopped = True
+    # Whichever is the best: what was stopped might have been better.
+    own, best = min(answers, key=lambda answer: _residual(answer[1]))
+    hurried = any(found.hurried for _, found in answers)
+    return own, replace(best, stopped=stopped, hurried=hurried)
+
+
+def _untouched(
+    recordings: RecordingSet,
+    training: Training,
+    asked: Sequence[Effect],
+    base: ExtendedModel | None,
+    say: Say,
+    result: SearchResult,
+) -> tuple[Training, SearchResult, tuple[Episode, ...]]:
+    """The answer without times in which something touched the arm, and these times."""
+    found: tuple[Episode, ...] = ()
+    for _ in range(TOUCHED_ROUNDS):
+        if result.stopped or result.hurried:
+            break
+        new, hurried = finished(partial(_touched, result))
+        if hurried:
+            result = replace(result, hurried=True)
+        if hurried or not new:
+            break
+        say(f"{_leaves_out(new)}, and search again")
+        apart = training_without(training, new)
+        try:
+            result = _searched(recordings, apart, asked, base, say)
+        except KeyboardInterrupt:
+            result = replace(result, stopped=True)
+            break
+        training, found = apart, (*found, *new)
+    return training, result, found
+
+
+def _touched(result: SearchResult) -> tuple[Episode, ...]:
+    return episodes_in(training_tracks(result.comparison, result.fit))
+
+
+def _leaves_out(episodes: Sequence[Episode]) -> str:
+    runs = ", ".join(dict.fromkeys(each.run for each in episodes))
+    return f"leave out times in which something touched the arm ({runs})"
+
+
+def _searched(
+    recordings: RecordingSet,
+    training: Training,
+    asked: Sequence[Effect],
+    base: ExtendedModel | None,
+    say: Say,
+    about: Extension | None = None,
+    comparison: Comparison | None = None,
+) -> SearchResult:
+    """What was found in training runs, from another answer on where one is given."""
+    comparison = comparison or training.comparison()
+    unstated = unstated_effects(
+        asked, recordings, training.constants.joints, usual=training.free_bodies
+    )
+    if base is not None:
+        # What the model has seen it was asked for when it was made.
+        unstated = of_unseen(unstated, comparison.unseen, base.extension)
+    return search(
+        comparison,
+        without_bounds(of_changes(asked) if comparison.after_model else asked, recordings),
+        start=unstated,
+        most=training.most,
+        strict=training.free_bodies,
+        reidentify=training.reidentified,
+        about=about,
+        report=say,
+    )
+
+
+def _residual(result: SearchResult) -> float:
+    """What is left over the noise, rms over the channels."""
+    used = result.after[np.isfinite(result.after)]
+    return float(np.sqrt(np.mean(used**2)))

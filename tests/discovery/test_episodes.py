@@ -1,0 +1,120 @@
+"""Times in which something touches the arm: told, and no part of what is judged."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated_sets import diagnosed, said
+
+from benchmarks.simulator import CaseSpec
+from stiffopt.discovery.judging.episodes import Track, episodes_in
+from stiffopt.report.diagnosis.mismatch import episode_sentences
+
+RATE, SECONDS = 30.0, 10.0
+
+
+def track(run="train_1", seed=0, role="train"):
+    """Two joints that go to and fro in a run, with noise of unit size left in all channels."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(RATE * SECONDS)) / RATE
+    phase = np.outer(time, [2.0, 2.9]) + rng.uniform(0.0, 6.0, 2)
+    speed = np.cos(phase)
+    return Track(
+        run=run,
+        role=role,
+        time=time,
+        left=rng.standard_normal((len(time), 4)),
+        unit=np.full(4, 0.1),
+        velocity=speed,
+        state=0.5 * np.stack([np.sin(phase), speed, np.sin(phase)], axis=2),
+    )
+
+
+def runs():
+    return [track(f"train_{k}", k) for k in range(1, 5)]
+
+
+def added(one, values, channels=(0, 1)):
+    left = one.left.copy()
+    for channel in channels:
+        left[:, channel] += values
+    return replace(one, left=left)
+
+
+def bump(one, begin, end, size=40.0):
+    inside = (one.time > begin) & (one.time < end)
+    return size * np.where(inside, np.sin(np.pi * (one.time - begin) / (end - begin)), 0.0)
+
+
+def test_a_push_is_found_with_its_run_times_joints_and_size():
+    every = runs()
+    every[1] = added(every[1], bump(every[1], 3.0, 4.0))
+    (found,) = episodes_in(every)
+    assert (found.run, found.joints) == ("train_2", (1, 2))
+    assert found.begin == pytest.approx(3.0, abs=0.15)
+    assert found.end == pytest.approx(4.0, abs=0.15)
+    assert found.sizes == pytest.approx((4.0, 4.0), rel=0.15)
+    assert not np.any(np.abs(every[1].left[~found.holds(every[1].time)]) > 5.0)
+
+
+def test_noise_alone_tells_of_nothing():
+    assert episodes_in(runs()) == ()
+
+
+def test_what_acts_against_the_motion_is_no_touch():
+    every = runs()
+    brake = np.sign(every[1].velocity[:, 0]) * np.abs(bump(every[1], 2.0, 5.0))
+    every[1] = added(every[1], brake, channels=(0,))
+    assert episodes_in(every) == ()
+
+
+def test_what_happens_whenever_a_state_comes_by_is_no_touch():
+    every = [
+        added(one, np.where(one.state[:, 0, 0] > 0.45, 30.0, 0.0), channels=(0, 2))
+        for one in runs()
+    ]
+    assert episodes_in(every) == ()
+
+
+def test_what_happens_in_most_runs_is_no_accident():
+    every = [added(one, bump(one, 2.0 + k, 3.0 + k)) for k, one in enumerate(runs())]
+    assert episodes_in(every) == ()
+
+
+def test_a_burst_is_no_touch():
+    every = runs()
+    every[0] = added(every[0], bump(every[0], 5.0, 5.1, 200.0))
+    assert episodes_in(every) == ()
+
+
+def test_a_run_left_out_is_asked_beside_the_training_runs():
+    test = track("test_1", 9, "test")
+    (found,) = episodes_in([added(test, bump(test, 6.0, 6.8))], runs())
+    assert (found.run, found.role) == ("test_1", "test")
+    assert episodes_in([test], runs()) == ()
+
+
+TOUCHED = CaseSpec(
+    effects=(("touched", None, 1.0),),
+    seed=71,
+    seconds=5.0,
+    train=4,
+    test=1,
+    extrapolate=0,
+    rate=250.0,
+    substeps=8,
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effects", [(), (("coulomb", 1, 1.0),)])
+def test_pushes_become_neither_friction_nor_weight(effects):
+    spec = replace(TOUCHED, effects=(*TOUCHED.effects, *effects))
+    found = diagnosed(spec)
+    named = [(f.effect.name, f.joint) for f in found.findings]
+    assert named == [(name, joint) for name, joint, _ in effects], said(found)
+    assert [each.role for each in found.episodes] == ["train", "test"]
+    lines = episode_sentences(found)
+    assert lines[0].startswith("Something touched the arm in train_")
+    assert lines[1].startswith("A contact does not carry over to test_1")
+    assert found.nrmse("test")[1] < 1.3

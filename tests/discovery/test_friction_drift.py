@@ -1,0 +1,90 @@
+"""Friction that differs from run to run: its mean and spread, and what a further run may have."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated_sets import diagnosed, said, simulated
+
+from benchmarks.simulator import CaseSpec
+from stiffopt.discovery.catalogue.friction_drift import FRICTION_DRIFT, friction_drift
+from stiffopt.discovery.extended.model import load_extended
+from stiffopt.discovery.extended.store import extended_text
+from stiffopt.discovery.soundness import faults, sample_signals
+from stiffopt.report.diagnosis.mismatch import carried_over_sentences
+
+DRIFT = CaseSpec(
+    effects=(("friction_drift", 1, 1.0),),
+    seed=101,
+    seconds=5.0,
+    train=4,
+    test=1,
+    extrapolate=0,
+    rate=250.0,
+    substeps=8,
+)
+
+
+def of_run(name, entry, levels, share=0.0):
+    signals = sample_signals().of_joint(4)
+    return entry.term(replace(signals, run=name), levels, [share]).drive_torque
+
+
+def test_a_run_has_its_own_level_and_a_further_one_the_mean():
+    entry = friction_drift(("a", "b"))
+    mean = of_run("c", entry, [0.3, 0.1, -0.2])
+    np.testing.assert_allclose(of_run("a", entry, [0.3, 0.1, -0.2]), mean * 4.0 / 3.0)
+    np.testing.assert_allclose(of_run("b", entry, [0.3, 0.1, -0.2]), mean / 3.0)
+
+
+def test_runs_of_another_set_are_others_whatever_their_names():
+    entry = FRICTION_DRIFT.of_runs(("a", "b"), seen=False)
+    np.testing.assert_array_equal(
+        of_run("a", entry, [0.3, 0.1, -0.2]), of_run("c", entry, [0.3, 0.1, -0.2])
+    )
+
+
+def test_mean_and_spread_are_those_of_the_runs():
+    entry = friction_drift(("a", "b", "c"))
+    constants = sample_signals().constants.joints[4]
+    values = entry.parameters([0.1, 0.2, 0.0, -0.2], [0.0], constants)
+    assert values["dFc"] == pytest.approx(0.1 * constants.coulomb)
+    assert values["dFc_spread"] == pytest.approx(0.2 * constants.coulomb)
+    few = entry.drawn([0.1, 0.2, 0.0, -0.2], [0.0], constants)
+    assert few["dFc"] == pytest.approx(0.2 * constants.coulomb / np.sqrt(3.0))
+    assert few["dFc_spread"] == pytest.approx(0.1 * constants.coulomb)
+    assert list(faults(entry)) == []
+
+
+@pytest.mark.slow
+def test_drift_is_named_as_one_effect_with_mean_and_spread(tmp_path):
+    found = diagnosed(DRIFT)
+    assert [(f.effect.name, f.joint) for f in found.findings] == [("friction_drift", 1)], said(
+        found
+    )
+    case = simulated(DRIFT)
+    (line,) = case.truth["effects"]
+    levels = np.array(line["law"]["of_runs"][:4])
+    values = {p.name: p for p in found.findings[0].parameters}
+    assert values["dFc"].value == pytest.approx(levels.mean(), abs=0.1)
+    assert values["dFc_spread"].value == pytest.approx(levels.std(ddof=1), rel=0.1)
+    # As few runs tell of all.
+    assert values["dFc"].sd > 0.9 * levels.std(ddof=1) / 2.0
+    (drift,) = found.drift
+    (kind,) = [each.kind for each in found.not_carried_over]
+    assert kind == "friction drift"
+    assert drift.rms > 0.5
+    assert "a further run is predicted with the mean" in carried_over_sentences(found)[0]
+    path = tmp_path / "extended.toml"
+    path.write_text(extended_text(found), encoding="utf-8")
+    (again,) = load_extended(path).extension.effects
+    assert again.amplitudes == found.findings[0].estimated.amplitudes
+
+
+@pytest.mark.slow
+def test_friction_that_falls_with_warmth_is_no_drift():
+    spec = replace(DRIFT, effects=(("thermal_friction", 1, 1.0),), seed=56)
+    found = diagnosed(spec)
+    assert [(f.effect.name, f.joint) for f in found.findings] == [("thermal_friction", 1)], said(
+        found
+    )
