@@ -150,13 +150,14 @@ def check(
     from stiffopt.discovery.catalogue import CATALOGUE
     from stiffopt.discovery.identifiable import effect_checks
     from stiffopt.discovery.sanity.doubt import DoubtfulRecordings
-    from stiffopt.discovery.sanity.gate import doubts
+    from stiffopt.discovery.sanity.gate import doubts, remarks
     from stiffopt.discovery.training import training_runs
     from stiffopt.discovery.user_effects import load_effects
     from stiffopt.recording.check import check_recordings
     from stiffopt.recording.recording_set import load_recordings, require_usable
     from stiffopt.recording.static_set import is_static, load_static_set
     from stiffopt.report import recording_check as terminal
+    from stiffopt.report.common.terminal import print_lines
 
     if is_static(recordings):
         facts = terminal.static_facts(load_static_set(recordings, changes))
@@ -169,17 +170,21 @@ def check(
     report = check_recordings(loaded)
     every = (*CATALOGUE, *(load_effects(effects) if effects else ()))
     found = effect_checks(loaded, report.facts, report.training_runs, every)
-    doubted = doubts(loaded, training_runs(loaded))
+    runs = training_runs(loaded)
+    doubted = doubts(loaded, runs)
+    remarked = () if doubted else remarks(loaded, runs)
     if json:
         print_json(
             report.as_dict()
             | {
                 "effects": [each.as_dict() for each in found],
                 "doubts": [doubt.as_dict() for doubt in doubted],
+                "remarks": [doubt.as_dict() for doubt in remarked],
             }
         )
     else:
         terminal.print_check(report, found)
+        print_lines(f"Look at this: {each}" for each in remarked)
     if doubted:
         raise DoubtfulRecordings(loaded.path, doubted)
     require_usable(loaded, {run.file for run in report.runs if run.usable})

@@ -42,7 +42,7 @@ from stiffopt.discovery.judging.shares import Share, parts_of
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, channel_name
 from stiffopt.discovery.judging.variance_explained import variance_explained
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
-from stiffopt.discovery.sanity.gate import doubts
+from stiffopt.discovery.sanity.gate import doubts, remarks
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.identifiable_effects import (
     identifiable_effects,
@@ -157,6 +157,7 @@ def diagnose(
     doubted = doubts(recordings, runs)
     if doubted and not despite_doubts:
         raise DoubtfulRecordings(recordings.path, doubted)
+    remarked = () if doubted or base is not None else remarks(recordings, runs)
     training = train(recordings, settings, base, say, runs)
     facts = joint_facts(recordings, training.recorded)
     checks = effect_checks(recordings, facts, len(training.recorded), catalogue)
@@ -246,6 +247,7 @@ def diagnose(
             *stopped,
             *opened.not_predictable(),
             *_despite(doubted),
+            *(f"to be looked at: {each}" for each in remarked),
             *thin,
             *training.assumptions,
         ),

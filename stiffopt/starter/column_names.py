@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from stiffopt.recording.set_points import is_set_point
 from stiffopt.starter.tables import UNITS
 
 KINDS = ("velocity", "torque", "link_position", "position")
@@ -24,9 +25,6 @@ CURRENT = ("current", "currents", "strom", "amps", "i")
 # Words that other signals of a joint have, too.
 _VAGUE = ("axis", "joint", "a", "j")
 _AMPERES = ("a", "ma", "arms")
-# Of several columns of one kind: measured before wanted.
-_WANTED = ("target", "cmd", "command", "desired", "des", "soll", "ref", "reference", "setpoint",
-           "sollwert", "consigne", "consigna", "riferimento")  # fmt: skip
 _OTHER = (
     "temperature",
     "temp",
@@ -91,7 +89,8 @@ def _bracketed(name: str) -> str:
 
 
 def _measured(names: Sequence[str]) -> list[str]:
-    return [name for name in names if not set(words(name)) & set(_WANTED)]
+    """Of several columns of one kind: measured before wanted."""
+    return [name for name in names if not is_set_point(name)]
 
 
 def _is_current(name: str) -> bool:

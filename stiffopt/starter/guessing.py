@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stiffopt.errors import InputError
+from stiffopt.recording.set_points import is_set_point
 from stiffopt.robot.robot import Robot
 from stiffopt.starter.column_names import CURRENT, KINDS, of_kind, stated_unit, words
 
@@ -104,7 +105,7 @@ def guess(
     for kind in ("position", "velocity", "link_position", "torque"):
         if kind in columns:
             units[kind], why = _unit(kind, columns, table, robot, seconds, units)
-            why += _doubt(kind, others[kind])
+            why += _doubt(kind, others[kind]) + _told(kind, columns[kind])
             reasons.append(f"{kind}: {', '.join(c for c in columns[kind] if c)}; {why}")
     if left:
         reasons.append(f"not used: {', '.join(left[:20])}{', ...' if len(left) > 20 else ''}")
@@ -137,6 +138,16 @@ def _doubt(kind: str, others: Sequence[tuple[str, ...]]) -> str:
     return (
         f". QUESTION: {told} may be the {kind} as well: which is measured, and neither a set point"
         f" nor an error? Its columns go to {kind} in [signals]"
+    )
+
+
+def _told(kind: str, names: Sequence[str]) -> str:
+    """What to ask where nothing but set points is there."""
+    if not any(name and is_set_point(name) for name in names):
+        return ""
+    return (
+        f". QUESTION: set points by their names, and no measured {kind} was found: what an"
+        " arm is told to do is not what it does. Log what was measured"
     )
 
 

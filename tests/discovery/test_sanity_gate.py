@@ -19,9 +19,10 @@ from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.cli import run
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
-from stiffopt.discovery.sanity.gate import doubts
+from stiffopt.discovery.sanity.gate import doubts, remarks
 from stiffopt.discovery.training import training_runs
 from stiffopt.recording.recording_set import load_recordings
+from stiffopt.recording.set_points import is_set_point
 
 SHIPPED = ROOT / "problems" / "recordings" / "two_link_friction"
 PUBLISHED = ROOT.parent / "shared" / "recordings"
@@ -334,3 +335,108 @@ def test_torques_without_weight_are_told(tmp_path):
     assert doubt.line == "gravity = [0.0, 0.0, 0.0]"
     rewritten(folder, "gravity = [0.0, 0.0, -9.81]", doubt.line)
     assert not doubted(folder)
+
+
+def without_friction(folder: Path) -> Path:
+    file = folder / "recordings.toml"
+    lines = file.read_text().splitlines()
+    kept = [line for line in lines if not re.match(r"(coulomb|viscous) = \[", line)]
+    tolerated = [line for line in kept if not re.match(r"(coulomb|viscous) = \d", line)]
+    file.write_text("\n".join(tolerated))
+    return folder
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+def test_a_gain_of_one_joint_is_told_and_stops_nothing(joint, tmp_path, capsys):
+    folder = without_friction(changed_copy(SHIPPED, tmp_path / "set", times(f"tau{joint}", 1.25)))
+    recordings = load_recordings(folder)
+    runs = training_runs(recordings)
+    assert doubts(recordings, runs) == ()
+    (told,) = remarks(recordings, runs)
+    assert (told.kind, told.joints) == ("torque gain", (joint,))
+    gain = float(re.search(r"fits (\S+) times", told.evidence)[1])
+    assert gain == pytest.approx(1.25, rel=0.03)
+    factors = [1.0, 1.0]
+    factors[joint - 1] = pytest.approx(1.0 / gain, rel=1e-2)
+    assert json.loads(re.search(r"\[.*?\]", told.line)[0]) == factors
+    assert run(["recording", "check", str(folder)]) == 0
+    assert "Look at this: The torque of joint" in capsys.readouterr().out
+
+
+def test_nothing_is_remarked_of_gains_where_there_are_none(tmp_path):
+    for folder in (SHIPPED, without_friction(shutil.copytree(SHIPPED, tmp_path / "set"))):
+        recordings = load_recordings(folder)
+        assert remarks(recordings, training_runs(recordings)) == ()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not OPEN_CASES.is_dir(), reason="open cases are not here")
+def test_nothing_is_remarked_of_public_sets_and_open_cases():
+    for folder in (*sorted(OPEN_CASES.iterdir())[:6], PUBLISHED / "unisa_ur10"):
+        recordings = load_recordings(folder)
+        assert remarks(recordings, training_runs(recordings)) == (), folder.name
+
+
+def other_arm(columns: Columns) -> None:
+    """As of links of other masses."""
+    columns["tau1"] = 1.5 * columns["tau1"]
+    columns["tau2"] = 0.6 * columns["tau2"]
+
+
+def test_a_run_of_another_arm_is_named(tmp_path, capsys):
+    folder = tmp_path / "set"
+    shutil.copytree(SHIPPED, folder)
+    with np.load(folder / "train_2.npz") as stored:
+        columns = dict(stored)
+    other_arm(columns)
+    np.savez_compressed(folder / "train_2.npz", **columns)
+    (told,) = doubted(folder)
+    assert told.kind == "another arm"
+    assert told.evidence.startswith("train_2 does not fit the other runs")
+    assert re.search(
+        r"leaves [\d.]+ % at joint 2 \(at most 0\.\d+ % in the others\)", told.evidence
+    )
+    assert run(["diagnose", str(folder), "--out", str(tmp_path / "out"), "--quiet"]) == 2
+    assert "Take its [[runs]] section out" in capsys.readouterr().err
+    # Without it there is nothing to say.
+    text = (folder / "recordings.toml").read_text()
+    sections = text.split("[[runs]]")
+    kept = [section for section in sections if "train_2" not in section]
+    assert len(kept) == len(sections) - 1
+    (folder / "recordings.toml").write_text("[[runs]]".join(kept))
+    assert doubted(folder) == ()
+
+
+def test_set_points_are_no_motion(tmp_path, capsys):
+    def renamed(columns: Columns) -> None:
+        for joint in (1, 2):
+            columns[f"q_cmd_{joint}"] = columns.pop(f"q{joint}")
+
+    folder = changed_copy(SHIPPED, tmp_path / "set", renamed)
+    rewritten(folder, 'position = ["q1", "q2"]', 'position = ["q_cmd_1", "q_cmd_2"]')
+    (told,) = doubted(folder)
+    assert told.kind == "set points"
+    assert "q_cmd_1, q_cmd_2" in told.evidence
+    assert told.line.startswith("position = ")
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("q_cmd_1", True),
+        ("Sollposition A1 [Grad]", True),
+        ("AxisSetpoint[2]", True),
+        ("axis_2_set_point", True),
+        ("/controller/state.desired.positions[0]", True),
+        ("q_des_1", True),
+        ("commandedAngle1", True),
+        ("Winkel des Gelenks 1", False),
+        ("actual_q_0", False),
+        ("setting", False),
+        ("axis set 1", False),
+        ("Istposition A1", False),
+        ("description_1", False),
+    ],
+)
+def test_names_of_set_points(name, told):
+    assert is_set_point(name) == told

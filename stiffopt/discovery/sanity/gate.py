@@ -10,6 +10,7 @@ import numpy as np
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.sanity.doubt import Doubt
 from stiffopt.discovery.sanity.explanations import Explanation, Explanations
+from stiffopt.discovery.sanity.joint_gains import JointGain, joint_gains
 from stiffopt.discovery.sanity.lines import (
     column_line,
     joints_in_words,
@@ -17,10 +18,12 @@ from stiffopt.discovery.sanity.lines import (
     scale_line,
     share_words,
 )
+from stiffopt.discovery.sanity.odd_runs import OddRun, odd_runs
 from stiffopt.discovery.sanity.orders import DEGREE
 from stiffopt.discovery.sanity.samples import sampled
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
+from stiffopt.recording.set_points import is_set_point
 
 # How far beyond its limits a joint may read: share of its range, and [rad] or [m].
 _BEYOND = (0.05, 0.02)
@@ -50,13 +53,16 @@ def doubts(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[Doubt
     """
     if not any(body.mass > 0.0 for body in recordings.robot.tree.bodies):
         return (_without_masses(recordings),)
-    found = [*_currents(recordings), *_second_sensors(recordings, runs)]
+    found = [*_currents(recordings), *_set_points(recordings), *_second_sensors(recordings, runs)]
     samples = sampled(runs)
     explanation = None
     if samples is not None:
         search = Explanations(RobotModel(recordings), samples)
-        explanation = search.best()
-        if explanation is not None:
+        odd = odd_runs(search, runs) if len(runs) > 1 else []
+        explanation = None if odd else search.best()
+        if odd:
+            found = [*_of_odd_runs(recordings, odd), *found]
+        elif explanation is not None:
             found = [*_explained(recordings, search, explanation), *found]
         elif (standing := search.standing_in_degrees()) is not None:
             found = [_in_rad(recordings, search, standing), *found]
@@ -89,6 +95,49 @@ def _currents(recordings: RecordingSet) -> Iterator[Doubt]:
             " weight of the nominal model suggests, if anything, is told here as well.",
             line="",
         )
+
+
+def _set_points(recordings: RecordingSet) -> Iterator[Doubt]:
+    """Positions that the arm was told to take."""
+    told = [name for name in recordings.signals.position if name and is_set_point(name)]
+    if told:
+        yield Doubt(
+            kind="set points",
+            joints=(),
+            evidence=f"The positions are set points by their names ({', '.join(told[:3])}"
+            f"{', ...' if len(told) > 3 else ''}): what the arm was told to do is not what it did,"
+            " and its controller's errors would be taken for physics. Record measured positions.",
+            line="position = [...] in [signals] with the columns that were measured",
+        )
+
+
+def remarks(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[Doubt, ...]:
+    """What stops nothing and yet is to be looked at: torques of one joint off by a factor.
+
+    A drive's constant may be off by that much, which is an effect of the catalogue; and so may be
+    the description. Read after `doubts`.
+    """
+    samples = sampled(runs)
+    if samples is None or recordings.signals.currents:
+        return ()
+    found = joint_gains(RobotModel(recordings), samples)
+    return tuple(_of_joint_gain(recordings, each) for each in found)
+
+
+def _of_joint_gain(recordings: RecordingSet, found: JointGain) -> Doubt:
+    factors = np.ones(recordings.n)
+    factors[found.joint] = float(f"{1.0 / found.gain:.3g}")
+    j = found.joint + 1
+    return Doubt(
+        kind="torque gain",
+        joints=(j,),
+        evidence=f"The torque of joint {j} fits {found.gain:.3g} times what the model expects: of"
+        f" its variance {100.0 * found.after:.2g} % then stays in place of"
+        f" {100.0 * found.before:.2g} %, whatever masses and friction all joints are given. Is its"
+        " torque constant, gear ratio or column that of another joint? A diagnosis may call it"
+        " torque_gain.",
+        line=scale_line(recordings, "torque", factors),
+    )
 
 
 # ---- by the torques
@@ -143,6 +192,41 @@ def _in_rad(recordings: RecordingSet, search: Explanations, found: Explanation) 
     )
 
 
+def _of_odd_runs(recordings: RecordingSet, odd: Sequence[OddRun]) -> Iterator[Doubt]:
+    """Another reading of a run where one explains it; else the run is of something else."""
+    for each in odd:
+        explanation = each.search.best()
+        if explanation is not None:
+            yield from _of_one_run(recordings, each.run.name, each.search, explanation)
+            continue
+        shares = ", ".join(
+            f"{100.0 * each.left[j]:.3g} % at joint {j + 1} (at most {100.0 * each.others[j]:.2g} %"
+            " in the others)"
+            for j in each.joints
+        )
+        yield Doubt(
+            kind="another arm",
+            joints=tuple(j + 1 for j in each.joints),
+            evidence=f"{each.run.name} does not fit the other runs, as of another arm, or of this"
+            f" one with a load or a contact: of the torque's variance the nominal model leaves"
+            f" {shares}, with friction of its own. Take its [[runs]] section out, or give that load"
+            " a set of its own.",
+            line="",
+        )
+
+
+def _of_one_run(
+    recordings: RecordingSet, name: str, search: Explanations, explanation: Explanation
+) -> Iterator[Doubt]:
+    for doubt in _explained(recordings, search, explanation):
+        yield replace(
+            doubt,
+            evidence=f"Of {name} alone, not of all runs: {doubt.evidence} Mend that file or"
+            " leave it out: lines of recordings.toml hold for every run.",
+            line="",
+        )
+
+
 def _of_single_runs(
     recordings: RecordingSet, runs: Sequence[RecordedRun], together: Explanations
 ) -> Iterator[Doubt]:
@@ -159,13 +243,7 @@ def _of_single_runs(
         explanation = search.best()
         if explanation is None:
             continue
-        for doubt in _explained(recordings, search, explanation):
-            yield replace(
-                doubt,
-                evidence=f"Of {run.name} alone, not of all runs: {doubt.evidence} Mend that file or"
-                " leave it out: lines of recordings.toml hold for every run.",
-                line="",
-            )
+        yield from _of_one_run(recordings, run.name, search, explanation)
 
 
 def _of_reading(recordings: RecordingSet, explanation: Explanation, shares: str) -> Iterator[Doubt]:
