@@ -105,7 +105,7 @@ def guess(
     for kind in ("position", "velocity", "link_position", "torque"):
         if kind in columns:
             units[kind], why = _unit(kind, columns, table, robot, seconds, units)
-            why += _doubt(kind, others[kind]) + _told(kind, columns[kind])
+            why += _doubt(kind, others[kind]) + _only_set_points(kind, columns[kind])
             reasons.append(f"{kind}: {', '.join(c for c in columns[kind] if c)}; {why}")
     if left:
         reasons.append(f"not used: {', '.join(left[:20])}{', ...' if len(left) > 20 else ''}")
@@ -141,7 +141,7 @@ def _doubt(kind: str, others: Sequence[tuple[str, ...]]) -> str:
     )
 
 
-def _told(kind: str, names: Sequence[str]) -> str:
+def _only_set_points(kind: str, names: Sequence[str]) -> str:
     """What to ask where nothing but set points is there."""
     if not any(name and is_set_point(name) for name in names):
         return ""
