@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,8 @@ _ENDINGS = (".csv", ".txt", ".tsv", ".dat", ".log", ".npz", ".parquet")
 # Share of a single recording that is fitted to; the rest is for judging.
 _TRAIN = 0.7
 _FEWEST = 400
+# Rows of each part of a recording whose clock begins anew.
+_FEWEST_OF_PART = 100
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,12 +89,22 @@ def start_recording_set(
                 path, "", f"lacks {', '.join(lacking)}, which {files[0].name} has."
             )
     runs: list[tuple[str, str, dict[str, np.ndarray]]] = []
-    if len(files) == 1:
-        table = _kept(tables[files[0]], [*wanted, *first.asked])
+    parts: list[tuple[Path, str, dict[str, np.ndarray]]] = []
+    for path, table in tables.items():
+        own = list(_clocks(_kept(table, [*wanted, *first.asked]), first.time))
+        stem = _stem(path)
+        names = [stem] if len(own) == 1 else [f"{stem}_{k}" for k in range(1, len(own) + 1)]
+        parts += [(path, name, part) for name, part in zip(names, own, strict=True)]
+        if len(own) > 1:
+            notes.append(
+                f"The clock of {path.name} begins anew {len(own) - 1} time(s): it is kept as"
+                f" {len(own)} runs, {', '.join(names)}."
+            )
+    if len(parts) == 1:
+        _, stem, table = parts[0]
         cut = int(_TRAIN * len(table[first.time]))
         if cut < _FEWEST:
             raise InputFileError(files[0], "", f"has {len(table[first.time])} rows; record more.")
-        stem = _stem(files[0])
         runs.append((f"{stem}_train", "train", {k: v[:cut] for k, v in table.items()}))
         runs.append((f"{stem}_test", "test", {k: v[cut:] for k, v in table.items()}))
         notes.append(
@@ -99,10 +112,11 @@ def start_recording_set(
             " for a better proof."
         )
     else:
-        for number, path in enumerate(files):
-            role = "test" if number == len(files) - 1 else "train"
-            runs.append((_stem(path), role, _kept(tables[path], [*wanted, *first.asked])))
-        notes.append(f"{files[-1].name} is kept for judging (test), the others are fitted to.")
+        last = files[-1].name if len(files) > 1 else parts[-1][1]
+        for path, name, part in parts:
+            kept = last in (path.name if len(files) > 1 else name, name)
+            runs.append((name, "test" if kept else "train", part))
+        notes.append(f"{last} is kept for judging (test), the others are fitted to.")
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(urdf, folder / "robot.urdf")
     for name, _, table in runs:
@@ -112,6 +126,22 @@ def start_recording_set(
     return StartedSet(
         path=write_new(folder / "recordings.toml", text), guess=first, notes=tuple(notes)
     )
+
+
+def _clocks(table: Mapping[str, np.ndarray], time: str) -> Iterator[dict[str, np.ndarray]]:
+    """Parts between which the clock goes back to its beginning; the table where it does not."""
+    stamps = table[time]
+    steps = np.diff(stamps)
+    known = steps[np.isfinite(steps) & (steps > 0.0)]
+    usual = float(np.median(known)) if known.size else 0.0
+    # What goes back by a few rows is no new beginning, and is told by who reads the run.
+    cuts = np.flatnonzero(steps < -_FEWEST_OF_PART * usual) + 1
+    ends = [0, *(int(cut) for cut in cuts), len(stamps)]
+    if any(np.diff(ends) < _FEWEST_OF_PART):
+        yield dict(table)
+        return
+    for begin, end in itertools.pairwise(ends):
+        yield {name: column[begin:end] for name, column in table.items()}
 
 
 def _kept(table: Mapping[str, np.ndarray], names: Sequence[str]) -> dict[str, np.ndarray]:

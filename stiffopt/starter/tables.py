@@ -121,7 +121,9 @@ def _text(path: Path) -> dict[str, np.ndarray]:
 
 def _names(head: list[list[str]], comments: list[str], width: int, mark: str) -> list[str] | None:
     """Names of the columns: the last row of words, its units added where another row has them."""
-    words = [row for row in head if len(row) == width]
+    # A last column that holds nothing may have a name all the same, and lack a unit.
+    words = [row[:width] for row in head if width <= len(row) <= width + 1]
+    words += [[*row, ""] for row in head[-1:] if len(row) == width - 1 and _is_units(row)]
     if not words and comments:
         words = [row for row in [_cells(comments[-1].lstrip("#% "), mark)] if len(row) == width]
     if not words:

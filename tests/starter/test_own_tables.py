@@ -416,3 +416,45 @@ def test_zeros_and_columns_without_numbers_are_no_warnings(tmp_path):
     table = {f"{name}{k + 1}": (own * 2)[k] for name, own in signals.items() for k in range(6)}
     found = guess({"t": TIME, **table}, robot)
     assert "QUESTION: q2, q5 reach no more than 0.8: in rad?" in " ".join(found.reasons)
+
+
+def test_a_clock_that_begins_anew_makes_runs_of_its_own(tmp_path, capsys):
+    t = np.concatenate([np.arange(500.0), np.arange(450.0)])
+    text = ["t_ms,q1,q2,tau1,tau2"]
+    text += [f"{5.0 * s:g},{np.sin(0.01 * s)},{np.cos(0.01 * s)},{k},1" for k, s in enumerate(t)]
+    (tmp_path / "log.csv").write_text("\n".join(text))
+    out = tmp_path / "set"
+    log = str(tmp_path / "log.csv")
+    assert run(["init", "recording", log, "--urdf", str(URDF), "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "The clock of log.csv begins anew 1 time(s): it is kept as 2 runs, log_1, log_2" in said
+    document = tomllib.loads((out / "recordings.toml").read_text())
+    assert [(each["file"], each["role"]) for each in document["runs"]] == [
+        ("log_1.npz", "train"),
+        ("log_2.npz", "test"),
+    ]
+    with np.load(out / "log_2.npz") as stored:
+        assert len(stored["t_ms"]) == 450
+        assert stored["tau1"][0] == 500.0
+
+
+@pytest.mark.parametrize("last", ["", "Bemerkung"])
+def test_two_heads_of_which_the_last_column_is_empty(last, tmp_path):
+    text = [f"Zeit;Achse 1 Istposition;Achse 1 Strom;{last}", "[ms];[Grad];[A];"]
+    text += [f"{k};{k},5;0,{k};" for k in range(40)]
+    (tmp_path / "log.csv").write_text("\n".join(text), encoding="cp1252")
+    assert list(read_any_table(tmp_path / "log.csv")) == [
+        "Zeit [ms]", "Achse 1 Istposition [Grad]", "Achse 1 Strom [A]",
+    ]  # fmt: skip
+
+
+def test_nothing_but_set_points_is_asked_about(tmp_path, capsys):
+    text = ["t,q_cmd_1,q_cmd_2,tau_1,tau_2"]
+    text += [f"{0.01 * k:g},{np.sin(0.02 * k)},{np.cos(0.02 * k)},{k % 7},1" for k in range(900)]
+    (tmp_path / "log.csv").write_text("\n".join(text))
+    out, log = tmp_path / "set", str(tmp_path / "log.csv")
+    assert run(["init", "recording", log, "--urdf", str(URDF), "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "QUESTION: set points by their names, and no measured position" in said
+    assert run(["recording", "check", str(out)]) == 2
+    assert "The positions are set points by their names" in capsys.readouterr().err

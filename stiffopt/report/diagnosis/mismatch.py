@@ -192,7 +192,7 @@ def unstated_rows(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[Uns
                 effect=own[0].effect.title,
                 where=joints_in_words([f.joint for f in own if f.joint is not None]),
                 values=f"{first.name} of joint {values}",
-                explains=f"{100 * min(shares):.0f} to {100 * max(shares):.0f} %",
+                explains=_range(min(shares), max(shares)),
             )
         )
     return rows
@@ -219,3 +219,9 @@ def _masses(diagnosis: Diagnosis, effects: Sequence[LocatedEffect]) -> str:
     elif not found:
         return "nominal values within their tolerances"
     return listed(found)
+
+
+def _range(low: float, high: float) -> str:
+    """Shares as percentages, one where both read alike."""
+    least, most = f"{100 * low:.0f}", f"{100 * high:.0f}"
+    return f"{most} %" if least == most else f"{least} to {most} %"
