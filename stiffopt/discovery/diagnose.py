@@ -6,22 +6,15 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
-
-import numpy as np
 
 from stiffopt.discovery.catalogue import CATALOGUE, of_runs
-from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.conclusions import findings_of, next_experiment, verdict_of
 from stiffopt.discovery.diagnosis import (
     Diagnosis,
-    Finding,
-    Parameter,
-    Verdict,
-    rivals_of,
 )
 from stiffopt.discovery.effect import Effect
-from stiffopt.discovery.experiment.design import ExperimentPlan, leading_pair, plan_experiment
+from stiffopt.discovery.experiment.design import leading_pair, plan_experiment
 from stiffopt.discovery.extended.left_open import of_means, of_samples
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.extended.schema import LeftOpenSection
@@ -36,34 +29,34 @@ from stiffopt.discovery.judging.episodes import (
 from stiffopt.discovery.judging.held_out import HeldOut
 from stiffopt.discovery.judging.left_open import open_section
 from stiffopt.discovery.judging.modes import mode_shifts
-from stiffopt.discovery.judging.next_recording import next_recording
 from stiffopt.discovery.judging.other_band import doubted_by_band
-from stiffopt.discovery.judging.shares import Share, parts_of
-from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings, channel_name
-from stiffopt.discovery.judging.variance_explained import variance_explained
+from stiffopt.discovery.judging.shares import parts_of
+from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.gate import doubts, remarks
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.identifiable_effects import (
     identifiable_effects,
 )
-from stiffopt.discovery.search.left_out import repeated, shares_left_out
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.search import SearchResult
 from stiffopt.discovery.search.uncertainty import (
     Estimate,
-    deviations,
     estimate,
-    odds_of_nothing,
 )
 from stiffopt.discovery.searched import answered
 from stiffopt.discovery.settings import Settings
-from stiffopt.discovery.thresholds import (
-    MISFIT_ODDS,
-    MISFIT_RATIO,
-    OPEN_RATIO,
-    OPEN_SHARE,
-    UNREPEATED_ODDS,
+from stiffopt.discovery.stopping import (
+    FITTED,
+    NO_BURSTS,
+    NO_EXPERIMENT,
+    NO_LIMITS,
+    NO_ROD,
+    NO_SUSPECTS,
+    ONE_BAND,
+    even_if_stopped,
+    stopped_in,
+    unless_stopped,
 )
 from stiffopt.discovery.training import Training, train, training_runs
 from stiffopt.discovery.user_effects import load_effects
@@ -73,26 +66,6 @@ from stiffopt.recording.recording_set import RecordingSet, load_recordings, requ
 from stiffopt.recording.thinning import quieter, samples_a_mean, sentence, thinned
 
 Say = Callable[[str], object]
-Answer = TypeVar("Answer")
-
-_STOPPED = (
-    "Stopped by the user: what was found until then is told, and more may be missing than that."
-)
-_HURRIED = (
-    "Stopped by the user when the search was over: the findings are all there, and what takes"
-    " longer beside them was left out."
-)
-_NOT_WEIGHED = (
-    "Stopped by the user: what stands at a half was not weighed against what could stand in its"
-    " place."
-)
-_FITTED = "Stopped by the user: friction is that of the fit, without samples near standstill."
-_NO_LIMITS = "Stopped by the user: what would have been seen of other effects was not calculated."
-_NO_BURSTS = "Stopped by the user: nobody looked for bursts above the filter's band."
-_ONE_BAND = "Stopped by the user: standard deviations count nothing of what half the band says."
-_NO_EXPERIMENT = "Stopped by the user: no experiment was designed."
-_NO_ROD = "Stopped by the user: no black box was fitted to measure by."
-_NO_SUSPECTS = "Stopped by the user: what is left open was not asked for suspects."
 
 
 def diagnose(
@@ -168,24 +141,24 @@ def diagnose(
     say("compare with the nominal model" if base is None else f"compare with {base.source}")
     training, result, touched = answered(recordings, training, sought, base, say)
     settings = training.settings
-    stopped = _stopped_in(result)
+    stopped = stopped_in(result)
 
     def assessed() -> tuple[tuple[Selected, ...], Unexplained | None]:
         say("estimate parameters")
         return assess_findings(result)
 
-    selected, unexplained = _even_if_stopped(stopped, assessed)
+    selected, unexplained = even_if_stopped(stopped, assessed)
     start = () if base is None else (base.extension,)
     selected, parameters = _parameters(training, settings, start, result, selected, stopped, say)
     located = tuple(s.located for s in selected)
-    findings = _even_if_stopped(
+    findings = even_if_stopped(
         stopped,
-        lambda: _findings(result.comparison, selected, parameters, training, result.after),
+        lambda: findings_of(result.comparison, selected, parameters, training, result.after),
     )
     limits: tuple[DetectionLimit, ...] = (
-        _unless_stopped(
+        unless_stopped(
             stopped,
-            _NO_LIMITS,
+            NO_LIMITS,
             lambda: detection_limits(Scorer(result.comparison, located), sought, result.effects),
         )
         or ()
@@ -197,65 +170,67 @@ def diagnose(
             say("look for bursts above the filter's band")
             return bursts(training, (*start, found), settings)
 
-        unexplained = _unless_stopped(stopped, _NO_BURSTS, burst)
+        unexplained = unless_stopped(stopped, NO_BURSTS, burst)
     new = [s for s in selected if s.located.effect.nominal not in recordings.unstated]
     pair = leading_pair(new or selected) if experiment else None
     whole = found if base is None else base.extension.followed_by(found)
     plan = None
     if pair is not None:
-        plan = _unless_stopped(
+        plan = unless_stopped(
             stopped,
-            _NO_EXPERIMENT,
+            NO_EXPERIMENT,
             lambda: plan_experiment(training, result, settings, pair, say=say),
         )
     # The findings are fixed: from here on other runs may be opened, and change nothing above.
-    tracks = training_tracks(result.comparison, result.fit)
+    tracks = even_if_stopped(stopped, lambda: training_tracks(result.comparison, result.fit))
     parts = parts_of(found, recordings.unstated)
     opened = HeldOut(training, settings, start, found, parts, every, tracks)
-    if opened.measurable:
-        _unless_stopped(stopped, _NO_ROD, lambda: opened.fit_rod(say))
-    try:
-        opened.predict_all(recordings, say, hurried=bool(stopped))
-    except KeyboardInterrupt:
-        stopped.append(opened.cut_short())
+    _predicted(opened, recordings, stopped, say)
     left_open = _left_open(training, whole, asked, base, stopped, say)
-    proofs, taken = tuple(opened.proofs), opened.shares.found()
-    drift = drifts(found, training.constants, opened.velocities)
-    seen = (*training.recorded, *(proof.run for proof in proofs))
-    return Diagnosis(
-        recordings=recordings,
-        settings=settings,
-        model=None if base is None else base.source,
-        verdict=_verdict(findings, unexplained),
-        findings=findings,
-        extension=whole,
-        left_open=of_samples(left_open, every),
-        training=training,
-        search=result,
-        held_out=proofs,
-        shares=taken,
-        rod=opened.rod(),
-        not_carried_over=not_carried_over(proofs, opened.velocities, drift),
-        drift=drift,
-        episodes=(*touched, *opened.episodes),
-        modes=mode_shifts(result.comparison, result.fit),
-        catalogue=catalogue,
-        detection_limits=limits,
-        unexplained=unexplained,
-        next_experiment=_next_experiment(findings, plan, unexplained, taken, recordings.unstated),
-        assumptions=(
-            *stopped,
-            *opened.not_predictable(),
-            *_despite(doubted),
-            *(f"to be looked at: {each}" for each in remarked),
-            *thin,
-            *training.assumptions,
-        ),
-        faults=tuple((run.name, fault) for run in seen for fault in run.faults),
-        experiment=plan,
-        doubts=doubted,
-        stopped=bool(stopped),
-    )
+
+    def concluded() -> Diagnosis:
+        proofs, taken = tuple(opened.proofs), opened.shares.found()
+        drift = drifts(found, training.constants, opened.velocities)
+        seen = (*training.recorded, *(proof.run for proof in proofs))
+        return Diagnosis(
+            recordings=recordings,
+            settings=settings,
+            model=None if base is None else base.source,
+            verdict=verdict_of(findings, unexplained),
+            findings=findings,
+            extension=whole,
+            left_open=of_samples(left_open, every),
+            training=training,
+            search=result,
+            held_out=proofs,
+            shares=taken,
+            rod=opened.rod(),
+            not_carried_over=not_carried_over(proofs, opened.velocities, drift),
+            drift=drift,
+            episodes=(*touched, *opened.episodes),
+            modes=mode_shifts(result.comparison, result.fit),
+            catalogue=catalogue,
+            detection_limits=limits,
+            unexplained=unexplained,
+            next_experiment=next_experiment(
+                findings, plan, unexplained, taken, recordings.unstated
+            ),
+            assumptions=(
+                *stopped,
+                *opened.not_predictable(),
+                *_despite(doubted),
+                *(f"to be looked at: {each}" for each in remarked),
+                *thin,
+                *training.assumptions,
+            ),
+            faults=tuple((run.name, fault) for run in seen for fault in run.faults),
+            experiment=plan,
+            doubts=doubted,
+            stopped=bool(stopped),
+        )
+
+    # All is known by now: Ctrl-C comes too late to leave anything out.
+    return finished(concluded)[0]
 
 
 def _of_means(base: ExtendedModel | None, every: int) -> ExtendedModel | None:
@@ -279,7 +254,7 @@ def _parameters(
 
     def fitted() -> tuple[tuple[Selected, ...], Estimate]:
         located = tuple(s.located for s in selected)
-        return selected, _even_if_stopped(stopped, lambda: estimate(comparison, located))
+        return selected, even_if_stopped(stopped, lambda: estimate(comparison, located))
 
     if not training.free_bodies or training.robot.swings:
         return fitted()
@@ -288,40 +263,23 @@ def _parameters(
         say("take friction from all moving samples where that predicts better")
         return from_all_samples(training, settings, start, comparison, selected)
 
-    kept, estimated = _unless_stopped(stopped, _FITTED, sampled) or fitted()
+    kept, estimated = unless_stopped(stopped, FITTED, sampled) or fitted()
 
     def asked() -> Estimate:
         say("ask half the band for the parameters")
         return doubted_by_band(training, comparison, estimated)
 
-    return kept, _unless_stopped(stopped, _ONE_BAND, asked) or estimated
+    return kept, unless_stopped(stopped, ONE_BAND, asked) or estimated
 
 
-def _stopped_in(result: SearchResult) -> list[str]:
-    """What is said of a search that Ctrl-C ended, or that it came behind."""
-    stopped = [_STOPPED] if result.stopped else []
-    if not result.weighed:
-        stopped.append(_NOT_WEIGHED)
-    return stopped or ([_HURRIED] if result.hurried else [])
-
-
-def _even_if_stopped(stopped: list[str], step: Callable[[], Answer]) -> Answer:
-    """What a short step behind the search answers: Ctrl-C ends what comes later."""
-    answer, hurried = finished(step)
-    if hurried and not stopped:
-        stopped.append(_HURRIED)
-    return answer
-
-
-def _unless_stopped(stopped: list[str], what: str, step: Callable[[], Answer]) -> Answer | None:
-    """What a step answers that can be left out: Ctrl-C does, in it or before, and `what` tells."""
-    if not stopped:
-        try:
-            return step()
-        except KeyboardInterrupt:
-            pass
-    stopped.append(what)
-    return None
+def _predicted(opened: HeldOut, recordings: RecordingSet, stopped: list[str], say: Say) -> None:
+    """Predict runs left out, as far as the user waits for them."""
+    if opened.measurable:
+        unless_stopped(stopped, NO_ROD, lambda: opened.fit_rod(say))
+    try:
+        opened.predict_all(recordings, say, hurried=bool(stopped))
+    except KeyboardInterrupt:
+        stopped.append(opened.cut_short())
 
 
 def _left_open(
@@ -341,8 +299,8 @@ def _left_open(
 
     found = None
     if training.free_bodies:
-        found = _unless_stopped(stopped, _NO_SUSPECTS, suspected)
-    return found or _even_if_stopped(stopped, lambda: open_section(training, whole, (), before))
+        found = unless_stopped(stopped, NO_SUSPECTS, suspected)
+    return found or even_if_stopped(stopped, lambda: open_section(training, whole, (), before))
 
 
 def _despite(doubted: Sequence[Doubt]) -> list[str]:
@@ -353,83 +311,3 @@ def _given(effects: Sequence[Effect] | str | os.PathLike[str]) -> tuple[Effect, 
     if isinstance(effects, str | os.PathLike):
         return load_effects(Path(effects))
     return tuple(effects)
-
-
-def _verdict(findings: tuple[Finding, ...], unexplained: Unexplained | None) -> Verdict:
-    if findings and (
-        unexplained is None or unexplained.ratio < OPEN_RATIO or unexplained.left < OPEN_SHARE
-    ):
-        return "named"
-    return "nothing_missing" if unexplained is None else "outside_catalogue"
-
-
-def _findings(
-    comparison: Comparison,
-    kept: Sequence[Selected],
-    parameters: Estimate,
-    training: Training,
-    after: np.ndarray,
-) -> tuple[Finding, ...]:
-    constants, n = training.constants, training.robot.n
-    shares = variance_explained(
-        comparison, tuple(s.located for s in kept), tuple(s.channel for s in kept)
-    )
-    refitted = shares_left_out(comparison, tuple(s.located for s in kept))
-    again = (True,) * len(kept)
-    if training.free_bodies:
-        again = repeated(comparison, tuple(s.located for s in kept))
-    findings = []
-    for index, (selected, share) in enumerate(zip(kept, shares, strict=True)):
-        located, effect = selected.located, selected.located.effect
-        open_ = after[selected.channel] > MISFIT_RATIO
-        misfit = MISFIT_ODDS * (1.0 - refitted[index]) if open_ else 0.0
-        if not again[index]:
-            misfit = max(misfit, UNREPEATED_ODDS)
-        chance = parameters.chance_of_nothing(index)
-        misfit = max(misfit, odds_of_nothing(chance))
-        values = parameters.parameters(index, located.constants(constants))
-        findings.append(
-            Finding(
-                estimated=parameters.effects[index],
-                link=None if located.link is None else constants.links[located.link],
-                probability=(1.0 - misfit) * selected.probability,
-                misfit=misfit,
-                rivals=rivals_of(selected, 1.0 - misfit),
-                parameters=tuple(
-                    Parameter(name=name, value=value, sd=sd, unit=located.unit_of(name, constants))
-                    for name, (value, sd) in values.items()
-                ),
-                where=effect.signature,
-                channel=channel_name(selected.channel, n),
-                variance_explained=share,
-                log_evidence=selected.loss,
-                significance=min(selected.deviations, deviations(chance)),
-            )
-        )
-    return tuple(findings)
-
-
-def _next_experiment(
-    findings: tuple[Finding, ...],
-    plan: ExperimentPlan | None,
-    unexplained: Unexplained | None,
-    shares: tuple[Share, ...],
-    unstated: Sequence[str],
-) -> str:
-    """What is open where that is the most, else what separates the first finding that has rivals.
-
-    Of a value that the nominal model does not give nobody doubts that it is there.
-    """
-    if unexplained is not None and shares and not unexplained.brief:
-        kind, _, _ = unexplained.channels[0].rpartition("_")
-        own = [each for each in shares if each.measured == kind]
-        found = [each.share for each in own if each.part and each.part.kind == "finding"]
-        if own and own[-1].share > max(found, default=0.0):
-            return " ".join([next_recording(unexplained), *([plan.sentence] if plan else [])])
-    if plan is not None:
-        return plan.sentence
-    doubted = [each for each in findings if each.effect.nominal not in unstated]
-    for finding in (*doubted, *findings):
-        if finding.rivals:
-            return finding.effect.separate
-    return (doubted or findings)[0].located.effect.separate if findings else ""

@@ -13,9 +13,9 @@ from stiffopt.discovery.catalogue import CATALOGUE, effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.all_samples import _Rows, _stepped, from_all_samples
 from stiffopt.discovery.search import uncertainty
+from stiffopt.discovery.search.exchange import restored
 from stiffopt.discovery.search.left_out import _excess, borne_out, repeated, without_balancing
 from stiffopt.discovery.search.rivals import Selected
-from stiffopt.discovery.search.search import _restored
 from stiffopt.discovery.search.uncertainty import estimate
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.thresholds import LEFT_OUT_SHARE
@@ -131,7 +131,7 @@ def test_what_every_joint_has_comes_back() -> None:
     """Dry friction that was lost on the way is found again where it is, and only there."""
     comparison = train(load_recordings(SET), Settings()).comparison()
     lost = [LocatedEffect(effect=effect("coulomb"), joint=j) for j in range(2)]
-    _, ranked = _restored(comparison, comparison, [], lost, CATALOGUE, lambda _: None)
+    _, ranked = restored(comparison, comparison, [], lost, CATALOGUE, lambda _: None)
     assert [r.selected.located for r in ranked] == lost[1:]
 
 

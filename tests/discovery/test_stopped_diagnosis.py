@@ -13,7 +13,9 @@ from small_arms import SWIVEL
 import stiffopt.discovery.diagnose as diagnosing
 import stiffopt.discovery.searched as searches
 from stiffopt.cli import run
+from stiffopt.discovery import conclusions
 from stiffopt.discovery.judging import held_out
+from stiffopt.discovery.search import exchange
 from stiffopt.discovery.search import search as searching
 
 
@@ -84,10 +86,10 @@ def test_in_the_last_stages_the_findings_stay(tmp_path, monkeypatch, stage, told
     [
         (searching, "rigid_stage", "more may be missing than that"),
         (searching, "confirmed", "was not weighed against what could stand in its place"),
-        (searching, "ranked_among_rivals", "was not weighed against"),
+        (exchange, "ranked_among_rivals", "was not weighed against"),
         (diagnosing, "assess_findings", "when the search was over"),
         (diagnosing, "from_all_samples", "without samples near standstill"),
-        (diagnosing, "shares_left_out", "when the search was over"),
+        (conclusions, "shares_left_out", "when the search was over"),
         (diagnosing, "detection_limits", "what would have been seen of other effects"),
     ],
 )
@@ -98,13 +100,32 @@ def test_anywhere_behind_a_first_fit_the_findings_stay(
     found = diagnosing.diagnose(unvouched(tmp_path), experiment=False)
     assert found.stopped
     assert any(left_out in each for each in found.assumptions)
-    if module is diagnosing:
+    in_search = module in (searching, exchange)
+    if not in_search:
         assert not any("more may be missing" in each for each in found.assumptions)
     by_name = {finding.effect.name: finding for finding in found.findings}
     assert {"coulomb", "viscous"} <= set(by_name)
-    if module is searching:
+    if in_search:
         assert by_name["coulomb"].probability <= 0.5
     assert by_name["coulomb"].parameters[0].value == pytest.approx(5.0, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("module", "stage"),
+    [
+        (diagnosing, "mode_shifts"),
+        (diagnosing, "not_carried_over"),
+        (diagnosing, "next_experiment"),
+        (held_out.BlackBox, "found"),
+    ],
+)
+def test_behind_the_last_prediction_nothing_is_lost_any_more(tmp_path, monkeypatch, module, stage):
+    interrupted(monkeypatch, module, stage, 1)
+    found = diagnosing.diagnose(unvouched(tmp_path), experiment=False)
+    assert not found.stopped
+    assert {"coulomb", "viscous"} <= {finding.effect.name for finding in found.findings}
+    assert [proof.run.name for proof in found.held_out] == ["c"]
+    assert found.rod is not None
 
 
 def test_what_can_be_left_out_is_once_the_user_has_stopped(tmp_path, monkeypatch):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
 from stiffopt.discovery.search.changes import changes
+from stiffopt.discovery.search.exchange import added_again, exchanged, restored
 from stiffopt.discovery.search.joint_fit import (
     STOPPED,
     confirmed,
@@ -21,9 +22,9 @@ from stiffopt.discovery.search.joint_fit import (
     pruned,
 )
 from stiffopt.discovery.search.left_out import borne_out
-from stiffopt.discovery.search.pace import Pace, paced
+from stiffopt.discovery.search.pace import paced
 from stiffopt.discovery.search.rigid import RigidStage, rigid_stage
-from stiffopt.discovery.search.rivals import Ranked, Selected, not_weighed, ranked_among_rivals
+from stiffopt.discovery.search.rivals import Ranked, Selected, not_weighed
 from stiffopt.discovery.thresholds import (
     AT_ONCE,
     EXCHANGES,
@@ -235,8 +236,8 @@ def _search(
         lost = [e for e in so_far.effects if e not in sure]
         so_far.fitted(fitted_jointly(so_far.start, sure))
         if strict:
-            so_far.fitted(_added_again(so_far.start, so_far.current, so_far.effects, lost))
-    so_far.weighed(_exchanged(so_far.start, so_far.current, so_far.effects, catalogue, tell))
+            so_far.fitted(added_again(so_far.start, so_far.current, so_far.effects, lost))
+    so_far.weighed(exchanged(so_far.start, so_far.current, so_far.effects, catalogue, tell))
     for _ in range(EXCHANGES if strict else 0):
         effects = so_far.effects
         kept = borne_out(so_far.current, confirmed(so_far.current, effects, strict=True))
@@ -244,13 +245,11 @@ def _search(
             break
         so_far.fitted(fitted_jointly(so_far.start, kept))
         so_far.weighed(
-            _exchanged(so_far.start, so_far.current, so_far.effects, catalogue, tell, so_far.ranked)
+            exchanged(so_far.start, so_far.current, so_far.effects, catalogue, tell, so_far.ranked)
         )
     if strict:
         lost = [e for e in start if not any(e.same_place(other) for other in so_far.effects)]
-        so_far.weighed(
-            _restored(so_far.start, so_far.current, so_far.ranked, lost, catalogue, tell)
-        )
+        so_far.weighed(restored(so_far.start, so_far.current, so_far.ranked, lost, catalogue, tell))
 
 
 def _relinearised(
@@ -279,69 +278,6 @@ def _not_stated(
     say(f"fit what the nominal model does not state ({len(start)} values)")
     current, effects = fitted_jointly(comparison, start)
     return fitted_jointly(comparison, pruned(current, effects))
-
-
-def _added_again(
-    comparison: Comparison,
-    current: Comparison,
-    effects: list[LocatedEffect],
-    lost: list[LocatedEffect],
-) -> tuple[Comparison, list[LocatedEffect]]:
-    """Effects with those of the lost that are borne out one by one, the likeliest first.
-
-    Of two that stand in for each other neither is missed, until the other has gone.
-    """
-    waiting = list(lost)
-    while waiting:
-        scorer = Scorer(current, effects)
-        scored = [(c, e) for e in waiting if (c := scorer.score(e)) is not None]
-        passing = [(c, e) for c, e in scored if passes(c, scorer)]
-        if not passing:
-            break
-        best = max(passing, key=lambda pair: pair[0].evidence)[1]
-        waiting = [e for _, e in passing if e is not best]
-        wider, tried = fitted_jointly(comparison, [*effects, best])
-        judged = borne_out(wider, confirmed(wider, tried, strict=True))
-        if any(best.same_place(other) for other in judged):
-            current, effects = wider, tried
-    return current, effects
-
-
-def _restored(
-    comparison: Comparison,
-    current: Comparison,
-    ranked: list[Ranked],
-    lost: list[LocatedEffect],
-    catalogue: Sequence[Effect],
-    tell: Callable[[str], object],
-) -> tuple[Comparison, list[Ranked]]:
-    """Effects with what every joint has, where what stood in its place has gone meanwhile.
-
-    What comes to nothing beside it stood in its place still.
-    """
-    effects = [r.selected.located for r in ranked]
-    while lost:
-        wider, found = fitted_jointly(comparison, [*effects, *lost])
-        found = borne_out(wider, pruned(wider, found))
-        found = confirmed(wider, found, strict=True)
-        kept = [e for e in lost if any(e.same_place(other) for other in found)]
-        if len(kept) == len(lost):
-            scorer = Scorer(wider, found)
-            for each in effects:
-                if not any(each.same_place(other) for other in found):
-                    beside = scorer.score(each)
-                    if beside is not None and beside.evidence > NAMED_EVIDENCE:
-                        found.append(each)
-            wider, found = fitted_jointly(comparison, found)
-            weighed = _ranked(wider, found, catalogue, tell, ranked)
-            unlikely = [
-                r.selected.located for r in weighed if r.likeliest is not r.selected.located
-            ]
-            kept = [e for e in lost if not any(e.same_place(other) for other in unlikely)]
-            if len(kept) == len(lost):
-                return wider, weighed
-        lost = kept
-    return current, ranked
 
 
 def _forward(
@@ -377,67 +313,6 @@ def _forward(
     so_far.fitted(fitted_jointly(so_far.start, so_far.effects))
 
 
-def _exchanged(
-    comparison: Comparison,
-    current: Comparison,
-    effects: list[LocatedEffect],
-    catalogue: Sequence[Effect],
-    tell: Callable[[str], object],
-    before: Sequence[Ranked] = (),
-) -> tuple[Comparison, list[Ranked]]:
-    """Effects among their rivals, each in the place of the likeliest."""
-    ranked = _ranked(current, effects, catalogue, tell, before)
-    for _ in range(EXCHANGES):
-        likelier = _distinct([r.likeliest for r in ranked])
-        if likelier == effects:
-            break
-        current, effects = fitted_jointly(comparison, likelier)
-        ranked = _ranked(current, effects, catalogue, tell, ranked)
-    else:
-        # Explanations that go on taking each other's place explain nothing.
-        kept = [r.selected.located for r in ranked if r.likeliest is r.selected.located]
-        if len(kept) < len(effects):
-            current, effects = fitted_jointly(comparison, kept)
-            ranked = _ranked(current, effects, catalogue, tell)
-    if len(ranked) < len(effects):
-        current, effects = fitted_jointly(comparison, [r.selected.located for r in ranked])
-        ranked = _ranked(current, effects, catalogue, tell, ranked)
-    return current, ranked
-
-
-def _ranked(
-    comparison: Comparison,
-    effects: list[LocatedEffect],
-    catalogue: Sequence[Effect],
-    say: Callable[[str], object],
-    before: Sequence[Ranked] = (),
-) -> list[Ranked]:
-    """Effects among their rivals, without those that have come to nothing beside the others.
-
-    What was weighed before stays where nothing near it has changed.
-    """
-    known = {r.selected.located.key[:-1]: r for r in before}
-    places = {e.key[:-1] for e in effects}
-    changed = [e for e in effects if e.key[:-1] not in known]
-    changed += [r.selected.located for key, r in known.items() if key not in places]
-    found = []
-    pace = Pace(len(effects))
-    for number, located in enumerate(effects):
-        old = known.get(located.key[:-1])
-        if old is not None and not any(located.near(other) for other in changed):
-            stays = old.likeliest.same_place(located)
-            found.append(
-                Ranked(replace(old.selected, located=located), located if stays else old.likeliest)
-            )
-            continue
-        what = f"weigh {located.label} against what could stand in its place"
-        say(f"{what} ({pace.words(number)})")
-        new = ranked_among_rivals(comparison, effects, located, catalogue, tell=say)
-        if new is not None:
-            found.append(new)
-    return found
-
-
 def _best(candidates: Sequence[Candidate], scorer: Scorer, most: int) -> list[Candidate]:
     """The best that pass, at most one for every channel: others may have the same cause."""
     found: list[Candidate] = []
@@ -447,12 +322,3 @@ def _best(candidates: Sequence[Candidate], scorer: Scorer, most: int) -> list[Ca
         if candidate.channel not in [c.channel for c in found] and passes(candidate, scorer):
             found.append(candidate)
     return found
-
-
-def _distinct(effects: Sequence[LocatedEffect]) -> list[LocatedEffect]:
-    """Each place once: one effect may be likelier than several that stood in for it."""
-    kept: list[LocatedEffect] = []
-    for located in effects:
-        if not any(located.same_place(other) for other in kept):
-            kept.append(located)
-    return kept

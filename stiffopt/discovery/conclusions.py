@@ -1,0 +1,129 @@
+"""What a diagnosis concludes: findings with their odds, the verdict, and what to record next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.diagnosis import (
+    Finding,
+    Parameter,
+    Verdict,
+    rivals_of,
+)
+from stiffopt.discovery.experiment.design import ExperimentPlan
+from stiffopt.discovery.judging.next_recording import next_recording
+from stiffopt.discovery.judging.shares import Share
+from stiffopt.discovery.judging.unexplained import Unexplained, channel_name
+from stiffopt.discovery.judging.variance_explained import variance_explained
+from stiffopt.discovery.search.left_out import repeated, shares_left_out
+from stiffopt.discovery.search.rivals import Selected
+from stiffopt.discovery.search.uncertainty import (
+    Estimate,
+    deviations,
+    odds_of_nothing,
+)
+from stiffopt.discovery.thresholds import (
+    MISFIT_ODDS,
+    MISFIT_RATIO,
+    OPEN_RATIO,
+    OPEN_SHARE,
+    UNREPEATED_ODDS,
+)
+from stiffopt.discovery.training import Training
+
+
+def findings_of(
+    comparison: Comparison,
+    kept: Sequence[Selected],
+    parameters: Estimate,
+    training: Training,
+    after: np.ndarray,
+) -> tuple[Finding, ...]:
+    """Findings with their odds, each beside the others.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        With the noise that the effects leave.
+    kept : sequence of Selected
+    parameters : Estimate
+        Of the same effects.
+    training : Training
+    after : array (2 n,)
+        Residual over noise in every channel, with the effects.
+    """
+    constants, n = training.constants, training.robot.n
+    shares = variance_explained(
+        comparison, tuple(s.located for s in kept), tuple(s.channel for s in kept)
+    )
+    refitted = shares_left_out(comparison, tuple(s.located for s in kept))
+    again = (True,) * len(kept)
+    if training.free_bodies:
+        again = repeated(comparison, tuple(s.located for s in kept))
+    findings = []
+    for index, (selected, share) in enumerate(zip(kept, shares, strict=True)):
+        located, effect = selected.located, selected.located.effect
+        open_ = after[selected.channel] > MISFIT_RATIO
+        misfit = MISFIT_ODDS * (1.0 - refitted[index]) if open_ else 0.0
+        if not again[index]:
+            misfit = max(misfit, UNREPEATED_ODDS)
+        chance = parameters.chance_of_nothing(index)
+        misfit = max(misfit, odds_of_nothing(chance))
+        values = parameters.parameters(index, located.constants(constants))
+        findings.append(
+            Finding(
+                estimated=parameters.effects[index],
+                link=None if located.link is None else constants.links[located.link],
+                probability=(1.0 - misfit) * selected.probability,
+                misfit=misfit,
+                rivals=rivals_of(selected, 1.0 - misfit),
+                parameters=tuple(
+                    Parameter(name=name, value=value, sd=sd, unit=located.unit_of(name, constants))
+                    for name, (value, sd) in values.items()
+                ),
+                where=effect.signature,
+                channel=channel_name(selected.channel, n),
+                variance_explained=share,
+                log_evidence=selected.loss,
+                significance=min(selected.deviations, deviations(chance)),
+            )
+        )
+    return tuple(findings)
+
+
+def verdict_of(findings: tuple[Finding, ...], unexplained: Unexplained | None) -> Verdict:
+    """What is said of findings and of what none explains."""
+    if findings and (
+        unexplained is None or unexplained.ratio < OPEN_RATIO or unexplained.left < OPEN_SHARE
+    ):
+        return "named"
+    return "nothing_missing" if unexplained is None else "outside_catalogue"
+
+
+def next_experiment(
+    findings: tuple[Finding, ...],
+    plan: ExperimentPlan | None,
+    unexplained: Unexplained | None,
+    shares: tuple[Share, ...],
+    unstated: Sequence[str],
+) -> str:
+    """What is open where that is the most, else what separates the first finding that has rivals.
+
+    Of a value that the nominal model does not give nobody doubts that it is there.
+    """
+    if unexplained is not None and shares and not unexplained.brief:
+        kind, _, _ = unexplained.channels[0].rpartition("_")
+        own = [each for each in shares if each.measured == kind]
+        found = [each.share for each in own if each.part and each.part.kind == "finding"]
+        if own and own[-1].share > max(found, default=0.0):
+            return " ".join([next_recording(unexplained), *([plan.sentence] if plan else [])])
+    if plan is not None:
+        return plan.sentence
+    doubted = [each for each in findings if each.effect.nominal not in unstated]
+    for finding in (*doubted, *findings):
+        if finding.rivals:
+            return finding.effect.separate
+    return (doubted or findings)[0].located.effect.separate if findings else ""
