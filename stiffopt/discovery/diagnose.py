@@ -27,7 +27,7 @@ from stiffopt.discovery.judging.episodes import (
     training_tracks,
 )
 from stiffopt.discovery.judging.held_out import HeldOut
-from stiffopt.discovery.judging.left_open import open_section
+from stiffopt.discovery.judging.left_open import doubted_by_left_open, open_section
 from stiffopt.discovery.judging.modes import mode_shifts
 from stiffopt.discovery.judging.other_band import doubted_by_band
 from stiffopt.discovery.judging.shares import parts_of
@@ -269,7 +269,8 @@ def _parameters(
         say("ask half the band for the parameters")
         return doubted_by_band(training, comparison, estimated)
 
-    return kept, unless_stopped(stopped, ONE_BAND, asked) or estimated
+    estimated = unless_stopped(stopped, ONE_BAND, asked) or estimated
+    return kept, doubted_by_left_open(training, estimated)
 
 
 def _predicted(opened: HeldOut, recordings: RecordingSet, stopped: list[str], say: Say) -> None:

@@ -68,6 +68,8 @@ class Training:
         Factors on the noise that make it what the model that is started from left open.
     suspects : mapping of str to float
         What that hints at by itself, with log evidence for a row.
+    leanings : mapping of str to tuple of float
+        Amplitudes that effects alone would take of it.
     """
 
     robot: RobotModel
@@ -85,6 +87,7 @@ class Training:
     assumptions: tuple[str, ...]
     least: np.ndarray | None = None
     suspects: Mapping[str, float] = field(default_factory=dict)
+    leanings: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def comparison(self) -> Comparison:
         """The comparison that a search starts from."""
@@ -211,6 +214,7 @@ def train(
         assumptions=(*recordings.assumptions, *noise.assumptions(), *notes),
         least=least,
         suspects={} if left_open is None or least is None else left_open.suspects,
+        leanings={} if left_open is None or least is None else left_open.leanings,
     )
 
 

@@ -22,7 +22,9 @@ CHOSEN = Settings(cutoff=8.0, predict=(6.0, 20.0))
 
 def section() -> LeftOpenSection:
     ratio = np.array([5.0, 0.5, np.nan, 3.0])
-    return left_open(ratio, NOISE, CHOSEN, {"stribeck of joint 1": 0.01})
+    return left_open(
+        ratio, NOISE, CHOSEN, {"stribeck of joint 1": 0.01}, {"coulomb of joint 2": (-0.3,)}
+    )
 
 
 def test_what_is_left_comes_back_as_factors_of_at_least_one():

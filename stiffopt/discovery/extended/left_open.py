@@ -28,6 +28,7 @@ def left_open(
     noise: ChannelNoise,
     settings: Settings,
     suspects: Mapping[str, float],
+    leanings: Mapping[str, tuple[float, ...]],
     before: LeftOpenSection | None = None,
 ) -> LeftOpenSection:
     """Section of extended.toml.
@@ -41,6 +42,8 @@ def left_open(
         With the bands that were chosen.
     suspects : mapping of str to float
         What is left hints at, with log evidence for a row.
+    leanings : mapping of str to tuple of float
+        Amplitudes that effects alone would take of it.
     before : LeftOpenSection, optional
         Of the model that was started from: what these recordings do not show stays as it was.
     """
@@ -54,6 +57,7 @@ def left_open(
         torque=tuple(map(float, torque)),
         link_position=tuple(map(float, link)),
         suspects=dict(suspects),
+        leanings=dict(leanings),
     )
 
 

@@ -97,6 +97,13 @@ class LeftOpenSection(Section):
         dict[str, Ratio],
         Doc("Effects that what is left hints at, with log evidence for a row of the fit."),
     ] = Field(default_factory=dict)
+    leanings: Annotated[
+        dict[str, tuple[Ratio, ...]],
+        Doc(
+            "Amplitudes that effects alone would take of what is left, in their own units: so far"
+            " off what is found of a change may be."
+        ),
+    ] = Field(default_factory=dict)
 
 
 class ExtendedFile(Section):

@@ -68,10 +68,11 @@ def nominal_tables(stated: NominalSection) -> Iterable[str]:
 
 def _left_open(section: LeftOpenSection) -> Iterable[str]:
     entries = section.model_dump(exclude_none=True)
-    suspects = entries.pop("suspects")
+    tables = {name: entries.pop(name) for name in ("suspects", "leanings")}
     yield _table("left_open", entries)
-    if suspects:
-        yield _table("left_open.suspects", suspects)
+    for name, table in tables.items():
+        if table:
+            yield _table(f"left_open.{name}", table)
 
 
 def _effect(

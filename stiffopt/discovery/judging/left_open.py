@@ -7,12 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from stiffopt.discovery.comparison.evidence import Added
 from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.comparison.located_effect import places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.left_open import left_open
 from stiffopt.discovery.extended.schema import LeftOpenSection
 from stiffopt.discovery.search.candidates import Scorer, scan
 from stiffopt.discovery.search.identifiable_effects import of_changes
+from stiffopt.discovery.search.uncertainty import Estimate
 from stiffopt.discovery.settings import FIXED
 from stiffopt.discovery.training import Training
 
@@ -40,12 +43,51 @@ def open_section(
     """
     own = replace(training, start=whole.fitted, tolerance=FIXED, suspects={}).comparison()
     ratio = own.inflation * own.channel_ratio(own.target)
-    suspects = {}
+    suspects: dict[str, float] = {}
+    leanings: dict[str, tuple[float, ...]] = {}
     if training.free_bodies and catalogue:
         own = own.moved(Extension(), np.nan_to_num(np.fmax(1.0, ratio), nan=1.0))
+        scorer, changes = Scorer(own), of_changes(catalogue)
         suspects = {
             candidate.located.label: candidate.evidence / own.rows.size
-            for candidate in scan(Scorer(own), of_changes(catalogue), refined=_REFINED)
+            for candidate in scan(scorer, changes, refined=_REFINED)
             if candidate.evidence > _LEAST and not candidate.located.by_run
         }
-    return left_open(ratio, training.noise.channels, training.settings, suspects, before)
+        leanings = _leanings(scorer, changes)
+    return left_open(ratio, training.noise.channels, training.settings, suspects, leanings, before)
+
+
+def doubted_by_left_open(training: Training, parameters: Estimate) -> Estimate:
+    """The estimate, where what the model left of its own recordings counts as a deviation more.
+
+    An inertia that the model lacks, or has too much of, is found beside a change of it, in whatever
+    recordings: that noise of the same size would hardly look like it is no comfort.
+    """
+    away = []
+    for each, size in zip(parameters.effects, parameters.sizes, strict=True):
+        leaning = training.leanings.get(each.located.label, ())
+        away.append(np.abs(leaning) / size if len(leaning) == len(size) else 0.0 * size)
+    return parameters.doubted(np.concatenate(away)) if away else parameters
+
+
+def _leanings(scorer: Scorer, catalogue: Sequence[Effect]) -> dict[str, tuple[float, ...]]:
+    """Amplitudes that every effect alone would take, bounds or not, where they stand out at all.
+
+    With the shapes of those that a search starts from that suit best.
+    """
+    best: dict[str, Added] = {}
+    sizes: dict[str, np.ndarray] = {}
+    constants = scorer.comparison.constants
+    for effect in catalogue:
+        for located in places(effect, constants, ()):
+            if located.by_run:
+                continue
+            found = scorer.unbounded(located) if located.possible(constants) else None
+            known = best.get(located.label)
+            if found and (known is None or found.log_evidence > known.log_evidence):
+                best[located.label], sizes[located.label] = found, located.sizes(constants)
+    return {
+        label: tuple(float(f"{v:.4g}") for v in found.mean * sizes[label])
+        for label, found in best.items()
+        if np.any(found.mean**2 > np.diag(found.covariance))
+    }

@@ -141,6 +141,14 @@ class Scorer:
             change=lambda: self._changed(located, found.base(), mean),
         )
 
+    def unbounded(self, located: LocatedEffect) -> Added | None:
+        """Posterior of amplitudes over their sizes, whatever they may be; None if unseen."""
+        sums = self._sums.beside(located)
+        _, inner, _ = sums.total
+        if not np.isfinite(inner).all() or not np.any(np.diag(inner) > 1e-12):
+            return None
+        return self._beside.added(sums, np.arange(len(inner)))
+
     def deviation(self, located: LocatedEffect) -> float | None:
         """Standard deviation of a single amplitude over its size; None if unseen."""
         cross, inner, _ = self._sums.beside(located).total

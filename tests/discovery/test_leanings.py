@@ -1,0 +1,55 @@
+"""What a model leaves of its own recordings is no comfort to what is found beside it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.judging.left_open import doubted_by_left_open, open_section
+from stiffopt.discovery.search.uncertainty import estimate
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import Training, train
+from stiffopt.recording.recording_set import load_recordings
+
+SET = Path(__file__).parents[2] / "problems" / "recordings" / "two_link_friction"
+COULOMB = effect("coulomb")
+THERE = LocatedEffect(effect=COULOMB, joint=1)
+
+
+@pytest.fixture(scope="module")
+def training() -> Training:
+    found = train(load_recordings(SET), Settings(), swinging=False)
+    return replace(found, free_bodies=True)
+
+
+def _leaning(training: Training, known: float) -> float:
+    """Of dry friction of the second joint, where a model has so much of it already."""
+    model = Extension(effects=(EstimatedEffect(located=THERE, amplitudes=(known,)),))
+    return open_section(training, model, (COULOMB,)).leanings.get(THERE.label, (0.0,))[0]
+
+
+def test_too_little_and_too_much_are_known_by_their_size(training: Training) -> None:
+    """Beyond the bounds of what could be found, too: no friction drives a joint."""
+    lacking = _leaning(training, 0.0)
+    assert lacking > 0.3
+    assert _leaning(training, 2.0 * lacking) == pytest.approx(-lacking, rel=0.02)
+    assert abs(_leaning(training, lacking)) < 0.02 * lacking
+
+
+def test_it_counts_as_one_deviation_more(training: Training) -> None:
+    comparison = training.comparison()
+    found = estimate(comparison.about(comparison.fit([THERE])), [THERE])
+    (value, sd) = found.parameters(0, comparison.constants.joints[1])["dFc"]
+    doubted = doubted_by_left_open(replace(training, leanings={THERE.label: (-0.3,)}), found)
+    (same, wider) = doubted.parameters(0, comparison.constants.joints[1])["dFc"]
+    assert same == value
+    assert wider == pytest.approx(np.hypot(sd, 0.3))
+    assert doubted_by_left_open(training, found).parameters(0, comparison.constants.joints[1]) == {
+        "dFc": (value, sd)
+    }
