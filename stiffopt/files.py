@@ -181,6 +181,12 @@ def check_file(path: str | os.PathLike[str]) -> None:
         return
     if path.is_dir():
         raise InputFileError(path, "", "is a folder. Give the file inside it.")
+    if path.is_symlink():
+        raise InputFileError(
+            path, "", f"is a link to {os.readlink(path)}, where no file is found. Give the file."
+        )
+    if path.exists():
+        raise InputFileError(path, "", "is a device or a pipe. Give a file that stays.")
     if path.parent.is_file():
         raise InputFileError(path.parent, "", "is a file: give the folder of the results.")
     if not path.parent.is_dir():
