@@ -62,7 +62,8 @@ def noise_level(values: np.ndarray) -> float:
     From the median of third differences, which a smooth motion and single jumps hardly touch.
     Valid where the motion varies slowly against three sample times.
     """
-    third = np.diff(values, 3)
+    with np.errstate(invalid="ignore"):
+        third = np.diff(values, 3)
     third = third[np.isfinite(third)]
     if len(third) < 10:
         return float("nan")

@@ -116,6 +116,11 @@ def _families(names: Sequence[str], joints: Sequence[str]) -> list[tuple[str, ..
     return fitting if together is None else [together]
 
 
+def is_signal(name: str) -> bool:
+    """Whether a column is one of a joint's signals by its name."""
+    return any(_is_kind(name, kind) for kind in KINDS)
+
+
 def _is_kind(name: str, kind: str) -> bool:
     said = set(words(name))
     if said & set(_OTHER):

@@ -9,7 +9,7 @@ from pathlib import Path
 from stiffopt.declaration import PART
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.catalogue import with_own
-from stiffopt.errors import InputError, nearest
+from stiffopt.errors import InputError, InputFileError, nearest
 from stiffopt.robot.own_catalogue import read_own_catalogue
 from stiffopt.starter.writing import beside, number, quoted, write_new
 
@@ -54,6 +54,12 @@ def write_flange(
     for name, value in beside_torque.items():
         if not value >= 0.0:
             raise InputError(f"--{name.replace('_', '-')} is a magnitude, got {value:g}.")
+    if folder.exists() and not folder.is_dir():
+        raise InputFileError(folder, "", "is a file. Give a folder as --out.")
+    if tilting_moment > 0.0 and count < 3:
+        raise InputError(
+            f"--count: {count} bolts bear no tilting moment about every axis; three or more do."
+        )
     with with_own({} if own is None else read_own_catalogue(own)):
         texts = _texts(
             torque=torque,

@@ -10,7 +10,14 @@ import numpy as np
 from stiffopt.errors import InputError
 from stiffopt.recording.set_points import is_set_point
 from stiffopt.robot.robot import Robot
-from stiffopt.starter.column_names import CURRENT, KINDS, of_kind, stated_unit, words
+from stiffopt.starter.column_names import (
+    CURRENT,
+    KINDS,
+    is_signal,
+    of_kind,
+    stated_unit,
+    words,
+)
 
 _TIME = ("t", "time", "timestamp", "stamp", "zeit", "seconds", "clock")
 # What only the user can turn into SI, and what to put there.
@@ -168,11 +175,19 @@ def _time(table: Mapping[str, np.ndarray]) -> str:
             if len(steps) and rising.mean() > 0.95 and net:
                 return name
     for name, values in table.items():
+        if is_signal(name):
+            # A joint that turns at a steady rate rises like a clock.
+            continue
         steps = np.diff(values)
         even = len(steps) > 1 and np.all(steps > 0.0) and np.std(steps) < 0.5 * np.mean(steps)
         # What counts the rows is no time.
         if even and not np.all(steps == 1.0):
             return name
+    if named:
+        raise InputError(
+            f"no column rises as a time does: {named[0]}, one by its name, goes back or stands. Write"
+            " the rows in the order of time, or give --rate HZ, the rows a second."
+        )
     raise InputError(
         f"no column rises as a time does among {', '.join(list(table)[:40])}. Give --rate HZ, the"
         " rows a second, or add a column of seconds."

@@ -67,6 +67,10 @@ def start_recording_set(
     """
     if (folder / "recordings.toml").exists():
         raise InputFileError(folder / "recordings.toml", "", "is there already and is kept.")
+    if urdf.suffix.lower() in _ENDINGS:
+        raise InputFileError(
+            urdf, "", "is a recording, not a URDF. Give that of the arm as --urdf."
+        )
     robot = load_robot(urdf)
     files = _files(data)
     tables = {
