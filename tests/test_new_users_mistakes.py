@@ -141,12 +141,15 @@ def rows(row: Callable[[int], str]) -> str:
     [
         ("", "holds no numbers"),
         ("t,q1,q2,tau1,tau2\n", "holds no row of numbers"),
-        ("t,q1,q2,tau1,tau2\n0,1,2,3,4", "t is a time by its name, but does not rise"),
+        ("t,q1,q2,tau1,tau2\n0,1,2,3,4", "t, one by its name, goes back or stands"),
         (
             rows(lambda k: f"{9 - 0.01 * k},{0.001 * k},{0.002 * k},{k % 9},2"),
-            "t is a time by its name",
+            "t, one by its name, goes back or stands",
         ),
-        (rows(lambda k: f"5,{0.001 * k},{0.002 * k},{k % 9},2"), "t is a time by its name"),
+        (
+            rows(lambda k: f"5,{0.001 * k},{0.002 * k},{k % 9},2"),
+            "t, one by its name, goes back or stands",
+        ),
         (rows(lambda _: "a,b,c,d,e"), "holds no row of numbers"),
     ],
 )

@@ -185,8 +185,8 @@ def _time(table: Mapping[str, np.ndarray]) -> str:
             return name
     if named:
         raise InputError(
-            f"no column rises as a time does: {named[0]}, one by its name, goes back or stands. Write"
-            " the rows in the order of time, or give --rate HZ, the rows a second."
+            f"no column rises as a time does: {named[0]}, one by its name, goes back or stands."
+            " Write the rows in the order of time, or give --rate HZ, the rows a second."
         )
     raise InputError(
         f"no column rises as a time does among {', '.join(list(table)[:40])}. Give --rate HZ, the"

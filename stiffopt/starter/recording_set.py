@@ -14,6 +14,7 @@ import numpy as np
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.recording.readers.read import is_messages
 from stiffopt.robot.files import load_robot
+from stiffopt.robot.robot import Robot
 from stiffopt.starter.guessing import FACTORS, GuessedColumns, guess, with_time
 from stiffopt.starter.messages import read_message_table
 from stiffopt.starter.tables import read_any_table
@@ -67,11 +68,7 @@ def start_recording_set(
     """
     if (folder / "recordings.toml").exists():
         raise InputFileError(folder / "recordings.toml", "", "is there already and is kept.")
-    if urdf.suffix.lower() in _ENDINGS:
-        raise InputFileError(
-            urdf, "", "is a recording, not a URDF. Give that of the arm as --urdf."
-        )
-    robot = load_robot(urdf)
+    robot = _arm(urdf)
     files = _files(data)
     tables = {
         path: read_message_table(path, robot.joint_names)
@@ -93,17 +90,8 @@ def start_recording_set(
                 path, "", f"lacks {', '.join(lacking)}, which {files[0].name} has."
             )
     runs: list[tuple[str, str, dict[str, np.ndarray]]] = []
-    parts: list[tuple[Path, str, dict[str, np.ndarray]]] = []
-    for path, table in tables.items():
-        own = list(_clocks(_kept(table, [*wanted, *first.asked]), first.time))
-        stem = _stem(path)
-        names = [stem] if len(own) == 1 else [f"{stem}_{k}" for k in range(1, len(own) + 1)]
-        parts += [(path, name, part) for name, part in zip(names, own, strict=True)]
-        if len(own) > 1:
-            notes.append(
-                f"The clock of {path.name} begins anew {len(own) - 1} time(s): it is kept as"
-                f" {len(own)} runs, {', '.join(names)}."
-            )
+    parts, begun = _parts(tables, first.time, [*wanted, *first.asked])
+    notes += begun
     if len(parts) == 1:
         _, stem, table = parts[0]
         cut = int(_TRAIN * len(table[first.time]))
@@ -130,6 +118,31 @@ def start_recording_set(
     return StartedSet(
         path=write_new(folder / "recordings.toml", text), guess=first, notes=tuple(notes)
     )
+
+
+def _arm(urdf: Path) -> Robot:
+    if urdf.suffix.lower() in _ENDINGS:
+        raise InputFileError(urdf, "", "is a recording, not a URDF. Give the arm's as --urdf.")
+    return load_robot(urdf)
+
+
+def _parts(
+    tables: Mapping[Path, Mapping[str, np.ndarray]], time: str, names: Sequence[str]
+) -> tuple[list[tuple[Path, str, dict[str, np.ndarray]]], list[str]]:
+    """File, name and columns of each run, one for each clock of a file; what is to be said."""
+    parts: list[tuple[Path, str, dict[str, np.ndarray]]] = []
+    notes: list[str] = []
+    for path, table in tables.items():
+        own = list(_clocks(_kept(table, names), time))
+        stem = _stem(path)
+        called = [stem] if len(own) == 1 else [f"{stem}_{k}" for k in range(1, len(own) + 1)]
+        parts += [(path, name, part) for name, part in zip(called, own, strict=True)]
+        if len(own) > 1:
+            notes.append(
+                f"The clock of {path.name} begins anew {len(own) - 1} time(s): it is kept as"
+                f" {len(own)} runs, {', '.join(called)}."
+            )
+    return parts, notes
 
 
 def _clocks(table: Mapping[str, np.ndarray], time: str) -> Iterator[dict[str, np.ndarray]]:
