@@ -1,9 +1,11 @@
 """Solve random problems, one JSON line each; what has a line is not solved again.
 
     python -m benchmarks.random_problems [--feasible 200] [--infeasible 60] [--seconds S]
-        [--work FOLDER] [--page]
+        [--seed 14] [--every 1] [--work FOLDER] [--page] [--fresh FOLDER]
 
-`--seconds` stops after the problem that is under way then. `--page` writes RANDOM.md.
+`--seconds` stops after the problem that is under way then. `--page` writes RANDOM.md. Another seed
+draws other problems that can be met, `--every 5` takes each fifth: give them a folder of their own,
+and name it by `--fresh` for the page.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.random_problems.draw import HERE, feasible, infeasible
+from benchmarks.random_problems.draw import HERE, SEED, feasible, infeasible
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import is_maximised
 from stiffopt.certificate.violations import CERTIFIED
@@ -78,13 +80,8 @@ def named(record: dict[str, Any]) -> bool:
     return str(record["limit"]).replace("_", " ") in str(record["message"]).replace("_", " ")
 
 
-def page(good: list[dict[str, Any]], bad: list[dict[str, Any]]) -> str:
-    """Results of all that were solved."""
-    counts = Counter(r["status"] for r in good)
-    optimal = [r for r in good if r["status"] == "optimal"]
-    exceeded = [r for r in optimal if r["fine"] > CERTIFIED]
-    worse = [r for r in optimal if worse_than_baseline(r)]
-    times = np.array([r["cpu"] for r in good] or [np.nan])
+def page(good: list[dict[str, Any]], bad: list[dict[str, Any]], fresh: list[dict[str, Any]]) -> str:
+    """Results of all that were solved, and of those of another seed."""
     ends = Counter(r["status"] for r in bad)
     slow = max((r["wall"] for r in bad), default=np.nan)
     lines = [
@@ -97,9 +94,38 @@ def page(good: list[dict[str, Any]], bad: list[dict[str, Any]]) -> str:
         " They were solved over some commits; where the cause of a wrong end was mended, its"
         " problem was solved again.",
         "",
+        *_table(good, 200),
+        f"| cannot be met | {len(bad)} | 60 |",
+        f"| how they ended | {', '.join(f'{k} {n}' for k, n in ends.most_common())} | |",
+        f"| with the limit named that forbids them | {sum(map(named, bad))} | all |",
+        f"| longest of them, seconds | {slow:.1f} | 300 |",
+        *_listed("Not optimal", [r for r in good if r["status"] != "optimal"]),
+        *_listed("Not named", [r for r in bad if not named(r)]),
+    ]
+    if fresh:
+        lines += [
+            "",
+            "## Of another seed",
+            "",
+            "Drawn and solved once, after all that is above; nothing was changed for them since.",
+            "",
+            *_table(fresh, 40),
+            *_listed("Not optimal", [r for r in fresh if r["status"] != "optimal"]),
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _table(good: list[dict[str, Any]], wanted: int) -> list[str]:
+    """Lines of a table about problems that can be met."""
+    counts = Counter(r["status"] for r in good)
+    optimal = [r for r in good if r["status"] == "optimal"]
+    exceeded = [r for r in optimal if r["fine"] > CERTIFIED]
+    worse = [r for r in optimal if worse_than_baseline(r)]
+    times = np.array([r["cpu"] for r in good] or [np.nan])
+    return [
         "| what | measured | wanted |",
         "| --- | --- | --- |",
-        f"| can be met, solved | {len(good)} | 200 |",
+        f"| can be met, solved | {len(good)} | {wanted} |",
         f"| of them optimal | {len(optimal)} ({len(optimal) / max(len(good), 1):.1%}) |"
         " at least 99 % |",
         f"| how they ended | {', '.join(f'{k} {n}' for k, n in counts.most_common())} | |",
@@ -108,22 +134,15 @@ def page(good: list[dict[str, Any]], bad: list[dict[str, Any]]) -> str:
         f"| optimal, and worse than a baseline that keeps the limits | {len(worse)} | 0 |",
         f"| CPU seconds, median / 90 % / most | {np.median(times):.1f} /"
         f" {np.quantile(times, 0.9):.1f} / {times.max():.1f} | |",
-        f"| cannot be met | {len(bad)} | 60 |",
-        f"| how they ended | {', '.join(f'{k} {n}' for k, n in ends.most_common())} | |",
-        f"| with the limit named that forbids them | {sum(map(named, bad))} | all |",
-        f"| longest of them, seconds | {slow:.1f} | 300 |",
-        "",
-        "Not optimal:",
-        "",
     ]
-    for record in good:
-        if record["status"] != "optimal":
-            lines.append(f"- {record['title']}: {record['status']}. {record['message'][:200]}")
-    lines += ["", "Not named:", ""]
-    for record in bad:
-        if not named(record):
-            lines.append(f"- {record['title']}: {record['status']}. {record['message'][:200]}")
-    return "\n".join(lines) + "\n"
+
+
+def _listed(what: str, records: list[dict[str, Any]]) -> list[str]:
+    """Lines that say of each how it ended."""
+    if not records:
+        return []
+    told = [f"- {r['title']}: {r['status']}. {r['message'][:200]}" for r in records]
+    return ["", f"{what}:", "", *told]
 
 
 def read(path: Path) -> list[dict[str, Any]]:
@@ -142,15 +161,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="benchmarks.random_problems", description=__doc__)
     parser.add_argument("--feasible", type=int, default=200)
     parser.add_argument("--infeasible", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--work", type=Path, default=HERE / "work")
     parser.add_argument("--page", action="store_true")
+    parser.add_argument("--fresh", type=Path)
     asked = parser.parse_args()
     begin = time.perf_counter()
     asked.work.mkdir(parents=True, exist_ok=True)
     files = {"feasible": asked.work / "feasible.jsonl", "infeasible": asked.work / "bad.jsonl"}
     done = {kind: {r["number"] for r in read(path)} for kind, path in files.items()}
-    todo = [("feasible", n) for n in range(asked.feasible) if n not in done["feasible"]]
+    drawn = range(0, asked.feasible, asked.every)
+    todo = [("feasible", n) for n in drawn if n not in done["feasible"]]
     todo += [("infeasible", n) for n in range(asked.infeasible) if n not in done["infeasible"]]
     # In the order of their numbers, so that a part of them is of both kinds.
     for kind, number in sorted(
@@ -159,7 +182,7 @@ def main() -> None:
         if time.perf_counter() - begin > asked.seconds:
             break
         if kind == "feasible":
-            record = solved(feasible(number))
+            record = solved(feasible(number, asked.seed))
         else:
             problem, limit = infeasible(number)
             record = solved(problem) | {"limit": limit}
@@ -168,7 +191,8 @@ def main() -> None:
             stream.write(json.dumps(record, default=float) + "\n")
         print(f"{record['title']}: {record['status']} {record['cpu']:.1f} s", flush=True)
     if asked.page:
-        PAGE.write_text(page(read(files["feasible"]), read(files["infeasible"])))
+        fresh = [] if asked.fresh is None else read(asked.fresh / "feasible.jsonl")
+        PAGE.write_text(page(read(files["feasible"]), read(files["infeasible"]), fresh))
 
 
 if __name__ == "__main__":

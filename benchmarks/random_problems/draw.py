@@ -25,6 +25,7 @@ from stiffopt.robot.robot import Robot
 HERE = Path(__file__).parent
 TWO_LINK = HERE.parents[1] / "problems" / "two_link_robot.toml"
 TIME_LIMIT = 300.0
+SEED = 14
 
 # Name, what goes with it, and whether the duration is free.
 OBJECTIVES: tuple[tuple[str, dict[str, Any], bool], ...] = (
@@ -114,9 +115,9 @@ def _robot(name: str) -> Robot:
     return ARMS[name].load()
 
 
-def feasible(number: int) -> TrajectoryProblem:
+def feasible(number: int, seed: int = SEED) -> TrajectoryProblem:
     """The problem of a number; the quintic motion keeps all its limits."""
-    random = np.random.default_rng([14, number])
+    random = np.random.default_rng([seed, number])
     name = tuple(ARMS)[number % len(ARMS)]
     objective, options, free = OBJECTIVES[(number // len(ARMS)) % len(OBJECTIVES)]
     if objective == "joint_stiffness":
