@@ -12,9 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from stiffopt.certificate.assess import assess
 from stiffopt.dynamics.friction import smoothing_width
+from stiffopt.problem.belief import believed_of
 from stiffopt.problem.coordinates import coordinates_of
+from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
+from stiffopt.result.trajectory import Trajectory
 from stiffopt.transcription.transcription import Transcription
 
 # Of the width of the friction's change of sign: what moves no faster creeps.
@@ -68,6 +72,25 @@ def at_rest(
         return None
     lower, upper = np.where(still, 0.0, nlp.lower_x), np.where(still, 0.0, nlp.upper_x)
     return replace(transcription, nlp=replace(nlp, lower_x=lower, upper_x=upper))
+
+
+def lacking_friction(problem: TrajectoryProblem, motion: Trajectory, smoothing: Smoothing) -> float:
+    """What smooth dry friction lacks of the squared torque ratios at the optimiser's own instants.
+
+    Relative to the true ones; 0 where no torque is minimised.
+    """
+    if not any(objective.kind.of_drives for objective in problem.objectives):
+        return 0.0
+    believed = believed_of(problem, motion, smoothing, elastic=False)
+    if believed.torque is None:
+        return 0.0
+    true = assess(problem, motion, times=believed.time).torque
+    size = problem.robot.torque_max
+    sums = [
+        np.trapezoid(((torque / size) ** 2).sum(axis=1), believed.time)
+        for torque in (believed.torque, true)
+    ]
+    return float(1.0 - sums[0] / sums[1]) if sums[1] > 0.0 else 0.0
 
 
 def _runs(where: np.ndarray) -> list[np.ndarray]:

@@ -38,6 +38,9 @@ def test_joints_stand_still_in_place_of_creeping(creeping, monkeypatch):
     assert np.max(rests[0]) < 0.01
     assert np.min(rests[1]) > 0.3
     assert found.assessment.feasible(5e-3)
+    # What is left is said of friction, not of the mesh.
+    assert "joints creep" in before.message
+    assert "between the nodes" not in before.message
 
 
 def test_arms_without_friction_are_left_alone(tmp_path, monkeypatch):
