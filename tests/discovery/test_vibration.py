@@ -11,7 +11,8 @@ from simulated_sets import simulated
 
 from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension, added_inertia
+from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
+from stiffopt.discovery.comparison.extension_change import added_inertia
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepare import prepare

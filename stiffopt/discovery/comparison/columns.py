@@ -8,7 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import Extension, around, moves_links
+from stiffopt.discovery.comparison.extended_run import around
+from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.comparison.extension_change import moves_links
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import MOVES_LINKS, nuisance_columns
@@ -77,6 +79,7 @@ class Columns:
         self.rows = ChannelRows(self.runs, noise, self._blocks())
         self._kept: dict[tuple[object, ...], PieceColumns] = {}
         self._latest: dict[tuple[object, ...], PieceColumns] = {}
+        self._starts: dict[tuple[object, ...], tuple[tuple[float, ...], ...]] = {}
         self._bytes = 0
         self._made: dict[bool, _Nominal] = {}
         self._family = [self]
@@ -238,7 +241,11 @@ class Columns:
         sizes = located.sizes(constants)
         columns = self.pieces.split(self._rows_of(located) * sizes)
         self._bytes += columns.nbytes
-        if self._bytes < _KEPT_BYTES and located.at_start(constants):
+        place = located.key[:-1]
+        if place not in self._starts:
+            self._starts[place] = located.starts(constants)
+        grids = zip(located.shapes, self._starts[place], strict=True)
+        if self._bytes < _KEPT_BYTES and all(value in grid for value, grid in grids):
             self._kept[key] = columns
             return columns
         self._bytes -= columns.nbytes

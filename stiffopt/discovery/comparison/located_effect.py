@@ -109,11 +109,10 @@ class LocatedEffect:
         slides = self.joint is not None and robot.joints[self.joint].prismatic
         return joint_unit(unit, slides)
 
-    def at_start(self, robot: RobotConstants) -> bool:
-        """Whether its shapes are some that a search starts from."""
+    def starts(self, robot: RobotConstants) -> tuple[tuple[float, ...], ...]:
+        """Values of every shape that a search starts from."""
         own = self.constants(robot)
-        grids = (shape.grid(own) for shape in self.effect.shapes)
-        return all(value in grid for value, grid in zip(self.shapes, grids, strict=True))
+        return tuple(shape.grid(own) for shape in self.effect.shapes)
 
     def sizes(self, robot: RobotConstants) -> np.ndarray:
         """Typical size of every amplitude."""

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import Extension, extended
+from stiffopt.discovery.comparison.extended_run import extended
+from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepare import PreparedRun, prepare
 from stiffopt.discovery.comparison.signals import RobotConstants

@@ -1,0 +1,166 @@
+"""What an extension adds to a run: to its channels, its springs, its masses and its damping."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
+from stiffopt.discovery.comparison.located_effect import Contribution
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison.nuisance import (
+    OF_BODIES,
+    changed_bodies,
+    nuisance_columns,
+)
+from stiffopt.discovery.comparison.prepare import PreparedRun, with_link_torque
+from stiffopt.discovery.comparison.swing import damping_of
+from stiffopt.recording.nominal import Tolerance
+
+# Of the slope of a spring's law, over the rated torque.
+_SLOPE_STEP = 0.01
+
+# Between inertia matrices, which change with posture only [s].
+_POSTURE = 0.02
+
+# Any tolerance above zero makes a column; its size does not matter here.
+_EVERY = Tolerance(
+    mass=1.0,
+    com=1.0,
+    rotor_inertia=1.0,
+    coulomb=1.0,
+    viscous=1.0,
+    stiffness=1.0,
+    joint_damping=1.0,
+    torque_constant=1.0,
+    encoder_zero=1.0,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """Sum of what changes the channels, (K, n) each; as `Contribution`."""
+
+    torque: np.ndarray
+    link_torque: np.ndarray
+    deflection: np.ndarray
+    reading: np.ndarray
+
+    def add(self, part: Contribution, times: float = 1.0) -> None:
+        """Add a contribution."""
+        for name, total in vars(self).items():
+            own = getattr(part, name)
+            if own is not None:
+                total += times * own
+
+
+def change_of(run: PreparedRun, robot: RobotModel, extension: Extension) -> Change:
+    """What an extension adds to the channels of a run."""
+    change = Change(*(np.zeros_like(run.signals.spring_torque) for _ in range(4)))
+    values = {name: value for name, value in extension.calibration.items() if value}
+    bodies = {name for name in values if name.split()[0] in OF_BODIES}
+    if bodies:
+        parameters = changed_bodies(robot, values)
+        change.link_torque[:] += run.signals.body_regressor.torque(parameters)
+    others = values.keys() - bodies
+    if others:
+        for column in nuisance_columns(run, robot, _EVERY, asked=others.__contains__):
+            # What knees share is asked for by one of them.
+            change.add(column.added, values.get(column.name, 0.0))
+    for each in extension.effects:
+        change.add(each.located.contribution(run, each.amplitudes))
+    return change
+
+
+def moves_links(run: PreparedRun, each: EstimatedEffect) -> bool:
+    """Whether an effect moves the links of a run, or bends them where they do not swing."""
+    added = each.located.contribution(run, each.amplitudes)
+    swung = run.swing is not None and added.deflection is not None
+    return swung or added.link_torque is not None
+
+
+def values_of(extension: Extension, words: tuple[str, ...]) -> Extension:
+    """Those nominal values whose names begin with some words."""
+    values = extension.calibration.items()
+    return Extension(calibration={n: v for n, v in values if n.split()[0] in words})
+
+
+def damps(each: EstimatedEffect) -> bool:
+    """Whether an effect is more or less damping of a joint."""
+    return each.located.effect.nominal == "joint_damping"
+
+
+def damping_with(robot: RobotModel, extension: Extension) -> np.ndarray:
+    """Damping of the joints (n,) with an extension, none of it below zero [N m s/rad]."""
+    damping = damping_of(robot)
+    factors = [extension.calibration.get(f"joint_damping {j + 1}", 0.0) for j in range(robot.n)]
+    added = np.zeros(robot.n)
+    for each in extension.effects:
+        if damps(each) and each.located.joint is not None:
+            added[each.located.joint] += each.amplitudes[0]
+    return np.asarray(np.maximum(damping * (1.0 + np.array(factors)) + added, 0.0))
+
+
+def softer_by(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.ndarray:
+    """Compliance of the springs (K, n) with an extension over the nominal one."""
+    effects = tuple(e for e in extension.effects if not damps(e))
+    if not any(e.located.effect.family == "elastic" for e in effects):
+        effects = ()
+    extension = replace(extension, effects=effects)
+    step = _SLOPE_STEP * np.array([j.torque_rated for j in run.signals.constants.joints])
+    loaded = with_link_torque(run, robot, np.broadcast_to(step, run.torque.shape))
+    ends = [change_of(each, robot, extension).deflection for each in (run, loaded)]
+    nominal = loaded.signals.windup - run.signals.windup
+    return np.asarray(1.0 + (ends[1] - ends[0]) / nominal)
+
+
+def heavier_by(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.ndarray | float:
+    """What an extension adds to the inertia matrices of the links (K, n, n) [kg m^2]."""
+    effects = tuple(e for e in extension.effects if e.located.effect.family == "inertial")
+    if not effects:
+        return 0.0
+    every = max(1, round(_POSTURE / run.signals.dt))
+    added = added_inertia(run, robot, [Extension(effects=effects)], every)
+    return np.repeat(added, every, axis=0)[: len(run.time)]
+
+
+def added_inertia(
+    run: PreparedRun, robot: RobotModel, extensions: Sequence[Extension], every: int
+) -> np.ndarray:
+    """What extensions add to the inertia matrices of the links.
+
+    Parameters
+    ----------
+    run : PreparedRun
+        With the nominal model.
+    robot : RobotModel
+    extensions : sequence of Extension
+    every : int
+        Samples from one matrix to the next.
+
+    Returns
+    -------
+    array (K / every, n, n)
+        [kg m^2]; of effects that act through the bodies' regressor.
+    """
+    few = replace(run, signals=run.signals.thinned(every))
+    q = few.signals.link_position
+    if not extensions:
+        return np.zeros((*q.shape, robot.n))
+    rest = np.zeros_like(q)
+
+    def link_torque(acceleration: np.ndarray) -> np.ndarray:
+        signals = replace(
+            few.signals,
+            link_velocity=rest,
+            link_acceleration=acceleration,
+            arm=few.signals.arm.with_bodies(q, rest, acceleration),
+        )
+        here = replace(few, signals=signals)
+        return sum((change_of(here, robot, each).link_torque for each in extensions), rest)
+
+    held = link_torque(rest)
+    units = (np.broadcast_to(unit, q.shape) for unit in np.eye(robot.n))
+    return np.stack([link_torque(unit) - held for unit in units], axis=2)
