@@ -222,7 +222,7 @@ def episodes_in(tracks: Sequence[Track], others: Sequence[Track] = ()) -> tuple[
         for track, strength, stretches in zip(tracks, strengths, found, strict=True):
             for stretch in stretches:
                 strong = np.flatnonzero(~quiet & _strong(track, strength, stretch))
-                alone = len(strong) == 1 and track.velocity.shape[1] > 1
+                alone = len(strong) == 1
                 for channel in strong:
                     if not _is_touch(track, stretch, int(channel), known, alone=alone):
                         wrong[channel] = True
@@ -322,7 +322,8 @@ class _Known:
 def _is_touch(track: Track, stretch: Stretch, channel: int, known: _Known, *, alone: bool) -> bool:
     """Whether a stretch is slow, not against the motion, and not of the state.
 
-    In one channel of several alone it is against the motion unless that turns round.
+    A brake acts on the torque of one joint alone; there, in an arm of several, what does not turn
+    round with the motion must be seen to do so.
     """
     if stretch[1] - stretch[0] < _SHORTEST + _MOMENT:
         return False
@@ -339,10 +340,10 @@ def _is_touch(track: Track, stretch: Stretch, channel: int, known: _Known, *, al
     along = remaining(slow)
     if along > (1.0 - _SLOW) * float(left @ left):
         return False
-    if channel < n:
+    if channel < n and alone:
         side = np.sign(track.velocity[inside, channel])
         turns = bool(np.any(side != side[0]))
-        if remaining(slow * side[:, None]) < _DRAGS * along or (alone and not turns):
+        if remaining(slow * side[:, None]) < _DRAGS * along or (n > 1 and not turns):
             return False
     return not known.explains(track, inside, channel)
 
