@@ -15,7 +15,7 @@ from stiffopt.transcription.integrator_chain import IntegratorChain
 from stiffopt.transcription.mesh import Mesh, checked_mesh
 from stiffopt.transcription.nlp import Block, Blocks, BlockScales, Nlp, Places
 from stiffopt.transcription.nlp_derivatives import composed
-from stiffopt.transcription.node_derivatives import NumberedStage, numbered
+from stiffopt.transcription.node_derivatives import NumberedStage
 from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
 from stiffopt.transcription.piecewise_linear import PiecewiseLinear
 from stiffopt.transcription.radau import Radau
@@ -71,7 +71,7 @@ def transcribe(
     """
     integrators = len(ocp.chains[0]) - 1 if ocp.chains else 2
     scheme = scheme_of(method, degree, integrators)
-    stage = numbered(ocp.stage, ocp.intermediate)
+    stage = ocp.numbered_stage
     if scales is not None:
         states, controls, statics = scales.variables[:3]
         ocp = replace(ocp, state_scale=states, control_scale=controls, static_scale=statics)
@@ -83,7 +83,7 @@ def adapted(first: Transcription, ocp: OptimalControlProblem) -> Transcription |
 
     Mesh and scales stay.
     """
-    stage = numbered(ocp.stage, ocp.intermediate)
+    stage = ocp.numbered_stage
     if structure_of(ocp, stage, first.scheme, first.mesh) != first.structure:
         return None
     return _Builder(scaled_like(ocp, first.ocp), first.scheme, first.mesh, stage, first).build()

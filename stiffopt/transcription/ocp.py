@@ -16,9 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
+
+from stiffopt.transcription.node_derivatives import NumberedStage, numbered
 
 
 def _full(value: object, size: int) -> np.ndarray:
@@ -187,6 +190,11 @@ class OptimalControlProblem:
     def scales_of_statics(self) -> np.ndarray:
         """Typical magnitude of each static variable; ones unless given."""
         return _full(1.0 if self.static_scale is None else self.static_scale, len(self.statics))
+
+    @cached_property
+    def numbered_stage(self) -> NumberedStage:
+        """The stage with its numbers as inputs: the same on every mesh."""
+        return numbered(self.stage, self.intermediate)
 
     @property
     def phases(self) -> int:

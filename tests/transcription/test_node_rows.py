@@ -43,7 +43,7 @@ def test_rows_derivatives_and_names(programme):
     block = bowl([0.3, -0.2])
     made = with_node_rows(plain, [block])
     nlp, before = made.nlp, len(plain.nlp.lower_g)
-    p = nlp.parameters(np.ones(1))
+    p = nlp.parameters(plain.ocp.parameters)
     states = plain.states.take(x)[block.columns][:, :2]
     value = ca.Function("value", [nlp.x, nlp.p], [nlp.f, nlp.g])
     g = value(x, p)[1].full().ravel()
@@ -72,7 +72,7 @@ def test_other_numbers_are_no_other_programme(programme):
     value = ca.Function("value", [made.nlp.x, made.nlp.p], [made.nlp.g])
     before = len(plain.nlp.lower_g)
     one, other = (
-        value(x, each.nlp.parameters(np.ones(1))).full().ravel() for each in (made, again)
+        value(x, each.nlp.parameters(plain.ocp.parameters)).full().ravel() for each in (made, again)
     )
     assert np.array_equal(one[:before], other[:before])
     assert one[before] != other[before]
