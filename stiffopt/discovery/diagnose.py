@@ -15,7 +15,7 @@ from stiffopt.discovery.diagnosis import (
 )
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.experiment.design import leading_pair, plan_experiment
-from stiffopt.discovery.extended.left_open import of_means, of_samples
+from stiffopt.discovery.extended.left_open import at_rate
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.extended.schema import LeftOpenSection
 from stiffopt.discovery.identifiable import effect_checks
@@ -63,7 +63,7 @@ from stiffopt.discovery.user_effects import load_effects
 from stiffopt.interrupts import finished
 from stiffopt.recording.facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
-from stiffopt.recording.thinning import quieter, samples_a_mean, sentence, thinned
+from stiffopt.recording.thinning import quieter, samples_a_mean, sampling_rate, sentence, thinned
 
 Say = Callable[[str], object]
 
@@ -124,8 +124,9 @@ def diagnose(
     catalogue = of_runs((*CATALOGUE, *extra), [run.name for run in runs])
     every = samples_a_mean(runs)
     thin = () if every == 1 else (sentence(runs, every),)
+    clock = sampling_rate(runs)
+    base = _at_rate(_at_rate(base, clock), clock / every)
     recordings, runs = quieter(recordings, every), [thinned(run, every) for run in runs]
-    base = _of_means(base, every)
     say("check units, signs and orders")
     doubted = doubts(recordings, runs)
     if doubted and not despite_doubts:
@@ -199,7 +200,7 @@ def diagnose(
             verdict=verdict_of(findings, unexplained),
             findings=findings,
             extension=whole,
-            left_open=of_samples(left_open, every),
+            left_open=at_rate(left_open, clock),
             training=training,
             search=result,
             held_out=proofs,
@@ -233,11 +234,11 @@ def diagnose(
     return finished(concluded)[0]
 
 
-def _of_means(base: ExtendedModel | None, every: int) -> ExtendedModel | None:
-    """The model with what it left open as means of so many samples show it."""
+def _at_rate(base: ExtendedModel | None, rate: float) -> ExtendedModel | None:
+    """The model with what it left open as samples at a clock [Hz] show it."""
     if base is None or base.left_open is None:
         return base
-    return replace(base, left_open=of_means(base.left_open, every))
+    return replace(base, left_open=at_rate(base.left_open, rate))
 
 
 def _parameters(

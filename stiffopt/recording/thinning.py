@@ -35,6 +35,11 @@ def samples_a_mean(runs: Sequence[RecordedRun]) -> int:
     return max(1, every)
 
 
+def sampling_rate(runs: Sequence[RecordedRun]) -> float:
+    """Samples of all runs over the time that they take [Hz]."""
+    return float(sum(len(run.time) for run in runs) / sum(len(run.time) * run.step for run in runs))
+
+
 def thinned(run: RecordedRun, every: int) -> RecordedRun:
     """A run with means of so many samples at the stamp in the middle of them.
 

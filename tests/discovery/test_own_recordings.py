@@ -101,12 +101,13 @@ def test_what_is_left_open_is_that_of_samples_however_many_are_taken_together(
     (source / "recordings.toml").write_text(text)
     model, left = load_extended(source / "extended.toml"), []
     # At five times the rate the same torque is more noise of a sample.
-    section = model.left_open.model_copy(update={"torque": (5.0**0.5 * OPEN,)})
+    section = model.left_open.model_copy(update={"sampling_rate": 100.0})
     for every in (1, 3):
         monkeypatch.setattr(diagnosing, "samples_a_mean", lambda runs, every=every: every)
         found = diagnose(source, model=replace(model, left_open=section), experiment=False)
         assert found.verdict == "nothing_missing"
         left.append(found.left_open.torque[0])
+        assert found.left_open.sampling_rate == pytest.approx(500.0)
     assert left[1] == pytest.approx(left[0], rel=0.05)
     # Told as noise of what is compared.
     assert f"counts as noise (joint 1: {(5.0 / 3.0) ** 0.5 * OPEN:.3g} N m)" in str(

@@ -7,9 +7,10 @@ import pytest
 
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
+from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.rows import ChannelNoise
-from stiffopt.discovery.extended.left_open import least_factors, left_open, with_bands
+from stiffopt.discovery.extended.left_open import at_rate, least_factors, left_open, with_bands
 from stiffopt.discovery.extended.schema import EffectSection, LeftOpenSection
 from stiffopt.discovery.search.identifiable_effects import of_changes
 from stiffopt.discovery.settings import Settings
@@ -32,6 +33,20 @@ def test_what_is_left_comes_back_as_factors_of_at_least_one():
     np.testing.assert_allclose(section().link_position, [0.0, 3e-5])
     np.testing.assert_allclose(least_factors(section(), NOISE), [5.0, 1.0, np.nan, 3.0])
     assert least_factors(None, NOISE) is None
+
+
+def test_what_is_left_in_the_band_is_noise_of_more_at_a_faster_clock():
+    own = section()
+    # A file that tells no clock is of the one that it is compared at.
+    known = at_rate(own, 100.0)
+    assert known.torque == own.torque
+    faster = at_rate(known, 900.0)
+    np.testing.assert_allclose(faster.torque, np.multiply(3.0, own.torque))
+    np.testing.assert_allclose(faster.link_position, np.multiply(3.0, own.link_position))
+    np.testing.assert_allclose(at_rate(faster, 100.0).torque, own.torque)
+    # As large in the band: the filter leaves the root of cutoff over clock of white noise.
+    gains = [ZeroPhaseFilter(rate, 8.0).noise_gain for rate in (100.0, 900.0)]
+    np.testing.assert_allclose(gains[0] * own.torque[0], gains[1] * faster.torque[0], rtol=0.01)
 
 
 def test_bands_of_the_model_are_taken_unless_others_are_asked_for():

@@ -30,6 +30,7 @@ def left_open(
     suspects: Mapping[str, float],
     leanings: Mapping[str, tuple[float, ...]],
     before: LeftOpenSection | None = None,
+    rate: float | None = None,
 ) -> LeftOpenSection:
     """Section of extended.toml.
 
@@ -46,6 +47,8 @@ def left_open(
         Amplitudes that effects alone would take of it.
     before : LeftOpenSection, optional
         Of the model that was started from: what these recordings do not show stays as it was.
+    rate : float, optional
+        Clock of these recordings [Hz].
     """
     spread = np.nan_to_num(ratio) * np.nan_to_num([*noise.torque, *noise.deflection])
     if before is not None:
@@ -57,27 +60,24 @@ def left_open(
         torque=tuple(map(float, torque)),
         link_position=tuple(map(float, link)),
         suspects=dict(suspects),
+        sampling_rate=rate,
         leanings=dict(leanings),
     )
 
 
-def of_means(section: LeftOpenSection, every: int) -> LeftOpenSection:
-    """The section for means of so many samples, in which white noise is that much smaller."""
-    return _times(section, every**-0.5)
+def at_rate(section: LeftOpenSection, rate: float) -> LeftOpenSection:
+    """The section as noise of samples at another clock [Hz].
 
-
-def of_samples(section: LeftOpenSection, every: int) -> LeftOpenSection:
-    """The section for the samples themselves, where it was taken from means of so many.
-
-    That is how files state it: a further set may be too short for means.
+    What is left within a band is as large however often it is sampled: of white noise it would be
+    the less, the faster samples come. Of a file that tells no clock it is taken to be the same.
     """
-    return _times(section, every**0.5)
-
-
-def _times(section: LeftOpenSection, factor: float) -> LeftOpenSection:
-    torque = tuple(factor * value for value in section.torque)
-    link = tuple(factor * value for value in section.link_position)
-    return section.model_copy(update={"torque": torque, "link_position": link})
+    factor = 1.0 if section.sampling_rate is None else (rate / section.sampling_rate) ** 0.5
+    changed = {
+        "torque": tuple(factor * value for value in section.torque),
+        "link_position": tuple(factor * value for value in section.link_position),
+        "sampling_rate": rate,
+    }
+    return section.model_copy(update=changed)
 
 
 def least_factors(section: LeftOpenSection | None, noise: ChannelNoise) -> np.ndarray | None:

@@ -97,6 +97,15 @@ class LeftOpenSection(Section):
         dict[str, Ratio],
         Doc("Effects that what is left hints at, with log evidence for a row of the fit."),
     ] = Field(default_factory=dict)
+    sampling_rate: Annotated[
+        Frequency | None,
+        Bounds(above=0.0),
+        Doc(
+            "Clock that `torque` and `link_position` are noise of single samples at: what is left"
+            " lies within the band, and is noise of more where samples come faster. Default: that"
+            " of the recordings it is compared with."
+        ),
+    ] = None
     leanings: Annotated[
         dict[str, tuple[Ratio, ...]],
         Doc(

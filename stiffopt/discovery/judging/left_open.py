@@ -18,6 +18,7 @@ from stiffopt.discovery.search.identifiable_effects import of_changes
 from stiffopt.discovery.search.uncertainty import Estimate
 from stiffopt.discovery.settings import FIXED
 from stiffopt.discovery.training import Training
+from stiffopt.recording.thinning import sampling_rate
 
 # Shapes of the likeliest suspects are fitted; log evidence below which nothing is suspected.
 _REFINED, _LEAST = 12, 2.0
@@ -54,7 +55,8 @@ def open_section(
             if candidate.evidence > _LEAST and not candidate.located.by_run
         }
         leanings = _leanings(scorer, changes)
-    return left_open(ratio, training.noise.channels, training.settings, suspects, leanings, before)
+    noise, rate = training.noise.channels, sampling_rate(training.recorded)
+    return left_open(ratio, noise, training.settings, suspects, leanings, before, rate)
 
 
 def doubted_by_left_open(training: Training, parameters: Estimate) -> Estimate:
