@@ -61,7 +61,7 @@ def ours(transcription: str) -> dict[str, float]:
         made = transcribe(ocp, transcription, uniform_mesh(INTERVALS))
         solver = IpoptSolver(made.nlp)
     with clock("solve"):
-        raw = solver.solve(made.pack(straight_line(problem)), np.ones(1))
+        raw = solver.solve(made.pack(straight_line(problem)), made.ocp.parameters)
     motion = assess(problem, Trajectory.from_acceleration(*made.acceleration_polynomials(raw.x)))
     return {
         "objective": raw.objective,

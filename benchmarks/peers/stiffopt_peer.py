@@ -82,7 +82,7 @@ def main() -> None:
     made = transcribe(ocp, SCHEME, uniform_mesh(task["intervals"]))
     solver = IpoptSolver(made.nlp, solver_options(problem))
     build = time.process_time() - begin
-    x0, one = made.pack(guess_of(task)), np.ones(1)
+    x0, one = made.pack(guess_of(task)), made.ocp.parameters
     times = []
     for _ in range(2):
         begin = time.process_time()

@@ -29,17 +29,17 @@ def straight(made):
 
 def test_rows_that_can_hold_are_met(tmp_path):
     made = programme(tmp_path, limits="tool_speed = 2.0")
-    found = least_excess(made.nlp, straight(made), np.ones(1))
+    found = least_excess(made.nlp, straight(made), made.ocp.parameters)
     assert found.converged
     assert found.excess < 1e-4
     jacobian = made.nlp.derivatives["jac_g"]
-    g, _ = jacobian(found.x, made.nlp.parameters(np.ones(1)))
+    g, _ = jacobian(found.x, made.nlp.parameters(made.ocp.parameters))
     assert made.nlp.violations(g.full()).max() < 1e-4
 
 
 def test_the_row_that_cannot_hold_is_named(tmp_path):
     made = programme(tmp_path, limits="tool_speed = 0.05")
-    found = least_excess(made.nlp, straight(made), np.ones(1))
+    found = least_excess(made.nlp, straight(made), made.ocp.parameters)
     assert found.converged
     # Rows are of the squared speed over the limit.
     assert found.excess > 1.0
@@ -49,10 +49,10 @@ def test_the_row_that_cannot_hold_is_named(tmp_path):
 def test_derivatives_are_those_of_the_relaxed_programme(tmp_path):
     made = programme(tmp_path, limits="tool_speed = 0.5")
     x = straight(made)
-    relaxed = _Relaxed(made.nlp, x, np.ones(1)).nlp
+    relaxed = _Relaxed(made.nlp, x, made.ocp.parameters).nlp
     random = np.random.default_rng(4)
     z = np.append(x + 0.1 * random.normal(size=len(x)), random.random(relaxed.x.numel() - len(x)))
-    p, multipliers = made.nlp.parameters(np.ones(1)), random.normal(size=relaxed.g.numel())
+    p, multipliers = made.nlp.parameters(made.ocp.parameters), random.normal(size=relaxed.g.numel())
     lagrangian = 0.7 * relaxed.f + ca.dot(multipliers, relaxed.g)
     wanted = ca.Function(
         "wanted",
