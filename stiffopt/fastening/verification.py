@@ -91,9 +91,13 @@ class Verification:
 
     @cached_property
     def opening(self) -> np.ndarray:
-        """F_A (K, m) [N] with the axial force taken to pull."""
+        """F_A (K, m) [N] with axial force and tilting moment taken to pull.
+
+        On which side of the face the carried part lies is not known, and with it not which way
+        opens: a moment pulls at one place or at the one opposite, where shear and torque meet it.
+        """
         share = self.sharing[0] * self.loads.values[:, 2:3] / self.count
-        return np.asarray(self.axial - share + np.abs(share))
+        return np.asarray(np.abs(self.axial - share) + np.abs(share))
 
     @property
     def friction_radius(self) -> float:

@@ -155,6 +155,11 @@ def _slip(
     torque = abs(float(case.torque[element.joint - 1]))
     if slip >= safety * torque * (1.0 - 1e-12):
         return None
+    ends = element.ends(needs.bolt_utilisation)
+    stronger = "a larger bolt or a higher grade"
+    if min(ends, key=lambda each: ends[each]) == "head pressure":
+        # A higher grade presses the part under the head no less.
+        stronger = "hard washers (`washer = true`), a harder part under the heads or a larger bolt"
     return Stopper(
         limit=f"slip safety, {element.key}, {case.name}",
         best=slip / torque,
@@ -162,7 +167,7 @@ def _slip(
         unit="",
         against=limiting(element, needs.bolt_utilisation),
         remedy=(
-            "a larger bolt or a higher grade, more bolts, more friction, or less scatter"
+            f"{stronger}, more bolts, more friction, or less scatter"
             if isinstance(element.stage.element, BoltedFlange)
             else "a larger set screw, more pins, a thicker shaft, more friction, or less scatter"
         ),

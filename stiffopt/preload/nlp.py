@@ -26,6 +26,8 @@ _CASE = "{}, {}"
 _PRICE = 3e3
 # A slip row that the bounds meet but for rounding adds nothing.
 _MET = 1e-12
+# Share of what a fastener bears that is left in service where less than the second is carried.
+_KEPT, _NOTHING = 0.02, 1e-3
 
 
 @dataclass(frozen=True)
@@ -156,6 +158,10 @@ class PreloadNlp:
             torque = max(abs(float(c.torque[element.joint - 1])) for c in self.model.cases)
             unit = float(self.model.slip_torque(self._at_least(index, 1.0), index))
             carried = element.largest(torque / unit)
+            # Where next to no torque asks for a preload something has to be left all the same.
+            kept = element.largest(_KEPT * element.capacity)
+            if torque / unit < _NOTHING * element.capacity and kept < element.capacity:
+                carried = kept
             tightened = needs.least_preload * element.capacity
             least = [tightened, carried if not problem.individual else 0.0]
             most = [*element.ends(needs.bolt_utilisation).values()]

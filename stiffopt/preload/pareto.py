@@ -288,6 +288,12 @@ def _note(points: Sequence[ParetoPoint]) -> str:
             "The front is a single point: at the least preload the stiffness is already the most "
             "that the limits leave."
         )
+    if not first.level > 0.0:
+        # A joint without a load holds nothing at the least preload after scatter and losses.
+        return (
+            "At the least preload a connection without a load keeps no clamp force, so no relative"
+            " gain in stiffness can be told."
+        )
     what = "stiffness" if len(first.stiffness) == 1 else "the least relative stiffness"
     gain, more = last.level / first.level - 1.0, last.total_preload / first.total_preload - 1.0
     text = (

@@ -297,8 +297,15 @@ def test_wrench_by_hand():
     lever = steps.friction_radius
     friction = (300.0 / 9 + 20.0 / (9 * lever)) / 0.15
     found = float(steps.clamp_needed[0])
-    # Both at their worst at one bolt is more than any bolt has; either alone is less.
-    assert max(pull, 1.2 * friction) < found <= pull + 1.2 * friction
+    # The moment pulls where shear and torque add up, if the carried part lies on that side.
+    assert found == pytest.approx(pull + 1.2 * friction, rel=1e-4)
+    # Which side that is nobody says: a moment the other way is the same.
+    other = Verification(ring, TESTED, loads([300.0, 0, 900.0, -60.0, 0, 20.0]))
+    assert float(other.clamp_needed[0]) == pytest.approx(found, rel=1e-12)
+    # About the other axis pull and friction are at their worst at bolts a quarter turn apart.
+    across = Verification(ring, TESTED, loads([300.0, 0, 900.0, 0, 60.0, 20.0]))
+    needed = float(across.clamp_needed[0])
+    assert max(pull, 1.2 * friction) < needed < 0.95 * (pull + 1.2 * friction)
     for check in vdi_rows(steps, 9000.0):
         if check.kind == "one-sided opening":
             assert check.limit == pytest.approx(float(steps.clamp_against_opening[0]))

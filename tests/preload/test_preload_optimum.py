@@ -13,12 +13,16 @@ from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.fastening.limits import key_pressure_limit
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload import optimise
-from stiffopt.preload.load_case import LoadHistory
+from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import PreloadNlp
 from stiffopt.preload.optimise import levels_of, optimise_preloads
+from stiffopt.preload.problem import PreloadProblem
+from stiffopt.preload.study import preload_study
 from stiffopt.preload.utilisation import utilisation_rows
+from stiffopt.report.preload.page import write_preload_report
 from stiffopt.result.status import SolveStatus
+from stiffopt.robot.files import load_robot
 from stiffopt.solver.ipopt import kkt_residual
 
 KKT = 1e-6
@@ -470,3 +474,22 @@ def test_motion_that_slips_with_the_present_preloads_is_still_searched():
     sizes = np.linalg.norm(every.exact_deflection(solution.vector), axis=1)
     assert np.isinf(solution.deflection_before).any()
     assert sizes.max() <= np.nanmax(solution.deflection) * (1 + 1e-9)
+
+
+def test_a_joint_without_load_keeps_something_of_its_preload(tmp_path):
+    """Scatter and settling took all of it, and the front and its figure found no stiffness."""
+    torque = np.zeros(6)
+    torque[2] = 30.0
+    problem = PreloadProblem(
+        robot=load_robot("er3a_c60"),
+        joints=(3, 4),
+        free=("pulley_pins",),
+        load_cases=(LoadCase(name="only joint 3", torque=torque),),
+        tightening=Tightening(method="torque_wrench"),
+    )
+    study = preload_study(problem, front_points=3)
+    assert study.solution.status.usable
+    for element in problem.elements:
+        assert float(element.least(study.solution.preloads[element.key])) > 0.0
+    assert np.all(study.solution.stiffness > 0.0)
+    assert write_preload_report(study, tmp_path).is_file()

@@ -11,15 +11,18 @@ from stiffopt.report.preload.words import owner_name
 
 if TYPE_CHECKING:
     from stiffopt.fastening.utilisation_row import UtilisationRow
+    from stiffopt.preload.solution import PreloadSolution
 
 # Connections that a sentence names.
 _NAMED = 3
 
 
-def cautions(rows: Sequence[UtilisationRow]) -> list[str]:
-    """A sentence for each kind of warning that is exceeded, worst connection first."""
+def cautions(solution: PreloadSolution) -> list[str]:
+    """A sentence for each kind of warning that a design to use exceeds, worst connection first."""
+    if not solution.status.usable:
+        return []
     over: dict[str, list[UtilisationRow]] = {}
-    for row in sorted(rows, key=lambda row: -row.utilisation):
+    for row in sorted(solution.rows, key=lambda row: -row.utilisation):
         if not row.binding and row.utilisation > 1.0:
             over.setdefault(row.kind, []).append(row)
     return [_said(own) for own in over.values()]
