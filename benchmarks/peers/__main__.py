@@ -14,6 +14,7 @@ import argparse
 import json
 import os
 import resource
+import signal
 import statistics
 import subprocess
 import tempfile
@@ -81,6 +82,8 @@ excess of velocity or torque over their limits, miss of the end pose. acados gen
 its code before, stiffopt has compiled in an earlier run; neither is counted. toppra times the
 straight line only: what a free path is compared with."""
 INTERVALS = 100
+# Of the processor, for one process.
+SECONDS = 180
 
 
 def task_of(task: Task) -> dict[str, Any]:
@@ -107,8 +110,8 @@ def task_of(task: Task) -> dict[str, Any]:
     }
 
 
-def asked(name: str, task: Path) -> dict[str, Any] | None:
-    """One answer of a peer, with the CPU seconds of its whole process."""
+def asked(name: str, task: Path) -> dict[str, Any] | str:
+    """One answer of a peer, with the CPU seconds of its whole process; else why there is none."""
     python = PEERS.python(name)
     assert python is not None
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -116,20 +119,24 @@ def asked(name: str, task: Path) -> dict[str, Any] | None:
         [str(python), str(HERE / f"{name}_peer.py"), str(task)],
         capture_output=True,
         text=True,
-        timeout=600,
         env=os.environ | {"OMP_NUM_THREADS": "1"},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS)),
     )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     if done.returncode:
-        print(f"{name}: {done.stderr.strip().splitlines()[-1:]}", flush=True)
-        return None
+        told = (done.stderr.strip().splitlines() or [f"code {done.returncode}"])[-1]
+        slow = done.returncode == -signal.SIGKILL
+        return f"no answer in {SECONDS} CPU s" if slow else f"no answer: {told}"
     answer: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     answer["process_s"] = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return answer
 
 
 def table(
-    task: Task, runs: dict[str, list[dict[str, Any]]], judged: dict[str, Judged]
+    task: Task,
+    runs: dict[str, list[dict[str, Any]]],
+    judged: dict[str, Judged],
+    failed: dict[str, str],
 ) -> list[str]:
     """A task's table; ratios are of the second solve, to stiffopt's."""
     lines = [
@@ -145,13 +152,13 @@ def table(
         return statistics.median(values) if values else None
 
     for name in PEERS.packages:
-        if not runs.get(name):
+        if name not in judged:
             if name in task.unfit:
                 why = task.unfit[name]
             elif PEERS.python(name) is None:
                 why = f"absent: {PEERS.absence(name)}"
             else:
-                why = "no answer"
+                why = failed[name]
             lines.append(f"| {name} | {why} |" + " |" * 9)
             continue
         second, own = median(name, "second_s"), median("stiffopt", "second_s")
@@ -177,13 +184,16 @@ def measure(rounds: int) -> list[str]:
             path.write_text(json.dumps(numbers))
             there = [n for n in PEERS.packages if n not in task.unfit and PEERS.python(n)]
             runs: dict[str, list[dict[str, Any]]] = {}
+            failed: dict[str, str] = {}
             for _ in range(rounds):
-                for name in there:
+                for name in [name for name in there if name not in failed]:
                     answer = asked(name, path)
-                    if answer is not None:
+                    if isinstance(answer, str):
+                        failed[name] = answer
+                    else:
                         runs.setdefault(name, []).append(answer)
             judged = {name: judge(numbers, found[-1]) for name, found in runs.items()}
-            lines += table(task, runs, judged)
+            lines += table(task, runs, judged, failed)
             print("\n".join(lines), flush=True)
     return lines
 

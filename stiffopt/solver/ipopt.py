@@ -78,6 +78,8 @@ class IpoptOptions:
             "linear_solver": self.linear_solver,
             "print_level": self.print_level,
             "sb": "yes",
+            # The multipliers of fixed variables would cost a second gradient in each iteration.
+            "fixed_variable_treatment": "make_parameter_nodual",
             **self.extra,
         }
 
@@ -237,7 +239,7 @@ class IpoptSolver:
             status = "stalled"
         if status == "invalid_number":
             reason = self._invalid_number([inputs["x0"], last.x], p) or word
-        lam_x, lam_g = outputs["lam_x"].full().ravel(), outputs["lam_g"].full().ravel()
+        lam_x, lam_g = self._multipliers(outputs, p)
         return RawSolution(
             status=status,
             reason=reason,
@@ -299,6 +301,19 @@ class IpoptSolver:
                 hess_lag=self._solver.get_function("nlp_hess_l"),
             )
         return self._warm[barrier, push]
+
+    def _multipliers(
+        self, outputs: dict[str, ca.DM], p: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Of bounds and rows; of fixed variables what the Lagrangian's gradient leaves there."""
+        lam_x, lam_g = (outputs[name].full().ravel() for name in ("lam_x", "lam_g"))
+        fixed = self.nlp.lower_x == self.nlp.upper_x
+        if fixed.any():
+            gradient = self._solver.get_function("nlp_grad_f")(outputs["x"], p)[1]
+            jacobian = self._solver.get_function("nlp_jac_g")(outputs["x"], p)[1]
+            slope = (gradient + ca.mtimes(jacobian.T, outputs["lam_g"])).full().ravel()
+            lam_x[fixed] = -slope[fixed]
+        return lam_x, lam_g
 
     def _iterate(self, outputs: dict[str, ca.DM]) -> Iterate:
         g = outputs["g"].full().ravel()

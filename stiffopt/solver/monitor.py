@@ -111,20 +111,28 @@ class Monitor(ca.Callback):
         """Return the shape of an nlpsol output."""
         return ca.Sparsity.dense(self._sizes.get(str(ca.nlpsol_out(i)), 0), 1)
 
-    def eval(self, arg: Sequence[ca.DM]) -> list[float]:
-        """Take in one iteration; a return value of 1 stops IPOPT."""
+    def has_eval_buffer(self) -> bool:
+        """Whether numbers come as they lie in memory: a tenth of the time of CasADi's matrices."""
+        return True
+
+    def eval_buffer(self, arg: Sequence[memoryview], res: Sequence[memoryview]) -> int:
+        """Take in one iteration; a result of 1 stops IPOPT."""
+        np.frombuffer(res[0])[0] = self._stop(arg)
+        return 0
+
+    def _stop(self, arg: Sequence[memoryview]) -> float:
         try:
             self._take(arg)
         except BaseException as error:  # must not cross the C++ border; raised after the solve
             self.error = error
-            return [1.0]
+            return 1.0
         if self.interrupt.is_set():
             self.stopped_by = "interrupted"
         elif time.perf_counter() - self.started > self.max_seconds:
             self.stopped_by = "time_limit"
         elif self.patience and len(self.history) > self.patience and not self._near():
             self.stopped_by = "iteration_limit"
-        return [float(bool(self.stopped_by))]
+        return float(bool(self.stopped_by))
 
     def at_rest(self, tolerance: float, lengths: Sequence[float]) -> bool:
         """Whether the last iterates are one, all rows kept: full steps that change nothing more.
@@ -149,9 +157,11 @@ class Monitor(ca.Callback):
         """Whether some point so far keeps all rows, or nearly."""
         return self.best is not None and self.best.violation <= _NEARLY
 
-    def _take(self, arg: Sequence[ca.DM]) -> None:
+    def _take(self, arg: Sequence[memoryview]) -> None:
         nlp = self.nlp
-        x, objective, g = arg[0].full().ravel(), float(arg[1]), arg[2].full().ravel()
+        # Copies: what lies there is IPOPT's.
+        x, g = (np.frombuffer(arg[k]).copy() for k in (0, 2))
+        objective = float(np.frombuffer(arg[1])[0])
         objective *= nlp.objective_scale
         excess = nlp.violations(g)
         worst = int(np.argmax(excess)) if excess.size else -1

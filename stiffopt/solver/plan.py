@@ -80,6 +80,9 @@ def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOp
         # Splines and smooth programmes are well scaled as they are: what MUMPS does to them costs
         # steps, with a free duration half of all. On fine meshes every step takes half the time.
         extra |= {"mumps_pivot_order": 0, "mumps_permuting_scaling": 0, "mumps_scaling": 0}
+    if len(smoothing_stages(problem)) == 1 and not problem.plans_links:
+        # Of smooth programmes the residual of a step is small enough as it is: refined if not.
+        extra["min_refinement_steps"] = 0
     if problem.plans_links and near:
         # Multipliers of a small barrier, else the motion is first led far away from where it is.
         extra |= {"bound_mult_init_method": "mu-based", "mu_init": 1e-4}
