@@ -239,7 +239,7 @@ class Columns:
                 return kept[key]
         constants = self.runs[0].signals.constants
         sizes = located.sizes(constants)
-        columns = self.pieces.split(self._rows_of(located) * sizes)
+        columns = self._made_of(located, sizes)
         self._bytes += columns.nbytes
         place = located.key[:-1]
         if place not in self._starts:
@@ -254,17 +254,16 @@ class Columns:
             self._latest.pop(next(iter(self._latest)))
         return columns
 
-    def _rows_of(self, located: LocatedEffect) -> np.ndarray:
-        """Columns (m, k) for a unit of every amplitude."""
-        count = len(located.effect.amplitudes)
+    def _made_of(self, located: LocatedEffect, sizes: np.ndarray) -> PieceColumns:
+        """Columns for such sizes of the amplitudes."""
+        count = len(sizes)
         if located.joint is None or any(run.swing is not None for run in self.runs):
             per_run = [list(located.columns(run, self.robot)) for run in self.runs]
-            return np.column_stack(
-                [
-                    self.rows.flatten([c[0] for c in each], [c[1] for c in each])
-                    for each in zip(*per_run, strict=True)
-                ]
-            )
+            rows = [
+                self.rows.flatten([c[0] for c in each], [c[1] for c in each])
+                for each in zip(*per_run, strict=True)
+            ]
+            return self.pieces.split(np.column_stack(rows) * sizes)
         added = [
             [
                 (kind, joint, i, values)
@@ -273,7 +272,8 @@ class Columns:
             ]
             for run in self.runs
         ]
-        return self.rows.of_channels(added, count)
+        parts = ((begin, part * sizes) for begin, part in self.rows.of_channels(added, count))
+        return self.pieces.placed(parts, count)
 
     def _distance(self, found: Extension, inflation: np.ndarray | None) -> float:
         """Rms over the noise that is left of what links would do otherwise than here."""

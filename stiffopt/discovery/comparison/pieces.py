@@ -6,7 +6,7 @@ once, and those of a fit are a weighted sum of them. Most effects act on few cha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -80,6 +80,10 @@ class Pieces:
         self.block, self.channel = found // (2 * rows.n), found % (2 * rows.n)
         ends = (*self._starts.tolist(), len(number))
         self._slices = [slice(first, last) for first, last in pairwise(ends)]
+        # A piece is one stretch of the rows: of those by their first row, which they are.
+        firsts = self._order[self._starts]
+        self._by_first = np.argsort(firsts)
+        self._firsts = firsts[self._by_first]
 
     def split(self, columns: np.ndarray) -> PieceColumns:
         """Columns (m, k) by pieces."""
@@ -87,6 +91,28 @@ class Pieces:
         acted = np.flatnonzero(np.logical_or.reduceat(ordered.any(axis=1), self._starts))
         parts = tuple(ordered[self._slices[q]].copy() for q in acted)
         return PieceColumns(acted, parts, columns.shape[1])
+
+    def placed(self, parts: Iterable[tuple[int, np.ndarray]], width: int) -> PieceColumns:
+        """Columns by pieces, as `split` has them, from stretches of rows that are not zero.
+
+        Parameters
+        ----------
+        parts : iterable of (int, array (rows, k))
+            First row, and the columns from there on; whole pieces, each at most once.
+        width : int
+            k.
+        """
+        found: dict[int, np.ndarray] = {}
+        for begin, columns in parts:
+            low, high = np.searchsorted(self._firsts, (begin, begin + len(columns)))
+            pieces = self._by_first[low:high].tolist()
+            for q, first in zip(pieces, (self._firsts[low:high] - begin).tolist(), strict=True):
+                own = self._slices[q]
+                part = columns[first : first + own.stop - own.start]
+                if part.any():
+                    found[q] = part.copy()
+        acted = sorted(found)
+        return PieceColumns(np.array(acted, dtype=int), tuple(found[q] for q in acted), width)
 
     def joined(self, columns: PieceColumns) -> np.ndarray:
         """Columns (m, k) of all rows."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,32 +130,37 @@ class ChannelRows:
 
     def of_channels(
         self, added: Sequence[Sequence[tuple[str, int, int, np.ndarray]]], count: int
-    ) -> np.ndarray:
-        """Columns (m, count) of rows from what they add to single channels of every run.
+    ) -> Iterator[tuple[int, np.ndarray]]:
+        """Columns of rows from what they add to single channels of every run.
 
         Parameters
         ----------
         added : sequence of sequence of (kind, joint, column, array (K,)), one a run
             "torque" or "deflection", and the joint from 0.
         count : int
+
+        Yields
+        ------
+        (int, array (rows, count))
+            First row, and the columns from there on, of each channel of a run that anything is
+            added to.
         """
-        out = np.zeros((self.size, count))
         for run, places, begins, own in zip(
             self.runs, self._places, self._begins, added, strict=True
         ):
             if not own:
                 continue
             passed = run.low_pass.thinned(np.stack([values for *_, values in own], axis=1))
+            found: dict[int, np.ndarray] = {}
             for (kind, joint, column, _), values in zip(own, passed.T, strict=True):
                 of_kind = kind == "deflection"
                 scale = self.noise.deflection if of_kind else self.noise.torque
                 channel = of_kind * self.n + joint
                 where = places.rows[channel]
-                begin = begins[channel]
-                out[begin : begin + len(where), column] += values[where] / (
-                    scale[joint] * run.low_pass.noise_gain
-                )
-        return out
+                columns = found.setdefault(channel, np.zeros((len(where), count)))
+                columns[:, column] += values[where] / (scale[joint] * run.low_pass.noise_gain)
+            for channel, columns in found.items():
+                yield int(begins[channel]), columns
 
     def sampled(self, signal: Callable[[PreparedRun], np.ndarray]) -> np.ndarray:
         """Values of a signal (K, ...) of each run at every row (m, ...)."""
