@@ -273,7 +273,7 @@ class Columns:
             for run in self.runs
         ]
         parts = ((begin, part * sizes) for begin, part in self.rows.of_channels(added, count))
-        return self.pieces.placed(parts, count)
+        return self.pieces.from_stretches(parts, count)
 
     def _distance(self, found: Extension, inflation: np.ndarray | None) -> float:
         """Rms over the noise that is left of what links would do otherwise than here."""

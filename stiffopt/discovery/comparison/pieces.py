@@ -92,7 +92,7 @@ class Pieces:
         parts = tuple(ordered[self._slices[q]].copy() for q in acted)
         return PieceColumns(acted, parts, columns.shape[1])
 
-    def placed(self, parts: Iterable[tuple[int, np.ndarray]], width: int) -> PieceColumns:
+    def from_stretches(self, parts: Iterable[tuple[int, np.ndarray]], width: int) -> PieceColumns:
         """Columns by pieces, as `split` has them, from stretches of rows that are not zero.
 
         Parameters
