@@ -140,7 +140,7 @@ def diagnose(
     if training.least is None:
         sought = tuple(each for each in asked if not each.only_changed)
     say("compare with the nominal model" if base is None else f"compare with {base.source}")
-    training, result, touched = answered(recordings, training, sought, base, say)
+    training, result, touched = answered(recordings, training, sought, settings, base, say)
     settings = training.settings
     stopped = stopped_in(result)
 

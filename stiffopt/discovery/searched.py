@@ -16,7 +16,7 @@ from stiffopt.discovery.judging.episodes import (
     Episode,
     episodes_in,
     training_tracks,
-    training_without,
+    without,
 )
 from stiffopt.discovery.search.identifiable_effects import (
     of_changes,
@@ -25,6 +25,7 @@ from stiffopt.discovery.search.identifiable_effects import (
     without_bounds,
 )
 from stiffopt.discovery.search.search import SearchResult, search
+from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.thresholds import SWING_MISFIT, TOUCHED_ROUNDS
 from stiffopt.discovery.training import Training, train
 from stiffopt.interrupts import finished
@@ -37,6 +38,7 @@ def answered(
     recordings: RecordingSet,
     training: Training,
     asked: Sequence[Effect],
+    settings: Settings,
     base: ExtendedModel | None,
     say: Say,
 ) -> tuple[Training, SearchResult, tuple[Episode, ...]]:
@@ -48,6 +50,8 @@ def answered(
     training : Training
     asked : sequence of Effect
         What the recordings can tell of the catalogue.
+    settings : Settings
+        As they were before the training runs chose bands.
     base : ExtendedModel or None
         That is started from.
     say : callable
@@ -66,12 +70,12 @@ def answered(
     touched = episodes_in(training_tracks(comparison, comparison.fit()))
     if touched:
         say(_leaves_out(touched))
-        training = training_without(training, touched)
+        training = _without(recordings, training, settings, base, say, touched)
         comparison = training.comparison()
     result = _searched(recordings, training, asked, base, say, comparison=comparison)
     if training.runs[0].swing is not None and not (result.stopped or result.hurried):
         training, result = _better_swinging(recordings, training, asked, base, say, result)
-    training, result, later = _untouched(recordings, training, asked, base, say, result)
+    training, result, later = _untouched(recordings, training, asked, settings, base, say, result)
     return training, result, (*touched, *later)
 
 
@@ -115,6 +119,7 @@ def _untouched(
     recordings: RecordingSet,
     training: Training,
     asked: Sequence[Effect],
+    settings: Settings,
     base: ExtendedModel | None,
     say: Say,
     result: SearchResult,
@@ -130,14 +135,28 @@ def _untouched(
         if hurried or not new:
             break
         say(f"{_leaves_out(new)}, and search again")
-        apart = training_without(training, new)
         try:
+            apart = _without(recordings, training, settings, base, say, new)
             result = _searched(recordings, apart, asked, base, say)
         except KeyboardInterrupt:
             result = replace(result, stopped=True)
             break
         training, found = apart, (*found, *new)
     return training, result, found
+
+
+def _without(
+    recordings: RecordingSet,
+    training: Training,
+    settings: Settings,
+    base: ExtendedModel | None,
+    say: Say,
+    episodes: Sequence[Episode],
+) -> Training:
+    """The training runs prepared anew without some times, which say nothing of bands and noise."""
+    runs = [without(run, episodes) for run in training.recorded]
+    swinging = training.runs[0].swing is not None
+    return train(recordings, settings, base, say, runs, swinging=swinging)
 
 
 def _touched(result: SearchResult) -> tuple[Episode, ...]:

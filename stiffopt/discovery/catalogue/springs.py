@@ -112,8 +112,9 @@ GRAVITY_SPRING = Effect(
     report=_rest_angle,
     units={"k": "N m/rad", "offset": "rad"},
     log_prior=lambda constants: -1.0 if on_wrist(constants) else 0.0,
-    separate="Move the next joint with this one still: the torque of a payload changes, that of a"
-    " balancer does not.",
+    separate="Go to both ends of the stroke with the next joint still, then move that one alone: a"
+    " cable pulls ever harder towards the ends and a balancer ever less; the torque of a payload"
+    " changes with the next joint, that of a balancer does not.",
 )
 
 CABLE_SPRING = Effect(

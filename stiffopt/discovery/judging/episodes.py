@@ -21,7 +21,6 @@ from stiffopt.discovery.comparison.rows import ChannelNoise
 from stiffopt.discovery.comparison.signals import RobotConstants, RobotSignals
 from stiffopt.discovery.proof.predict import Prediction, Predictor
 from stiffopt.discovery.proof.proof import used_samples
-from stiffopt.discovery.training import Training
 from stiffopt.recording.run import RecordedRun
 
 # Rms over what is usual in a channel from which something happens there, and down to which it goes
@@ -382,23 +381,3 @@ def without(run: RecordedRun, episodes: Sequence[Episode]) -> RecordedRun:
 
     link = None if run.link_position is None else kept(run.link_position)
     return replace(run, torque=kept(run.torque), link_position=link)
-
-
-def training_without(training: Training, episodes: Sequence[Episode]) -> Training:
-    """Training runs that are judged without the episodes."""
-
-    def masked(run: PreparedRun) -> PreparedRun:
-        apart = np.ones(len(run.time), dtype=bool)
-        for each in episodes:
-            if each.run == run.name:
-                apart &= ~each.holds(run.time)
-        torque, deflection = run.torque_used, run.deflection_used
-        return replace(
-            run, torque_used=torque & apart[:, None], deflection_used=deflection & apart[:, None]
-        )
-
-    return replace(
-        training,
-        runs=tuple(map(masked, training.runs)),
-        recorded=tuple(without(run, episodes) for run in training.recorded),
-    )
