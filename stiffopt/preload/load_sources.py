@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from stiffopt.certificate.rigid_body import RigidBodyHistory, rigid_body_history
 from stiffopt.errors import InputFileError, ProblemError
@@ -29,6 +30,10 @@ DEFLECTIONS = ("total", "dynamic", "process")
 _SAME_TOOL = 1e-6
 # Written torques agree better than this share of the largest where arm and load are the same.
 _SAME_TORQUE = 1e-3
+# Torques of the joints' own motion within this share are those of links that follow at once.
+_SAME_MOTION = 0.01
+# Of the spline through a written motion of links.
+_DEGREE = 5
 
 
 def pose_case(
@@ -110,7 +115,9 @@ def trajectory_history(
     path = Path(path)
     table = _Table(path, robot.n)
     source = f"trajectory {path.name}"
-    velocity, acceleration = table.get("qd"), table.get("qdd")
+    position, velocity, acceleration = table.links(robot)
+    # Accelerations of a spline through samples are less exact than written ones.
+    share = _SAME_TORQUE if position is table.position else _SAME_MOTION
     wrench = frames = arm = None
     if whole:
         if velocity is None or acceleration is None:
@@ -122,30 +129,33 @@ def trajectory_history(
                 '`bearing = "beside"` of the flanges in the robot file.',
             )
         wrench = joint_wrenches(
-            robot, table.position, velocity, acceleration, np.asarray(force, dtype=float)
+            robot, position, velocity, acceleration, np.asarray(force, dtype=float)
         )
-        frames, arm = joint_frames(robot, table.position)
+        frames, arm = joint_frames(robot, position)
         revolute = ~robot.prismatic
-        _check_torque(path, robot, table.spring[:, revolute], wrench[:, revolute, 5])
+        _check_torque(path, robot, table.spring[:, revolute], wrench[:, revolute, 5], share)
     if deflection is None:
         return LoadHistory(
             name=name, time=table.time, torque=table.spring, wrench=wrench, source=source
         )
-    rest = np.zeros_like(table.position)
+    rest = np.zeros_like(position)
     known = velocity is not None and acceleration is not None
     body = rigid_body_history(
         robot,
-        table.position,
+        position,
         rest if velocity is None else velocity,
         rest if acceleration is None else acceleration,
     )
     tool = table.get("tool")
     if tool is not None:
-        _check_tool(path, robot, body.tool, tool)
+        own = body.tool
+        if position is not table.position:
+            own = rigid_body_history(robot, table.position, rest, rest).tool
+        _check_tool(path, robot, own, tool)
     pushed = np.einsum("kin,i->kn", body.jacobian, force)
     reference = _reference(deflection, table.spring, pushed, body)
     if reference is not None and known:
-        _check_torque(path, robot, table.spring, body.link_torque - pushed)
+        _check_torque(path, robot, table.spring, body.link_torque - pushed, share)
     return LoadHistory(
         name=name,
         time=table.time,
@@ -156,7 +166,7 @@ def trajectory_history(
         reference_wrench=(
             None
             if wrench is None
-            else _reference_wrench(deflection, robot, table.position, velocity, acceleration)
+            else _reference_wrench(deflection, robot, position, velocity, acceleration)
         ),
         frames=frames,
         arm=arm,
@@ -282,12 +292,13 @@ class _Table:
             quantity: [f"{quantity}{j}" for j in range(1, joints + 1)]
             for quantity in ("q", "qd", "qdd", "tau_spring")
         }
+        names["link"] = [f"link{j}" for j in range(1, joints + 1)]
         names["tool"] = [f"tool_{axis}" for axis in "xyz"]
         beyond = f"tau_spring{joints + 1}"
         columns = read_table(
             path,
             ["t", *names["q"], *names["tau_spring"]],
-            [*names["qd"], *names["qdd"], *names["tool"], beyond],
+            [*names["qd"], *names["qdd"], *names["link"], *names["tool"], beyond],
         )
         if beyond in columns:
             raise InputFileError(
@@ -320,6 +331,24 @@ class _Table:
         """Spring torques (K, n) [N m] or [N]."""
         return self._quantities["tau_spring"]
 
+    def links(self, robot: Robot) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+        """Position, velocity and acceleration (K, n) of what is behind the springs.
+
+        Where links have a motion of their own, as shaped ones have, the springs carry that: its
+        derivatives are those of a spline through it.
+        """
+        link, velocity, acceleration = (self.get(each) for each in ("link", "qd", "qdd"))
+        if link is None or velocity is None or acceleration is None or len(link) <= _DEGREE:
+            return self.position, velocity, acceleration
+        turning = ~robot.prismatic
+        torque = joint_wrenches(robot, self.position, velocity, acceleration, np.zeros(3))[..., 5]
+        own = np.abs(torque - self.spring)[:, turning].max(initial=0.0)
+        if own <= _SAME_MOTION * np.abs(self.spring[:, turning]).max(initial=0.0):
+            return self.position, velocity, acceleration
+        spline = make_interp_spline(self.time, link, _DEGREE)
+        rate, second = (spline.derivative(order)(self.time) for order in (1, 2))
+        return link, np.asarray(rate), np.asarray(second)
+
     def get(self, quantity: str) -> np.ndarray | None:
         """A quantity (K, n or 3), None where the file lacks one of its columns."""
         return self._quantities.get(quantity)
@@ -336,11 +365,13 @@ def _check_tool(path: Path, robot: Robot, own: np.ndarray, written: np.ndarray) 
         )
 
 
-def _check_torque(path: Path, robot: Robot, written: np.ndarray, own: np.ndarray) -> None:
+def _check_torque(
+    path: Path, robot: Robot, written: np.ndarray, own: np.ndarray, share: float
+) -> None:
     miss = np.abs(own - written)
     joint = int(np.argmax(miss.max(axis=0)))
     worst, largest = float(miss[:, joint].max()), float(np.abs(written[:, joint]).max())
-    if worst > _SAME_TORQUE * max(largest, float(np.abs(written).max()) * _SAME_TORQUE):
+    if worst > share * max(largest, float(np.abs(written).max()) * _SAME_TORQUE):
         raise InputFileError(
             path,
             f"tau_spring{joint + 1}",
