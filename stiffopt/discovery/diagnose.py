@@ -252,6 +252,7 @@ def _parameters(
 ) -> tuple[tuple[Selected, ...], Estimate]:
     """Findings and their parameters, as far as the user waits for them."""
     comparison = result.comparison
+    comparison.columns.release()
 
     def fitted() -> tuple[tuple[Selected, ...], Estimate]:
         located = tuple(s.located for s in selected)

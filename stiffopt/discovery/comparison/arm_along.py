@@ -16,7 +16,7 @@ from stiffopt.discovery.comparison.bodies import A_BODY
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 
 # Torques of single bodies that are kept of all runs of a robot, those asked for last [bytes].
-_KEPT_BYTES = 2**27
+_KEPT_BYTES = 2**26
 # Torques of changed bodies that are kept of a run, those asked for last.
 _KEPT_CHANGES = 3
 

@@ -25,7 +25,7 @@ _BLOCK_SECONDS = 2.0
 _MOST_BLOCKS = 8
 # Columns that are kept for the next time they are asked for: those of shapes that every search
 # starts from as far as memory goes [bytes], and the latest of others.
-_KEPT_BYTES, _KEPT_LATEST = 2**28, 64
+_KEPT_BYTES, _KEPT_LATEST = 2**27, 64
 # Of modes that a run may begin to swing in, over the filter's cutoff.
 _BEYOND_CUTOFF = 1.5
 # Earlier extensions that columns are kept about.
@@ -144,6 +144,11 @@ class Columns:
         self._bytes = 0
         for nominal in self._made.values():
             nominal.products.clear()
+
+    def release(self) -> None:
+        """Make room once a search is over: what was tried last is not asked for any more."""
+        self._latest.clear()
+        self.robot.kept_torques.clear()
 
     @property
     def nuisance(self) -> tuple[list[str], np.ndarray, np.ndarray]:
