@@ -107,7 +107,7 @@ def _asked(name: str, path: Path) -> dict[str, Any]:
         return {"absent": f"no end in {SECONDS} s"}
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     if done.returncode:
-        return {"absent": (done.stderr.strip().splitlines() or ["no answer"])[-1]}
+        return {"absent": " ".join(done.stderr.strip().splitlines()[-2:]) or "no answer"}
     return {
         "torque": np.load(path.with_suffix(".npy")),
         "size": json.loads(done.stdout.splitlines()[-1]),

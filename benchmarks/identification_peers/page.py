@@ -34,7 +34,8 @@ What each was told by hand, beside URDF and recordings:
 - mujoco.sysid 4.0.0: the parameters: damping, frictionloss, armature and torque offset of every
   joint, pseudo-inertia of every body, with starts and bounds from the sizes of the torques; at most
   30 iterations; `mj_inverse` in place of its rollout, which leaves a closed loop's recording
-  within a second; 1200 samples; a least inertia of the last body of two URDFs, which have none;
+  within a second; 1200 samples; a least inertia of the last body of two URDFs, which have none
+  (kuka_kr300: with it, its compiler refuses a body on the way);
 - pysindy 2.1.0: a library (angles, speeds and signs, accelerations and nominal torques of all
   joints, products of the joint's own), threshold and ridge chosen by stretches left out;
 - stiffopt: nothing of the set; its catalogue of effects is its authors'. Its findings are of the

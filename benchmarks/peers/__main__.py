@@ -1,7 +1,8 @@
-"""Solve problems of two arms by stiffopt and its peers in turn, and write RESULTS.md beside this.
+"""Solve problems of two arms by stiffopt and its peers in turn.
 
-    python -m benchmarks.peers install [NAME ...]   # each in an environment of its own
-    python -m benchmarks.peers [--rounds 3] [--keep]
+    python -m benchmarks.peers install [NAME ...]       # each in an environment of its own
+    python -m benchmarks.peers [TASK ...] [--rounds 3]  # tables into work/
+    python -m benchmarks.peers page                     # RESULTS.md of all in work/
 
 A peer whose environment is not there is reported absent. Every answer is driven through the same
 judge. Times are CPU seconds of one thread, medians over the rounds, in each of which all run in
@@ -65,25 +66,30 @@ class Task:
 
 
 UNFIT = {"crocoddyl": "does not apply: its steps are fixed"}
-TASKS = (
-    Task(
+TASKS = {
+    "torque_squared": Task(
         "UR10, torque squared",
         DATA / "ur10.json",
         "torque_squared",
         {"toppra": "does not apply: minimum time on a given path"},
     ),
-    Task("UR10, minimum time", DATA / "ur10.json", "minimum_time", UNFIT),
-    Task("Two links, minimum time", HERE / "two_link.json", "minimum_time", UNFIT),
-)
-HEAD = """`python -m benchmarks.peers --keep` wrote this; CPU seconds of one thread, medians of
-rounds in which all run in turn. All start from constant speed on the straight joint line. The judge
-drives pinocchio's model by each answer's control on 20 instants an interval: objective, largest
-excess of velocity or torque over their limits, miss of the end pose. acados generates and compiles
-its code before, stiffopt has compiled in an earlier run; neither is counted. toppra times the
-straight line only: what a free path is compared with."""
+    "minimum_time": Task("UR10, minimum time", DATA / "ur10.json", "minimum_time", UNFIT),
+    "two_link": Task("Two links, minimum time", HERE / "two_link.json", "minimum_time", UNFIT),
+}
+HEAD = """`python -m benchmarks.peers` fills this (after `install`; `page` writes it). CPU seconds
+of one thread on a computer that others use too: medians of two or three rounds in which
+all run in turn, and ratios within them; a peer whose process takes more than 40 s runs
+in the first round alone. All start from constant speed on the straight joint line. The
+judge drives pinocchio's model by each answer's control on 20 instants an interval:
+objective, largest excess of velocity or torque over their limits, miss of the end pose.
+acados generates and compiles its code before, stiffopt has compiled in an earlier run;
+neither is counted. acados weighs a little jerk beside the square of a free duration,
+without which it does not end. toppra times the straight line only: what a free path is
+compared with. The two links are those of Weinreb and Bryson, whose shortest time is
+2.9823 s."""
 INTERVALS = 100
 # Of the processor, for one process.
-SECONDS = 180
+SECONDS, SLOW = 180, 40
 
 
 def task_of(task: Task) -> dict[str, Any]:
@@ -174,44 +180,51 @@ def table(
     return [*lines, ""]
 
 
-def measure(rounds: int) -> list[str]:
-    """All tasks by all peers that are there."""
-    lines = []
+def measure(task: Task, rounds: int) -> list[str]:
+    """A task's table, by all peers that are there."""
+    runs: dict[str, list[dict[str, Any]]] = {}
+    failed: dict[str, str] = {}
+    numbers = task_of(task)
+    names = [n for n in PEERS.packages if n not in task.unfit and PEERS.python(n)]
     with tempfile.TemporaryDirectory() as folder:
-        for number, task in enumerate(TASKS):
-            numbers = task_of(task)
-            path = Path(folder, f"{number}.json")
-            path.write_text(json.dumps(numbers))
-            there = [n for n in PEERS.packages if n not in task.unfit and PEERS.python(n)]
-            runs: dict[str, list[dict[str, Any]]] = {}
-            failed: dict[str, str] = {}
-            for _ in range(rounds):
-                for name in [name for name in there if name not in failed]:
-                    answer = asked(name, path)
-                    if isinstance(answer, str):
-                        failed[name] = answer
-                    else:
-                        runs.setdefault(name, []).append(answer)
-            judged = {name: judge(numbers, found[-1]) for name, found in runs.items()}
-            lines += table(task, runs, judged, failed)
-            print("\n".join(lines), flush=True)
-    return lines
+        path = Path(folder, "task.json")
+        path.write_text(json.dumps(numbers))
+        for _ in range(rounds):
+            for name in list(names):
+                answer = asked(name, path)
+                if isinstance(answer, str):
+                    failed[name] = answer
+                    names.remove(name)
+                    continue
+                runs.setdefault(name, []).append(answer)
+                if answer["process_s"] > SLOW:
+                    names.remove(name)
+    judged = {n: judge(numbers, found[-1]) for n, found in runs.items() if n not in failed}
+    return table(task, runs, judged, failed)
 
 
 def main() -> None:
-    """Install peers, or run them."""
-    parser = argparse.ArgumentParser(prog="benchmarks.peers", description=__doc__)
-    parser.add_argument("what", nargs="*", help="install [NAME ...]")
+    """Install peers, run them, or write the page."""
+    parser = argparse.ArgumentParser(
+        prog="benchmarks.peers",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("what", nargs="*", help="tasks (all), or install [NAME ...], or page")
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--keep", action="store_true", help="write RESULTS.md")
     given = parser.parse_args()
+    work = HERE / "work"
     if given.what[:1] == ["install"]:
         PEERS.install(given.what[1:])
-        return
-    lines = measure(given.rounds)
-    if given.keep:
-        text = "\n".join(["# Peers", "", HEAD, "", *lines])
-        (HERE / "RESULTS.md").write_text(text)
+    elif given.what == ["page"]:
+        parts = [path.read_text() for key in TASKS if (path := work / f"{key}.md").is_file()]
+        (HERE / "RESULTS.md").write_text("\n".join(["# Peers", "", HEAD, "", *parts]))
+    else:
+        work.mkdir(exist_ok=True)
+        for key in given.what or TASKS:
+            lines = measure(TASKS[key], given.rounds)
+            (work / f"{key}.md").write_text("\n".join(lines))
+            print("\n".join(lines), flush=True)
 
 
 if __name__ == "__main__":
