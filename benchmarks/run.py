@@ -31,6 +31,7 @@ HEAD = """# Results of one run
 Ratios of times hold within one table, the seconds themselves only on the computer of the run.
 Reference numbers come from the problem data and from the peers named in each row. "Worst limit
 between nodes" is the largest violation on the certificate's grid, negative where there is margin.
+How 200 random problems of all objectives ended is counted in RANDOM.md.
 """
 
 

@@ -107,7 +107,8 @@ def page(good: list[dict[str, Any]], bad: list[dict[str, Any]], fresh: list[dict
             "",
             "## Of another seed",
             "",
-            "Drawn and solved once, after all that is above; nothing was changed for them since.",
+            "Drawn and solved once, after the causes of wrong ends were mended; nothing was changed"
+            " for them.",
             "",
             *_table(fresh, 40),
             *_listed("Not optimal", [r for r in fresh if r["status"] != "optimal"]),
