@@ -1,6 +1,7 @@
 """How likely nothing gives what was found: by what it spreads from part to part."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ def _estimate(values, spread, between):
     return Estimate(
         nuisance=(),
         values=values,
-        effects=(),
+        effects=(SimpleNamespace(located=SimpleNamespace(by_run=False)),),
         covariance=1e-6 * np.eye(len(values)),
         spread=spread,
         between=between,
