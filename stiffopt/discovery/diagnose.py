@@ -191,7 +191,7 @@ def diagnose(
 
     def concluded() -> Diagnosis:
         proofs, taken = tuple(opened.proofs), opened.shares.found()
-        drift = drifts(found, training.constants, opened.velocities)
+        drift = drifts(whole, training.constants, opened.velocities)
         seen = (*training.recorded, *(proof.run for proof in proofs))
         return Diagnosis(
             recordings=recordings,

@@ -137,11 +137,15 @@ def _untouched(
         say(f"{_leaves_out(new)}, and search again")
         try:
             apart = _without(recordings, training, settings, base, say, new)
-            result = _searched(recordings, apart, asked, base, say)
+            again = _searched(recordings, apart, asked, base, say)
+            stopped = again.stopped
         except KeyboardInterrupt:
+            stopped = True
+        if stopped:
+            # The answer before is whole, that of a search that was stopped is not.
             result = replace(result, stopped=True)
             break
-        training, found = apart, (*found, *new)
+        training, result, found = apart, again, (*found, *new)
     return training, result, found
 
 

@@ -166,7 +166,7 @@ def _rigid(diagnosis: Diagnosis) -> dict[str, Any] | None:
     if rigid is None:
         return None
     return {
-        "reidentified": bool(rigid.widths),
+        "reidentified": rigid.freed,
         "width": max(rigid.widths, default=0.0),
         "widths": list(rigid.widths),
         "gain": rigid.gain,

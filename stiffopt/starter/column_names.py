@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from stiffopt.recording.set_points import is_set_point
+from stiffopt.recording.set_points import may_be_set_point
 from stiffopt.starter.tables import UNITS
 
 KINDS = ("velocity", "torque", "link_position", "position")
@@ -90,7 +90,7 @@ def _bracketed(name: str) -> str:
 
 def _measured(names: Sequence[str]) -> list[str]:
     """Of several columns of one kind: measured before wanted."""
-    return [name for name in names if not is_set_point(name)]
+    return [name for name in names if not may_be_set_point(name)]
 
 
 def _is_current(name: str) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stiffopt.errors import InputError
-from stiffopt.recording.set_points import is_set_point
+from stiffopt.recording.set_points import may_be_set_point
 from stiffopt.robot.robot import Robot
 from stiffopt.starter.column_names import (
     CURRENT,
@@ -150,7 +150,7 @@ def _doubt(kind: str, others: Sequence[tuple[str, ...]]) -> str:
 
 def _only_set_points(kind: str, names: Sequence[str]) -> str:
     """What to ask where nothing but set points is there."""
-    if not any(name and is_set_point(name) for name in names):
+    if not any(name and may_be_set_point(name) for name in names):
         return ""
     return (
         f". QUESTION: set points by their names, and no measured {kind} was found: what an"

@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from diagnosed_folders import written
 from simulated_sets import diagnosed, said, simulated
 
 from benchmarks.simulator import CaseSpec
 from stiffopt.discovery.catalogue.friction_drift import FRICTION_DRIFT, friction_drift
+from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.extended.model import load_extended
 from stiffopt.discovery.extended.store import extended_text
 from stiffopt.discovery.soundness import faults, sample_signals
@@ -33,8 +35,13 @@ def of_run(name, entry, levels, share=0.0):
 def test_a_run_has_its_own_level_and_a_further_one_the_mean():
     entry = friction_drift(("a", "b"))
     mean = of_run("c", entry, [0.3, 0.1, -0.2])
-    np.testing.assert_allclose(of_run("a", entry, [0.3, 0.1, -0.2]), mean * 4.0 / 3.0)
-    np.testing.assert_allclose(of_run("b", entry, [0.3, 0.1, -0.2]), mean / 3.0)
+    np.testing.assert_allclose(of_run("a", entry, [0.3, 0.1, -0.2]), mean * 0.4 / 0.25)
+    np.testing.assert_allclose(of_run("b", entry, [0.3, 0.1, -0.2]), mean * 0.1 / 0.25)
+    alone = of_run("c", friction_drift(()), [0.25])
+    np.testing.assert_allclose(mean, alone)
+    constants = sample_signals().constants.joints[4]
+    reported = entry.parameters([0.3, 0.1, -0.2], [0.0], constants)
+    assert reported["dFc"] == pytest.approx(0.25 * constants.coulomb)
 
 
 def test_runs_of_another_set_are_others_whatever_their_names():
@@ -79,6 +86,10 @@ def test_drift_is_named_as_one_effect_with_mean_and_spread(tmp_path):
     path.write_text(extended_text(found), encoding="utf-8")
     (again,) = load_extended(path).extension.effects
     assert again.amplitudes == found.findings[0].estimated.amplitudes
+    later = diagnose(written(DRIFT), model=path, experiment=False)
+    assert [(each.joint, each.dry, each.viscous) for each in later.drift] == [
+        (each.joint, pytest.approx(each.dry), pytest.approx(each.viscous)) for each in found.drift
+    ]
 
 
 @pytest.mark.slow

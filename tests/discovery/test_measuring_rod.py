@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -14,7 +15,7 @@ from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.black_box import BlackBox, MeasuringRod
-from stiffopt.discovery.judging.carried_over import not_carried_over
+from stiffopt.discovery.judging.carried_over import Drift, NotCarriedOver, not_carried_over
 from stiffopt.discovery.judging.random_features import smooth_function
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.proof.proof import RunProof, prove
@@ -106,6 +107,52 @@ def test_a_value_that_one_run_has_of_its_own_is_said(kind: str, value: float) ->
     proof = _proof(training, predictor, replace(run, torque=few))
     assert "torque_1" in [channel.name for channel in proof.channels]
     assert not not_carried_over([proof], [speed])
+
+
+ALONG = {"constant": np.ones_like, "dry friction": np.sign, "viscous friction": lambda v: v}
+
+
+@pytest.mark.parametrize(
+    ("shift", "kind", "drift"),
+    [
+        ("constant", "constant", (0.5, 0.0)),
+        ("dry friction", "friction drift", (0.5, 0.0)),
+        ("viscous friction", "viscous friction", (0.5, 0.0)),
+        ("dry friction", "dry friction", (0.0, 0.5)),
+        ("viscous friction", "friction drift", (0.0, 0.5)),
+        ("dry friction", "dry friction", (0.0, 0.0)),
+    ],
+)
+def test_drift_stands_for_what_it_is_of(shift: str, kind: str, drift: tuple[float, float]) -> None:
+    """A shift of another kind is told as what it is, and without a spread there is no drift."""
+    known = Drift(joint=0, dry=drift[0], viscous=drift[1])
+    found = _shifted(lambda speed: 2.0 * ALONG[shift](speed), known)
+    (said,) = found
+    assert said.kind == kind
+    spread = sum(drift) if kind == "friction drift" else 1.0
+    assert said.value == pytest.approx(2.0 / spread, rel=0.2)
+
+
+def test_friction_is_told_in_both_directions_alone() -> None:
+    """In one direction a drift is no other than an offset."""
+    known = Drift(joint=0, dry=0.5, viscous=0.0)
+    (said,) = _shifted(np.ones_like, known, lambda speed: speed > 0.0)
+    assert said.kind == "constant"
+
+
+def _shifted(
+    shift: Callable[[np.ndarray], np.ndarray],
+    drift: Drift,
+    kept: Callable[[np.ndarray], np.ndarray] = np.isfinite,
+) -> tuple[NotCarriedOver, ...]:
+    """What is said of a run with more torque at the first joint."""
+    training, run = _training(), _left_out()
+    predictor = Predictor(training.robot, run, training.constants, training.settings)
+    speed = predictor.velocity
+    torque = run.torque.copy()
+    torque[:, 0] = np.where(kept(speed[:, 0]), torque[:, 0] + shift(speed[:, 0]), np.nan)
+    proof = _proof(training, predictor, replace(run, torque=torque))
+    return not_carried_over([proof], [speed], [drift])
 
 
 def _proof(training: Training, predictor: Predictor, run: RecordedRun) -> RunProof:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +19,12 @@ from benchmarks.real_concealed.hide import KINDS, hidden
 from benchmarks.real_concealed.motion import PublicSet
 from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.cli import run
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.gate import doubts, remarks
+from stiffopt.discovery.sanity.joint_gains import _CommonFit, joint_gains
+from stiffopt.discovery.sanity.samples import sampled
 from stiffopt.discovery.training import training_runs
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.recording.set_points import is_set_point
@@ -420,6 +425,37 @@ def test_set_points_are_no_motion(tmp_path, capsys):
     assert told.line.startswith("position = ")
 
 
+def test_a_reference_in_a_name_is_remarked_and_stops_nothing(tmp_path):
+    def renamed(columns: Columns) -> None:
+        for joint in (1, 2):
+            columns[f"encoder_ref_{joint}"] = columns.pop(f"q{joint}")
+
+    folder = changed_copy(SHIPPED, tmp_path / "set", renamed)
+    rewritten(folder, 'position = ["q1", "q2"]', 'position = ["encoder_ref_1", "encoder_ref_2"]')
+    assert doubted(folder) == ()
+    recordings = load_recordings(folder)
+    (told,) = remarks(recordings, training_runs(recordings))
+    assert told.kind == "set points"
+    assert "encoder_ref_1, encoder_ref_2" in told.evidence
+
+
+def test_instants_without_a_motion_tell_no_gain():
+    recordings = load_recordings(SHIPPED)
+    robot, samples = RobotModel(recordings), sampled(training_runs(recordings))
+    plain = joint_gains(robot, samples)
+    holed = samples.acceleration.copy()
+    holed[5] = np.nan
+    velocity = samples.velocity.copy()
+    velocity[9, 0] = np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        fit = _CommonFit(robot, replace(samples, acceleration=holed, velocity=velocity))
+        found = joint_gains(robot, replace(samples, acceleration=holed, velocity=velocity))
+    assert fit.used == [0, 1]
+    assert all(np.isfinite(gram).all() for gram in fit.grams.values())
+    assert [each.joint for each in found] == [each.joint for each in plain]
+
+
 @pytest.mark.parametrize(
     ("name", "told"),
     [
@@ -436,6 +472,24 @@ def test_set_points_are_no_motion(tmp_path, capsys):
         ("axis set 1", False),
         ("Istposition A1", False),
         ("description_1", False),
+        ("Winkel_des_Gelenks_1", False),
+        ("position_des_axes_1", False),
+        ("encoder_ref_1", False),
+        ("J1 Ref. Position", False),
+        ("pos(ref. flange)", False),
+        ("position relative to reference frame", False),
+        ("q_rel_reference_1", False),
+        ("Solleck", False),
+        ("data_set_1", False),
+        ("QSOLL1", True),
+        ("QTarget1", True),
+        ("qref1", True),
+        ("q_ref_1", True),
+        ("qdes1", True),
+        ("q_des [deg]", True),
+        ("AXIS_SET1", True),
+        ("set_pos_1", True),
+        ("planned_q", True),
     ],
 )
 def test_names_of_set_points(name, told):

@@ -2,7 +2,10 @@
 
 import json
 import signal
+import sys
+from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +18,7 @@ import stiffopt.discovery.searched as searches
 from stiffopt.cli import run
 from stiffopt.discovery import conclusions
 from stiffopt.discovery.judging import held_out
+from stiffopt.discovery.judging.episodes import Episode
 from stiffopt.discovery.search import exchange
 from stiffopt.discovery.search import search as searching
 
@@ -108,6 +112,86 @@ def test_anywhere_behind_a_first_fit_the_findings_stay(
     if in_search:
         assert by_name["coulomb"].probability <= 0.5
     assert by_name["coulomb"].parameters[0].value == pytest.approx(5.0, abs=0.5)
+
+
+def test_a_second_search_that_is_stopped_leaves_the_first_answer(tmp_path, monkeypatch):
+    """Without what touched the arm all is sought anew: what a stop leaves of that is no answer."""
+    plain, answers = searches._searched, []
+
+    def searched(*arguments, **named):
+        answers.append(plain(*arguments, **named))
+        return answers[-1]
+
+    touch = Episode(run="a", role="train", begin=3.0, end=3.5, joints=(1,), sizes=(1.0,))
+    monkeypatch.setattr(searches, "_touched", lambda result: (touch,))
+    monkeypatch.setattr(searches, "_searched", searched)
+    # Behind the first effects, each time.
+    interrupted(monkeypatch, searching, "rigid_stage", 2)
+    found = diagnosing.diagnose(unvouched(tmp_path), experiment=False)
+    first, second = answers
+    assert second.stopped
+    assert second.effects
+    assert found.stopped
+    assert found.search.fit is first.fit
+    assert found.search.stopped
+    assert found.training.runs[0].name == "a"
+    assert np.isfinite(found.training.recorded[0].torque).all()
+    assert not found.episodes
+
+
+def test_wherever_ctrl_c_comes_a_run_was_opened_as_a_whole(monkeypatch):
+    """At every line of the loop over runs left out."""
+    names = ("a.npz", "b.npz")
+    stands_for = SimpleNamespace
+    for name in ("held_out_track", "without", "thinned", "_predicted_swinging"):
+        monkeypatch.setattr(held_out, name, lambda *_: stands_for(usable=True))
+    monkeypatch.setattr(held_out, "episodes_in", lambda *_: ())
+    monkeypatch.setattr(held_out, "prove", lambda *_: stands_for())
+    monkeypatch.setattr(
+        held_out,
+        "Predictor",
+        lambda *_, **__: stands_for(velocity=0, predict_each=lambda _: (0, 0)),
+    )
+    recordings = stands_for(
+        with_role=lambda *_: [stands_for(file=name) for name in names], open=lambda entry: entry
+    )
+    training = stands_for(robot=None, constants=None, noise=stands_for(channels=None))
+    stopped = 0
+    for line in range(200):
+        opened = held_out.HeldOut(training, None, (), None, ())
+        opened.shares = stands_for(add=lambda *_: None)
+        try:
+            with interrupted_at(line, held_out.HeldOut.predict_all):
+                opened.predict_all(recordings, lambda _: None)
+        except KeyboardInterrupt:
+            stopped += 1
+        assert len(opened.proofs) == len(opened.velocities)
+        assert opened.left in ([], *([list(names[len(opened.proofs) :])]))
+    assert 20 < stopped < 200
+
+
+@contextmanager
+def interrupted_at(line, function):
+    """Ctrl-C before that line of a function, counted as they are done."""
+    count = 0
+
+    def trace(frame, event, _):
+        nonlocal count
+        if frame.f_code is not function.__code__:
+            return None
+        if event == "line":
+            count += 1
+            if count > line:
+                sys.settrace(None)
+                raise KeyboardInterrupt
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        yield
+    finally:
+        sys.settrace(before)
 
 
 @pytest.mark.parametrize(

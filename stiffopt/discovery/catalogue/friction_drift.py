@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -30,13 +31,20 @@ def _term(
     amplitudes: Sequence[Quantity],
     shapes: Sequence[Quantity],
 ) -> Term:
-    """Friction by the level of a run that was seen, by the mean alone in any other."""
-    level = amplitudes[0]
+    """Friction by the level of a run that was seen, by the mean of all in any other."""
     if signals.run in seen:
-        level = level + amplitudes[1 + seen.index(signals.run)]
+        level = amplitudes[0] + amplitudes[1 + seen.index(signals.run)]
+    else:
+        level = _mean(amplitudes)
     constants, w, viscous = signals.constants, signals.motor_velocity, shapes[0]
     dry = (1.0 - viscous) * dry_friction(constants) * smooth_sign(w)
     return Term(drive_torque=level * (dry + viscous * viscous_friction(constants) * w))
+
+
+def _mean(amplitudes: Sequence[Any]) -> Any:
+    """Mean level of the runs that were seen."""
+    level, *own = amplitudes
+    return level + sum(own) / len(own) if own else level
 
 
 def _sizes(shapes: Sequence[float], constants: JointConstants) -> tuple[float, float]:
@@ -51,7 +59,7 @@ def _report(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: JointConstants
 ) -> Mapping[str, float]:
     own = np.array(amplitudes[1:])
-    mean = amplitudes[0] + (float(own.mean()) if own.size else 0.0)
+    mean = float(_mean(amplitudes))
     spread = float(own.std(ddof=1)) if own.size > 1 else 0.0
     dry, viscous = _sizes(shapes, constants)
     return {

@@ -23,6 +23,8 @@ from stiffopt.discovery.settings import MOVING
 _SHARE, _ABOVE = 0.5, 2.0
 # Parts of a run in each of which it must help, and samples below which nothing is said.
 _PARTS, _FEWEST = 4, 40
+# Share of a shape that a drift's own must hold to stand for it: a run tells them hardly apart.
+_ALIKE = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,16 +77,17 @@ class Drift:
 def drifts(
     found: Extension, constants: RobotConstants, velocities: Sequence[np.ndarray]
 ) -> tuple[Drift, ...]:
-    """Friction that was found to differ from run to run.
+    """Friction that was found to differ from run to run; of a joint's several the latest.
 
     Parameters
     ----------
     found : Extension
+        With that of the model that was started from.
     constants : RobotConstants
     velocities : sequence of array (K, n)
         Of the joints in held-out runs [rad/s].
     """
-    every = []
+    every: dict[int, Drift] = {}
     for each in found.effects:
         located = each.located
         if located.effect.of_runs is None or located.joint is None:
@@ -93,10 +96,12 @@ def drifts(
             each.amplitudes, located.shapes, located.constants(constants)
         )
         own = Drift(joint=located.joint, dry=values["dFc_spread"], viscous=values["dFv_spread"])
+        if own.dry == 0.0 and own.viscous == 0.0:
+            continue
         parts = [own.torque(v[:, own.joint]) for v in velocities]
         torque = np.concatenate(parts) if parts else np.zeros(1)
-        every.append(replace(own, rms=float(np.sqrt(np.nanmean(torque**2)))))
-    return tuple(every)
+        every[own.joint] = replace(own, rms=float(np.sqrt(np.nanmean(torque**2))))
+    return tuple(every.values())
 
 
 def not_carried_over(
@@ -140,10 +145,13 @@ def _best(
     """Share, value and kind of what takes away most, if it does so all along the run."""
     shapes = {"constant": np.ones_like(left)}
     if torque and speed.min() < -MOVING and speed.max() > MOVING:
-        shapes |= {"dry friction": smooth_sign(speed), "viscous friction": speed}
-    if drift is not None:
-        # Known to differ, it is no news that it does.
-        shapes = {"friction drift": drift.torque(speed)}
+        friction = {"dry friction": smooth_sign(speed), "viscous friction": speed}
+        known = np.zeros_like(left) if drift is None else drift.torque(speed)
+        if known.any():
+            # Known to differ, it is no news that it does; another friction or a constant is.
+            friction = {k: v for k, v in friction.items() if _held(v, known) < _ALIKE}
+            friction["friction drift"] = known
+        shapes |= friction
     found = []
     part = np.arange(len(left)) * _PARTS // len(left)
     for kind, shape in shapes.items():
@@ -153,3 +161,8 @@ def _best(
         if share >= _SHARE and np.bincount(part, fall).min() > 0.0:
             found.append((share, value, kind))
     return max(found, default=None)
+
+
+def _held(shape: np.ndarray, known: np.ndarray) -> float:
+    """Share of a shape's squares that a known one explains."""
+    return float((shape @ known) ** 2 / ((shape @ shape) * (known @ known)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,6 +25,16 @@ from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.thinning import thinned
 
 Say = Callable[[str], object]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Opened:
+    """All that is known of one run, taken in at once."""
+
+    file: str
+    proof: RunProof
+    velocity: np.ndarray
+    episodes: tuple[Episode, ...]
 
 
 class HeldOut:
@@ -70,12 +81,31 @@ class HeldOut:
         self._start, self._found, self._every = start, found, every
         self._box: BlackBox | None = None
         self._known = tuple(known)
-        self.episodes: list[Episode] = []
-        self.proofs: list[RunProof] = []
-        self.velocities: list[np.ndarray] = []
+        self._files: list[str] = []
+        self._opened: list[_Opened] = []
         self.shares = Shares(parts)
-        self.left: list[str] = []
         self.unusable: list[str] = []
+
+    @property
+    def proofs(self) -> list[RunProof]:
+        """One for every run."""
+        return [each.proof for each in self._opened]
+
+    @property
+    def velocities(self) -> list[np.ndarray]:
+        """One for every run."""
+        return [each.velocity for each in self._opened]
+
+    @property
+    def episodes(self) -> list[Episode]:
+        """Of all runs."""
+        return [episode for each in self._opened for episode in each.episodes]
+
+    @property
+    def left(self) -> list[str]:
+        """Files that were not opened yet."""
+        done = {*(each.file for each in self._opened), *self.unusable}
+        return [file for file in self._files if file not in done]
 
     @property
     def measurable(self) -> bool:
@@ -97,7 +127,7 @@ class HeldOut:
         training, settings = self._training, self._settings
         extensions = (*self._start, self._found)
         entries = recordings.with_role("test", "extrapolate")
-        self.left = [entry.file for entry in entries]
+        self._files = [entry.file for entry in entries]
         if hurried:
             say("stopped: runs left out are predicted still; Ctrl-C again leaves that out")
         swinging = _predicted_swinging(training, settings, extensions)
@@ -105,7 +135,6 @@ class HeldOut:
             say(f"predict {entry.file}")
             run = thinned(recordings.open(entry), self._every)
             if not run.usable:
-                self.left.remove(entry.file)
                 self.unusable.append(entry.file)
                 continue
             predictor = Predictor(
@@ -117,10 +146,9 @@ class HeldOut:
             # What a hand did tells nothing of the model.
             predictor.run = run = without(run, touched)
             proof = prove(run, predictor.velocity, before, after, training.noise)
-            self.episodes += touched
-            self.proofs.append(proof)
-            self.velocities.append(predictor.velocity)
-            self.left.remove(entry.file)
+            self._opened.append(
+                _Opened(file=entry.file, proof=proof, velocity=predictor.velocity, episodes=touched)
+            )
             say(f"share out what changes in {entry.file}")
             self.shares.add(predictor, self._start, self._found, proof)
             if self._box is not None:

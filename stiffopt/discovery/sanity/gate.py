@@ -23,7 +23,7 @@ from stiffopt.discovery.sanity.orders import DEGREE
 from stiffopt.discovery.sanity.samples import sampled
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
-from stiffopt.recording.set_points import is_set_point
+from stiffopt.recording.set_points import is_set_point, may_be_set_point
 
 # How far beyond its limits a joint may read: share of its range, and [rad] or [m].
 _BEYOND = (0.05, 0.02)
@@ -112,16 +112,32 @@ def _set_points(recordings: RecordingSet) -> Iterator[Doubt]:
 
 
 def remarks(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[Doubt, ...]:
-    """What stops nothing and yet is to be looked at: torques of one joint off by a factor.
+    """What stops nothing and yet is to be looked at: a name, torques of one joint off by a factor.
 
     A drive's constant may be off by that much, which is an effect of the catalogue; and so may be
     the description. Read after `doubts`.
     """
+    told = tuple(_references(recordings))
     samples = sampled(runs)
     if samples is None or recordings.signals.currents:
-        return ()
+        return told
     found = joint_gains(RobotModel(recordings), samples)
-    return tuple(_of_joint_gain(recordings, each) for each in found)
+    return (*told, *(_of_joint_gain(recordings, each) for each in found))
+
+
+def _references(recordings: RecordingSet) -> Iterator[Doubt]:
+    """Positions whose names may be those of set points."""
+    names = [name for name in recordings.signals.position if name]
+    told = [name for name in names if may_be_set_point(name) and not is_set_point(name)]
+    if told:
+        yield Doubt(
+            kind="set points",
+            joints=(),
+            evidence=f"The positions speak of a reference ({', '.join(told[:3])}"
+            f"{', ...' if len(told) > 3 else ''}): are they measured, and not what the arm was told"
+            " to do?",
+            line="",
+        )
 
 
 def _of_joint_gain(recordings: RecordingSet, found: JointGain) -> Doubt:

@@ -105,7 +105,9 @@ class _CommonFit:
     """Least squares of all joints' torques over shared inertial parameters and own friction."""
 
     def __init__(self, robot: RobotModel, samples: Samples) -> None:
-        q, v, a = samples.position, samples.velocity, samples.acceleration
+        motion = np.stack([samples.position, samples.velocity, samples.acceleration])
+        known = np.isfinite(motion).all(axis=(0, 2))
+        q, v, a = motion[:, known]
         regressor, spring = robot.body_regressor(q, v, a), robot.spring_torque(q, v, a)
         self.shared, self.n = regressor.shape[2], robot.n
         stated = robot.recordings.tolerance.mass
@@ -116,7 +118,7 @@ class _CommonFit:
         self.grams: dict[int, np.ndarray] = {}
         self.of_bodies: dict[int, float] = {}
         for j in range(robot.n):
-            torque, speed = samples.torque[:, j], v[:, j]
+            torque, speed = samples.torque[known, j], v[:, j]
             rows = (np.abs(speed) >= MOVING) & np.isfinite(torque)
             if rows.sum() < _FEWEST or np.ptp(torque[rows]) == 0.0:
                 continue

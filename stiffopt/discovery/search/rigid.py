@@ -26,6 +26,7 @@ from stiffopt.discovery.thresholds import NAMED_EVIDENCE, SPARSE_SHARE
 WIDTHS = (0.02, 0.06, 0.2, 0.6)
 # Of each body by itself: the first two hold it where the nominal model has it.
 OF_A_BODY = (0.002, 0.006, *WIDTHS)
+_HELD = 2
 # Fits to the noise that the one before left, until it is that of all channels together.
 _ROUNDS = 3
 # Passes over all bodies, and squares over noise in recordings left out that another width gains.
@@ -50,6 +51,11 @@ class RigidStage:
     widths: tuple[float, ...]
     gain: float
     single: Candidate | None
+
+    @property
+    def freed(self) -> bool:
+        """Whether any body was let go from where the nominal model has it."""
+        return any(width > OF_A_BODY[_HELD - 1] for width in self.widths)
 
     def bodies(self, comparison: Comparison) -> np.ndarray | None:
         """Standard deviations of all inertial parameters (n, 10); None where they stay."""

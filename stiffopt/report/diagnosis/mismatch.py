@@ -81,6 +81,8 @@ def mismatches(diagnosis: Diagnosis) -> list[Mismatch]:
     if not diagnosis.findings:
         return []
     kinds = list(dict.fromkeys(each.measured for each in diagnosis.shares))
+    # Shares of what is within twice its noise are not asked.
+    measured = {channel.kind for proof in diagnosis.held_out for channel in proof.channels}
     found = []
     for kind in kinds:
         pieces = [
@@ -92,20 +94,27 @@ def mismatches(diagnosis: Diagnosis) -> list[Mismatch]:
             for each in diagnosis.shares
             if each.measured == kind and (each.part is None or abs(each.share) >= _LEAST)
         ]
-        of = f" of {_MEASURED[kind]}" if len(kinds) > 1 else ""
+        of = f" of {_MEASURED[kind]}" if len(measured) > 1 else ""
         found.append(Mismatch(sentence=_sentence(of, pieces), pieces=pieces))
     return found
 
 
 def _sentence(of: str, pieces: Sequence[NamedShare]) -> str:
-    helps = ", ".join(f"{_percent(p.share)} {p.words}" for p in pieces if p.share >= 0.0)
-    harms = listed(f"{p.words} by {_percent(-p.share)}" for p in pieces if p.share < 0.0)
+    # What is open may come out below nothing where less is left than noise; only parts do harm.
+    helps = ", ".join(
+        f"{_percent(max(p.share, 0.0))} {p.words}" for p in pieces if p.open or p.share >= 0.0
+    )
+    harms = listed(
+        f"{p.words} by {_percent(-p.share)}" for p in pieces if not p.open and p.share < 0.0
+    )
     text = f"Of the mismatch{of} on runs left out: {helps or 'nothing is explained'}."
     return f"{text} There it is made worse: {harms}." if harms else text
 
 
 def _percent(share: float) -> str:
     size = 100.0 * share
+    if 0.0 < size < 0.1:
+        return "below 0.1 %"
     return f"{size:.0f} %" if size >= 1.0 or size == 0.0 else f"{size:.1g} %"
 
 
@@ -214,7 +223,7 @@ def _part_words(diagnosis: Diagnosis, part: Part) -> str:
 def _masses(diagnosis: Diagnosis, effects: Sequence[LocatedEffect]) -> str:
     found = [f"{e.effect.title} ({place(diagnosis, e)})" for e in effects]
     rigid = diagnosis.search.rigid
-    if rigid is not None and rigid.widths:
+    if rigid is not None and rigid.freed:
         found.append("rigid model re-identified")
     elif not found:
         return "nominal values within their tolerances"
@@ -223,5 +232,5 @@ def _masses(diagnosis: Diagnosis, effects: Sequence[LocatedEffect]) -> str:
 
 def _range(low: float, high: float) -> str:
     """Shares as percentages, one where both read alike."""
-    least, most = f"{100 * low:.0f}", f"{100 * high:.0f}"
+    least, most = round(100 * low), round(100 * high)
     return f"{most} %" if least == most else f"{least} to {most} %"

@@ -1,0 +1,57 @@
+"""What a mismatch is made of, in words, at the edges: next to nothing, and less than nothing."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from stiffopt.discovery.judging.shares import Part, Share
+from stiffopt.discovery.search.rigid import OF_A_BODY, RigidStage
+from stiffopt.report.diagnosis.mismatch import _range, mismatches
+
+OFFSETS = Part(kind="usual")
+
+
+def told(part, left, part_of=OFFSETS, kinds=("torque",), rigid=None):
+    """The sentence of one part and of what is open."""
+    diagnosis = SimpleNamespace(
+        findings=(None,),
+        shares=[
+            Share(part=part_of, measured="torque", share=part),
+            Share(part=None, measured="torque", share=left),
+        ],
+        held_out=[SimpleNamespace(channels=[SimpleNamespace(kind=kind) for kind in kinds])],
+        search=SimpleNamespace(rigid=rigid),
+    )
+    (only,) = mismatches(diagnosis)
+    return only.sentence
+
+
+@pytest.mark.parametrize(
+    ("left", "words"),
+    [(-0.003, "0 %"), (0.0, "0 %"), (1e-8, "below 0.1 %"), (0.004, "0.4 %"), (0.2, "20 %")],
+)
+def test_what_is_open_is_never_less_than_nothing(left, words):
+    assert told(0.9, left) == f"Of the mismatch on runs left out: 90 % offsets, {words} open."
+
+
+def test_a_part_may_do_harm():
+    assert told(-0.2, 1.2).endswith("120 % open. There it is made worse: offsets by 20 %.")
+
+
+def test_encoders_within_their_noise_are_not_spoken_of():
+    assert told(0.9, 0.1, kinds=("torque", "link_position")).startswith(
+        "Of the mismatch of the torques on runs left out: "
+    )
+
+
+@pytest.mark.parametrize(("width", "freed"), [(OF_A_BODY[1], False), (OF_A_BODY[2], True)])
+def test_bodies_that_are_all_held_are_not_reidentified(width, freed):
+    rigid = RigidStage(widths=(OF_A_BODY[0], width), gain=20.0, single=None)
+    assert ("re-identified" in told(0.9, 0.1, Part(kind="nominal"), rigid=rigid)) == freed
+
+
+def test_shares_are_rounded_before_they_are_told():
+    assert _range(-0.001, 0.03) == "0 to 3 %"
+    assert _range(-0.001, 0.001) == "0 %"
+    assert _range(np.float64(0.1), np.float64(0.5)) == "10 to 50 %"
