@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -106,7 +106,7 @@ def start_recording_set(
     else:
         last = files[-1].name if len(files) > 1 else parts[-1][1]
         for path, name, part in parts:
-            kept = last in (path.name if len(files) > 1 else name, name)
+            kept = last == (path.name if len(files) > 1 else name)
             runs.append((name, "test" if kept else "train", part))
         notes.append(f"{last} is kept for judging (test), the others are fitted to.")
     folder.mkdir(parents=True, exist_ok=True)
@@ -132,10 +132,11 @@ def _parts(
     """File, name and columns of each run, one for each clock of a file; what is to be said."""
     parts: list[tuple[Path, str, dict[str, np.ndarray]]] = []
     notes: list[str] = []
+    taken = {_stem(path) for path in tables}
     for path, table in tables.items():
         own = list(_clocks(_kept(table, names), time))
-        stem = _stem(path)
-        called = [stem] if len(own) == 1 else [f"{stem}_{k}" for k in range(1, len(own) + 1)]
+        called = [_stem(path)] if len(own) == 1 else _part_names(_stem(path), len(own), taken)
+        taken.update(called)
         parts += [(path, name, part) for name, part in zip(called, own, strict=True)]
         if len(own) > 1:
             notes.append(
@@ -143,6 +144,15 @@ def _parts(
                 f" {len(own)} runs, {', '.join(called)}."
             )
     return parts, notes
+
+
+def _part_names(stem: str, count: int, taken: Container[str]) -> list[str]:
+    """Of the parts of one file: STEM_1 and so on, or STEM_part_1 where a run has such a name."""
+    while True:
+        names = [f"{stem}_{k}" for k in range(1, count + 1)]
+        if not any(name in taken for name in names):
+            return names
+        stem += "_part"
 
 
 def _clocks(table: Mapping[str, np.ndarray], time: str) -> Iterator[dict[str, np.ndarray]]:

@@ -438,6 +438,29 @@ def test_a_clock_that_begins_anew_makes_runs_of_its_own(tmp_path, capsys):
         assert stored["tau1"][0] == 500.0
 
 
+def test_parts_of_a_log_keep_clear_of_the_names_of_other_files(tmp_path):
+    """Every run has a file of its own, with its own rows, and one role."""
+    lengths = {"log": (500, 450), "log_1": (420,), "log_2": (430,)}
+    for name, parts in lengths.items():
+        t = np.concatenate([np.arange(float(n)) for n in parts])
+        rows = (f"{5.0 * s:g},{np.sin(0.01 * s)},{np.cos(0.01 * s)},{k},1" for k, s in enumerate(t))
+        (tmp_path / f"{name}.csv").write_text("\n".join(["t_ms,q1,q2,tau1,tau2", *rows]))
+    logs, out = [str(tmp_path / f"{name}.csv") for name in lengths], tmp_path / "set"
+    assert run(["init", "recording", *logs, "--urdf", str(URDF), "-o", str(out)]) == 0
+    document = tomllib.loads((out / "recordings.toml").read_text())
+    found = {}
+    for each in document["runs"]:
+        with np.load(out / each["file"]) as stored:
+            assert each["file"] not in found
+            found[each["file"]] = (len(stored["t_ms"]), each["role"])
+    assert found == {
+        "log_part_1.npz": (500, "train"),
+        "log_part_2.npz": (450, "train"),
+        "log_1.npz": (420, "train"),
+        "log_2.npz": (430, "test"),
+    }
+
+
 @pytest.mark.parametrize("last", ["", "Bemerkung"])
 def test_two_heads_of_which_the_last_column_is_empty(last, tmp_path):
     text = [f"Zeit;Achse 1 Istposition;Achse 1 Strom;{last}", "[ms];[Grad];[A];"]
