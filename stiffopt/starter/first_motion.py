@@ -1,4 +1,4 @@
-"""A first motion of a robot: about the middle of its ranges, within limits, free of collisions."""
+"""A first motion of a robot: about the middle of its ranges, within limits, clear of itself."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stiffopt.baseline.baselines import quintic_law
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
 from stiffopt.errors import NotSimulatedError, RobotError
@@ -18,10 +19,16 @@ _SHARE, _ENDLESS = 0.15, 0.6
 # Over the shortest time that the quintic motion needs.
 _ROOM = 2.0
 _TRIES = 200
-# Of the torque limits: what the weight may take, and what the quintic motion may.
-_WEIGHT, _TORQUE = 0.7, 0.8
+# Of the torque limits: what weight and Coulomb friction take in a good pose and, if there is none,
+# at most; and what the quintic motion may take from a good one.
+_WEIGHT, _HELD, _TORQUE = 0.7, 0.9, 0.8
 # Places on the way that are looked at, and by how much a motion that needs too much is slowed.
 _PLACES, _SLOWER, _SLOWEST = 21, 1.2, 30
+_LAW = quintic_law(1.0)
+# Largest speed, acceleration and jerk of the law, within 0.02 %.
+_SPEED, _ACCELERATION, _JERK = (
+    float(np.abs(_LAW(np.linspace(0.0, 1.0, 101), order)).max()) for order in (1, 2, 3)
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,26 +41,39 @@ class FirstMotion:
     duration : float
     yields : bool
         Whether the tool yields on the way and the arm can swing.
+    checked : bool
+        Whether there are links with shapes that could meet; else no pose was refused for that.
     """
 
     start: np.ndarray
     end: np.ndarray
     duration: float
     yields: bool
+    checked: bool
 
 
 def first_motion(robot: Robot) -> FirstMotion:
-    """Find a motion that drives hold, that meets nothing of the arm, above its base if possible.
+    """Find a motion that drives hold, without links in each other, above the base if possible.
+
+    Links are looked at as far as the URDF has shapes of them, see `ClearanceModel`.
 
     Raises
     ------
     RobotError
-        No pose was found that the drives can hold, or none without a collision.
+        No pose was found that the drives can hold, or none without a collision, or the drives
+        cannot make the motion however slow.
     """
-    start, end = _poses(robot)
+    shapes = ClearanceModel(robot, Cell())
+    start, end = _poses(robot, shapes)
     yields = robot.tool_yields(_between(start, end))
     swing = _swing(robot, start) if yields else None
-    return FirstMotion(start, end, _duration(robot, start, end, swing or 0.0), swing is not None)
+    return FirstMotion(
+        start,
+        end,
+        _duration(robot, start, end, swing or 0.0),
+        yields=swing is not None,
+        checked=bool(shapes.pairs),
+    )
 
 
 def _between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -61,7 +81,8 @@ def _between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     return np.asarray(start + np.linspace(0.0, 1.0, _PLACES)[:, None] * (end - start))
 
 
-def _poses(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+def _poses(robot: Robot, shapes: ClearanceModel) -> tuple[np.ndarray, np.ndarray]:
+    """Ends of the motion: where the drives have torque to spare, else where they can hold it."""
     low, high = robot.position_lower, robot.position_upper
     finite = np.isfinite(high - low)
     low, high = np.where(finite, low, 0.0), np.where(finite, high, 0.0)
@@ -69,8 +90,9 @@ def _poses(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     half = np.where(finite, 0.5 * _SHARE * (high - low), 0.5 * _ENDLESS)
     half = np.minimum(half, np.where(robot.prismatic, np.inf, 0.5 * _ENDLESS))
     random = np.random.default_rng(1)
-    bodies, shapes = robot.rigid_bodies(), ClearanceModel(robot, Cell())
-    least, least_joint, needed, met, below = np.inf, 0, 0.0, ("", ""), None
+    bodies, friction = robot.rigid_bodies(), np.nan_to_num(robot.coulomb)
+    least, least_joint, needed, met, held = np.inf, 0, 0.0, ("", ""), 0
+    found: dict[tuple[bool, bool], tuple[np.ndarray, np.ndarray]] = {}
     for trial in range(_TRIES):
         centre = middle
         if trial:
@@ -79,33 +101,38 @@ def _poses(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
         start, end = np.round(centre - half, 3), np.round(centre + half, 3)
         way = _between(start, end)
         weight = np.max([np.abs(bodies.gravity_torque(pose)) for pose in way], axis=0)
-        share = weight / robot.torque_max
+        share = (weight + friction) / robot.torque_max
         if share.max() < least:
             least, least_joint = float(share.max()), int(np.argmax(share))
-            needed = float(weight[least_joint])
-        if share.max() > _WEIGHT:
+            needed = float((weight + friction)[least_joint])
+        if share.max() > _HELD or (weight / robot.torque_max).max() > _WEIGHT:
             continue
+        held += 1
         distances = [shapes.distances(pose) for pose in way]
         worst = min(distances, key=lambda each: float(each.min(initial=np.inf)))
         if worst.min(initial=np.inf) <= 0.0:
             met = shapes.pairs[int(np.argmin(worst))]
             continue
-        if min(bodies.pose(robot.tool, pose)[0][2] for pose in way) > 0.0:
+        below = min(bodies.pose(robot.tool, pose)[0][2] for pose in way) <= 0.0
+        rank = (bool(share.max() > _WEIGHT), bool(below))
+        if not any(rank):
             return start, end
-        below = below or (start, end)
-    if below is not None:
-        return below
-    if least <= _WEIGHT:
+        found.setdefault(rank, (start, end))
+    if found:
+        return found[min(found)]
+    if held:
         raise RobotError(
-            f"{robot.name}: in all of {_TRIES} poses that its drives hold {met[0]} is in {met[1]}."
-            " Correct the collision shapes of the URDF, or write the problem by hand with"
+            f"{robot.name}: in each of the {held} motions, of {_TRIES} tried, that its drives hold,"
+            f" links are in each other; in the last one {met[0]} is in {met[1]}. Correct the"
+            " collision shapes of the URDF, or write the problem by hand with"
             " method.collisions = 'check'."
         )
+    also = " and Coulomb friction" if friction[least_joint] > 0.0 else ""
     raise RobotError(
-        f"{robot.name}: in none of {_TRIES} poses do its drives hold its weight:"
+        f"{robot.name}: in none of {_TRIES} poses do its drives hold its weight{also}:"
         f" {robot.joint_names[least_joint]} has {robot.torque_max[least_joint]:g} N m and needs"
         f" {needed:.3g} at least, and room to move. Correct torque_max of the robot file, or its"
-        " masses."
+        f" masses{also and ' and friction'}."
     )
 
 
@@ -122,31 +149,38 @@ def _duration(robot: Robot, start: np.ndarray, end: np.ndarray, swing: float) ->
     """Of a quintic motion within velocity, acceleration, jerk and torque, with room and swings."""
     way = np.abs(end - start)
     times = (
-        (1.875 * way / robot.velocity_max).max(),
-        np.sqrt(5.78 * way / robot.acceleration_max).max(),
-        np.cbrt(60.0 * way / robot.jerk_max).max(),
+        (_SPEED * way / robot.velocity_max).max(),
+        np.sqrt(_ACCELERATION * way / robot.acceleration_max).max(),
+        np.cbrt(_JERK * way / robot.jerk_max).max(),
         0.2,
     )
     duration = float(_ROOM * max(times) + 2.0 * swing)
+    # What no slowness takes away; where that is much, half of what is left is for the motion.
+    still = _torque_share(robot, start, end, np.inf).max()
+    allowed = _TORQUE if still <= _WEIGHT else 0.5 * (1.0 + still)
     for _ in range(_SLOWEST):
-        if _torque_share(robot, start, end, duration) <= _TORQUE:
-            break
+        share = _torque_share(robot, start, end, duration)
+        if share.max() <= allowed:
+            return float(np.ceil(10.0 * duration) / 10.0)
         duration *= _SLOWER
-    return float(np.ceil(10.0 * duration) / 10.0)
+    worst = int(np.argmax(share))
+    raise RobotError(
+        f"{robot.name}: a first motion of {duration / _SLOWER:.3g} s still takes"
+        f" {100 * share[worst]:.0f} % of the torque of {robot.joint_names[worst]}. Correct its"
+        " torque_max, masses, coulomb or viscous in the robot file."
+    )
 
 
-def _torque_share(robot: Robot, start: np.ndarray, end: np.ndarray, duration: float) -> float:
-    """Largest share of a torque limit that the quintic motion takes, friction included."""
+def _torque_share(robot: Robot, start: np.ndarray, end: np.ndarray, duration: float) -> np.ndarray:
+    """Largest share of each torque limit (n,) that the quintic motion takes, friction included."""
     bodies, way = robot.rigid_bodies(), end - start
-    s = np.linspace(0.0, 1.0, _PLACES)
-    place = s**3 * (10.0 + s * (6.0 * s - 15.0))
-    speed = 30.0 * s**2 * (1.0 - s) ** 2 / duration
-    rate = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / duration**2
-    rows = zip(start + place[:, None] * way, speed[:, None] * way, rate[:, None] * way, strict=True)
+    places = np.linspace(0.0, 1.0, _PLACES)
+    place, speed, rate = (_LAW(places, order) / duration**order for order in range(3))
+    rows = zip(start + place * way, speed * way, rate * way, strict=True)
     torque = np.max([np.abs(bodies.torque(q, v, a)) for q, v, a in rows], axis=0)
     torque = (
         torque
         + np.nan_to_num(robot.coulomb)
-        + np.nan_to_num(robot.viscous) * np.abs(way) * speed.max()
+        + np.nan_to_num(robot.viscous) * np.abs(way) * _SPEED / duration
     )
-    return float((torque / robot.torque_max).max())
+    return np.asarray(torque / robot.torque_max)

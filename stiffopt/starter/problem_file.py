@@ -37,6 +37,11 @@ def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
         if not motion.yields
         else "least deviation of the tool, links that swing included; rest after arrival"
     )
+    cell = (
+        "links are kept from each other; state what stands around"
+        if motion.checked
+        else "links are not kept from each other: the URDF has no shapes of any that could meet"
+    )
     lines = [
         f"# First problem for {robot.name}, written by `stiffopt init problem`: poses about the",
         "# middle of the joints' ranges. Collisions of your cell are not known to it.",
@@ -50,7 +55,7 @@ def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
         '# com = ["0 mm", "0 mm", "50 mm"]',
         "# inertia = [1e-3, 1e-3, 1e-3]",
         "",
-        "# [cell]                       # links are kept from each other; state what stands around",
+        f"# [cell]                       # {cell}",
         '# floor = "0 mm"               # height, base frame',
         '# clearance = "20 mm"',
         "",

@@ -25,6 +25,7 @@ from stiffopt.robot.estimated_masses import estimated_bodies, fitted_to_torques
 from stiffopt.robot.files import load_robot
 from stiffopt.robot.frames import link_frame
 from stiffopt.robot.urdf import load_urdf
+from stiffopt.starter.first_motion import first_motion
 from stiffopt.starter.placeholders import credible_torques, why_no_body
 
 MASS = (
@@ -519,3 +520,44 @@ def test_a_first_problem_leaves_weak_drives_their_time(tmp_path):
         )
         assert most < 0.85 * effort
     assert durations[1] > durations[0]
+
+
+def test_friction_counts_where_drives_hold_an_arm():
+    """Friction of a quarter of the torque leaves poses in which the arm moves as fast."""
+    arm = load_robot("ur10")
+    rubbing = first_motion(replace(arm, coulomb=0.25 * arm.torque_max))
+    assert rubbing.duration < 2.0 * first_motion(arm).duration
+    with pytest.raises(RobotError, match="hold its weight and Coulomb friction: j3 has 90 N m"):
+        first_motion(replace(arm, coulomb=0.95 * arm.torque_max))
+
+
+def heavy_bar(folder):
+    """One joint that turns by 0.3 rad about the horizontal: 3.9 N m of 6."""
+    mass = MASS.replace('xyz="0 0 0.1"', 'xyz="0.1325 0 0"')
+    inside = '<limit lower="-0.3" upper="0.3" effort="6" velocity="2"/>'
+    return load_robot(written(folder, joint("a", "base", "bar", inside).replace(MASS, mass)))
+
+
+def test_slowing_stops_where_it_no_longer_helps(tmp_path):
+    """With 81 % for weight and friction the motion takes seconds and keeps some of the torque."""
+    arm = replace(heavy_bar(tmp_path), coulomb=np.array([0.95]))
+    motion = first_motion(arm)
+    assert motion.duration < 3.0
+    middle = 0.5 * (motion.start + motion.end)
+    assert 0.8 < (abs(arm.rigid_bodies().gravity_torque(middle)[0]) + 0.95) / 6.0 < 0.82
+
+
+def test_a_motion_that_no_slowness_makes_is_refused(tmp_path):
+    with pytest.raises(
+        RobotError, match=r"motion of [\d.]+ s still takes \d+ % of the torque of a"
+    ):
+        first_motion(replace(heavy_bar(tmp_path), viscous=np.array([1e5])))
+
+
+def test_a_first_problem_says_whether_links_are_kept_from_each_other(tmp_path):
+    path = tmp_path / "p.toml"
+    assert run(["init", "problem", "ur10", "-o", str(path)]) == 0
+    assert "links are not kept from each other: the URDF has no shapes" in path.read_text()
+    path.unlink()
+    assert run(["init", "problem", str(folded(tmp_path)), "-o", str(path)]) == 0
+    assert "# links are kept from each other;" in path.read_text()
