@@ -1,13 +1,24 @@
 """Times in which something touches the arm: told, and no part of what is judged."""
 
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from simulated_sets import diagnosed, said
 
 from benchmarks.simulator import CaseSpec
-from stiffopt.discovery.judging.episodes import Track, episodes_in
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.judging.episodes import Track, episodes_in, training_tracks
+from stiffopt.discovery.judging.held_out import HeldOut
+from stiffopt.discovery.proof.predict import Predictor
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import train
+from stiffopt.recording.recording_set import load_recordings
 from stiffopt.report.diagnosis.mismatch import episode_sentences
 
 RATE, SECONDS = 30.0, 10.0
@@ -94,6 +105,75 @@ def test_a_run_left_out_is_asked_beside_the_training_runs():
     assert episodes_in([test], runs()) == ()
 
 
+SET = Path(__file__).parents[2] / "problems" / "recordings" / "two_link_friction"
+LACKS = Extension(
+    effects=(
+        EstimatedEffect(
+            located=LocatedEffect(effect=effect("coulomb"), joint=1), amplitudes=(0.62,)
+        ),
+    )
+)
+
+
+@cache
+def opened(what):
+    """Episodes and proof of the shipped test run, in which something begins at 0.75 of it."""
+    recordings = load_recordings(SET)
+    training = train(recordings, Settings())
+    comparison = training.comparison()
+    fit = comparison.fit([each.located for each in LACKS.effects])
+    run = recordings.open(recordings.with_role("test")[0])
+    predictor = Predictor(training.robot, run, training.constants, training.settings)
+    prepared = predictor.nominal
+    signals, at = prepared.signals, np.searchsorted(prepared.time, run.time)
+    motion = [
+        values[np.clip(at, 0, len(prepared.time) - 1)]
+        for values in (
+            signals.motor_position, signals.motor_velocity, signals.motor_acceleration,
+        )
+    ]  # fmt: skip
+    since = run.time > 0.75 * run.time[-1]
+    until = run.time < 0.95 * run.time[-1]
+    more = {
+        "load": training.robot.body_torques(1, *motion)[:, :, 0] * 4.0 * since[:, None],
+        "offset": np.outer(since, [8.0, 0.0]),
+        "offset for a while": np.outer(since & until, [8.0, 0.0]),
+    }[what]
+    own = SimpleNamespace(
+        with_role=lambda *_: [SimpleNamespace(file=run.file)],
+        open=lambda _: replace(run, torque=run.torque + more),
+    )
+    held = HeldOut(
+        training, training.settings, (), LACKS, (), known=training_tracks(comparison, fit)
+    )
+    held.predict_all(own, lambda _: None)
+    return held
+
+
+@pytest.mark.parametrize(
+    ("what", "remains"), [("load", True), ("offset", False), ("offset for a while", False)]
+)
+def test_only_a_load_until_the_end_stays_in_the_proof(what, remains):
+    held = opened(what)
+    (found,), (proof,) = held.episodes, held.proofs
+    assert found.stays == remains
+    assert found.nrmse_with > 1.5 * found.nrmse_without
+    judged = found.nrmse_with if remains else found.nrmse_without
+    assert proof.nrmse_after == pytest.approx(judged)
+    joints = (SimpleNamespace(prismatic=False),) * 2
+    constants = SimpleNamespace(joints=joints)
+    (line,) = episode_sentences(
+        SimpleNamespace(training=SimpleNamespace(constants=constants), episodes=[found])
+    )
+    assert line.startswith(
+        "A change that stays, as of a load, is in "
+        if remains
+        else "Something that touches, loads or offsets does not carry over to "
+    )
+    assert ("part of what judges the model" in line) == remains
+    assert "times the noise with it" in line
+
+
 TOUCHED = CaseSpec(
     effects=(("touched", None, 1.0),),
     seed=71,
@@ -115,6 +195,8 @@ def test_pushes_become_neither_friction_nor_weight(effects):
     assert named == [(name, joint) for name, joint, _ in effects], said(found)
     assert [each.role for each in found.episodes] == ["train", "test"]
     lines = episode_sentences(found)
-    assert lines[0].startswith("Something touched the arm in train_")
-    assert lines[1].startswith("A contact does not carry over to test_1")
+    assert lines[0].startswith("Something that touches, loads or offsets was at work in train_")
+    assert lines[1].startswith("Something that touches, loads or offsets does not carry over")
+    assert found.episodes[1].nrmse_with > 2.0 * found.episodes[1].nrmse_without
+    assert f"{found.episodes[1].nrmse_with:.2g} times the noise with it" in lines[1]
     assert found.nrmse("test")[1] < 1.3

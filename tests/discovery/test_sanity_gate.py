@@ -17,7 +17,7 @@ from small_arms import ROOT
 
 from benchmarks.real_concealed.hide import KINDS, hidden
 from benchmarks.real_concealed.motion import PublicSet
-from benchmarks.simulator import CaseSpec, write_case
+from benchmarks.simulator import CaseSpec, motion, simulate, write_case
 from stiffopt.cli import run
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.diagnose import diagnose
@@ -410,6 +410,35 @@ def test_a_run_of_another_arm_is_named(tmp_path, capsys):
     assert len(kept) == len(sections) - 1
     (folder / "recordings.toml").write_text("[[runs]]".join(kept))
     assert doubted(folder) == ()
+
+
+def slow(steps, step, speed, reach, width, rng):
+    """Training runs, which turn less sharply than others, slower and softer by far."""
+    training = width >= 0.42
+    factor, soft = (0.15, 2.0) if training else (1.0, 1.0)
+    return one_joint(steps, step, factor * speed, reach, soft * width, rng)
+
+
+one_joint = motion._one_joint
+
+
+def test_one_fast_run_with_what_shows_there_alone_stops_nothing(tmp_path, monkeypatch):
+    """A stop that no slow run reaches: the run is of the same arm."""
+    monkeypatch.setattr(motion, "_one_joint", slow)
+    spec = CaseSpec(seed=1, train=3, test=1, extrapolate=1, seconds=5.0, rate=250.0, substeps=8)
+    folder = write_case(simulate(spec), tmp_path / "set")
+    rewritten(folder, 'role = "extrapolate"', 'role = "train"')
+    with np.load(folder / "extrap_1.npz") as stored:
+        columns = dict(stored)
+    met = max(np.load(folder / f"train_{k}.npz")["q2"].max() for k in (1, 2, 3))
+    stop = max(met, np.quantile(columns["q2"], 0.9))
+    columns["tau2"] = columns["tau2"] + 800.0 * np.maximum(columns["q2"] - stop, 0.0)
+    np.savez(folder / "extrap_1.npz", **columns)
+    assert doubted(folder) == ()
+    recordings = load_recordings(folder)
+    told = remarks(recordings, training_runs(recordings))[0]
+    assert (told.kind, told.joints) == ("another arm", (2,))
+    assert "extrap_1 moves faster or further than the other runs" in told.evidence
 
 
 def test_set_points_are_no_motion(tmp_path, capsys):

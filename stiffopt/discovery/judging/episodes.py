@@ -1,4 +1,4 @@
-"""Episodes in which somebody or something touches the arm: found, told, and left out of the rest.
+"""Episodes in which something touches, loads or offsets the arm: found, told, and left out.
 
 What the robot lacks acts whenever its state comes by again. A hand acts at a time: in one run, for
 a moment, in states that leave nothing when they come by without it. Such a stretch is neither
@@ -47,7 +47,7 @@ _RATE = 100.0
 
 @dataclass(frozen=True, kw_only=True)
 class Episode:
-    """A time in which something touched the arm.
+    """A time in which something touched, loaded or offset the arm.
 
     Parameters
     ----------
@@ -58,6 +58,11 @@ class Episode:
         Whose torque it changed, from 1.
     sizes : tuple of float
         Largest torque of it at each of them [N m], or force [N].
+    stays : bool
+        Whether it lasts until the end of a held-out run and depends on the position as a load does;
+        it is not left out then.
+    nrmse_with, nrmse_without : float or None
+        Residual over noise of that run as a whole, and without all its episodes; None in training.
     """
 
     run: str
@@ -66,6 +71,9 @@ class Episode:
     end: float
     joints: tuple[int, ...]
     sizes: tuple[float, ...]
+    stays: bool = False
+    nrmse_with: float | None = None
+    nrmse_without: float | None = None
 
     def holds(self, time: np.ndarray) -> np.ndarray:
         """Which times of its run are left out (K,)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from stiffopt.discovery.judging.episodes import (
     without,
 )
 from stiffopt.discovery.judging.shares import Part, Shares
+from stiffopt.discovery.judging.staying import stays
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.proof.proof import RunProof, nrmse, prove
 from stiffopt.discovery.settings import Settings
@@ -143,9 +144,16 @@ class HeldOut:
             before, after = predictor.predict_each([self._start, extensions])
             track = held_out_track(run, predictor, after, training.noise.channels)
             touched = episodes_in([track], self._known)
-            # What a hand did tells nothing of the model.
-            predictor.run = run = without(run, touched)
             proof = prove(run, predictor.velocity, before, after, training.noise)
+            if touched:
+                touched = stays(touched, track, training.robot, predictor.nominal)
+                whole = proof.nrmse_after
+                # What a hand did tells nothing of the model; a load that stays does.
+                apart = without(run, touched)
+                less = prove(apart, predictor.velocity, before, after, training.noise).nrmse_after
+                predictor.run = run = without(run, [e for e in touched if not e.stays])
+                proof = prove(run, predictor.velocity, before, after, training.noise)
+                touched = tuple(replace(e, nrmse_with=whole, nrmse_without=less) for e in touched)
             self._opened.append(
                 _Opened(file=entry.file, proof=proof, velocity=predictor.velocity, episodes=touched)
             )

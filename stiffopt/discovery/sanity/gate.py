@@ -58,7 +58,7 @@ def doubts(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[Doubt
     explanation = None
     if samples is not None:
         search = Explanations(RobotModel(recordings), samples)
-        odd = odd_runs(search, runs) if len(runs) > 1 else []
+        odd = [each for each in _odd(search, runs) if not _moves_elsewhere(each)]
         explanation = None if odd else search.best()
         if odd:
             found = [*_of_odd_runs(recordings, odd), *found]
@@ -121,8 +121,10 @@ def remarks(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[Doub
     samples = sampled(runs)
     if samples is None or recordings.signals.currents:
         return told
-    found = joint_gains(RobotModel(recordings), samples)
-    return (*told, *(_of_joint_gain(recordings, each) for each in found))
+    robot = RobotModel(recordings)
+    odd = [each for each in _odd(Explanations(robot, samples), runs) if _moves_elsewhere(each)]
+    found = joint_gains(robot, samples)
+    return (*told, *map(_of_elsewhere, odd), *(_of_joint_gain(recordings, each) for each in found))
 
 
 def _references(recordings: RecordingSet) -> Iterator[Doubt]:
@@ -189,6 +191,27 @@ def _explained(
         yield from _of_reading(recordings, explanation, shares)
         if explanation.gains is not None:
             yield from _of_gains(recordings, explanation, search.strict)
+
+
+def _odd(search: Explanations, runs: Sequence[RecordedRun]) -> list[OddRun]:
+    return odd_runs(search, runs) if len(runs) > 1 else []
+
+
+def _moves_elsewhere(odd: OddRun) -> bool:
+    """Whether what sets it apart may be of the robot: a stop, an inertia that others do not ask."""
+    return odd.elsewhere and odd.search.best() is None
+
+
+def _of_elsewhere(odd: OddRun) -> Doubt:
+    which = joints_in_words(odd.joints)
+    return Doubt(
+        kind="another arm",
+        joints=tuple(j + 1 for j in odd.joints),
+        evidence=f"{odd.run.name} moves faster or further than the other runs and does not fit them"
+        f" there, in the torque of {which}. If that is the same arm with the same load, the model"
+        " lacks something that shows there alone.",
+        line="",
+    )
 
 
 def _in_rad(recordings: RecordingSet, search: Explanations, found: Explanation) -> Doubt:

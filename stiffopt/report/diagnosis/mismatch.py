@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 # Shares below are not told apart from nothing.
 _LEAST = 0.005
+_SOMETHING = "Something that touches, loads or offsets"
 _MEASURED = {"torque": "the torques", "link_position": "the link encoders"}
 
 
@@ -169,7 +170,7 @@ def _drift_words(diagnosis: Diagnosis, each: Drift) -> str:
 
 
 def episode_sentences(diagnosis: Diagnosis) -> list[str]:
-    """One for every time in which something touched the arm."""
+    """One for every time in which something was at work."""
     joints = diagnosis.training.constants.joints
     found = []
     for each in diagnosis.episodes:
@@ -178,9 +179,16 @@ def episode_sentences(diagnosis: Diagnosis) -> list[str]:
             for j, size in zip(each.joints, each.sizes, strict=True)
         )
         if each.role == "train":
-            head, tail = "Something touched the arm in", "left out of the fit"
+            head, tail = f"{_SOMETHING} was at work in", "left out of the fit"
+        elif each.stays:
+            head, tail = "A change that stays, as of a load, is in", "part of what judges the model"
         else:
-            head, tail = "A contact does not carry over to", "left out of what judges the model"
+            head, tail = f"{_SOMETHING} does not carry over to", "left out of what judges the model"
+        if each.nrmse_with is not None and each.nrmse_without is not None:
+            tail += (
+                f"; residual of {each.run} {significant(each.nrmse_with, 2)} times the noise with"
+                f" it, {significant(each.nrmse_without, 2)} without"
+            )
         found.append(f"{head} {each.run}: {each.begin:.2f} to {each.end:.2f} s, {sizes}; {tail}.")
     return found
 
