@@ -21,6 +21,8 @@ init = App(name="init", help="Write files to begin with: robot, problem, recordi
 app.command(init)
 
 File = Annotated[Path | None, Parameter(name=OUT_NAMES, help="File to write; never over another.")]
+# Below zero it is refused by what is allowed, not taken for an option.
+Amount = Annotated[str, Parameter(allow_leading_hyphen=True)]
 
 
 @init.command
@@ -128,14 +130,14 @@ def recording(
 def flange(
     *,
     out: Annotated[Path, Parameter(name=OUT_NAMES, help="Folder for the files.")] = Path("flange"),
-    torque: str = "100 N*m",
+    torque: Amount = "100 N*m",
     size: str = "M5",
     grade: str = "12.9",
     count: int = 8,
-    circle: str = "50 mm",
-    axial_force: str = "0 N",
-    shear_force: str = "0 N",
-    tilting_moment: str = "0 N*m",
+    circle: Amount = "50 mm",
+    axial_force: Amount = "0 N",
+    shear_force: Amount = "0 N",
+    tilting_moment: Amount = "0 N*m",
     catalogue: Path | None = None,
     changes: NoChanges = (),
 ) -> int:

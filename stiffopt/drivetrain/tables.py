@@ -66,8 +66,11 @@ def with_own(entries: OwnEntries) -> Iterator[None]:
 
 
 def own_entries(kind: str) -> Mapping[str, Any]:
-    """One's own entries of a kind."""
-    return _OWN.get().get(kind, {})
+    """One's own entries of a kind; a source that is not given is one's own catalogue."""
+    found = _OWN.get().get(kind, {})
+    return {
+        name: {**row, "source": row.get("source") or "own catalogue"} for name, row in found.items()
+    }
 
 
 def rows(table_name: str, list_name: str, key: str) -> dict[str, dict[str, Any]]:

@@ -72,7 +72,8 @@ def _clamp(steps: Verification, least: float) -> Iterator[UtilisationRow]:
     yield UtilisationRow(
         kind="slip under the whole load",
         equation="R12/4",
-        value=left / friction if friction > 0.0 else math.inf,
+        # Faces that open rub no more.
+        value=max(left, 0.0) / friction if friction > 0.0 else math.inf,
         limit=steps.slip_safety,
         unit="",
         utilisation=_share(most, least),

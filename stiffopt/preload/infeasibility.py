@@ -48,7 +48,12 @@ class Stopper:
 
     @property
     def amounts(self) -> tuple[str, str]:
-        """Required and best value with unit, with the digits at which they differ."""
+        """Required and best value with unit, with the digits at which they differ.
+
+        A safety against slip of no more than zero is a connection without clamp force.
+        """
+        if not self.unit and self.best <= 0.0:
+            return _significant(self.required, 4), "0, as it opens"
         factor, unit = _READ_IN.get(self.unit, (1.0, self.unit))
         for digits in range(4, 10):
             required = f"{_significant(factor * self.required, digits)} {unit}".rstrip()

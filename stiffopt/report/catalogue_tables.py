@@ -8,6 +8,7 @@ from typing import Literal, get_args
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.tables import rows
+from stiffopt.errors import InputError
 from stiffopt.report.common.text import DASH
 from stiffopt.robot.files import load_robot, shipped_robots
 
@@ -37,14 +38,32 @@ def _reducers() -> Table:
 
 
 def _bolts() -> Table:
-    head = ("size", "pitch [mm]", "stress area [mm2]", "head [mm]", "hole [mm]", "provenance")
+    head = (
+        "size",
+        "pitch [mm]",
+        "stress area [mm2]",
+        "head [mm]",
+        "hole [mm]",
+        "provenance",
+        "washer [mm]",
+    )
     found = []
     for size in catalogue.bolt_sizes():
         bolt = catalogue.bolt(size)
         lengths = (f"{1e3 * v:g}" for v in (bolt.head_diameter, bolt.hole))
         area = f"{1e6 * bolt.stress_area:.4g}"
-        found.append((size, f"{1e3 * bolt.pitch:g}", area, *lengths, _known(bolt)))
+        pitch = f"{1e3 * bolt.pitch:g}"
+        found.append((size, pitch, area, *lengths, _known(bolt), _washer(size)))
     return head, found
+
+
+def _washer(size: str) -> str:
+    """Diameter and thickness of a bolt's washer."""
+    try:
+        found = catalogue.washer(size)
+    except InputError:
+        return DASH
+    return f"{1e3 * found.diameter:g} x {1e3 * found.thickness:g}, {_known(found)}"
 
 
 def _keys() -> Table:

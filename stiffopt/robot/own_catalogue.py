@@ -24,8 +24,9 @@ from stiffopt.declaration import (
     Ratio,
     Torque,
 )
-from stiffopt.drivetrain.tables import OwnEntries
-from stiffopt.errors import InputError, InputFileError
+from stiffopt.drivetrain.fasteners import bolt, bolt_sizes
+from stiffopt.drivetrain.tables import OwnEntries, with_own
+from stiffopt.errors import InputError, InputFileError, nearest
 from stiffopt.files import read_document
 from stiffopt.robot.element_sections import Cited
 from stiffopt.validation import Section
@@ -256,4 +257,24 @@ def read_own_catalogue(path: str | os.PathLike[str]) -> OwnEntries:
         except InputError as error:
             key, _, text = str(error).partition(": ")
             raise InputFileError(path, f"{where}.{key}", text) from error
+    with with_own(found):
+        for washer in document.washer:
+            _check_bolt_of(washer, path)
     return found
+
+
+def _check_bolt_of(washer: OwnWasher, path: Path) -> None:
+    """A washer is for a bolt that there is, whose head it carries."""
+    where, sizes = f"washer[{washer.size}]", bolt_sizes()
+    if washer.size not in sizes:
+        raise InputFileError(
+            path, f"{where}.size", f"no bolt has this size. {nearest(washer.size, sizes)}"
+        )
+    least = bolt(washer.size).bearing_diameter
+    if washer.diameter < least:
+        raise InputFileError(
+            path,
+            f"{where}.diameter",
+            f"{1e3 * washer.diameter:g} mm must be at least {1e3 * least:g} mm, on which the head"
+            f" of {washer.size} bears.",
+        )

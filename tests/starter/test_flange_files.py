@@ -8,6 +8,7 @@ import math
 import pytest
 
 from stiffopt.cli import run
+from stiffopt.connection import Bolt
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
 from stiffopt.fastening.head_pressure import head_bearing
@@ -101,6 +102,7 @@ def _sin(angles):
     ("option", "value", "said"),
     [
         ("--tilting-moment", "-3 N*m", "--tilting-moment is a magnitude"),
+        ("--axial-force", "-500 N", "--axial-force is a magnitude, got -500"),
         ("--axial-force", "3 mm", "--axial-force"),
         ("--shear-force", "3 N*m", "--shear-force"),
         ("--size", "M7", "no bolt 'M7'"),
@@ -109,9 +111,62 @@ def _sin(angles):
     ],
 )
 def test_wrong_loads_of_a_first_flange(option, value, said, tmp_path, capsys):
-    assert run(["init", "flange", "-o", str(tmp_path / "f"), f"{option}={value}"]) == 2
-    assert said in capsys.readouterr().err
+    for given in ([f"{option}={value}"], [option, value]):
+        assert run(["init", "flange", "-o", str(tmp_path / "f"), *given]) == 2
+        assert said in capsys.readouterr().err
     assert not (tmp_path / "f").exists()
+
+
+def test_a_flange_that_opens_has_no_negative_safety(tmp_path, capsys):
+    out = tmp_path / "f"
+    assert run(["init", "flange", "-o", str(out), "--tilting-moment", "1000 N*m"]) == 0
+    assert run(["preload", str(out / "flange.toml"), "-o", str(tmp_path / "r"), "--quiet"]) == 3
+    said = capsys.readouterr().out
+    assert "required 1.2, best reachable 0, as it opens." in " ".join(said.split())
+    study = json.loads((tmp_path / "r" / "study.json").read_text())
+    [slip] = [row for row in study["rows"] if row["kind"] == "slip under the whole load"]
+    assert slip["value"] == 0.0
+    assert slip["utilisation"] > 1.0
+
+
+@pytest.mark.parametrize(
+    ("size", "diameter", "said"),
+    [
+        (
+            "M5",
+            "6 mm",
+            "washer[M5].diameter: 6 mm must be at least 8.03 mm, on which the head of M5",
+        ),
+        ("M99", "28 mm", "washer[M99].size: no bolt has this size. "),
+    ],
+)
+def test_washers_that_no_bolt_can_have(size, diameter, said, tmp_path):
+    path = tmp_path / "own.toml"
+    path.write_text(
+        f'schema = 1\nkind = "catalogue"\n[[washer]]\nsize = "{size}"\n'
+        f'diameter = "{diameter}"\nthickness = "1 mm"\n'
+    )
+    with pytest.raises(InputError) as refused:
+        read_own_catalogue(path)
+    assert str(refused.value).startswith(f"{path}")
+    assert said in str(refused.value)
+
+
+def test_washers_are_listed_beside_their_bolts(own, capsys):
+    assert run(["catalogue", "bolts", "--own", str(own)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    ends = {
+        size: next(x for x in lines if f" {size} " in x) for size in ("M14", "M5", "flanged M8")
+    }
+    assert "28 x 2.5" in ends["M14"]
+    assert "10 x 1" in ends["M5"]
+    assert "16 x" not in ends["flanged M8"]
+
+
+def test_a_washer_without_a_source_is_of_ones_own_catalogue(own):
+    with catalogue.with_own(read_own_catalogue(own)):
+        bearing = head_bearing(Bolt(size="M14", head_material="34CrMo4", washer=True))
+    assert bearing.source == "head on its washer, own catalogue"
 
 
 def test_washers_are_ones_own_else_those_of_the_diameter(own):
