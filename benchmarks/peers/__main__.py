@@ -88,8 +88,9 @@ without which it does not end. toppra times the straight line only: what a free 
 compared with. The two links are those of Weinreb and Bryson, whose shortest time is
 2.9823 s."""
 INTERVALS = 100
-# Of the processor, for one process.
+# Of the processor, for one process; by the clock, for one that waits for something.
 SECONDS, SLOW = 180, 40
+CLOCK = 1200
 
 
 def task_of(task: Task) -> dict[str, Any]:
@@ -116,24 +117,53 @@ def task_of(task: Task) -> dict[str, Any]:
     }
 
 
-def asked(name: str, task: Path) -> dict[str, Any] | str:
+@dataclass(frozen=True)
+class NoAnswer:
+    """Why a peer gave none."""
+
+    why: str
+
+
+def finished(command: list[str], seconds: int = SECONDS, clock: float = CLOCK) -> str | NoAnswer:
+    """What a command printed, within CPU seconds and seconds by the clock."""
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+        # The soft limit's own signal tells it from whatever else may kill a process.
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5)),
+        start_new_session=True,
+    )
+    try:
+        printed, errors = process.communicate(timeout=clock)
+    except subprocess.TimeoutExpired:
+        # With all that it started, which would hold its pipes open.
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        return NoAnswer(f"no answer in {clock:g} s by the clock")
+    code = process.returncode
+    if code == -signal.SIGXCPU:
+        return NoAnswer(f"no answer in {seconds} CPU s")
+    if code < 0:
+        return NoAnswer(f"no answer: ended by {signal.Signals(-code).name}")
+    if code:
+        told = (errors.strip().splitlines() or [f"code {code}"])[-1]
+        return NoAnswer(f"no answer: {told}")
+    return printed
+
+
+def asked(name: str, task: Path) -> dict[str, Any] | NoAnswer:
     """One answer of a peer, with the CPU seconds of its whole process; else why there is none."""
     python = PEERS.python(name)
     assert python is not None
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = subprocess.run(
-        [str(python), str(HERE / f"{name}_peer.py"), str(task)],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"OMP_NUM_THREADS": "1"},
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS)),
-    )
+    done = finished([str(python), str(HERE / f"{name}_peer.py"), str(task)])
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    if done.returncode:
-        told = (done.stderr.strip().splitlines() or [f"code {done.returncode}"])[-1]
-        slow = done.returncode == -signal.SIGKILL
-        return f"no answer in {SECONDS} CPU s" if slow else f"no answer: {told}"
-    answer: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    if isinstance(done, NoAnswer):
+        return done
+    answer: dict[str, Any] = json.loads(done.splitlines()[-1])
     answer["process_s"] = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return answer
 
@@ -154,7 +184,7 @@ def table(
     ]
 
     def median(name: str, key: str) -> float | None:
-        values = [run[key] for run in runs[name] if key in run]
+        values = [run[key] for run in runs.get(name, ()) if key in run]
         return statistics.median(values) if values else None
 
     for name in PEERS.packages:
@@ -169,11 +199,12 @@ def table(
             continue
         second, own = median(name, "second_s"), median("stiffopt", "second_s")
         assert second is not None
-        assert own is not None
+        # Where stiffopt gave no answer, there is nothing to divide by.
+        ratio = "–" if own is None else f"{second / own:.2f}"
         values = [median(name, key) for key in ("build_s", "first_s")]
         cells = [f"{value:.3g}" for value in values if value is not None]
         warm, worth = median(name, "warm_s"), judged[name]
-        cells += [f"{second:.3g}", f"{second / own:.2f}", "–" if warm is None else f"{warm:.2g}"]
+        cells += [f"{second:.3g}", ratio, "–" if warm is None else f"{warm:.2g}"]
         cells += [f"{median(name, 'process_s'):.3g}", f"{runs[name][-1].get('iterations', '–')}"]
         cells += [f"{worth.objective:.5f}", f"{worth.excess:.2%}", f"{worth.miss:.1e}"]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
@@ -189,17 +220,19 @@ def measure(task: Task, rounds: int) -> list[str]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "task.json")
         path.write_text(json.dumps(numbers))
-        for _ in range(rounds):
+        for number in range(1, rounds + 1):
             for name in list(names):
                 answer = asked(name, path)
-                if isinstance(answer, str):
-                    failed[name] = answer
+                if isinstance(answer, NoAnswer):
+                    failed[name] = f"round {number} of {rounds}: {answer.why}"
                     names.remove(name)
+                    # Medians are of peers that answer each time they are asked.
+                    runs.pop(name, None)
                     continue
                 runs.setdefault(name, []).append(answer)
                 if answer["process_s"] > SLOW:
                     names.remove(name)
-    judged = {n: judge(numbers, found[-1]) for n, found in runs.items() if n not in failed}
+    judged = {n: judge(numbers, found[-1]) for n, found in runs.items()}
     return table(task, runs, judged, failed)
 
 

@@ -4,14 +4,15 @@
         [--seed 14] [--every 1] [--work FOLDER] [--page] [--fresh FOLDER]
 
 `--seconds` stops after the problem that is under way then. `--page` writes RANDOM.md. Another seed
-draws other problems that can be met, `--every 5` takes each fifth: give them a folder of their own,
-and name it by `--fresh` for the page.
+draws other problems that can be met, into a folder of its own (`work/seed_15`), to be named by
+`--fresh` for the page; `--every 5` takes each fifth.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import subprocess
 import time
 from collections import Counter
 from pathlib import Path
@@ -90,9 +91,9 @@ def page(good: list[dict[str, Any]], bad: list[dict[str, Any]], fresh: list[dict
         "`python -m benchmarks.random_problems` draws them: UR10, ER3A-C60, a two-link and a"
         " seven-axis arm in turn, random ends and payloads, all objectives in turn, all limits of"
         " the robots. Each that can be met has a quintic motion that keeps every limit, at its"
-        " duration or half of it; each that cannot asks a third of what its rows need at least."
-        " They were solved over some commits; where the cause of a wrong end was mended, its"
-        " problem was solved again.",
+        " duration or half of it; each that cannot asks a third of what its rows need at least.",
+        "",
+        _origin([*good, *bad]),
         "",
         *_table(good, 200),
         f"| cannot be met | {len(bad)} | 60 |",
@@ -107,13 +108,36 @@ def page(good: list[dict[str, Any]], bad: list[dict[str, Any]], fresh: list[dict
             "",
             "## Of another seed",
             "",
-            "Drawn and solved once, after the causes of wrong ends were mended; nothing was changed"
-            " for them.",
+            _origin(fresh),
             "",
             *_table(fresh, 40),
             *_listed("Not optimal", [r for r in fresh if r["status"] != "optimal"]),
         ]
     return "\n".join(lines) + "\n"
+
+
+def _origin(records: list[dict[str, Any]]) -> str:
+    """What records say of the code that solved them."""
+    counts = Counter(r.get("commit", "") for r in records)
+    unknown = counts.pop("", 0)
+    told = [f"{n} at {commit}" for commit, n in counts.items()]
+    if unknown:
+        told.append(f"{unknown} at commits that their records do not name")
+    return f"Solved: {', '.join(told) or 'none'}."
+
+
+def commit() -> str:
+    """The commit that solves, with a plus where files were changed since; "" outside of git."""
+    git = ["git", "-C", str(HERE), "describe", "--always", "--exclude=*", "--dirty=+"]
+    try:
+        return subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+
+
+def other_seeds(records: list[dict[str, Any]], seed: int) -> set[int]:
+    """Seeds of records that are of another one; older records name none."""
+    return {r["seed"] for r in records if r.get("seed", seed) != seed}
 
 
 def _table(good: list[dict[str, Any]], wanted: int) -> list[str]:
@@ -165,13 +189,18 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=float("inf"))
-    parser.add_argument("--work", type=Path, default=HERE / "work")
+    parser.add_argument("--work", type=Path, help="default: work, of another seed work/seed_N")
     parser.add_argument("--page", action="store_true")
     parser.add_argument("--fresh", type=Path)
     asked = parser.parse_args()
     begin = time.perf_counter()
+    if asked.work is None:
+        asked.work = HERE / "work" / ("" if asked.seed == SEED else f"seed_{asked.seed}")
     asked.work.mkdir(parents=True, exist_ok=True)
     files = {"feasible": asked.work / "feasible.jsonl", "infeasible": asked.work / "bad.jsonl"}
+    if others := other_seeds(read(files["feasible"]), asked.seed):
+        parser.error(f"{files['feasible']} is of seed {others}: give another --work.")
+    at = commit()
     done = {kind: {r["number"] for r in read(path)} for kind, path in files.items()}
     drawn = range(0, asked.feasible, asked.every)
     todo = [("feasible", n) for n in drawn if n not in done["feasible"]]
@@ -183,11 +212,11 @@ def main() -> None:
         if time.perf_counter() - begin > asked.seconds:
             break
         if kind == "feasible":
-            record = solved(feasible(number, asked.seed))
+            record = solved(feasible(number, asked.seed)) | {"seed": asked.seed}
         else:
             problem, limit = infeasible(number)
             record = solved(problem) | {"limit": limit}
-        record["number"] = number
+        record |= {"number": number, "commit": at}
         with files[kind].open("a") as stream:
             stream.write(json.dumps(record, default=float) + "\n")
         print(f"{record['title']}: {record['status']} {record['cpu']:.1f} s", flush=True)

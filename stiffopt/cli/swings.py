@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,6 +25,7 @@ from stiffopt.folders import output_folder
 
 # Entries that a simulation may change: no motion depends on them.
 _UNSURE = re.compile(r"\s*uncertainty\b")
+_OF_SERVOS = re.compile(r"\bservo_(bandwidth|feed_forward|delay)\b")
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -76,6 +79,7 @@ def simulate(
     from stiffopt.elastic.motor import Servo
     from stiffopt.report.solve.simulation_page import write_simulation_report
     from stiffopt.report.solve.terminal import print_compensation, print_simulation
+    from stiffopt.result.compensation_store import COMMAND_FILE
     from stiffopt.result.store import write_simulation
     from stiffopt.solver.compensation import recompensated
     from stiffopt.solver.simulation import elastic_arm, simulate_motions
@@ -89,6 +93,12 @@ def simulate(
         raise InputError(f"band must be above 0, got {band}.")
     if bandwidth is None and (late != 0.0 or feed_forward != 1.0):
         raise InputError("delay and feed-forward are of a position loop: give its --bandwidth too.")
+    for each in changes:
+        if bandwidth is not None and _OF_SERVOS.search(each):
+            raise InputError(
+                f"--set {shortened(each)}: with --bandwidth every arm has the loop that is given, "
+                "and nothing of servos is uncertain. Leave one of the two out."
+            )
     servo = None if bandwidth is None else Servo(bandwidth, feed_forward, late)
     stored = read_result(result, problem, changes)
     if changes and stored.command is None:
@@ -100,17 +110,26 @@ def simulate(
         raise rigid_arm(stored.problem.robot)
     folder = out or result
     with output_folder(folder, "simulate", of="solve") as stage:
-        arm = elastic_arm(stored.problem, stored.optimised.position[0])
-        arm = arm if damping is None else arm.damped(damping)
+        modelled = elastic_arm(stored.problem, stored.optimised.position[0])
+        arm = modelled if damping is None else modelled.damped(damping)
         motions, led = stored.motions(), None
         found = simulate_motions(stored.problem, arm, motions, servo=servo, band=settled)
         if stored.command is not None:
-            led = recompensated(stored.problem, arm, motions, stored.command, servo)
+            led = recompensated(
+                stored.problem,
+                modelled,
+                motions,
+                stored.command,
+                uncertainty=stored.uncertainty,
+                damping=damping,
+                servo=servo,
+                file=Path(os.path.relpath(result / COMMAND_FILE, folder)).as_posix(),
+            )
         path = folder / write_simulation(found, stage, led).name
         page = write_simulation_report(stored.problem, arm, found, stage, led)
     print_simulation(found)
     if led is not None:
-        print_compensation(led)
+        print_compensation(replace(led, file=str(result / COMMAND_FILE)))
     print(f"Wrote {path}, {path.with_suffix('.csv').name} and {page.name}")
     show_report(folder, open_report, page.name)
     return 0

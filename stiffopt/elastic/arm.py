@@ -92,6 +92,7 @@ class ElasticArm:
         RobotError
             A joint's damping is then above critical.
         """
+        self._check_departed(departure.damping)
         other = copy.copy(self)
         other.robot = self.robot.with_payload_times(departure.payload)
         other.bodies = other.robot.rigid_bodies()
@@ -100,8 +101,23 @@ class ElasticArm:
             for spring, factor in zip(self.springs, departure.stiffness, strict=True)
         )
         other.damping = departure.damping * self.damping
-        other._check_damping()
         return other
+
+    def _check_departed(self, factor: float) -> None:
+        damped = self.elastic & (self.damping > 0.0)
+        if not np.any(factor * self.damping[damped] > self._critical[damped]):
+            return
+        ratio = np.where(damped, self._critical / np.where(damped, self.damping, 1.0), np.inf)
+        j = int(np.argmin(ratio))
+        # Rounded down: what is named must be possible.
+        largest = max(0.0, np.floor(1000.0 * (ratio[j] - 1.0)) / 1000.0)
+        raise RobotError(
+            f"uncertainty.damping lets the damping of {self.robot.joint_names[j]}, nominally "
+            f"{self.damping[j]:.4g} N m s/rad, be {factor * self.damping[j]:.4g}, above the "
+            f"critical {self._critical[j]:.4g} of the joint swinging alone; allowed for this arm: "
+            f"from 0 to {largest:g}. Give a smaller share, such as uncertainty.damping = "
+            f"{largest:g}."
+        )
 
     def _check_damping(self) -> None:
         for j in np.flatnonzero(

@@ -103,6 +103,8 @@ class Compensation:
     draws : int
     loop : str
         Of the position loops that all arms have, in words; "" where servos are uncertain.
+    file : str
+        Where the command lies that was judged; "" where it was made with the motion.
     """
 
     motions: tuple[CompensatedMotion, ...]
@@ -111,6 +113,7 @@ class Compensation:
     uncertainty: tuple[str, ...]
     draws: int
     loop: str = ""
+    file: str = ""
 
     @property
     def optimised(self) -> CompensatedMotion:

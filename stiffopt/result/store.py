@@ -18,7 +18,7 @@ from stiffopt.errors import InputFileError
 from stiffopt.files import atomic_write, load_json, plain, write_csv
 from stiffopt.folders import check_result
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
-from stiffopt.result.compensation_store import COMMAND_FILE, compensation_document
+from stiffopt.result.compensation_store import compensation_document
 from stiffopt.result.simulation import ElasticMotion, SimulatedPart, Simulation
 from stiffopt.result.solution import Baseline, ObjectiveValue, Solution
 
@@ -214,8 +214,8 @@ def write_simulation(
     folder = Path(directory)
     content = {"schema": SCHEMA, **(simulation_document(simulation) or {})}
     if compensation is not None:
-        # Of the command that lies there already.
-        led = {**(compensation_document(compensation) or {}), "command": COMMAND_FILE}
+        # Of a command that exists already.
+        led = {**(compensation_document(compensation) or {}), "command": compensation.file}
         content["compensation"] = {**led, "servo": compensation.loop or None}
     document = plain(content)
     found = simulation.optimised.simulated

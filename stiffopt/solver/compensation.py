@@ -25,8 +25,9 @@ from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.elastic.uncertainty import Departure, bounded, corners, draws, one_at_a_time
 from stiffopt.problem.motor_model import MotorLaw, law_smoothing
 from stiffopt.result.compensation import CompensatedMotion, Compensation, Spread, Spreads
+from stiffopt.result.compensation_store import COMMAND_FILE
 from stiffopt.result.store import export_times
-from stiffopt.result.trajectory import Trajectory
+from stiffopt.result.trajectory import JointMotion, Trajectory
 from stiffopt.solver.corners import widened
 
 if TYPE_CHECKING:
@@ -99,22 +100,40 @@ def recompensated(
     arm: ElasticArm,
     motions: Sequence[PlannedMotion],
     made: MadeCommand,
+    *,
+    uncertainty: Uncertainty | None = None,
+    damping: float | None = None,
     servo: Servo | None = None,
+    file: str = COMMAND_FILE,
 ) -> Compensation:
     """As `compensate`, with a command of the first motion that exists already.
+
+    Commands of the others are chosen as its own was: by the problem's uncertainties and the arm as
+    modelled. All are judged by what is asked now.
 
     Parameters
     ----------
     problem, arm, motions : as of `compensate`
-        The problem's uncertainties may be others than those the command was made for.
     made : MadeCommand
+    uncertainty : Uncertainty, optional
+        To judge by, in place of the problem's.
+    damping : float, optional
+        Of all joints that yield, as a share of critical, to judge by.
     servo : Servo, optional
         How the motors of every arm follow; what is uncertain of servos does not count then.
+    file : str
+        Where the command lies, for reports.
     """
     law = MotorLaw(problem.robot, problem.process_force)
     own, *others = motions
+    chosen = [_Compensator(problem, arm, each, law).chosen() for each in others]
+    problem = problem if uncertainty is None else replace(problem, uncertainty=uncertainty)
+    arm = arm if damping is None else arm.damped(damping)
     found = [_Compensator(problem, arm, own, law, made.plan, servo).given(made)]
-    found += [_Compensator(problem, arm, m, law, servo=servo).compensated()[0] for m in others]
+    found += [
+        _Compensator(problem, arm, motion, law, servo=servo).given(command)
+        for motion, command in zip(others, chosen, strict=True)
+    ]
     return Compensation(
         motions=tuple(found),
         command=None,
@@ -124,6 +143,7 @@ def recompensated(
         ),
         draws=problem.uncertainty.draws,
         loop="" if servo is None else str(servo),
+        file=file,
     )
 
 
@@ -150,18 +170,20 @@ def _refusal(problem: TrajectoryProblem, excess: tuple[Violation, ...]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class MadeCommand:
-    """A command that keeps the motors' limits, as it was made earlier.
+    """A command, as it was made earlier.
 
     Parameters
     ----------
-    command, plan : MotorMotion
-        Of the motors; what the links are to do.
+    motors : JointMotion
+        Motion of the motors, with that of the links as its `link`.
+    plan : MotorMotion
+        What the links are to do.
     spacing : float or None
         As of `CompensatedMotion`.
     share : float
     """
 
-    command: MotorMotion
+    motors: JointMotion
     plan: MotorMotion
     spacing: float | None
     share: float
@@ -236,10 +258,17 @@ class _Compensator:
         found = self._on_all(command, signs, lead.spacing, share)
         return replace(found, excess=self._excess(trajectory)), trajectory
 
+    def chosen(self) -> MadeCommand:
+        """The command alone."""
+        lead, share, _ = self._chosen()
+        return MadeCommand(lead.command(share), self._plan, lead.spacing, share)
+
     def given(self, made: MadeCommand) -> CompensatedMotion:
-        """What a command gives that keeps the motors' limits."""
-        first = self._with_single(made.command)
-        return self._on_all(made.command, self._worst_signs(*first), made.spacing, made.share)
+        """What a command gives that exists already."""
+        command = MotorMotion.of(made.motors)
+        signs = self._worst_signs(*self._with_single(command))
+        found = self._on_all(command, signs, made.spacing, made.share)
+        return replace(found, excess=self._excess(made.motors))
 
     def _on_all(
         self, command: MotorMotion, signs: list[Departure], spacing: float | None, share: float
@@ -364,7 +393,7 @@ class _Compensator:
         kept = [each.value for each in excess if each.limit not in self._motion.exceeded]
         return max(kept, default=0.0)
 
-    def _excess(self, motors: Trajectory, points: int | None = None) -> tuple[Violation, ...]:
+    def _excess(self, motors: JointMotion, points: int | None = None) -> tuple[Violation, ...]:
         """Limits of the motors that a motion of theirs exceeds, worst first.
 
         The others are of the plan, which the links keep.

@@ -8,6 +8,7 @@ anew.
 from __future__ import annotations
 
 import io
+import zipfile
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -85,8 +86,15 @@ class WarmStart:
         return stream.getvalue()
 
     @classmethod
-    def from_bytes(cls, content: bytes) -> WarmStart:
-        """Read what `to_bytes` wrote."""
+    def from_bytes(cls, content: bytes) -> WarmStart | None:
+        """Read what `to_bytes` wrote; None of bytes of another shape, as of an older version."""
+        try:
+            return cls._read(content)
+        except (KeyError, TypeError, ValueError, OSError, zipfile.BadZipFile):
+            return None
+
+    @classmethod
+    def _read(cls, content: bytes) -> WarmStart:
         with np.load(io.BytesIO(content)) as held:
 
             def numbered(name: str) -> list[np.ndarray]:

@@ -263,9 +263,16 @@ def with_simulation(
             problem, arm, [own, *others], progress=_events(progress, solution)
         )
     except KeyboardInterrupt:
+        if solution.simulation is not None:
+            return _noted(
+                solution,
+                "The choice of a command was interrupted: no command.csv was made; solve again for "
+                "it.",
+            )
         return _noted(
             solution,
-            "The simulation on the elastic arm was interrupted; `stiffopt simulate` does it anew.",
+            "The simulation on the elastic arm was interrupted; `stiffopt simulate` does it anew. "
+            "No command.csv was made; solve again for it.",
         )
     except NotSimulatedError as error:
         return _noted(solution, f"Not simulated on the elastic arm: {error}")

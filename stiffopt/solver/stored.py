@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_spline
 
 from stiffopt.baseline.baselines import baselines
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import InputFileError
 from stiffopt.files import read_table
 from stiffopt.folders import check_result
@@ -24,6 +25,7 @@ from stiffopt.result.assessment import Assessment, PeakRms
 from stiffopt.result.compensation_store import COMMAND_FILE
 from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.store import RESULT_FILE, TRAJECTORY_FILE, read_document
+from stiffopt.result.trajectory import JointMotion
 from stiffopt.solver.compensation import MadeCommand
 from stiffopt.solver.simulation import PlannedMotion, rivals
 
@@ -35,6 +37,9 @@ class StoredResult:
     Parameters
     ----------
     problem : TrajectoryProblem
+        As it was solved.
+    uncertainty : Uncertainty
+        With changes; the problem's where there are none.
     motion : ResolvedMotion
     optimised : PlannedMotion
     windup : array (K, n)
@@ -44,6 +49,7 @@ class StoredResult:
     """
 
     problem: TrajectoryProblem
+    uncertainty: Uncertainty
     motion: ResolvedMotion
     optimised: PlannedMotion
     windup: np.ndarray
@@ -98,9 +104,9 @@ def read_result(
             f"{problem} is not what was solved: it or its robot has changed since, or the solve "
             "was with --model. Solve it again.",
         )
+    unsure = stated.uncertainty
     if changes:
         unsure = load_problem(problem, changes).problem.uncertainty
-        stated = replace(stated, uncertainty=unsure)
     certificate = document.get("certificate")
     if not isinstance(certificate, dict):
         raise InputFileError(path, "certificate", "this solve found no motion to simulate.")
@@ -121,6 +127,7 @@ def read_result(
     )
     return StoredResult(
         problem=stated,
+        uncertainty=unsure,
         motion=resolve(stated),
         optimised=own,
         windup=windup,
@@ -142,15 +149,20 @@ def _command(folder: Path, document: dict[str, Any], planned: PlannedMotion) -> 
             folder / RESULT_FILE, "compensation", f"has no usable {error}."
         ) from error
     check_result(folder, RESULT_FILE, COMMAND_FILE)
-    time, position, velocity = _table(path, joints, ("q", "qd"))
+    quantities = ("q", "qd", "qdd")
+    rows = _table(path, joints, quantities)
     names = [f"link{j}" for j in range(1, joints + 1)]
     table = read_table(folder / TRAJECTORY_FILE, ["t"], names)
     plan = MotorMotion(planned.time, planned.position, planned.velocity)
+    link = _TableMotion(*_table(folder / TRAJECTORY_FILE, joints, quantities))
     if all(name in table for name in names):
         moments = np.array(table["t"])
         links = CubicSpline(moments, np.array([table[n] for n in names]).T, bc_type="clamped")
         plan = MotorMotion(moments, links(moments), links(moments, 1))
-    return MadeCommand(MotorMotion(time, position, velocity), plan, spacing, share)
+        link = _TableMotion(moments, links(moments), links(moments, 1), links(moments, 2))
+    motors = _TableMotion(*rows)
+    motors.link = link
+    return MadeCommand(motors, plan, spacing, share)
 
 
 def _trajectory(path: Path, joints: int) -> tuple[np.ndarray, ...]:
@@ -181,13 +193,27 @@ def read_guess(folder: Path, problem: TrajectoryProblem) -> Assessment:
 
 
 class _TableMotion:
-    """A motion between the rows of a table, by cubic polynomials."""
+    """A motion between the rows of a table, by cubic polynomials.
 
-    def __init__(self, time: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> None:
+    Where the table has accelerations, these run straight from row to row, so that neither they nor
+    their slope are above what the motion had; `link` is that of the links, where it is another.
+    """
+
+    def __init__(
+        self,
+        time: np.ndarray,
+        position: np.ndarray,
+        velocity: np.ndarray,
+        acceleration: np.ndarray | None = None,
+    ) -> None:
         self._orders = [CubicHermiteSpline(time, position, velocity)]
         for _ in range(3):
             self._orders.append(self._orders[-1].derivative())
+        if acceleration is not None:
+            straight = make_interp_spline(time, acceleration, k=1)
+            self._orders[2:] = [straight, straight.derivative()]
         self.duration = float(time[-1])
+        self.link: JointMotion | None = None
 
     def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
         return np.asarray(self._orders[order](t))

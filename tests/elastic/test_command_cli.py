@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import shutil
 
+import numpy as np
 import pytest
 from small_arms import write_problem
 
@@ -26,7 +28,7 @@ def led(folder, *options, out):
     """What simulation.json says of the optimised motion, compensated."""
     assert run(["simulate", str(folder / "out"), "--out", str(folder / out), *options]) == 0
     document = json.loads((folder / out / "simulation.json").read_text())["compensation"]
-    assert document["command"] == "command.csv"
+    assert document["command"] == "../out/command.csv"
     return document, document["motions"]["optimised"]["compensated"]
 
 
@@ -40,9 +42,14 @@ def test_the_command_is_judged_as_the_solve_judged_it(solved, capsys):
             assert anew[phase][size] == pytest.approx(before[phase][size], rel=0.02, abs=1e-7)
         assert len(anew[phase]["draws"]) == 50
     assert set(document["motions"]) == set(inside["motions"])
-    assert "Commanded as command.csv" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert f"Commanded as {solved / 'out' / 'command.csv'}" in " ".join(told.split())
+    assert "as chosen by the solve" in " ".join(told.split())
+    assert "best for the worst arm" not in " ".join(told.split())
     page = (solved / "same" / "simulation.html").read_text()
-    assert "Commanded by command.csv" in page
+    assert "Commanded by ../out/command.csv" in page
+    assert "Commanded as ../out/command.csv" in page
+    assert document["motions"]["optimised"]["within_motor_limits"]
     assert "Diamond: the arm as modelled" in page
 
 
@@ -82,11 +89,48 @@ def test_what_is_uncertain_can_be_asked_anew(solved):
         (["--set", "uncertainty.stiffness=1.2"], "below 1"),
         (["--set", "uncertainty.stiff=0.1"], "stiff"),
         (["--damping", "2"], "damping is a share of the critical one"),
+        (
+            ["--bandwidth", "20", "--set", "uncertainty.servo_bandwidth=5"],
+            "nothing of servos is uncertain",
+        ),
+        (["--bandwidth", "20", "--set", "uncertainty = {servo_delay=0.001}"], "Leave one of the"),
     ],
 )
 def test_what_cannot_be_asked_is_refused_in_a_sentence(solved, capsys, options, what):
     assert run(["simulate", str(solved / "out"), *options]) == 2
     assert what in capsys.readouterr().err
+
+
+def test_commands_of_baselines_are_those_that_the_solve_chose(solved):
+    asked = ("--set", "uncertainty.stiffness=0.4", "--damping", "0.1")
+    document, _ = led(solved, *asked, "--bandwidth", "15", "--feed-forward", "0.9", out="other")
+    inside = json.loads((solved / "out" / "result.json").read_text())["compensation"]
+    for name, before in inside["motions"].items():
+        for key in ("knot_spacing", "share_of_windup"):
+            assert document["motions"][name][key] == before[key]
+        assert document["motions"][name]["within_motor_limits"] == before["within_motor_limits"]
+
+
+def test_a_command_beyond_the_motors_is_told(solved, tmp_path, capsys):
+    shutil.copytree(solved, tmp_path / "copy")
+    out = tmp_path / "copy" / "out"
+    (out / "manifest.json").unlink()
+    with (out / "command.csv").open() as stream:
+        head, *rows = csv.reader(stream)
+    table = np.array(rows, dtype=float)
+    at, rate = table[:, 0], 20.0 * np.pi / table[-1, 0]
+    wave = (1.0 - np.cos(rate * at), rate * np.sin(rate * at), rate**2 * np.cos(rate * at))
+    for quantity, values in zip(("q1", "qd1", "qdd1"), wave, strict=True):
+        table[:, head.index(quantity)] += 0.03 * values
+    with (out / "command.csv").open("w") as stream:
+        csv.writer(stream, lineterminator="\n").writerows([head, *table.tolist()])
+    assert run(["simulate", str(out)]) == 0
+    assert "exceeds" in capsys.readouterr().out
+    document = json.loads((out / "simulation.json").read_text())["compensation"]
+    assert document["command"] == "command.csv"
+    own = document["motions"]["optimised"]
+    assert not own["within_motor_limits"]
+    assert {"acceleration"} <= {each["limit"] for each in own["excess"]}
 
 
 def test_a_command_that_was_changed_or_is_missing_is_told(solved, tmp_path, capsys):

@@ -137,8 +137,13 @@ def test_a_damping_that_may_be_above_critical_is_named(tmp_path):
         elastic.robot.__class__(**{**vars(elastic.robot), "damping": 40.0 * elastic.damping}),
         np.zeros(2),
     )
-    with pytest.raises(RobotError, match=r"the damping of .* must lie between 0 and the critical"):
+    with pytest.raises(RobotError, match=r"uncertainty.damping lets .* critical") as told:
         damped.departed(Departure(stiffness=np.ones(2), damping=1.5))
+    # 40 times the 2 % that are assumed: a quarter more is critical.
+    assert "from 0 to 0.2" in str(told.value)
+    largest = float(str(told.value).split("uncertainty.damping = ")[1].rstrip("."))
+    assert largest == pytest.approx(0.25, abs=0.0011)
+    damped.departed(Departure(stiffness=np.ones(2), damping=1.0 + largest))
 
 
 def test_only_a_servo_that_lags_counts():

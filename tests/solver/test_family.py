@@ -1,5 +1,6 @@
 """Problems of one programme: solved from one another, with the answer of a solve of their own."""
 
+import io
 from dataclasses import replace
 
 import numpy as np
@@ -62,9 +63,25 @@ def test_another_programme_is_built(first):
     assert set(solution.baselines) == {"toppra", "quintic"}
 
 
+def test_bytes_of_another_shape_are_no_warm_start():
+    older = io.BytesIO()
+    empty = np.zeros(0)
+    np.savez(
+        older,
+        x=empty,
+        multipliers_x=empty,
+        multipliers_g=empty,
+        smoothing=np.array(1e-3),
+        method=np.array("collocation 20"),
+    )
+    assert WarmStart.from_bytes(older.getvalue()) is None
+    assert WarmStart.from_bytes(older.getvalue()[:100]) is None
+
+
 def test_an_end_goes_through_a_file(first):
     _, _, end = first
     again = WarmStart.from_bytes(end.to_bytes())
+    assert again is not None
     assert again.x.tobytes() == end.x.tobytes()
     assert [share.tolist() for share in again.mesh] == [share.tolist() for share in end.mesh]
     assert (again.smoothing, again.scales, again.method) == (end.smoothing, end.scales, end.method)

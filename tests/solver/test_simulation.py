@@ -142,3 +142,24 @@ def test_other_parts_of_the_deflection_are_simulated_too(part, tmp_path):
     assert "simulated (planned" in headline_text(solution)
     saved = result_document(solution)["simulation"]["motions"]["optimised"]["minimised"]
     assert saved["part"] == part
+
+
+@pytest.mark.parametrize(
+    ("stage", "told"),
+    [
+        ("compensate", "no command.csv was made; solve again for it"),
+        ("simulate_motions", "`stiffopt simulate` does it anew"),
+    ],
+)
+def test_an_interruption_tells_what_was_not_made(solved, monkeypatch, stage, told):
+    problem, solution = solved
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(f"stiffopt.solver.simulation.{stage}", interrupted)
+    found = with_simulation(problem, replace(solution, simulation=None, compensation=None))
+    assert found.compensation is None
+    assert (found.simulation is None) == (stage == "simulate_motions")
+    assert told in found.notes[-1]
+    assert ("stiffopt simulate" in found.notes[-1]) == (stage == "simulate_motions")

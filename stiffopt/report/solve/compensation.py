@@ -48,6 +48,7 @@ def compensation_section(compensation: Compensation | None) -> dict[str, Any] | 
     if compensation is None:
         return None
     return {
+        "file": compensation.file,
         "text": compensation_text(compensation),
         "table": compensation_table(compensation),
         "notes": compensation_notes(compensation),
@@ -60,8 +61,9 @@ def compensation_text(compensation: Compensation) -> str:
         return compensation.refusal
     own = compensation.optimised
     text = (
-        f"Commanded as {COMMAND_FILE}, the elastic arm's tool is within {_pair(own.compensated)} "
-        f"of the plan in flight and after arrival, at worst within {_pair(own.compensated, True)}"
+        f"Commanded as {compensation.file or COMMAND_FILE}, the elastic arm's tool is within "
+        f"{_pair(own.compensated)} of the plan in flight and after arrival, at worst within "
+        f"{_pair(own.compensated, True)}"
     )
     other = next((each for each in compensation.motions if each.name == "toppra"), None)
     if other is None:
@@ -119,8 +121,8 @@ def compensation_notes(compensation: Compensation) -> list[str]:
         f"Uncertain: {listed(compensation.uncertainty)}. The worst arm has each at a bound, or the "
         f"joints' stiffness such that their errors add up; {compensation.draws} arms are drawn "
         "evenly between the bounds.",
-        f"{made}; the motors lead by {100 * own.share:.0f} % of the nominal wind-up, which is best "
-        "for the worst arm.",
+        f"{made}; the motors lead by {100 * own.share:.0f} % of the nominal wind-up, "
+        f"{'as chosen by the solve' if compensation.file else 'which is best for the worst arm'}.",
     ]
 
 
