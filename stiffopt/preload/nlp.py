@@ -158,17 +158,19 @@ class PreloadNlp:
             torque = max(abs(float(c.torque[element.joint - 1])) for c in self.model.cases)
             unit = float(self.model.slip_torque(self._at_least(index, 1.0), index))
             carried = element.largest(torque / unit)
-            # Where next to no torque asks for a preload something has to be left all the same.
-            kept = element.largest(_KEPT * element.capacity)
-            if torque / unit < _NOTHING * element.capacity and kept < element.capacity:
-                carried = kept
             tightened = needs.least_preload * element.capacity
-            least = [tightened, carried if not problem.individual else 0.0]
             most = [*element.ends(needs.bolt_utilisation).values()]
             steps = self.model.verifications[index]
             if steps is not None:
-                least.append(element.largest(float(steps.clamp_needed.max())))
                 most.append(steps.largest_preload)
+            # Where next to no torque asks for a preload something has to be left all the same, of
+            # little that may be left in service half.
+            kept = min(_KEPT * element.capacity, 0.5 * element.least(min(most)))
+            if torque / unit < min(_NOTHING * element.capacity, kept):
+                carried = element.largest(kept)
+            least = [tightened, carried if not problem.individual else 0.0]
+            if steps is not None:
+                least.append(element.largest(float(steps.clamp_needed.max())))
             lower.append(max(least))
             upper.append(min(most))
         return self.model.spread(lower), self.model.spread(upper)

@@ -8,11 +8,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from preload_studies import JACOBIAN, Ring, case, er3a, study, with_elements
 
+from stiffopt.cli import run
 from stiffopt.errors import NoSolutionFound
 from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.fastening.limits import key_pressure_limit
 from stiffopt.fastening.tightening import Tightening
 from stiffopt.preload import optimise
+from stiffopt.preload.files import load_study
 from stiffopt.preload.load_case import LoadCase, LoadHistory
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.nlp import PreloadNlp
@@ -493,3 +495,15 @@ def test_a_joint_without_load_keeps_something_of_its_preload(tmp_path):
         assert float(element.least(study.solution.preloads[element.key])) > 0.0
     assert np.all(study.solution.stiffness > 0.0)
     assert write_preload_report(study, tmp_path).is_file()
+
+
+def test_what_an_unloaded_flange_keeps_leaves_room_for_a_low_utilisation(tmp_path):
+    """Somewhat above what scatter and settling take, below two hundredths of what a bolt bears."""
+    assert run(["init", "flange", "-o", str(tmp_path), "--torque", "0.001 N*m"]) == 0
+    problem = load_study(tmp_path / "flange.toml").problem
+    [element] = problem.elements
+    allowed = element.largest(0.01 * element.capacity) / element.ends(1.0)["bolt utilisation"]
+    requirements = replace(problem.requirements, bolt_utilisation=allowed, least_preload=0.1)
+    solution = optimise_preloads(replace(problem, requirements=requirements))
+    assert solution.status is SolveStatus.OPTIMAL
+    assert float(element.least(solution.preloads[element.key])) > 0.0
