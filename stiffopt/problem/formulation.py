@@ -101,9 +101,13 @@ def formulate(
         integral_rows=tuple(
             Rows.make(row.name, [row.label], -np.inf, 0.0) for _, row in goal.integral_rows
         ),
-        start=None if motion.start_fixed else _boundary_waypoint(problem, problem.start, "start"),
+        start=None
+        if motion.start_fixed
+        else _boundary_waypoint(problem, problem.start, "start", p),
         end=_end_waypoint(problem, motion, modes, p),
-        vias=tuple(_via_waypoint(problem, via, k) for k, via in enumerate(problem.vias, start=1)),
+        vias=tuple(
+            _via_waypoint(problem, via, k, p) for k, via in enumerate(problem.vias, start=1)
+        ),
         static_lower=np.zeros(len(goal.variables)),
         static_upper=np.full(len(goal.variables), np.inf),
         static_scale=np.array(goal.static_scales),
@@ -310,7 +314,7 @@ def _end_waypoint(
     problem: TrajectoryProblem, motion: ResolvedMotion, modes: Sequence[Mode], p: ca.SX
 ) -> Waypoint | None:
     """Rows on the last state: the tool's position, motors at rest and what may swing on."""
-    place = None if motion.end_fixed else _boundary_waypoint(problem, problem.end, "end")
+    place = None if motion.end_fixed else _boundary_waypoint(problem, problem.end, "end", p)
     if not modes:
         return place
     x = ca.SX.sym("x", coordinates_of(problem).order * problem.joints)
@@ -335,27 +339,27 @@ def _end_waypoint(
             expressions += block.expressions
     if place is not None:
         rows += place.rows
-        expressions.append(place.function(x))
+        expressions.append(place.function(x, p))
     function = ca.Function("end", [x, p], [ca.vertcat(*expressions)])
     return Waypoint(function=function, rows=tuple(rows))
 
 
-def _boundary_waypoint(problem: TrajectoryProblem, target: Target, side: str) -> Waypoint:
+def _boundary_waypoint(problem: TrajectoryProblem, target: Target, side: str, p: ca.SX) -> Waypoint:
     """The tool position at the start or end of a motion whose end pose is otherwise free."""
-    x, _, position, _ = _tool_pose(problem)
+    x, _, position, _ = _tool_pose(problem, p)
     rows = Rows.make(f"{side} position", ["x", "y", "z"], 0.0, 0.0, unit="m")
-    return Waypoint(function=ca.Function(side, [x], [position - target.position]), rows=(rows,))
+    return Waypoint(function=ca.Function(side, [x, p], [position - target.position]), rows=(rows,))
 
 
-def _via_waypoint(problem: TrajectoryProblem, target: Target, number: int) -> Waypoint:
+def _via_waypoint(problem: TrajectoryProblem, target: Target, number: int, p: ca.SX) -> Waypoint:
     """A via point: joints, a tool position or a tool pose, each within its tolerance."""
-    x, joints, position, rotation = _tool_pose(problem)
+    x, joints, position, rotation = _tool_pose(problem, p)
     name = f"via {number}"
     if target.joints is not None:
         labels = [f"joint {j + 1}" for j in range(problem.joints)]
         miss = (joints - target.joints) / target.tolerance
         rows = Rows.make(name, labels, -1.0, 1.0)
-        return Waypoint(function=ca.Function("via", [x], [miss]), rows=(rows,))
+        return Waypoint(function=ca.Function("via", [x, p], [miss]), rows=(rows,))
     offset = (position - target.position) / target.tolerance
     blocks = [Rows.make(name, ["tool position"], -np.inf, 1.0)]
     expressions = [ca.dot(offset, offset)]
@@ -373,17 +377,19 @@ def _via_waypoint(problem: TrajectoryProblem, target: Target, number: int) -> Wa
         # Excludes the half turn, whose sine is zero too.
         blocks.append(Rows.make(name, ["tool half turn"], 0.0, np.inf))
         expressions.append(ca.trace(difference) - 1.0)
-    function = ca.Function("via", [x], [ca.vertcat(*expressions)])
+    function = ca.Function("via", [x, p], [ca.vertcat(*expressions)])
     return Waypoint(function=function, rows=tuple(blocks))
 
 
-def _tool_pose(problem: TrajectoryProblem) -> tuple[ca.SX, Quantity, Quantity, Quantity]:
+def _tool_pose(problem: TrajectoryProblem, p: ca.SX) -> tuple[ca.SX, Quantity, Quantity, Quantity]:
     """Symbol of the state, and the planned joints, tool position and tool rotation there."""
     n = problem.joints
     x = ca.SX.sym("x", coordinates_of(problem).order * n)
     joints = x[:n]
     if problem.plans_links:
-        joints = _motors(problem, x, Smoothing(smoothing_stages(problem)[-1])).position
+        corners = Smoothing(*ca.vertsplit(p)).corners
+        last = Smoothing(smoothing_stages(problem)[-1], corners)
+        joints = _motors(problem, x, last).position
     tool = problem.robot.tool
     position, rotation = tool_pose(
         problem.robot.tree, tool.joint, tool.offset, tool.rotation, joints

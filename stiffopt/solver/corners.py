@@ -14,6 +14,8 @@ from stiffopt.result.trajectory import Trajectory
 # Widths are doubled up to so often, while that lowers the excess to this share at least.
 _DOUBLINGS = 7
 _HELPS = 0.75
+# Excess that a solve gets rid of by passing corners a little slower.
+CORNERS_TAKE = 1.0
 # Of the last width: what may do as well, and leaves less after arrival.
 _BETWEEN = 0.7
 
@@ -37,17 +39,37 @@ def widened(
     allowed : float
         Share up to which nothing is wider.
     """
-    found = motors(smoothing)
-    worst = excess(found)
-    if worst <= allowed:
-        return found
-    for _ in range(_DOUBLINGS):
-        wider = motors(2.0 * smoothing)
-        less = excess(wider)
-        if less > max(_HELPS * worst, allowed):
-            return found
-        found, worst, smoothing = wider, less, 2.0 * smoothing
-        if worst <= allowed:
-            between = motors(_BETWEEN * smoothing)
-            return between if excess(between) <= allowed else found
+    made: dict[float, Trajectory] = {}
+
+    def beyond(width: float) -> float:
+        made[width] = motors(width)
+        return excess(made[width])
+
+    width = narrowest(beyond, smoothing, allowed)
+    found = made[width]
+    if width > smoothing and excess(found) <= allowed:
+        between = motors(_BETWEEN * width)
+        return between if excess(between) <= allowed else found
     return found
+
+
+def narrowest(beyond: Callable[[float], float], smoothing: float, allowed: float) -> float:
+    """The narrowest factor, by doubling, whose excess is allowed, or that of the least excess.
+
+    Parameters
+    ----------
+    beyond : callable
+        Excess for a factor on the law's smoothing widths.
+    smoothing : float
+        The narrowest factor.
+    allowed : float
+    """
+    worst = beyond(smoothing)
+    for _ in range(_DOUBLINGS):
+        if worst <= allowed:
+            break
+        less = beyond(2.0 * smoothing)
+        if less > max(_HELPS * worst, allowed):
+            break
+        worst, smoothing = less, 2.0 * smoothing
+    return smoothing

@@ -38,10 +38,15 @@ class SolveStage:
     new_mesh: bool = False
 
 
-def stages(problem: TrajectoryProblem, intervals: int) -> tuple[SolveStage, ...]:
-    """Stages that end at `intervals` with the narrowest smoothing the problem needs."""
+def stages(
+    problem: TrajectoryProblem, intervals: int, corners: float = 1.0
+) -> tuple[SolveStage, ...]:
+    """Stages that end at `intervals` with the narrowest smoothing the problem needs.
+
+    `corners` is the factor on the widths of the law by which motors lead planned links.
+    """
     coarse = max(intervals // 2, min(_LEAST_INTERVALS, intervals))
-    widths = tuple(map(Smoothing, smoothing_stages(problem)))
+    widths = tuple(Smoothing(width, corners) for width in smoothing_stages(problem))
     if len(widths) == 1:
         # Smooth problems converge from the guess at once; a coarse mesh would only cost time.
         return (SolveStage(intervals, Smoothing(1.0)),)

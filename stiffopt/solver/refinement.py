@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stiffopt.certificate.assess import assess
+from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.objective_value import improvement, is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.problem.formulation import exact_path_rows
@@ -19,6 +19,7 @@ from stiffopt.problem.limit import LIMITS
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.solution import Baseline
+from stiffopt.solver.corners import CORNERS_TAKE, narrowest
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.plan import SolveStage
 from stiffopt.solver.solve_run import SolveRun
@@ -180,7 +181,7 @@ def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nl
                 if not _to_mend(outcome, excess):
                     break
                 if attempt > 1 and max(excess.values(), default=0.0) > _CORNER:
-                    smoothing = replace(smoothing, corners=2.0 * smoothing.corners)
+                    smoothing = replace(smoothing, corners=_passable(run, outcome))
                 rows = rows or exact_path_rows(run.problem, run.motion, run.scales)
                 known = excess_of(made.transcription, raw.x, smoothing.parameters, rows)
                 unseen = _unseen(known, excess)
@@ -206,6 +207,17 @@ def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nl
             outcome = outcome_of(run, made, raw, smoothing)
         outcome = stopped(outcome)
     return outcome, nlp
+
+
+def _passable(run: SolveRun, outcome: Outcome) -> float:
+    """Wider corners of the motors' law, by which the same links exceed limits by little."""
+    corners = outcome.smoothing.corners
+
+    def beyond(width: float) -> float:
+        motors = motors_of(run, outcome, width / corners, sagged=False)
+        return max(v.value for v in drive_violations(run.problem, motors))
+
+    return narrowest(beyond, 2.0 * corners, CORNERS_TAKE)
 
 
 def _to_mend(outcome: Outcome, excess: dict[str, float]) -> bool:

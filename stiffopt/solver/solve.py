@@ -124,7 +124,7 @@ def solve_keeping(
         check_simulation(problem, motion)
     notes = notes_before(problem, motion)
     beside = baselines(problem, motion)
-    run = SolveRun(problem, motion, _scales(problem, beside), progress)
+    run = SolveRun(problem, motion, _scales(problem, beside), progress, beside.get("quintic"))
     needed, why = shortest_duration(problem, motion)
     kept = None
     if problem.duration[1] < needed:
@@ -217,7 +217,7 @@ def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outc
 
 def _certified_solve(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outcome:
     """Solve in stages, then refine while the certificate finds more than is allowed."""
-    plan = stages(run.problem, run.problem.method.intervals)
+    plan = stages(run.problem, run.problem.method.intervals, run.corners)
     found = refined(run, run_stages(run, plan, guess, {}), rival)
     stopped_early = found.raw.status == "interrupted"
     if run.end_modes and not stopped_early and not found.assessment.feasible(CERTIFIED):

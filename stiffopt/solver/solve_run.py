@@ -11,21 +11,26 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt.certificate.assess import drive_violations
 from stiffopt.certificate.objective_value import is_maximised
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import Mode, modes
+from stiffopt.elastic.smooth_motion import smooth_motion
 from stiffopt.errors import NotSimulatedError
 from stiffopt.problem.formulation import Scales
-from stiffopt.problem.motor_model import MotorLaw, rounded_lag
+from stiffopt.problem.motor_model import MotorLaw, law_smoothing, rounded_lag
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.solution import Baseline
 from stiffopt.solver.avoidance import Avoidance
+from stiffopt.solver.corners import CORNERS_TAKE, narrowest
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.plan import SolveStage
 
 # Of the time limit: if links that may swing on end in no motion by then, they are brought to rest.
 _OF_FREE_END = 0.4
+# Of the smooth quintic motion: pieces and instants.
+_PIECES, _INSTANTS = 30, 3001
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,7 @@ ProgressCallback = Callable[[SolveProgress], object]
 class SolveRun:
     """One solve in progress: its clock, its record and what it found so far.
 
+    `quintic` is the baseline by which corners of the motors' law are made wide enough;
     `at_rest` says that nothing may swing on after arrival, whatever limits allow; `avoidance`, once
     it is there, keeps the motion clear of collisions; `unavoided` says what was tried in vain,
     `detour` is the motion along a path around.
@@ -71,6 +77,7 @@ class SolveRun:
     motion: ResolvedMotion
     scales: Scales
     progress: ProgressCallback | None
+    quintic: Baseline | None = None
     at_rest: bool = False
     avoidance: Avoidance | None = None
     unavoided: str = ""
@@ -110,6 +117,27 @@ class SolveRun:
     def motors(self) -> MotorLaw:
         """Motors that lead the problem's links."""
         return MotorLaw(self.problem.robot, self.problem.process_force)
+
+    @cached_property
+    def corners(self) -> float:
+        """Factor on the widths of the motors' law with which a solve begins.
+
+        As wide as the quintic motion needs, smoothed. Through narrower corners no motion in that
+        time gets within the limits, and rows do not see it: a corner is passed between nodes.
+        """
+        problem = self.problem
+        motion = None if self.quintic is None else self.quintic.trajectory
+        if not problem.plans_links or motion is None:
+            return 1.0
+        smooth = smooth_motion(motion, motion.duration / _PIECES)
+        times = np.linspace(0.0, motion.duration, _INSTANTS)
+
+        def beyond(width: float) -> float:
+            found = drive_violations(problem, self.motors.motion(smooth, width), times)
+            return max((v.value for v in found if v.limit == "jerk"), default=-1.0)
+
+        least = law_smoothing(problem)
+        return narrowest(beyond, least, CORNERS_TAKE) / least
 
     def hold_at_rest(self) -> None:
         """Let nothing swing on after arrival from now on."""

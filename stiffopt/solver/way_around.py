@@ -143,7 +143,7 @@ def _starts(
         assert detour.assessment is not None
         run.detour = run.detour or detour
         guess = guess_along(problem, run.motion, detour.assessment)
-        yield _Start(stages(problem, problem.method.intervals), guess)
+        yield _Start(stages(problem, problem.method.intervals, run.corners), guess)
 
 
 def _clear_points(run: SolveRun, space: FreeSpace) -> np.ndarray:

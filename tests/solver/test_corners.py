@@ -2,7 +2,7 @@
 
 import pytest
 
-from stiffopt.solver.corners import widened
+from stiffopt.solver.corners import narrowest, widened
 
 
 @pytest.mark.parametrize("needed", [0.25, 1.7, 4.0])
@@ -17,3 +17,12 @@ def test_corners_are_as_wide_as_the_jerk_needs(needed):
 
 def test_what_no_width_mends_stays_narrow():
     assert widened(lambda width: width, lambda width: 3.0, 0.25, 0.0) == 0.25
+
+
+@pytest.mark.parametrize(("needed", "found"), [(0.2, 0.5), (1.4, 1.0), (1.5, 2.0), (6.0, 8.0)])
+def test_a_solve_takes_the_narrowest_corners_that_it_can_do_the_rest_with(needed, found):
+    assert narrowest(lambda width: (needed / width) ** 2 - 1.0, 0.5, 1.0) == found
+
+
+def test_what_width_does_not_mend_is_no_corner():
+    assert narrowest(lambda width: 7.0 + 0.1 / width, 0.5, 1.0) == 0.5

@@ -4,8 +4,12 @@ from pathlib import Path
 
 import pytest
 
+from stiffopt.baseline.baselines import baselines
 from stiffopt.problem.files import load_problem
+from stiffopt.problem.formulation import Scales
+from stiffopt.problem.resolve import resolve
 from stiffopt.solver.plan import stages
+from stiffopt.solver.solve_run import SolveRun
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 
@@ -16,3 +20,15 @@ PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 def test_first_meshes_of_a_peak_do_not_grow_with_the_last(intervals, expected):
     problem = load_problem(PROBLEMS / "ur10_dynamic_deflection.toml").problem
     assert [stage.intervals for stage in stages(problem, intervals)] == expected
+
+
+@pytest.mark.parametrize(("jerk", "corners"), [(1.0, 1.0), (0.3, 2.0)])
+def test_a_solve_begins_with_corners_as_wide_as_a_smooth_motion_needs(jerk, corners):
+    # With 0.3 of the jerk, the narrowest law asks for 2.3 times the limit, the next for 1.5 times.
+    changes = [f"limits.scale.jerk={jerk}"]
+    problem = load_problem(PROBLEMS / "ur10_tool_deviation.toml", changes).problem
+    motion = resolve(problem)
+    quintic = baselines(problem, motion)["quintic"]
+    run = SolveRun(problem, motion, Scales(), None, quintic)
+    assert run.corners == corners
+    assert {s.smoothing.corners for s in stages(problem, 40, run.corners)} == {corners}
