@@ -103,6 +103,34 @@ def shortened(value: object) -> str:
 _SHOWN = 100
 
 
+def relative(value: float, places: int = 2, sign: str = "") -> str:
+    """Relative value: a percentage with this many decimals, a factor from 1000 % on.
+
+    >>> relative(0.0123), relative(0.4, 0, "+"), relative(79926.0)
+    ('1.23%', '+40%', '80,000 times')
+    """
+    return times(value) if is_factor(value) else f"{value:{sign}.{places}%}"
+
+
+def is_factor(value: float) -> bool:
+    """Whether a relative value is so large that it is told as a factor, not in percent."""
+    return _FACTOR_FROM <= abs(value) < float("inf")
+
+
+def times(value: float) -> str:
+    """Large factor in two digits.
+
+    >>> times(12.0), times(79926.2761), times(3.5e9)
+    ('12 times', '80,000 times', '3.5e+09 times')
+    """
+    rounded = float(f"{value:.2g}")
+    return f"{rounded:,.0f} times" if abs(rounded) < _PLAIN_BELOW else f"{rounded:g} times"
+
+
+_FACTOR_FROM = 10.0
+_PLAIN_BELOW = 1e6
+
+
 def nearest(name: str, allowed: Iterable[str]) -> str:
     """Sentence that names the closest allowed word and lists the rest."""
     names = sorted(str(a) for a in allowed)

@@ -12,6 +12,8 @@ import pytest
 from small_arms import ROOT
 
 from stiffopt.cli import run
+from stiffopt.report.common.text import change, percent
+from stiffopt.result.assessment import Violation
 
 SHIPPED = ROOT / "problems" / "recordings" / "two_link_friction"
 URDF = SHIPPED / "robot.urdf"
@@ -170,3 +172,25 @@ def test_a_table_is_no_urdf_and_a_file_no_folder(tmp_path, capsys):
     options = ["--count", 2, "--tilting-moment", "5 N*m"]
     said = told(capsys, "init", "flange", "-o", tmp_path / "f", *options)
     assert "2 bolts bear no tilting moment about every axis" in said
+
+
+def test_a_folder_without_a_name_is_not_the_current_one(tmp_path, capsys, monkeypatch):
+    (tmp_path / "p.toml").write_text(PROBLEM)
+    monkeypatch.chdir(tmp_path)
+    for arguments in (
+        ("solve", "p.toml", "--out", ""),
+        ("solve", "p.toml", "--out="),
+        ("init", "robot", URDF, "-o", " "),
+        ("init", "flange", "--out", ""),
+    ):
+        assert "got no name" in told(capsys, *arguments)
+    assert [each.name for each in tmp_path.iterdir()] == ["p.toml"]
+
+
+def test_what_is_exceeded_many_times_is_told_as_a_factor():
+    said = [Violation(v, "jerk", 2, 0.5).describe() for v in (79926.2761, 9.99)]
+    assert said == [
+        "jerk of joint 2 at 0.500 s by 80,000 times",
+        "jerk of joint 2 at 0.500 s by 999.00%",
+    ]
+    assert (percent(12.0), change(11.0)) == ("12 times", "11 times as much")

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt.certificate.assess import assess, joint_windup
+from stiffopt.errors import relative
 from stiffopt.result.believed import Believed
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ class Disagreement:
     def describe(self) -> str:
         """Text for messages: "wind-up of joint 2 at 0.210 s by +12 %"."""
         owner = f" of joint {self.joint}" if self.joint else ""
-        return f"{self.quantity}{owner} at {self.time:.3f} s by {self.value:+.2%}"
+        return f"{self.quantity}{owner} at {self.time:.3f} s by {relative(self.value, sign='+')}"
 
 
 def differences(

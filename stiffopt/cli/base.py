@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import App, Parameter, Token
 
 from stiffopt.errors import InputError, shortened
 
@@ -24,7 +24,20 @@ app = App(
 app.register_install_completion_command(add_to_startup=False)
 
 OUT_NAMES = ("--out", "-o")
-Out = Annotated[Path, Parameter(name=OUT_NAMES, help="Folder for the results; made if missing.")]
+
+
+def out_path(_: object, tokens: Sequence[Token]) -> Path:
+    """Path of --out; an empty one would be the current folder."""
+    name = tokens[0].value
+    if not name.strip():
+        raise InputError("got no name. Give one, or . for the current folder.")
+    return Path(name)
+
+
+Out = Annotated[
+    Path,
+    Parameter(name=OUT_NAMES, help="Folder for the results; made if missing.", converter=out_path),
+]
 
 Changes = Annotated[
     tuple[str, ...],

@@ -13,6 +13,7 @@ from stiffopt.cli.base import (
     NoChanges,
     app,
     number_or_text,
+    out_path,
     refuse_changes,
 )
 from stiffopt.report.common.terminal import print_lines
@@ -20,7 +21,10 @@ from stiffopt.report.common.terminal import print_lines
 init = App(name="init", help="Write files to begin with: robot, problem, recording, flange.")
 app.command(init)
 
-File = Annotated[Path | None, Parameter(name=OUT_NAMES, help="File to write; never over another.")]
+File = Annotated[
+    Path | None,
+    Parameter(name=OUT_NAMES, converter=out_path, help="File to write; never over another."),
+]
 # Below zero it is refused by what is allowed, not taken for an option.
 Amount = Annotated[str, Parameter(allow_leading_hyphen=True)]
 
@@ -91,7 +95,11 @@ def recording(
     urdf: Path,
     out: Annotated[
         Path | None,
-        Parameter(name=OUT_NAMES, help="Folder of the set; default NAME_set beside the data."),
+        Parameter(
+            name=OUT_NAMES,
+            converter=out_path,
+            help="Folder of the set; default NAME_set beside the data.",
+        ),
     ] = None,
     rate: float | None = None,
     changes: NoChanges = (),
@@ -129,7 +137,9 @@ def recording(
 @init.command
 def flange(
     *,
-    out: Annotated[Path, Parameter(name=OUT_NAMES, help="Folder for the files.")] = Path("flange"),
+    out: Annotated[
+        Path, Parameter(name=OUT_NAMES, converter=out_path, help="Folder for the files.")
+    ] = Path("flange"),
     torque: Amount = "100 N*m",
     size: str = "M5",
     grade: str = "12.9",

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.interpolate import BPoly, CubicSpline
 
 from stiffopt.certificate.violations import CERTIFIED
-from stiffopt.errors import InputError, InputFileError
+from stiffopt.errors import InputError, InputFileError, relative
 from stiffopt.files import read_table
 from stiffopt.result.compensation_store import COMMAND_FILE
 from stiffopt.result.store import (
@@ -134,8 +134,8 @@ def read_motion(folder: Path, which: Which = "motor") -> StoredMotion:
         raise InputFileError(
             path,
             "certificate",
-            f"the motion exceeds {limit.replace('_', ' ')} by {worst:.2%}, so it is not exported. "
-            "Solve again until every limit holds.",
+            f"the motion exceeds {limit.replace('_', ' ')} by {relative(worst)}, so it is not "
+            "exported. Solve again until every limit holds.",
         )
     names, prismatic = joints_of(document, path)
     curve = _link_curve(folder, len(names)) if which == "link" else _motor_curve(folder, len(names))

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.errors import relative
+
 if TYPE_CHECKING:
     from stiffopt.result.simulation import SimulatedMotion
 
@@ -44,7 +46,9 @@ class Violation:
             names = " and ".join(self.pair)
             return f"the clearance of {names} at {self.time:.3f} s: {self.apart()}"
         owner = f" of joint {self.joint}" if self.joint else ""
-        return f"{self.limit.replace('_', ' ')}{owner} at {self.time:.3f} s by {self.value:.2%}"
+        return (
+            f"{self.limit.replace('_', ' ')}{owner} at {self.time:.3f} s by {relative(self.value)}"
+        )
 
     def apart(self) -> str:
         """How far the two of a collision are apart: "12.3 mm deep", "35.0 mm apart"."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+from stiffopt.errors import is_factor, times
 from stiffopt.units import joint_unit
 
 DASH = "–"
@@ -129,14 +130,14 @@ def fixed(value: float, places: int) -> str:
 
 
 def percent(value: float | None, digits: int = 2) -> str:
-    """Relative value as a percentage.
+    """Relative value as a percentage, from 1000 % on as a factor.
 
-    >>> percent(0.0012), percent(-0.25)
-    ('0.12 %', '-25 %')
+    >>> percent(0.0012), percent(-0.25), percent(12.0)
+    ('0.12 %', '-25 %', '12 times')
     """
     if value is None or not math.isfinite(value):
         return DASH
-    return f"{significant(100 * value, digits)} %"
+    return times(value) if is_factor(value) else f"{significant(100 * value, digits)} %"
 
 
 def change(ratio: float) -> str:
@@ -150,6 +151,8 @@ def change(ratio: float) -> str:
     size = ratio - 1.0
     if abs(size) < UNCHANGED:
         return "0 %"
+    if is_factor(size):
+        return f"{times(ratio)} as much"
     return f"{'+' if size > 0 else '−'}{significant(100 * abs(size), 2)} %"
 
 

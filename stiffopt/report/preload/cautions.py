@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from stiffopt.errors import is_factor
 from stiffopt.report.common.text import listed, percent
 from stiffopt.report.preload.words import owner_name
 
@@ -34,7 +35,8 @@ def _said(rows: Sequence[UtilisationRow]) -> str:
     where = listed(owners) if more < 1 else f"{', '.join(owners[:_NAMED])} and {more} more"
     worst = rows[0]
     used = percent(worst.utilisation, 3) if math.isfinite(worst.utilisation) else "any multiple"
+    of = "" if is_factor(worst.utilisation) else " of"
     return (
-        f"{worst.kind} is at {used} of its limit in {where}. It stops no"
+        f"{worst.kind} is at {used}{of} its limit in {where}. It stops no"
         f" design: {worst.warns}. To change: {worst.remedy}."
     )
