@@ -112,6 +112,17 @@ def relative(value: float, places: int = 2, sign: str = "") -> str:
     return times(value) if is_factor(value) else f"{value:{sign}.{places}%}"
 
 
+def more(after: float, before: float, digits: int) -> str:
+    """How much more one is than the other, which is not 0.
+
+    >>> more(1.1, 1.0, 2), more(0.5, 1.0, 3), more(12.0, 1.0, 2)
+    ('+10 %', '-50 %', '12 times as much')
+    """
+    ratio = after / before
+    size = ratio - 1.0
+    return f"{times(ratio)} as much" if is_factor(size) else f"{100.0 * size:+.{digits}g} %"
+
+
 def is_factor(value: float) -> bool:
     """Whether a relative value is so large that it is told as a factor, not in percent."""
     return _FACTOR_FROM <= abs(value) < float("inf")

@@ -164,12 +164,12 @@ def _shorter(plan: Plan, s: PublicSet, target: Path) -> None:
 
 def _doubted(case: Path) -> bool:
     """Whether the tool stops before any diagnosis: the files cannot be what they say."""
-    from stiffopt.discovery.sanity.gate import doubts
+    from stiffopt.discovery.sanity.gate import SanityGate
     from stiffopt.discovery.training import training_runs
     from stiffopt.recording.recording_set import load_recordings
 
     recordings = load_recordings(case)
-    return bool(doubts(recordings, training_runs(recordings)))
+    return bool(SanityGate(recordings, training_runs(recordings)).doubts)
 
 
 def _say(text: str) -> None:

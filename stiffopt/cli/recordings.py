@@ -150,7 +150,7 @@ def check(
     from stiffopt.discovery.catalogue import CATALOGUE
     from stiffopt.discovery.identifiable import effect_checks
     from stiffopt.discovery.sanity.doubt import DoubtfulRecordings
-    from stiffopt.discovery.sanity.gate import doubts, remarks
+    from stiffopt.discovery.sanity.gate import SanityGate
     from stiffopt.discovery.training import training_runs
     from stiffopt.discovery.user_effects import load_effects
     from stiffopt.recording.check import check_recordings
@@ -170,9 +170,9 @@ def check(
     report = check_recordings(loaded)
     every = (*CATALOGUE, *(load_effects(effects) if effects else ()))
     found = effect_checks(loaded, report.facts, report.training_runs, every)
-    runs = training_runs(loaded)
-    doubted = doubts(loaded, runs)
-    remarked = () if doubted else remarks(loaded, runs)
+    gate = SanityGate(loaded, training_runs(loaded))
+    doubted = gate.doubts
+    remarked = () if doubted else gate.remarks
     if json:
         print_json(
             report.as_dict()

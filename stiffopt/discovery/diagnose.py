@@ -33,7 +33,7 @@ from stiffopt.discovery.judging.other_band import doubted_by_band
 from stiffopt.discovery.judging.shares import parts_of
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
-from stiffopt.discovery.sanity.gate import doubts, remarks
+from stiffopt.discovery.sanity.gate import SanityGate
 from stiffopt.discovery.search.candidates import Scorer
 from stiffopt.discovery.search.identifiable_effects import (
     identifiable_effects,
@@ -128,10 +128,11 @@ def diagnose(
     base = _at_rate(_at_rate(base, clock), clock / every)
     recordings, runs = quieter(recordings, every), [thinned(run, every) for run in runs]
     say("check units, signs and orders")
-    doubted = doubts(recordings, runs)
+    gate = SanityGate(recordings, runs)
+    doubted = gate.doubts
     if doubted and not despite_doubts:
         raise DoubtfulRecordings(recordings.path, doubted)
-    remarked = () if doubted or base is not None else remarks(recordings, runs)
+    remarked = () if doubted or base is not None else gate.remarks
     training = train(recordings, settings, base, say, runs)
     facts = joint_facts(recordings, training.recorded)
     checks = effect_checks(recordings, facts, len(training.recorded), catalogue)

@@ -226,8 +226,7 @@ class PreloadModel:
         """Tangent stiffness, (joints, cases) [N m/rad]; zero where a connection slips."""
         rows = []
         for joint in self.problem.joints:
-            torques = np.array([case.torque[joint - 1] for case in self.cases])
-            rows.append(1.0 / self.exact_compliance(preloads, joint, torques))
+            rows.append(1.0 / self.exact_compliance(preloads, joint, self.torques(joint)[0]))
         return np.array(rows)
 
     def exact_deflection(self, preloads: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from stiffopt.errors import InputFileError, is_factor, times
+from stiffopt.errors import InputFileError, more
 from stiffopt.files import load_json
 from stiffopt.report.common.text import DASH
 
@@ -79,7 +79,4 @@ def _text(value: Any) -> str:
 
 def _change(a: Any, b: Any) -> str:
     numbers = all(isinstance(v, float | int) and not isinstance(v, bool) for v in (a, b))
-    if not numbers or not a:
-        return ""
-    more = b / a - 1.0
-    return f"{times(b / a)} as much" if is_factor(more) else f"{100.0 * more:+.3g} %"
+    return more(b, a, 3) if numbers and a else ""

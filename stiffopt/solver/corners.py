@@ -39,15 +39,16 @@ def widened(
     allowed : float
         Share up to which nothing is wider.
     """
-    made: dict[float, Trajectory] = {}
+    made: dict[float, tuple[Trajectory, float]] = {}
 
     def beyond(width: float) -> float:
-        made[width] = motors(width)
-        return excess(made[width])
+        own = motors(width)
+        made[width] = own, excess(own)
+        return made[width][1]
 
     width = narrowest(beyond, smoothing, allowed)
-    found = made[width]
-    if width > smoothing and excess(found) <= allowed:
+    found, worst = made[width]
+    if width > smoothing and worst <= allowed:
         between = motors(_BETWEEN * width)
         return between if excess(between) <= allowed else found
     return found

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shipped_set import SHIPPED
 from simulated_sets import simulated
 from small_arms import ROOT
 
@@ -22,14 +23,13 @@ from stiffopt.cli import run
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
-from stiffopt.discovery.sanity.gate import doubts, remarks
+from stiffopt.discovery.sanity.gate import SanityGate
 from stiffopt.discovery.sanity.joint_gains import _CommonFit, joint_gains
 from stiffopt.discovery.sanity.samples import sampled
 from stiffopt.discovery.training import training_runs
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.recording.set_points import is_set_point
 
-SHIPPED = ROOT / "problems" / "recordings" / "two_link_friction"
 PUBLISHED = ROOT.parent / "shared" / "recordings"
 OPEN_CASES = ROOT.parent / "shared" / "blind" / "open"
 
@@ -57,7 +57,7 @@ def rewritten(folder: Path, old: str, new: str) -> None:
 
 def doubted(folder: Path) -> tuple[Doubt, ...]:
     recordings = load_recordings(folder)
-    return doubts(recordings, training_runs(recordings))
+    return SanityGate(recordings, training_runs(recordings)).doubts
 
 
 def times(names: str, factor: float) -> Callable[[Columns], None]:
@@ -356,8 +356,8 @@ def test_a_gain_of_one_joint_is_told_and_stops_nothing(joint, tmp_path, capsys):
     folder = without_friction(changed_copy(SHIPPED, tmp_path / "set", times(f"tau{joint}", 1.25)))
     recordings = load_recordings(folder)
     runs = training_runs(recordings)
-    assert doubts(recordings, runs) == ()
-    (told,) = remarks(recordings, runs)
+    assert SanityGate(recordings, runs).doubts == ()
+    (told,) = SanityGate(recordings, runs).remarks
     assert (told.kind, told.joints) == ("torque gain", (joint,))
     gain = float(re.search(r"fits (\S+) times", told.evidence)[1])
     assert gain == pytest.approx(1.25, rel=0.03)
@@ -371,7 +371,7 @@ def test_a_gain_of_one_joint_is_told_and_stops_nothing(joint, tmp_path, capsys):
 def test_nothing_is_remarked_of_gains_where_there_are_none(tmp_path):
     for folder in (SHIPPED, without_friction(shutil.copytree(SHIPPED, tmp_path / "set"))):
         recordings = load_recordings(folder)
-        assert remarks(recordings, training_runs(recordings)) == ()
+        assert SanityGate(recordings, training_runs(recordings)).remarks == ()
 
 
 @pytest.mark.slow
@@ -379,7 +379,7 @@ def test_nothing_is_remarked_of_gains_where_there_are_none(tmp_path):
 def test_nothing_is_remarked_of_public_sets_and_open_cases():
     for folder in (*sorted(OPEN_CASES.iterdir())[:6], PUBLISHED / "unisa_ur10"):
         recordings = load_recordings(folder)
-        assert remarks(recordings, training_runs(recordings)) == (), folder.name
+        assert SanityGate(recordings, training_runs(recordings)).remarks == (), folder.name
 
 
 def other_arm(columns: Columns) -> None:
@@ -436,7 +436,7 @@ def test_one_fast_run_with_what_shows_there_alone_stops_nothing(tmp_path, monkey
     np.savez(folder / "extrap_1.npz", **columns)
     assert doubted(folder) == ()
     recordings = load_recordings(folder)
-    told = remarks(recordings, training_runs(recordings))[0]
+    told = SanityGate(recordings, training_runs(recordings)).remarks[0]
     assert (told.kind, told.joints) == ("another arm", (2,))
     assert "extrap_1 moves faster or further than the other runs" in told.evidence
 
@@ -463,7 +463,7 @@ def test_a_reference_in_a_name_is_remarked_and_stops_nothing(tmp_path):
     rewritten(folder, 'position = ["q1", "q2"]', 'position = ["encoder_ref_1", "encoder_ref_2"]')
     assert doubted(folder) == ()
     recordings = load_recordings(folder)
-    (told,) = remarks(recordings, training_runs(recordings))
+    (told,) = SanityGate(recordings, training_runs(recordings)).remarks
     assert told.kind == "set points"
     assert "encoder_ref_1, encoder_ref_2" in told.evidence
 

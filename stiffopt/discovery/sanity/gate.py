@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -35,8 +36,8 @@ _GEARS = (20.0, 400.0)
 _OPEN, _MOST_RUNS = 0.04, 12
 
 
-def doubts(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[Doubt, ...]:
-    """What is doubted of a set by some of its runs; nothing where it can be what it says.
+class SanityGate:
+    """What is doubted of a set by some of its runs, and what is remarked beside.
 
     Parameters
     ----------
@@ -51,26 +52,73 @@ def doubts(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[Doubt
     are doubted for only where they explain the torques many times better than the file's own
     reading with any friction, rotor inertia, spring and payload that a robot may have besides.
     """
-    if not any(body.mass > 0.0 for body in recordings.robot.tree.bodies):
-        return (_without_masses(recordings),)
-    found = [*_currents(recordings), *_set_points(recordings), *_second_sensors(recordings, runs)]
-    samples = sampled(runs)
-    explanation = None
-    if samples is not None:
-        search = Explanations(RobotModel(recordings), samples)
-        odd = [each for each in _odd(search, runs) if not _moves_elsewhere(each)]
-        explanation = None if odd else search.best()
-        if odd:
-            found = [*_of_odd_runs(recordings, odd), *found]
-        elif explanation is not None:
-            found = [*_explained(recordings, search, explanation), *found]
-        elif (standing := search.standing_in_degrees()) is not None:
-            found = [_in_rad(recordings, search, standing), *found]
-        elif len(runs) > 1 and not found:
-            found = [*_of_single_runs(recordings, runs, search)]
-    if not any(doubt.kind == "position unit" for doubt in found):
-        found += _beyond_limits(recordings, runs)
-    return tuple(found)
+
+    def __init__(self, recordings: RecordingSet, runs: Sequence[RecordedRun]) -> None:
+        self._recordings, self._runs = recordings, runs
+
+    @cached_property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """What stops a diagnosis; nothing where the set can be what it says."""
+        recordings, runs = self._recordings, self._runs
+        if not any(body.mass > 0.0 for body in recordings.robot.tree.bodies):
+            return (_without_masses(recordings),)
+        found = [
+            *_currents(recordings),
+            *_set_points(recordings),
+            *_second_sensors(recordings, runs),
+        ]
+        explanation, search = None, self._search
+        if search is not None:
+            odd = [each for each in self._odd if each not in self._elsewhere]
+            explanation = None if odd else search.best()
+            if odd:
+                found = [*_of_odd_runs(recordings, odd), *found]
+            elif explanation is not None:
+                found = [*_explained(recordings, search, explanation), *found]
+            elif (standing := search.standing_in_degrees()) is not None:
+                found = [_in_rad(recordings, search, standing), *found]
+            elif len(runs) > 1 and not found:
+                found = [*_of_single_runs(recordings, runs, search)]
+        if not any(doubt.kind == "position unit" for doubt in found):
+            found += _beyond_limits(recordings, runs)
+        return tuple(found)
+
+    @property
+    def remarks(self) -> tuple[Doubt, ...]:
+        """What stops nothing and yet is to be looked at; read where nothing is doubted.
+
+        A drive's constant may be off by that much, which is an effect of the catalogue; and so may
+        be the description.
+        """
+        told = tuple(_references(self._recordings))
+        if self._search is None or self._recordings.signals.currents:
+            return told
+        gains = joint_gains(self._robot, self._search.samples)
+        return (
+            *told,
+            *map(_of_elsewhere, self._elsewhere),
+            *(_of_joint_gain(self._recordings, each) for each in gains),
+        )
+
+    @cached_property
+    def _robot(self) -> RobotModel:
+        return RobotModel(self._recordings)
+
+    @cached_property
+    def _search(self) -> Explanations | None:
+        samples = sampled(self._runs)
+        return None if samples is None else Explanations(self._robot, samples)
+
+    @cached_property
+    def _odd(self) -> list[OddRun]:
+        if self._search is None or len(self._runs) < 2:
+            return []
+        return odd_runs(self._search, self._runs)
+
+    @cached_property
+    def _elsewhere(self) -> list[OddRun]:
+        """Odd runs that the robot may explain: a stop, an inertia that others do not ask."""
+        return [each for each in self._odd if each.elsewhere and each.search.best() is None]
 
 
 def _without_masses(recordings: RecordingSet) -> Doubt:
@@ -109,22 +157,6 @@ def _set_points(recordings: RecordingSet) -> Iterator[Doubt]:
             " and its controller's errors would be taken for physics. Record measured positions.",
             line="position = [...] in [signals] with the columns that were measured",
         )
-
-
-def remarks(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[Doubt, ...]:
-    """What stops nothing and yet is to be looked at: a name, torques of one joint off by a factor.
-
-    A drive's constant may be off by that much, which is an effect of the catalogue; and so may be
-    the description. Read after `doubts`.
-    """
-    told = tuple(_references(recordings))
-    samples = sampled(runs)
-    if samples is None or recordings.signals.currents:
-        return told
-    robot = RobotModel(recordings)
-    odd = [each for each in _odd(Explanations(robot, samples), runs) if _moves_elsewhere(each)]
-    found = joint_gains(robot, samples)
-    return (*told, *map(_of_elsewhere, odd), *(_of_joint_gain(recordings, each) for each in found))
 
 
 def _references(recordings: RecordingSet) -> Iterator[Doubt]:
@@ -191,15 +223,6 @@ def _explained(
         yield from _of_reading(recordings, explanation, shares)
         if explanation.gains is not None:
             yield from _of_gains(recordings, explanation, search.strict)
-
-
-def _odd(search: Explanations, runs: Sequence[RecordedRun]) -> list[OddRun]:
-    return odd_runs(search, runs) if len(runs) > 1 else []
-
-
-def _moves_elsewhere(odd: OddRun) -> bool:
-    """Whether what sets it apart may be of the robot: a stop, an inertia that others do not ask."""
-    return odd.elsewhere and odd.search.best() is None
 
 
 def _of_elsewhere(odd: OddRun) -> Doubt:
