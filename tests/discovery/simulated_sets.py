@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -28,6 +29,21 @@ COULOMB = CaseSpec(
     rate=250.0,
     substeps=8,
 )
+
+
+def short_case(*effects: tuple[str, int | None, float], seed: int, **fields: object) -> CaseSpec:
+    """Four runs of five seconds to fit, and one left out."""
+    short = CaseSpec(
+        effects=effects,
+        seed=seed,
+        seconds=5.0,
+        train=4,
+        test=1,
+        extrapolate=0,
+        rate=250.0,
+        substeps=8,
+    )
+    return replace(short, **fields)
 
 
 @cache

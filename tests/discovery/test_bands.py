@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from shipped_set import SHIPPED
 
 from stiffopt.discovery.comparison import bands
 from stiffopt.discovery.comparison.bands import BANDS, choose_bands
@@ -14,12 +14,10 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.recording.run import RecordedRun
 
-SET = Path(__file__).parents[2] / "problems" / "recordings" / "two_link_friction"
-
 
 def test_noisy_encoders_are_followed_more_slowly() -> None:
     """A quantised motion is derived twice at the highest band that its noise bears, not beyond."""
-    recordings = load_recordings(SET)
+    recordings = load_recordings(SHIPPED)
     robot = RobotModel(recordings)
     clean = [recordings.open(entry) for entry in recordings.with_role("train")]
     rng = np.random.default_rng(5)
@@ -39,7 +37,7 @@ def test_only_joints_that_wind_up_are_held_below_their_resonance(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A rigid joint beside an elastic one follows what its own torque bears out."""
-    recordings = load_recordings(SET)
+    recordings = load_recordings(SHIPPED)
     robot = RobotModel(recordings)
     runs = [recordings.open(entry) for entry in recordings.with_role("train")]
     monkeypatch.setattr(bands, "_errors", lambda *given: np.full(2, given[2] ** -2.0))
@@ -53,7 +51,7 @@ def test_only_joints_that_wind_up_are_held_below_their_resonance(
 
 def test_too_little_motion_chooses_nothing() -> None:
     """Where nothing moves, the usual bands stay."""
-    recordings = load_recordings(SET)
+    recordings = load_recordings(SHIPPED)
     robot = RobotModel(recordings)
     run = recordings.open(recordings.with_role("train")[0])
     still = replace(run, position=np.tile(run.position[:1], (len(run.time), 1)))

@@ -2,17 +2,13 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from simulated_sets import diagnosed, said
+from shipped_set import LACKS, SHIPPED
+from simulated_sets import diagnosed, said, short_case
 
-from benchmarks.simulator import CaseSpec
-from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.judging.episodes import Track, episodes_in, training_tracks
 from stiffopt.discovery.judging.held_out import HeldOut
 from stiffopt.discovery.proof.predict import Predictor
@@ -105,20 +101,10 @@ def test_a_run_left_out_is_asked_beside_the_training_runs():
     assert episodes_in([test], runs()) == ()
 
 
-SET = Path(__file__).parents[2] / "problems" / "recordings" / "two_link_friction"
-LACKS = Extension(
-    effects=(
-        EstimatedEffect(
-            located=LocatedEffect(effect=effect("coulomb"), joint=1), amplitudes=(0.62,)
-        ),
-    )
-)
-
-
 @cache
 def opened(what):
     """Episodes and proof of the shipped test run, in which something begins at 0.75 of it."""
-    recordings = load_recordings(SET)
+    recordings = load_recordings(SHIPPED)
     training = train(recordings, Settings())
     comparison = training.comparison()
     fit = comparison.fit([each.located for each in LACKS.effects])
@@ -174,16 +160,7 @@ def test_only_a_load_until_the_end_stays_in_the_proof(what, remains):
     assert "times the noise with it" in line
 
 
-TOUCHED = CaseSpec(
-    effects=(("touched", None, 1.0),),
-    seed=71,
-    seconds=5.0,
-    train=4,
-    test=1,
-    extrapolate=0,
-    rate=250.0,
-    substeps=8,
-)
+TOUCHED = short_case(("touched", None, 1.0), seed=71)
 
 
 @pytest.mark.slow

@@ -5,7 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import pytest
-from simulated_sets import agrees, diagnosed, placed_where, said, shared, simulated, truth_place
+from simulated_sets import (
+    agrees,
+    diagnosed,
+    placed_where,
+    said,
+    shared,
+    short_case,
+    simulated,
+    truth_place,
+)
 
 from benchmarks.simulator import CaseSpec
 from stiffopt.discovery.catalogue import CATALOGUE
@@ -26,17 +35,7 @@ class Trial:
 
     @property
     def spec(self) -> CaseSpec:
-        return CaseSpec(
-            robot=self.robot,
-            effects=((self.name, self.joint, self.severity),),
-            seed=self.seed,
-            seconds=5.0,
-            train=4,
-            test=1,
-            extrapolate=0,
-            rate=250.0,
-            substeps=8,
-        )
+        return short_case((self.name, self.joint, self.severity), seed=self.seed, robot=self.robot)
 
 
 TRIALS = (

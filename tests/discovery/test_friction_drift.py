@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnosed_folders import written
-from simulated_sets import diagnosed, said, simulated
+from simulated_sets import diagnosed, said, short_case, simulated
 
-from benchmarks.simulator import CaseSpec
 from stiffopt.discovery.catalogue.friction_drift import FRICTION_DRIFT, friction_drift
 from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.extended.model import load_extended
@@ -15,16 +14,7 @@ from stiffopt.discovery.extended.store import extended_text
 from stiffopt.discovery.soundness import faults, sample_signals
 from stiffopt.report.diagnosis.mismatch import carried_over_sentences
 
-DRIFT = CaseSpec(
-    effects=(("friction_drift", 1, 1.0),),
-    seed=101,
-    seconds=5.0,
-    train=4,
-    test=1,
-    extrapolate=0,
-    rate=250.0,
-    substeps=8,
-)
+DRIFT = short_case(("friction_drift", 1, 1.0), seed=101)
 
 
 def of_run(name, entry, levels, share=0.0):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
@@ -17,14 +17,13 @@ from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training, train
 from stiffopt.recording.recording_set import load_recordings
 
-SET = Path(__file__).parents[2] / "problems" / "recordings" / "two_link_friction"
 COULOMB = effect("coulomb")
 THERE = LocatedEffect(effect=COULOMB, joint=1)
 
 
 @pytest.fixture(scope="module")
 def training() -> Training:
-    found = train(load_recordings(SET), Settings(), swinging=False)
+    found = train(load_recordings(SHIPPED), Settings(), swinging=False)
     return replace(found, free_bodies=True)
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import CATALOGUE, effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
@@ -22,12 +22,10 @@ from stiffopt.discovery.thresholds import LEFT_OUT_SHARE
 from stiffopt.discovery.training import train
 from stiffopt.recording.recording_set import load_recordings
 
-SET = Path(__file__).parents[2] / "problems" / "recordings" / "two_link_friction"
-
 
 def test_what_is_there_stays_and_what_is_not_goes() -> None:
     """More dry friction in joint 2 is in every run, load friction of joint 1 in none."""
-    comparison = train(load_recordings(SET), Settings()).comparison()
+    comparison = train(load_recordings(SHIPPED), Settings()).comparison()
     there = LocatedEffect(effect=effect("coulomb"), joint=1)
     load = LocatedEffect(effect=effect("load_friction"), joint=0, shapes=(0.02,))
     assert borne_out(comparison, [load, there]) == [there]
@@ -129,7 +127,7 @@ def test_two_that_only_balance_each_other_are_none() -> None:
 
 def test_what_every_joint_has_comes_back() -> None:
     """Dry friction that was lost on the way is found again where it is, and only there."""
-    comparison = train(load_recordings(SET), Settings()).comparison()
+    comparison = train(load_recordings(SHIPPED), Settings()).comparison()
     lost = [LocatedEffect(effect=effect("coulomb"), joint=j) for j in range(2)]
     _, ranked = restored(comparison, comparison, [], lost, CATALOGUE, lambda _: None)
     assert [r.selected.located for r in ranked] == lost[1:]
@@ -137,7 +135,7 @@ def test_what_every_joint_has_comes_back() -> None:
 
 def test_friction_is_taken_from_all_moving_samples() -> None:
     """A level that is off comes back to what the runs bear out, and is no surer for it."""
-    training = train(load_recordings(SET), Settings())
+    training = train(load_recordings(SHIPPED), Settings())
     constants = training.constants
     there = LocatedEffect(effect=effect("coulomb"), joint=1)
     comparison = training.comparison()
@@ -159,7 +157,7 @@ def test_friction_is_taken_from_all_moving_samples() -> None:
 
 def test_friction_that_all_moving_samples_contradict_goes() -> None:
     """What is there stays as it was estimated; of a joint that has none nothing is claimed."""
-    training = train(load_recordings(SET), Settings())
+    training = train(load_recordings(SHIPPED), Settings())
     comparison = training.comparison()
     places = [LocatedEffect(effect=effect("coulomb"), joint=j) for j in (0, 1)]
     wrong = estimate(comparison, places).moved(np.array([1.0, 0.0]))
@@ -175,7 +173,7 @@ def test_friction_that_all_moving_samples_contradict_goes() -> None:
 
 def test_an_offset_of_a_link_encoder_is_not_judged_by_torques() -> None:
     """It changes none of them, and goes by nothing that they say."""
-    training = train(load_recordings(SET), Settings())
+    training = train(load_recordings(SHIPPED), Settings())
     comparison = training.comparison()
     offset = LocatedEffect(effect=effect("encoder_offset"), joint=0)
     there = LocatedEffect(effect=effect("coulomb"), joint=1)

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from shipped_set import LACKS, SHIPPED
 
-from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.judging.black_box import BlackBox, MeasuringRod
 from stiffopt.discovery.judging.carried_over import Drift, NotCarriedOver, not_carried_over
 from stiffopt.discovery.judging.random_features import smooth_function
@@ -25,24 +23,14 @@ from stiffopt.recording.recording_set import load_recordings
 from stiffopt.recording.run import RecordedRun
 from stiffopt.report.diagnosis.mismatch import rod_sentence
 
-SET = Path(__file__).parents[2] / "problems" / "recordings" / "two_link_friction"
-# What the nominal model of the set lacks.
-LACKS = Extension(
-    effects=(
-        EstimatedEffect(
-            located=LocatedEffect(effect=effect("coulomb"), joint=1), amplitudes=(0.62,)
-        ),
-    )
-)
-
 
 @cache
 def _training() -> Training:
-    return train(load_recordings(SET), Settings())
+    return train(load_recordings(SHIPPED), Settings())
 
 
 def _left_out() -> RecordedRun:
-    recordings = load_recordings(SET)
+    recordings = load_recordings(SHIPPED)
     return recordings.open(recordings.with_role("test")[0])
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.bodies import body_units
@@ -18,13 +18,12 @@ from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training, train
 from stiffopt.recording.recording_set import load_recordings
 
-SET = Path(__file__).parents[2] / "problems" / "recordings" / "two_link_friction"
 THERE = LocatedEffect(effect=effect("coulomb"), joint=1)
 
 
 @pytest.fixture(scope="module")
 def training() -> Training:
-    return train(load_recordings(SET), Settings(), swinging=False)
+    return train(load_recordings(SHIPPED), Settings(), swinging=False)
 
 
 def _balanced(training: Training) -> Comparison:

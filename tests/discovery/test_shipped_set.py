@@ -5,11 +5,10 @@ import subprocess
 import sys
 
 import pytest
-from small_arms import ROOT
+from shipped_set import SHIPPED
 
 from stiffopt.cli import run
 
-SHIPPED = ROOT / "problems" / "recordings" / "two_link_friction"
 # What was added to joint 2 when the set was simulated [N m].
 ADDED = 0.6237
 
