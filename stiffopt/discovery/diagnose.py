@@ -20,6 +20,7 @@ from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.extended.schema import LeftOpenSection
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.discovery.judging.all_samples import from_all_samples
+from stiffopt.discovery.judging.beyond_deviation import beyond_deviation
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.judging.carried_over import drifts, not_carried_over
 from stiffopt.discovery.judging.detection import DetectionLimit, detection_limits
@@ -255,25 +256,27 @@ def _parameters(
     comparison = result.comparison
     comparison.columns.release()
 
-    def fitted() -> tuple[tuple[Selected, ...], Estimate]:
-        located = tuple(s.located for s in selected)
-        return selected, even_if_stopped(stopped, lambda: estimate(comparison, located))
+    def fitted(found: Sequence[Selected]) -> tuple[tuple[Selected, ...], Estimate]:
+        located = tuple(s.located for s in found)
+        return tuple(found), even_if_stopped(stopped, lambda: estimate(comparison, located))
 
     if not training.free_bodies or training.robot.swings:
-        return fitted()
+        return beyond_deviation(selected, fitted)
 
-    def sampled() -> tuple[tuple[Selected, ...], Estimate]:
+    def sampled(found: Sequence[Selected]) -> tuple[tuple[Selected, ...], Estimate]:
         say("take friction from all moving samples where that predicts better")
-        return from_all_samples(training, settings, start, comparison, selected)
+        return from_all_samples(training, settings, start, comparison, found)
 
-    kept, estimated = unless_stopped(stopped, FITTED, sampled) or fitted()
-
-    def asked() -> Estimate:
+    def asked(estimated: Estimate) -> Estimate:
         say("ask half the band for the parameters")
         return doubted_by_band(training, comparison, estimated)
 
-    estimated = unless_stopped(stopped, ONE_BAND, asked) or estimated
-    return kept, doubted_by_left_open(training, estimated)
+    def doubted(found: Sequence[Selected]) -> tuple[tuple[Selected, ...], Estimate]:
+        kept, first = unless_stopped(stopped, FITTED, lambda: sampled(found)) or fitted(found)
+        estimated = unless_stopped(stopped, ONE_BAND, lambda: asked(first)) or first
+        return kept, doubted_by_left_open(training, estimated)
+
+    return beyond_deviation(selected, doubted)
 
 
 def _predicted(opened: HeldOut, recordings: RecordingSet, stopped: list[str], say: Say) -> None:

@@ -43,6 +43,12 @@ DETERMINED_DEVIATIONS = 2.0
 # the evidence kept in runs left out.
 BORNE_OUT_SHARE = 0.5
 
+# ---- When it may be nothing, all that is known of its deviation counted [0053]
+
+# Deviations from nothing that a finding has at least; and a value that every joint has and the
+# nominal model does not give.
+NOTHING_DEVIATIONS, UNSTATED_DEVIATIONS = 2.0, 1.0
+
 # ---- When recordings left out bear it out [0036, 0045]
 
 # Share of its channel's squares that a finding takes away in recordings left out, and share of them

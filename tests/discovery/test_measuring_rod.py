@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.judging.black_box import BlackBox, MeasuringRod
 from stiffopt.discovery.judging.carried_over import Drift, NotCarriedOver, not_carried_over
 from stiffopt.discovery.judging.random_features import smooth_function
+from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.proof.proof import RunProof, prove
 from stiffopt.discovery.settings import MOVING, Settings
@@ -148,6 +150,29 @@ def _proof(training: Training, predictor: Predictor, run: RecordedRun) -> RunPro
     return prove(run, predictor.velocity, before, after, training.noise)
 
 
+def _answer(
+    rod: MeasuringRod | None, left: Unexplained | None = None, kinds: Sequence[str] = ("torque",)
+) -> Any:
+    channels = [SimpleNamespace(kind=kind) for kind in kinds]
+    return SimpleNamespace(rod=rod, unexplained=left, held_out=[SimpleNamespace(channels=channels)])
+
+
+def test_what_the_box_does_not_find_is_no_contradiction() -> None:
+    """All that is explainable, beside something that follows the load within the training runs."""
+    rod = MeasuringRod(explained=1.0, channels={"torque_1": (2.0, 2.0)}, depends=())
+    left = Unexplained(
+        channels=("torque_1",), regressors=("torque_1",), period=None, gain=0.26, ratio=14.0
+    )
+    said = rod_sentence(_answer(rod, left))
+    assert "100 %" not in said
+    assert "the load of joint 1 within the training runs does not carry over" in said
+    encoders = replace(left, channels=("link_position_1", "torque_1"))
+    said = rod_sentence(_answer(rod, encoders, ("torque", "link_position")))
+    assert said.startswith("Explained of the torques")
+    assert said.endswith("Link encoders were not asked, of which more stays open.")
+    assert "carry over" not in rod_sentence(_answer(replace(rod, explained=0.6)))
+
+
 def test_a_channel_without_any_mismatch_has_no_share() -> None:
     box = object.__new__(BlackBox)
     box._boxes = [None, None]
@@ -158,9 +183,9 @@ def test_a_channel_without_any_mismatch_has_no_share() -> None:
     assert found is not None
     assert set(found.channels) == {"torque_2"}
     assert found.explained == 0.0
-    assert "nothing of what is explainable" in rod_sentence(SimpleNamespace(rod=found))
+    assert "nothing of what is explainable" in rod_sentence(_answer(found))
 
 
 def test_a_model_that_does_harm_has_explained_nothing() -> None:
     found = MeasuringRod(explained=-0.4, channels={"torque_1": (2.0, 1.0)}, depends=())
-    assert "Explained: nothing of" in rod_sentence(SimpleNamespace(rod=found))
+    assert "Explained: nothing of" in rod_sentence(_answer(found))

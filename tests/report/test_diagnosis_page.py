@@ -8,10 +8,12 @@ import pytest
 from page_reader import Page
 
 from stiffopt.discovery.diagnosis import Rival
+from stiffopt.discovery.extended.changes import ValueChange
 from stiffopt.discovery.judging.shares import Share
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.recording.run import Fault
 from stiffopt.report.common.text import pm, significant
+from stiffopt.report.diagnosis import page
 from stiffopt.report.diagnosis.held_out import trace, worst_windows
 from stiffopt.report.diagnosis.mismatch import mismatches
 from stiffopt.report.diagnosis.page import write_diagnosis_report
@@ -76,6 +78,18 @@ def test_page_says_what_was_found(friction, tmp_path):
     names = {path.stem for path in tmp_path.glob("*.svg")}
     assert {"diagnosis_balances", "diagnosis_regimes_1", "diagnosis_extrapolate"} <= names
     assert {path.stem for path in tmp_path.glob("*.png")} == names
+
+
+def test_values_that_read_alike_are_no_changes(friction, monkeypatch):
+    """A value in 10 000 of a mass is what a fit leaves it at."""
+    changes = [
+        ValueChange(1, "a", "mass behind it", 35.8, new, "kg") for new in (35.8004, 35.81, 36.0)
+    ]
+    monkeypatch.setattr(page, "value_changes", lambda *_: changes)
+    assert [(old, new) for _, old, new in page._changes(friction)] == [
+        ("35.8", "35.81"),
+        ("35.8", "36"),
+    ]
 
 
 def test_named_findings_that_leave_much_say_so(friction, tmp_path, capsys):
@@ -185,7 +199,7 @@ def test_what_a_remainder_follows_in_words(friction):
     )
     text = lead(followed)
     assert "the position of joint 1 and the direction of motion" in text
-    assert "the session time, which predicts 40 % of it in data left out" in text
+    assert "the session time, which predicts 40 % of it in stretches of" in text
     assert "nothing that was recorded" in lead(unexplained_in(friction, period=None, regressors=()))
 
 

@@ -67,12 +67,13 @@ def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[
 
     Notes
     -----
-    Those that only balance others go first; then the one that helps least is taken away and all
+    Those that only balance others go first, and those whose shapes one moment alone has given; then
+    the one that helps least is taken away and all
     others are judged anew, each by a fit without it. An effect of one run cannot be seen in others
     and stays. Where an extended model was started from, what changed must stand out of what that
     model left open.
     """
-    effects = without_balancing(comparison, effects)
+    effects = _met_again(comparison, without_balancing(comparison, effects))
     if not effects:
         return []
     columns, prior, owner = _columns(comparison, effects)
@@ -109,6 +110,22 @@ def borne_out(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[
         if poorest is None or excess[poorest] >= 0.0:
             return [e for k, e in enumerate(effects) if k in kept]
         kept.remove(poorest)
+
+
+def _met_again(comparison: Comparison, effects: Sequence[LocatedEffect]) -> list[LocatedEffect]:
+    """Effects without those whose shapes were fitted to one part of one run, and asked nowhere.
+
+    Each fold's fit has the shape as all recordings have it: of a place that the arm passes once it
+    would say that it is found again.
+    """
+    fold = _folds(comparison, _PARTS)
+    return [
+        e
+        for e in effects
+        if not e.effect.shapes
+        or e.run is not None
+        or _acted(fold, comparison.effect_columns(e)).sum() > 1
+    ]
 
 
 def _never_seen(comparison: Comparison, columns: np.ndarray) -> bool:
@@ -244,9 +261,14 @@ class _Left:
         self.sums = _sums(comparison, columns, prior, self._fold)
 
     def acted(self, part: np.ndarray) -> np.ndarray:
-        """Folds (f,) in which an effect has more than a little of its squares (m, k) of one."""
-        square = np.bincount(self._fold, np.sum(part**2, axis=1))
-        return np.asarray(square > _ACTED * square.max())
+        """See `_acted`."""
+        return _acted(self._fold, part)
+
+
+def _acted(fold: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Folds (f,) in which an effect has more than a little of its squares (m, k) of one."""
+    square = np.bincount(fold, np.sum(part**2, axis=1))
+    return np.asarray(square > _ACTED * square.max())
 
 
 def _excess(

@@ -112,23 +112,31 @@ class Estimate:
         rows, _ = self._places(index)
         k = len(self.sizes[index])
         values = self.values[rows[:k]]
-
-        def held(covariance: np.ndarray) -> np.ndarray:
-            across = covariance[:k, k:]
-            return np.asarray(
-                covariance[:k, :k] - across @ np.linalg.pinv(covariance[k:, k:]) @ across.T
-            )
-
-        linear = held(self.covariance[np.ix_(rows, rows)])
+        linear = _held(self.covariance[np.ix_(rows, rows)], k)
         chances = [float(special.chdtrc(k, _from_nothing(values, linear)[0] ** 2))]
         for spread, parts in zip((self.spread, self._between(index)), self.parts, strict=True):
             if np.array_equal(spread, self.covariance):  # too few parts
                 continue
             own = spread[np.ix_(rows, rows)]
             # Each shape that is held costs one part.
-            ways = [(own[:k, :k], parts), (held(own), parts - (len(rows) - k))]
+            ways = [(own[:k, :k], parts), (_held(own, k), parts - (len(rows) - k))]
             chances.append(min(_chance(values, *way) for way in ways if way[1] > 1))
         return max(chances)
+
+    def from_nothing(self, index: int) -> float:
+        """Least deviations of one effect from nothing, of its amplitudes together or the best.
+
+        By the linear model and the jackknives, shapes free or held: whichever stands out more.
+        """
+        rows, _ = self._places(index)
+        k = len(self.sizes[index])
+        values = self.values[rows[:k]]
+        least = math.inf
+        for matrix in (self.covariance, self.spread, self._between(index)):
+            own = matrix[np.ix_(rows, rows)]
+            ways = [_from_nothing(values, each) for each in (own[:k, :k], _held(own, k))]
+            least = min(least, max(max(t / math.sqrt(k), single) for t, single in ways))
+        return least
 
     def _between(self, index: int) -> np.ndarray:
         """Covariance by leaving out whole runs; what is of each run cannot be asked so."""
@@ -234,6 +242,12 @@ def estimate(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estima
         shape_sizes=shape_sizes,
         parts=(int(blocks.max()) + 1, int(comparison.rows.block.max()) + 1),
     )
+
+
+def _held(covariance: np.ndarray, k: int) -> np.ndarray:
+    """Covariance of the first k values where the others are held."""
+    across = covariance[:k, k:]
+    return np.asarray(covariance[:k, :k] - across @ np.linalg.pinv(covariance[k:, k:]) @ across.T)
 
 
 def _chance(values: np.ndarray, covariance: np.ndarray, parts: int) -> float:

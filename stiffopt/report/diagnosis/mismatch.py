@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from stiffopt.discovery.judging.black_box import SHOWN_SHARE
 from stiffopt.report.common.text import listed, pm, significant
 from stiffopt.report.diagnosis.words import (
     channel_words,
+    fall,
     joints_in_words,
+    percent_sure,
     place,
     prismatic,
     regressor_words,
@@ -23,8 +26,8 @@ if TYPE_CHECKING:
     from stiffopt.discovery.judging.carried_over import Drift
     from stiffopt.discovery.judging.shares import Part
 
-# Shares below are not told apart from nothing.
-_LEAST = 0.005
+# Shares below are not told apart from nothing, nor above from all.
+_LEAST, _ALL = 0.005, 0.995
 _SOMETHING = "Something that touches, loads or offsets"
 _MEASURED = {"torque": "the torques", "link_position": "the link encoders"}
 
@@ -68,13 +71,18 @@ class UnstatedRow:
 
     Parameters
     ----------
-    effect, where, values, explains : str
+    effect, where, values, from_nothing, shows_in, falls, explains, probability : str
+        From the least of the joints to the most.
     """
 
     effect: str
     where: str
     values: str
+    from_nothing: str
+    shows_in: str
+    falls: str
     explains: str
+    probability: str
 
 
 def mismatches(diagnosis: Diagnosis) -> list[Mismatch]:
@@ -120,19 +128,43 @@ def _percent(share: float) -> str:
 
 
 def rod_sentence(diagnosis: Diagnosis) -> str:
-    """What is explained of what a black box could explain; "" where none was asked."""
+    """What is explained of what a black box could explain; "" where none was asked.
+
+    On runs left out, and of torques alone: what is predicted within the training runs, or of link
+    encoders, is no contradiction of it.
+    """
     rod = diagnosis.rod
     if rod is None:
         return ""
-    share = f"{100 * rod.explained:.0f} %" if rod.explained > 0.0 else "nothing"
-    text = (
-        f"Explained: {share} of what is explainable, measured by a black box"
-        " that was fitted to what is left in the training runs"
-    )
-    if not rod.depends:
-        return f"{text}; it finds next to nothing more."
-    what = listed(regressor_words(each.signal) for each in rod.depends)
-    return f"{text}; the rest depends on {what} (most in {channel_words(rod.depends[0].channel)})."
+    channels = {c.kind for proof in diagnosis.held_out for c in proof.channels}
+    of = " of the torques" if "link_position" in channels else ""
+    box = "a black box that was fitted to what is left in the training runs"
+    if not rod.depends and rod.explained > _ALL:
+        text = f"Explained{of} on runs left out: as much as {box} could; it finds next to nothing"
+        text = f"{text} more there."
+    else:
+        share = f"{100 * rod.explained:.0f} %" if rod.explained > 0.0 else "nothing"
+        text = f"Explained{of}: {share} of what is explainable, measured by {box}"
+        if rod.depends:
+            what = listed(regressor_words(each.signal) for each in rod.depends)
+            where = channel_words(rod.depends[0].channel)
+            text = f"{text}; the rest depends on {what} (most in {where})."
+        else:
+            text = f"{text}; it finds next to nothing more."
+    return f"{text}{_beside_rod(diagnosis)}"
+
+
+def _beside_rod(diagnosis: Diagnosis) -> str:
+    """How what is outside the catalogue goes with a box that finds nothing more."""
+    left, rod = diagnosis.unexplained, diagnosis.rod
+    if left is None or left.brief or rod is None:
+        return ""
+    if left.channels[0].startswith("link_position"):
+        return " Link encoders were not asked, of which more stays open."
+    if rod.depends or not left.regressors or left.gain < SHOWN_SHARE:
+        return ""
+    what = listed(regressor_words(each) for each in left.regressors)
+    return f" How what is left follows {what} within the training runs does not carry over to them."
 
 
 def carried_over_sentences(diagnosis: Diagnosis) -> list[str]:
@@ -204,12 +236,17 @@ def unstated_rows(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[Uns
             f"{f.joint}: {pm(f.parameters[0].value, f.parameters[0].sd, unit)}" for f in own
         )
         shares = [f.variance_explained for f in own]
+        left = [fall(diagnosis, f.channel) for f in own]
         rows.append(
             UnstatedRow(
                 effect=own[0].effect.title,
                 where=joints_in_words([f.joint for f in own if f.joint is not None]),
                 values=f"{first.name} of joint {values}",
+                from_nothing=f"{_span([f.significance for f in own], 1)} sd",
+                shows_in=_channels(list(dict.fromkeys(f.channel for f in own))),
+                falls=" → ".join(_span([falls[k] for falls in left], 2) for k in (0, 1)),
                 explains=_range(min(shares), max(shares)),
+                probability=_probabilities([f.probability for f in own]),
             )
         )
     return rows
@@ -236,6 +273,34 @@ def _masses(diagnosis: Diagnosis, effects: Sequence[LocatedEffect]) -> str:
     elif not found:
         return "nominal values within their tolerances"
     return listed(found)
+
+
+def _channels(names: Sequence[str]) -> str:
+    """Channels of one kind together: "torques of joints 1 to 6"."""
+    kinds: dict[str, list[int]] = {}
+    for name in names:
+        kind, _, joint = name.rpartition("_")
+        kinds.setdefault(kind, []).append(int(joint))
+    words = {"torque": "torque", "link_position": "link encoder"}
+    return listed(
+        f"{words[kind]}{'s' * (len(own) > 1)} of {joints_in_words(sorted(own))}"
+        for kind, own in kinds.items()
+    )
+
+
+def _span(values: Sequence[float], digits: int) -> str:
+    """The least and the most, one where both read alike; what is large to its whole number."""
+    ends = [
+        f"{v:.0f}" if v >= 10.0**digits else significant(v, digits)
+        for v in (min(values), max(values))
+    ]
+    return " to ".join(dict.fromkeys(ends))
+
+
+def _probabilities(values: Sequence[float]) -> str:
+    """From the least to the most likely, never certain."""
+    ends = [percent_sure(min(values)), percent_sure(max(values))]
+    return " to ".join(dict.fromkeys(ends)).replace(" % to", " to")
 
 
 def _range(low: float, high: float) -> str:

@@ -16,6 +16,7 @@ from stiffopt.recording.facts import joint_facts
 from stiffopt.recording.run import counted
 from stiffopt.report.common.citations import diagnosis_references
 from stiffopt.report.common.page import Filters, PageFigures, write_page
+from stiffopt.report.common.text import significant
 from stiffopt.report.diagnosis.figures import (
     balances_figure,
     channel_ratio,
@@ -188,13 +189,15 @@ def _draw_unexplained(figures: PageFigures, diagnosis: Diagnosis) -> None:
         figures.draw("quiet", regime_figure(diagnosis, rows, None), "The worst channel by regime")
 
 
-def _changes(diagnosis: Diagnosis) -> list[ValueChange]:
-    """Values of the nominal robot that the findings change, old and new."""
+def _changes(diagnosis: Diagnosis) -> list[tuple[ValueChange, str, str]]:
+    """Values of the nominal robot that the findings change, and old and new as they are shown."""
     if not diagnosis.findings:
         return []
     model = extended_model(diagnosis.recordings, diagnosis.training.constants, diagnosis.extension)
     nominal = diagnosis.recordings.robot
-    return value_changes(nominal, planner_model(nominal, model).robot)
+    every = value_changes(nominal, planner_model(nominal, model).robot)
+    shown = [(each, significant(each.old), significant(each.new)) for each in every]
+    return [row for row in shown if row[1] != row[2]]
 
 
 def _overlays(diagnosis: Diagnosis) -> dict[str, tuple[str, Trace]]:

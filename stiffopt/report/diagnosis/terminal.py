@@ -52,7 +52,14 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     if diagnosis.findings:
         rows = [_row(diagnosis, finding) for finding in new]
         rows += [
-            (each.effect, each.where, each.values.replace(", ", "\n"), each.explains, "", NOT_GIVEN)
+            (
+                each.effect,
+                each.where,
+                each.values.replace(", ", "\n"),
+                each.explains,
+                each.probability,
+                NOT_GIVEN,
+            )
             for each in unstated_rows(diagnosis, unstated)
         ]
         print_table(_HEAD, rows)

@@ -180,7 +180,7 @@ def how_sure(finding: Finding) -> str:
         sure = f"{percent_sure(finding.probability)} sure; no rival comes near"
     else:
         sure = "no rival comes near"
-    if finding.misfit:
+    if round(100 * finding.misfit):
         sure += f" (an unknown cause takes {100 * finding.misfit:.0f} % of the odds)"
     name = capital(finding.effect.title)
     return f"{name}: {sure}; {finding.significance:.0f} standard deviations from nothing."
@@ -222,7 +222,10 @@ def unexplained_sentence(diagnosis: Diagnosis) -> str:
         text += f"; it follows {listed(regressor_words(r) for r in unexplained.regressors)}"
     else:
         return f"{text}; it follows nothing that was recorded."
-    return f"{text}, which predicts {100 * unexplained.gain:.0f} % of it in data left out."
+    return (
+        f"{text}, which predicts {100 * unexplained.gain:.0f} % of it in stretches of the training"
+        " runs left out."
+    )
 
 
 def proof_sentence(diagnosis: Diagnosis) -> str:

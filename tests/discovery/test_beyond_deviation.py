@@ -1,0 +1,67 @@
+"""What its own deviation does not tell from nothing is no finding."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from shipped_set import SHIPPED
+
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.judging.beyond_deviation import Found, beyond_deviation
+from stiffopt.discovery.search import left_out
+from stiffopt.discovery.search.rivals import Selected
+from stiffopt.discovery.search.uncertainty import estimate
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import train
+from stiffopt.recording.recording_set import load_recordings
+
+
+@pytest.mark.parametrize(
+    ("every_joint_has_it", "doubt", "stays"),
+    [
+        (False, 0.4, True),
+        (False, 0.7, False),  # 1.4 deviations from nothing
+        (True, 0.7, True),
+        (True, 1.5, False),  # less than its deviation
+    ],
+)
+def test_a_deviation_as_large_as_its_value_takes_it(
+    every_joint_has_it: bool, doubt: float, stays: bool
+) -> None:
+    """Whatever makes it so large: half the band, other runs, what a model left open."""
+    comparison = train(load_recordings(SHIPPED), Settings()).comparison()
+    friction = effect("coulomb")
+    if not every_joint_has_it:
+        friction = replace(friction, nominal="")
+    there = Selected(LocatedEffect(effect=friction, joint=1), 1.0, 1.0, 1.0, (), 1)
+
+    def estimated(found: Sequence[Selected]) -> Found:
+        known = estimate(comparison, [s.located for s in found])
+        values = known.values[len(known.nuisance) :]
+        return tuple(found), known.doubted(doubt * values)
+
+    kept, known = beyond_deviation([there], estimated)
+    assert kept == ((there,) if stays else ())
+    assert [e.located for e in known.effects] == [s.located for s in kept]
+
+
+def test_a_place_that_is_passed_once_is_no_finding(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its shapes were fitted to that moment, and no other part could contradict them."""
+    place = LocatedEffect(effect=effect("position_friction"), joint=0, shapes=(0.5, 0.1))
+    parts = np.repeat(np.arange(6), 50)
+    once = np.where(parts == 3, 1.0, 0.001)
+    twice = np.where((parts == 3) | (parts == 5), 1.0, 0.001)
+    monkeypatch.setattr(left_out, "_folds", lambda *_: parts)
+    for column, met in ((once, False), (twice, True)):
+        comparison: Any = SimpleNamespace(effect_columns=lambda _, c=column: c[:, None])
+        assert left_out._met_again(comparison, [place]) == ([place] if met else [])
+    # What has no shape was not fitted to that moment.
+    plain = LocatedEffect(effect=effect("torque_offset"), joint=0)
+    comparison = SimpleNamespace(effect_columns=lambda _: once[:, None])
+    assert left_out._met_again(comparison, [plain]) == [plain]
