@@ -39,6 +39,12 @@ def link_names(model: pin.Model) -> list[str]:
     return [f.name for f in model.frames if f.type == pin.FrameType.BODY and f.name != "universe"]
 
 
+def moving_link_names(model: pin.Model) -> list[str]:
+    """Those of them that a joint moves."""
+    moving = (f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint > 0)
+    return [str(f.name) for f in moving]
+
+
 def link_frame(
     model: pin.Model, link: str, offset: ArrayLike | None = None, rpy: ArrayLike | None = None
 ) -> LinkFrame:

@@ -41,7 +41,7 @@ class LoadedUrdf:
     model : pinocchio.Model
         Fixed and held joints merged; a continuous joint is a revolute one without position limits.
     joints : mapping of joint name to its `effort`, `velocity`, `damping`, `friction`
-        0 where the URDF is silent. [N m], [rad/s], [N m s/rad], [N m]
+        In the model's order; 0 where the URDF is silent. [N m], [rad/s], [N m s/rad], [N m]
     held : tuple of HeldJoint
         Moving joints that the arm does not move.
     unlimited : tuple of str
@@ -128,7 +128,9 @@ def load_urdf(
         model = pin.buildModelFromXML(ET.tostring(tree, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
         raise InputFileError(path, "", f"cannot be read as a URDF: {shortened(error)}.") from error
-    return LoadedUrdf(model, moving, held, tuple(joint.get("name", "") for joint in unlimited))
+    # A URDF may list its joints in any order.
+    joints = {name: moving[name] for name in list(model.names)[1:]}
+    return LoadedUrdf(model, joints, held, tuple(joint.get("name", "") for joint in unlimited))
 
 
 def _joint(joint: ET.Element, path: Path) -> dict[str, float] | None:

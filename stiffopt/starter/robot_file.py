@@ -21,7 +21,7 @@ from stiffopt.robot.estimated_masses import (
     fitted_to_torques,
 )
 from stiffopt.robot.files import last_link
-from stiffopt.robot.frames import LinkFrame, link_frame, link_names
+from stiffopt.robot.frames import LinkFrame, link_frame, link_names, moving_link_names
 from stiffopt.robot.held_joints import arm_ends
 from stiffopt.robot.own_catalogue import read_own_catalogue
 from stiffopt.robot.rigid_body import RigidBodies
@@ -210,10 +210,11 @@ def _notes(
 
 def _farther_out(arm: LoadedUrdf, tool: LinkFrame) -> Iterator[str]:
     """Links fixed to the one of the tool, of which one may be meant."""
+    frames = [link_frame(arm.model, name) for name in moving_link_names(arm.model)]
     found = {
-        name: float(np.linalg.norm(link_frame(arm.model, name).offset - tool.offset))
-        for name in link_names(arm.model)
-        if arm.model.frames[arm.model.getFrameId(name)].parentJoint == tool.joint
+        frame.link: float(np.linalg.norm(frame.offset - tool.offset))
+        for frame in frames
+        if frame.joint == tool.joint
     }
     ahead = sorted((way, name) for name, way in found.items() if way > _AHEAD)
     if ahead:

@@ -561,3 +561,25 @@ def test_a_first_problem_says_whether_links_are_kept_from_each_other(tmp_path):
     path.unlink()
     assert run(["init", "problem", str(folded(tmp_path)), "-o", str(path)]) == 0
     assert "# links are kept from each other;" in path.read_text()
+
+
+def test_a_link_that_is_called_as_a_joint(tmp_path, capsys):
+    """As of grippers whose fixed joint bears the name of its link."""
+    urdf = written(tmp_path, chain(3), joint("hand", "link3", "hand", "", kind="fixed"))
+    assert run(["init", "robot", str(urdf), "--out", str(tmp_path / "robot.toml")]) == 0
+    assert "Fixed to link3 are also hand (300 mm away)" in capsys.readouterr().out
+
+
+def test_joints_that_a_urdf_lists_from_the_tool_to_the_base(tmp_path, capsys):
+    """Some exporters do: what a joint needs is its own, whatever the order."""
+    weak = LIMIT.replace('"80"', '"0"')
+    near = joint("near", "base", "a", weak)
+    far = joint("far", "a", "b", weak.replace('velocity="2"', 'velocity="6"'))
+    texts = []
+    for order in ((near, far), (far, near)):
+        folder = tmp_path / str(len(texts))
+        folder.mkdir()
+        assert run(["init", "robot", str(written(folder, *order))]) == 0
+        assert "The arm: near, far;" in capsys.readouterr().out
+        texts.append((folder / "arm_robot.toml").read_text())
+    assert texts[0] == texts[1]
