@@ -102,6 +102,7 @@ def recording(
         ),
     ] = None,
     rate: float | None = None,
+    tip: str | None = None,
     changes: NoChanges = (),
 ) -> int:
     """Write a recording set of one's own tables or bags: what it guesses, it says.
@@ -113,15 +114,18 @@ def recording(
     data
         Files or folders; the last of several is kept for judging, a single one is cut in two.
     urdf
-        Of the arm, as far as it is known.
+        Of the arm, as far as it is known, or its robot file; limits and masses that a URDF lacks
+        are guessed.
     rate
         Rows a second, where no column is a time.
+    tip
+        Link at the end of the recorded arm, where the URDF holds more than that.
     """
     from stiffopt.starter.recording_set import start_recording_set
 
     refuse_changes(changes, STARTED)
     folder = out or data[0].with_name(f"{data[0].stem}_set")
-    started = start_recording_set(data, urdf, folder, rate)
+    started = start_recording_set(data, urdf, folder, rate, tip)
     print_lines(
         (
             f"Wrote {started.path}, {started.guess.rate:.4g} Hz. Guessed:",

@@ -39,6 +39,10 @@ _FEWEST = 3
 _MOST_TURNS = 40.0 * np.pi
 
 
+class UnrecognisedError(InputError):
+    """No columns of a kind, one a joint."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class GuessedColumns:
     """Columns of a recording and their units.
@@ -98,7 +102,7 @@ def guess(
             left = [name for name in left if name not in found[0]]
     for kind in ("position", "torque"):
         if kind not in columns:
-            raise InputError(
+            raise UnrecognisedError(
                 f"no {kind} was recognised for {robot.n} joints among the columns"
                 f" {', '.join(list(table)[:40])}. Name them like {_EXAMPLES[kind]}, or write"
                 " [signals] of recordings.toml by hand."

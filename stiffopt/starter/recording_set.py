@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import math
 import shutil
+import tempfile
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,10 +15,17 @@ import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.recording.readers.read import is_messages
-from stiffopt.robot.files import load_robot
-from stiffopt.robot.robot import Robot
-from stiffopt.starter.guessing import FACTORS, GuessedColumns, guess, with_time
+from stiffopt.robot.held_joints import arm_ends
+from stiffopt.robot.urdf_tree import read_tree
+from stiffopt.starter.guessing import (
+    FACTORS,
+    GuessedColumns,
+    UnrecognisedError,
+    guess,
+    with_time,
+)
 from stiffopt.starter.messages import read_message_table
+from stiffopt.starter.recorded_robot import FILE, RecordedRobot, store_robot
 from stiffopt.starter.tables import read_any_table
 from stiffopt.starter.writing import listed, quoted, write_new
 
@@ -46,9 +55,13 @@ class StartedSet:
 
 
 def start_recording_set(
-    data: Sequence[Path], urdf: Path, folder: Path, rate: float | None = None
+    data: Sequence[Path],
+    urdf: Path,
+    folder: Path,
+    rate: float | None = None,
+    tip: str | None = None,
 ) -> StartedSet:
-    """Write a recording set of tables: recordings.toml, a copy of the URDF, the runs as NPZ.
+    """Write a recording set of tables: recordings.toml, a copy of the robot, the runs as NPZ.
 
     Parameters
     ----------
@@ -56,10 +69,13 @@ def start_recording_set(
         Files, or folders of them. Values are kept as they are recorded; units stand in
         `[signals.scale]`.
     urdf : Path
+        URDF of the arm, or its robot file.
     folder : Path
         Of the set; recordings.toml must not be there yet.
     rate : float, optional
         Rows a second [Hz], where no column is a time.
+    tip : str, optional
+        Link at the end of the recorded arm; default all of the URDF.
 
     Raises
     ------
@@ -68,7 +84,27 @@ def start_recording_set(
     """
     if (folder / "recordings.toml").exists():
         raise InputFileError(folder / "recordings.toml", "", "is there already and is kept.")
-    robot = _arm(urdf)
+    if urdf.suffix.lower() in _ENDINGS:
+        raise InputFileError(urdf, "", "is a recording, not a URDF. Give the arm's as --urdf.")
+    with tempfile.TemporaryDirectory() as beside:
+        arm = store_robot(urdf, Path(beside), tip)
+        try:
+            return _started(data, arm, Path(beside), folder, rate)
+        except UnrecognisedError as error:
+            ends = [] if tip or arm.file == FILE else arm_ends(read_tree(urdf))
+            if not ends:
+                raise
+            raise InputError(
+                f"{error} {urdf.name} holds {len(ends)} arms: name the link at the end of the"
+                f" recorded one, --tip {' or --tip '.join(map(quoted, ends))}."
+            ) from error
+
+
+def _started(
+    data: Sequence[Path], arm: RecordedRobot, beside: Path, folder: Path, rate: float | None
+) -> StartedSet:
+    """Write the set of an arm whose files lie in the folder `beside`."""
+    robot = arm.robot
     files = _files(data)
     tables = {
         path: read_message_table(path, robot.joint_names)
@@ -82,7 +118,7 @@ def start_recording_set(
         tables = {path: with_time(table, rate) for path, table in tables.items()}
     first = guess(tables[files[0]], robot, rate)
     wanted = [first.time, *(c for columns in first.columns.values() for c in columns if c)]
-    notes = []
+    notes = list(arm.notes)
     for path, table in tables.items():
         lacking = [name for name in wanted if name not in table]
         if lacking:
@@ -96,7 +132,12 @@ def start_recording_set(
         _, stem, table = parts[0]
         cut = int(_TRAIN * len(table[first.time]))
         if cut < _FEWEST:
-            raise InputFileError(files[0], "", f"has {len(table[first.time])} rows; record more.")
+            raise InputFileError(
+                files[0],
+                "",
+                f"has {len(table[first.time])} rows; a single recording is cut in two and needs"
+                f" {math.ceil(_FEWEST / _TRAIN)}. Record more, or a second one.",
+            )
         runs.append((f"{stem}_train", "train", {k: v[:cut] for k, v in table.items()}))
         runs.append((f"{stem}_test", "test", {k: v[cut:] for k, v in table.items()}))
         notes.append(
@@ -110,20 +151,15 @@ def start_recording_set(
             runs.append((name, "test" if kept else "train", part))
         notes.append(f"{last} is kept for judging (test), the others are fitted to.")
     folder.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(urdf, folder / "robot.urdf")
+    for file in beside.iterdir():
+        shutil.copyfile(file, folder / file.name)
     for name, _, table in runs:
         columns: dict[str, Any] = dict(table)
         np.savez_compressed(folder / f"{name}.npz", **columns)
-    text = _text(folder.resolve().name, robot.joint_names, first, [(n, r) for n, r, _ in runs])
+    text = _text(folder.resolve().name, arm, first, [(n, r) for n, r, _ in runs])
     return StartedSet(
         path=write_new(folder / "recordings.toml", text), guess=first, notes=tuple(notes)
     )
-
-
-def _arm(urdf: Path) -> Robot:
-    if urdf.suffix.lower() in _ENDINGS:
-        raise InputFileError(urdf, "", "is a recording, not a URDF. Give the arm's as --urdf.")
-    return load_robot(urdf)
 
 
 def _parts(
@@ -201,8 +237,9 @@ def _stem(path: Path) -> str:
 
 
 def _text(
-    name: str, joints: Sequence[str], found: GuessedColumns, runs: Sequence[tuple[str, str]]
+    name: str, arm: RecordedRobot, found: GuessedColumns, runs: Sequence[tuple[str, str]]
 ) -> str:
+    joints = arm.robot.joint_names
     lines = [
         "# Written by `stiffopt init recording`; what it guessed, and why:",
         *(f"#   {reason}" for reason in found.reasons),
@@ -210,7 +247,7 @@ def _text(
         "# Check it: `stiffopt recording check` of this folder.",
         "schema = 1",
         f"name = {quoted(name)}",
-        'robot = "robot.urdf"',
+        f"robot = {quoted(arm.file)}",
         f"joints = {listed(map(quoted, joints))}",
         "",
         "[signals]",

@@ -55,6 +55,7 @@ _AHEAD, _MOST_TIPS = 1e-3, 6
 _TOOL = re.compile("tcp|tool|flange|effector", re.IGNORECASE)
 # Masses that torque limits change by less than this are as they were.
 _SAME_SCALE = 0.05
+_OWN_ELEMENTS = ('# A slide: describe its elements, such as type = "constant" with its stiffness.',)
 _NO_REDUCER = "# No packaged reducer bears"
 
 
@@ -79,6 +80,8 @@ def robot_text(
     tip: str | None = None,
     name: str | None = None,
     catalogue: Path | None = None,
+    *,
+    bare: bool = False,
 ) -> StartedRobot:
     """Text of a robot file for a URDF.
 
@@ -93,6 +96,9 @@ def robot_text(
         Default the name of the URDF's file.
     catalogue : Path, optional
         One's own, whose reducers are candidates too.
+    bare : bool
+        Without what recordings are to tell: no reducers, and no friction, which in a URDF is a
+        setting of simulators.
 
     Raises
     ------
@@ -150,7 +156,13 @@ def robot_text(
     with with_own({} if catalogue is None else read_own_catalogue(catalogue)):
         for j, each in enumerate(body_tree(arm.model).bodies):
             own = {p.quantity: p for p in doubted if p.joint == each.name}
-            lines += ["", *_joint(arm, j, each, float(demands[j]), own)]
+            lines += ["", *_joint(arm, j, each, float(demands[j]), own, bare=bare)]
+            if not bare:
+                lines += (
+                    _OWN_ELEMENTS
+                    if each.prismatic
+                    else _reducer(_torque(arm, each, float(demands[j])))
+                )
     notes = [*_notes(arm, bodies, tool.link, doubted, lines)]
     if tip is None:
         notes[1:1] = _farther_out(arm, tool)
@@ -299,14 +311,19 @@ def _whys(arm: LoadedUrdf) -> str:
 
 
 def _joint(
-    arm: LoadedUrdf, j: int, body: Body, demand: float, doubted: Mapping[str, Placeholder]
+    arm: LoadedUrdf,
+    j: int,
+    body: Body,
+    demand: float,
+    doubted: Mapping[str, Placeholder],
+    *,
+    bare: bool,
 ) -> Iterator[str]:
     stated = arm.joints[body.name]
     low, high = float(arm.model.lowerPositionLimit[j]), float(arm.model.upperPositionLimit[j])
     unit = ("m", "m/s", "N") if body.prismatic else ("rad", "rad/s", "N m")
     speed = stated["velocity"] or _SPEED
-    # Rounded up to two digits.
-    torque = stated["effort"] or float(f"{max(_ROOM * demand, _TORQUE):.2g}")
+    torque = _torque(arm, body, demand)
     acceleration = speed / _TO_SPEED
     yield "[[joint]]"
     if body.name in arm.unlimited:
@@ -330,16 +347,19 @@ def _joint(
     yield f"acceleration_max = {number(acceleration, 3)}  # estimated: full speed in 0.25 s"
     yield f"jerk_max = {number(acceleration / _TO_ACCELERATION, 3)}  # estimated: that in 50 ms"
     for name, key_ in (("coulomb", "friction"), ("viscous", "damping")):
-        if stated[key_]:
+        if bare:
+            yield f"{name} = 0.0  # not known"
+        elif stated[key_]:
             yield f"{name} = {number(stated[key_])}  # URDF"
     yield 'provenance = "estimated"'
     guesses = [name for name, key_ in (("torque", "effort"), ("speed", "velocity"))
                if not stated[key_]]  # fmt: skip
     yield f'source = "URDF; {", ".join([*guesses, "acceleration"])} and jerk are guesses"'
-    if body.prismatic:
-        yield '# A slide: describe its elements, such as type = "constant" with its stiffness.'
-        return
-    yield from _reducer(torque)
+
+
+def _torque(arm: LoadedUrdf, body: Body, demand: float) -> float:
+    """Torque limit of a joint; where nothing states it, what it needs, rounded to two digits."""
+    return arm.joints[body.name]["effort"] or float(f"{max(_ROOM * demand, _TORQUE):.2g}")
 
 
 def _reducer(torque: float) -> Iterator[str]:

@@ -104,6 +104,40 @@ def test_own_table_to_a_set_that_is_believed(tmp_path, capsys):
     assert run([*arguments, "--out", str(folder)]) == 2
 
 
+def test_own_table_of_an_arm_whose_urdf_has_gaps(tmp_path, capsys):
+    """As URDFs of industrial arms: no torque limits, a link without mass; guessed and said."""
+    german_tables(tmp_path / "data")
+    urdf = tmp_path / "arm.urdf"
+    text = (SHIPPED / "robot.urdf").read_text().replace('effort="150"', 'effort="0"')
+    urdf.write_text(text.replace(' velocity="4.2"/>', ' velocity="4.2"/><dynamics friction="9"/>'))
+    arguments = ["init", "recording", str(tmp_path / "data"), "--urdf", str(urdf)]
+    folder = tmp_path / "set"
+    assert run([*arguments, "--out", str(folder)]) == 0
+    assert "GUESSED: the URDF has no effort for joint1." in capsys.readouterr().out
+    arm = load_robot(folder / "robot.toml")
+    # What recordings are to tell is not guessed.
+    assert all(chain is None for chain in arm.chains)
+    assert not arm.coulomb.any()
+    assert run(["recording", "check", str(folder)]) == 0
+    assert "the Coulomb friction is not known and is estimated" in capsys.readouterr().out
+
+
+def test_own_table_beside_a_robot_file(tmp_path, capsys):
+    german_tables(tmp_path / "data")
+    (tmp_path / "arm").mkdir()
+    shutil.copyfile(SHIPPED / "robot.urdf", tmp_path / "arm" / "arm.urdf")
+    file = str(tmp_path / "arm" / "robot.toml")
+    assert run(["init", "robot", str(tmp_path / "arm" / "arm.urdf"), "--out", file]) == 0
+    folder = tmp_path / "set"
+    arguments = ["init", "recording", str(tmp_path / "data"), "--urdf", file, "--out", str(folder)]
+    assert run(arguments) == 0
+    shutil.rmtree(tmp_path / "arm")
+    capsys.readouterr()
+    assert run(["recording", "check", str(folder)]) == 0
+    assert "drivetrains are those of the robot's file" in capsys.readouterr().out
+    assert run([*arguments, "--tip", "link2"]) == 2
+
+
 @pytest.mark.slow
 def test_own_table_to_a_diagnosis(tmp_path):
     """Three commands; the truth is 2.32 N m at joint 2."""

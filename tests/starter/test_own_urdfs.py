@@ -583,3 +583,20 @@ def test_joints_that_a_urdf_lists_from_the_tool_to_the_base(tmp_path, capsys):
         assert "The arm: near, far;" in capsys.readouterr().out
         texts.append((folder / "arm_robot.toml").read_text())
     assert texts[0] == texts[1]
+
+
+def test_recordings_of_one_of_two_arms(tmp_path, capsys):
+    urdf = written(tmp_path, chain(6, prefix="left_"), chain(6, prefix="right_"))
+    t = np.arange(0.0, 12.0, 0.02)
+    head = ["t", *(f"{what}{k}" for what in ("q", "tau") for k in range(1, 7))]
+    table = np.column_stack([t, *(np.sin(k * t) for k in range(1, 13))])
+    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=",".join(head), comments="")
+    arguments = ["init", "recording", str(tmp_path / "log.csv"), "--urdf", str(urdf)]
+    assert run(arguments) == 2
+    said = capsys.readouterr().err
+    assert "no position was recognised for 12 joints" in said
+    assert 'holds 2 arms: name the link at the end of the recorded one, --tip "left_link6"' in said
+    assert run([*arguments, "--tip", "right_link6"]) == 0
+    text = (tmp_path / "log_set" / "recordings.toml").read_text()
+    assert 'joints = ["right_1", "right_2", "right_3", "right_4", "right_5", "right_6"]' in text
+    assert run(["recording", "check", str(tmp_path / "log_set")]) == 0
