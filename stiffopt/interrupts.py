@@ -7,9 +7,21 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 Answer = TypeVar("Answer")
+
+
+@dataclass
+class _Preparing:
+    """What Ctrl-C did before an answer is prepared, and whether it came meanwhile."""
+
+    until: Any = None
+    stopped: bool = False
+
+
+_preparing = _Preparing()
 
 
 @contextmanager
@@ -23,6 +35,43 @@ def handled(handler: Callable[..., object] | signal.Handlers) -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def beginning() -> Iterator[None]:
+    """While an answer is prepared: the first Ctrl-C waits for something to keep (`delivered`).
+
+    A second one ends it at once.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.SIG_IGN:
+        yield
+        return
+
+    def wait(*_: object) -> None:
+        signal.signal(signal.SIGINT, before)
+        _preparing.stopped = True
+        print(
+            "stiffopt: stops once there is a motion to keep; Ctrl-C again ends it now.",
+            file=sys.stderr,
+        )
+
+    with handled(wait):
+        _preparing.until, _preparing.stopped = before, False
+        try:
+            yield
+        finally:
+            _preparing.until, _preparing.stopped = None, False
+
+
+def delivered() -> None:
+    """There is something to keep: from here on Ctrl-C interrupts, one that waited does now."""
+    if _preparing.until is not None:
+        signal.signal(signal.SIGINT, _preparing.until)
+        _preparing.until = None
+    if _preparing.stopped:
+        _preparing.stopped = False
+        raise KeyboardInterrupt
 
 
 @contextmanager

@@ -44,9 +44,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except NoSolutionFound as error:
         print(f"stiffopt: {error}", file=sys.stderr)
         return 3
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
         kept = " and ".join(map(str, folders.written))
         said = f"{kept} was written before." if kept else "nothing was written."
+        said = next((each for each in stop.args if isinstance(each, str)), said)
         print(f"stiffopt: interrupted; {said}", file=sys.stderr)
         return 130
     except OSError as error:

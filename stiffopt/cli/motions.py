@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stiffopt.cli.base import Changes, Open, Out, app, default_folder, show_report
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.folders import output_folder
-from stiffopt.interrupts import finishing
+from stiffopt.interrupts import beginning, finishing
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -35,7 +35,7 @@ def solve(
 
     Writes result.json, trajectory.csv, report.html and, of an elastic arm, command.csv: what the
     motors must do so that the links move as planned. Ctrl-C ends the solve and keeps the best
-    motion so far.
+    motion so far; pressed before there is one it waits for the first, pressed twice it does not.
 
     Parameters
     ----------
@@ -53,52 +53,62 @@ def solve(
     quiet
         No progress display.
     """
-    from stiffopt.certificate.assess import assess
-    from stiffopt.problem.files import load_problem
-    from stiffopt.result.compensation_store import write_command
-    from stiffopt.result.store import (
-        TRAJECTORY_FILE,
-        export_times,
-        write_result,
-        write_trajectory,
-    )
-    from stiffopt.solver.simulation import with_simulation
-    from stiffopt.solver.solve import solve as optimise
-    from stiffopt.solver.stored import read_guess
+    with ExitStack() as preparing:
+        preparing.enter_context(beginning())
+        from stiffopt.certificate.assess import assess
+        from stiffopt.problem.files import load_problem
+        from stiffopt.result.compensation_store import write_command
+        from stiffopt.result.status import SolveStatus
+        from stiffopt.result.store import (
+            RESULT_FILE,
+            TRAJECTORY_FILE,
+            export_times,
+            write_result,
+            write_trajectory,
+        )
+        from stiffopt.solver.simulation import with_simulation
+        from stiffopt.solver.solve import solve as optimise
+        from stiffopt.solver.stored import read_guess
 
-    loaded = load_problem(problem, changes)
-    stated = loaded.problem
-    found = None
-    if model is not None:
-        from stiffopt.discovery.extended.planner_solve import read_model, solve_extended
+        loaded = load_problem(problem, changes)
+        stated = loaded.problem
+        found = None
+        if model is not None:
+            from stiffopt.discovery.extended.planner_solve import read_model, solve_extended
 
-        found = read_model(model, effects)
-    if guess is not None and found is not None:
-        raise InputError("--guess is of a solve without --model: leave one of them out.")
-    begin = None if guess is None else read_guess(guess, stated)
-    folder = out or default_folder(problem.stem, changes)
-    with output_folder(folder, "solve", maybe=(TRAJECTORY_FILE,)) as stage:
-        with _progress(stated, quiet) as progress, _about(problem):
-            if found is None:
-                solution = optimise(
-                    stated, progress=progress, guess=begin, throw=False, simulate=True
+            found = read_model(model, effects)
+        if guess is not None and found is not None:
+            raise InputError("--guess is of a solve without --model: leave one of them out.")
+        begin = None if guess is None else read_guess(guess, stated)
+        folder = out or default_folder(problem.stem, changes)
+        with output_folder(folder, "solve", maybe=(TRAJECTORY_FILE,)) as stage:
+            with _progress(stated, quiet) as progress, _about(problem):
+                if found is None:
+                    solution = optimise(
+                        stated, progress=progress, guess=begin, throw=False, simulate=True
+                    )
+                else:
+                    loop = solve_extended(stated, found, progress=progress)
+                    stated = loop.problem
+                    solution = with_simulation(stated, loop.solution, progress)
+            preparing.close()
+            stopped = solution.status is SolveStatus.INTERRUPTED
+            if stopped and not solution.solver.iterations and (folder / RESULT_FILE).exists():
+                raise KeyboardInterrupt(
+                    f"the optimiser had no motion yet, and the earlier answer in {folder} stays."
                 )
-            else:
-                loop = solve_extended(stated, found, progress=progress)
-                stated = loop.problem
-                solution = with_simulation(stated, loop.solution, progress)
-        with finishing():
-            # Figures need a while to load: not before the solve.
-            from stiffopt.report.solve.page import write_solve_report
-            from stiffopt.report.solve.terminal import print_solution
+            with finishing():
+                # Figures need a while to load: not before the solve.
+                from stiffopt.report.solve.page import write_solve_report
+                from stiffopt.report.solve.terminal import print_solution
 
-            if solution.trajectory is not None:
-                times = export_times(solution.trajectory.duration)
-                exported = assess(stated, solution.trajectory, times=times)
-                write_trajectory(exported, stage)
-            write_command(solution.compensation, stage)
-            write_solve_report(stated, solution, stage)
-            write_result(solution, stage, problem, home=folder, stated=stated)
+                if solution.trajectory is not None:
+                    times = export_times(solution.trajectory.duration)
+                    exported = assess(stated, solution.trajectory, times=times)
+                    write_trajectory(exported, stage)
+                write_command(solution.compensation, stage)
+                write_solve_report(stated, solution, stage)
+                write_result(solution, stage, problem, home=folder, stated=stated)
     print_solution(stated, solution, folder)
     show_report(folder, open_report)
     return solution.status.exit_code

@@ -8,7 +8,8 @@ joint is. Hysteresis is left out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,6 +32,8 @@ _LONGEST_REST = 1.0
 # Where the tool would hang changes slowly: found at every so many steps.
 _SAG_EVERY = 5
 _SAG_ITERATIONS = 4
+# Numbers that members of several plans may be made of together: 64 MB.
+_AT_ONCE = 8_000_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,10 +113,10 @@ class ManyArms:
         start = plan(np.zeros(1))[0]
         slowest = min((mode.frequency for mode in modes(arm, start)), default=1.0)
         count = int(np.ceil(self.duration / min(_STEP, 1.0 / (_STEPS * slowest))))
-        self._step = self.duration / count
-        flight = np.minimum(self._step * np.arange(count + 1), self.duration)
-        rest = int(np.ceil(min(_SWINGS / slowest, _LONGEST_REST) / self._step)) + 1
-        self.time = np.concatenate([flight, self.duration + self._step * np.arange(1, rest + 1)])
+        self.step = self.duration / count
+        flight = np.minimum(self.step * np.arange(count + 1), self.duration)
+        rest = int(np.ceil(min(_SWINGS / slowest, _LONGEST_REST) / self.step)) + 1
+        self.time = np.concatenate([flight, self.duration + self.step * np.arange(1, rest + 1)])
         self._flight = count + 1
         self._q, self._v = self._rested(plan(flight)), self._rested(plan(flight, 1), 0.0)
         # Bodies in the middle of every step of the flight, then at rest.
@@ -121,8 +124,8 @@ class ManyArms:
         ends = [self._q[-1:], np.zeros_like(self._q[:1]), np.zeros_like(self._q[:1])]
         moving = [np.concatenate([plan(middle, k), end]) for k, end in enumerate(ends)]
         self._steps = self._trapezoidal(BodiesAlong(arm, *moving))
-        self._springs, self._damping = EvenSprings(arm), arm.damping
-        self._rigid = np.flatnonzero(~arm.elastic)
+        self.springs, self.damping = EvenSprings(arm), arm.damping
+        self.rigid = np.flatnonzero(~arm.elastic)
         self._start = WeightAlong(arm, self._q[:1])
         steps = np.arange(0, len(self.time), _SAG_EVERY)
         self._seldom = np.unique(np.append(steps, len(self.time) - 1))
@@ -131,22 +134,9 @@ class ManyArms:
             np.array([arm.bodies.jacobian(arm.robot.tool, q)[:3] for q in self._q[: count + 1]])
         )
 
-    def swings(
-        self, members: Sequence[Member], progress: Callable[[float], object] | None = None
-    ) -> Swings:
-        """Simulate the members, all at once.
-
-        Parameters
-        ----------
-        members : sequence of Member
-        progress : callable, optional
-            Called with the share that is done.
-        """
-        arms = _Arms([member.departure for member in members])
-        links = self._integrated(arms, [member.command for member in members], progress)
-        hanging = self._hanging(arms, [member.reference for member in members])
-        deviation = np.einsum("kij,bkj->bki", self._jacobian, links - hanging)
-        return Swings(time=self.time, duration=self.duration, deviation=deviation)
+    def swings(self, members: Sequence[Member]) -> Swings:
+        """Simulate members, all at once."""
+        return swings_together([Asked(self, members)])[0]
 
     def _rested(self, values: np.ndarray, at_rest: float | None = None) -> np.ndarray:
         """Values of the flight and their last one, or another, until the end."""
@@ -159,55 +149,16 @@ class ManyArms:
         Columns by the rate at its end, the rate at its beginning and the place there; the torque
         that the plan needs.
         """
-        step = self._step
+        step = self.step
         inertia, turning = bodies.inertia / step, 0.5 * bodies.by_v + 0.25 * step * bodies.by_q
         columns = [inertia + turning, inertia - turning, -bodies.by_q, bodies.torque[..., None]]
         return np.concatenate(columns, axis=3)
 
-    def _integrated(
-        self,
-        arms: _Arms,
-        commands: Sequence[MotorMotion],
-        progress: Callable[[float], object] | None,
-    ) -> np.ndarray:
-        """Positions of the links less those of the plan (B, K, n)."""
-        springs, step, steps = self._springs, self._step, self._steps
-        motors, own = self._motors(commands)
-        n, rigid = self._q.shape[1], self._rigid
-        joints = np.arange(n)
-        damping = arms.damping * self._damping
-        turn = motors[0, own, 0]
-        e = _hung(springs, self._start, arms, turn[:, None])[:, 0]
-        rate = np.zeros_like(e)
-        found = np.empty((len(own), len(self.time), n))
-        found[:, 0] = e
-        drive = np.zeros_like(e)
-        for k in range(1, len(self.time)):
-            parts = arms.of(steps, min(k - 1, self._flight - 1))
-            before = arms.stiffness * springs.torque(turn - e) + damping * (drive - rate)
-            now = motors[k, own]
-            turn = now[:, 0] + arms.servo * now[:, 2]
-            drive = now[:, 1] + arms.servo * now[:, 3]
-            # Springs at the predicted place, straight from there to the end of the step.
-            torque, stiffness = springs.at(turn - e - step * rate)
-            torque, stiffness = arms.stiffness * torque, arms.stiffness * stiffness
-            ahead = torque + 0.5 * step * stiffness * rate + damping * drive
-            right = _times(parts[:, :, n : 3 * n], np.concatenate([rate, e], axis=1))
-            right += 0.5 * (before + ahead) - parts[:, :, -1]
-            left = parts[:, :, :n]
-            left[:, joints, joints] += 0.5 * damping + 0.25 * step * stiffness
-            # Rigid joints do as their motors.
-            left[:, rigid] = 0.0
-            left[:, rigid, rigid], right[:, rigid] = 1.0, drive[:, rigid]
-            new = np.linalg.solve(left, right[..., None])[..., 0]
-            e, rate = e + 0.5 * step * (rate + new), new
-            e[:, rigid] = turn[:, rigid]
-            found[:, k] = e
-            if progress is not None and k % 100 == 0:
-                progress(k / len(self.time))
-        return found
+    def step_at(self, k: int) -> np.ndarray:
+        """What the bodies are in the equation of step k, from 1 (2, n, 3 n + 1)."""
+        return self._steps[:, min(k, self._flight) - 1]
 
-    def _motors(self, commands: Sequence[MotorMotion]) -> tuple[np.ndarray, np.ndarray]:
+    def motors(self, commands: Sequence[MotorMotion]) -> tuple[np.ndarray, np.ndarray]:
         """Motions (K, C, 4, n) of the different commands, and which each member has (B,).
 
         Position and velocity as commanded less those of the plan, and what the worst servo adds to
@@ -227,16 +178,122 @@ class ManyArms:
         by_time = np.ascontiguousarray(found.transpose(2, 0, 1, 3))
         return by_time, np.array([places[id(command)] for command in commands])
 
+    def begun(self, arms: _Arms, turn: np.ndarray) -> np.ndarray:
+        """Links at rest (B, n) with the motors `turn` ahead of where the plan begins."""
+        return _hung(self.springs, self._start, arms, turn[:, None])[:, 0]
+
+    def deviation(self, members: Sequence[Member], links: np.ndarray) -> np.ndarray:
+        """Of the members' tools (B, K, 3), for links that are ahead of the plan by (K, B, n)."""
+        # Many members of one arm differ in their commands only, and would hang alike.
+        alike = {(id(each.reference), id(each.departure)): each for each in members}
+        places = {key: place for place, key in enumerate(alike)}
+        hanging = self._hanging(
+            _Arms([each.departure for each in alike.values()]),
+            [each.reference for each in alike.values()],
+        )
+        own = [places[id(each.reference), id(each.departure)] for each in members]
+        # One matrix product for all members: einsum would take them one by one.
+        away = (links - hanging[own].swapaxes(0, 1)).swapaxes(1, 2)
+        return np.asarray(np.matmul(self._jacobian, away).transpose(2, 0, 1))
+
     def _hanging(self, arms: _Arms, references: Sequence[MotorMotion]) -> np.ndarray:
         """Links at rest at the positions of the references, less those of the plan (B, K, n)."""
         chosen, count = self._seldom, len(self.time)
         different = {id(each): each(self.time[chosen]) for each in references}
         turn = np.stack([different[id(each)] for each in references]) - self._q[chosen]
-        coarse = _hung(self._springs, self._weight, arms, turn)
+        coarse = _hung(self.springs, self._weight, arms, turn)
         right = np.clip(np.searchsorted(chosen, np.arange(count)), 1, len(chosen) - 1)
         left = right - 1
         share = ((np.arange(count) - chosen[left]) / (chosen[right] - chosen[left]))[:, None]
         return np.asarray((1.0 - share) * coarse[:, left] + share * coarse[:, right])
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """Members whose arms are along one plan."""
+
+    many: ManyArms
+    members: Sequence[Member]
+
+    @property
+    def size(self) -> int:
+        """Numbers that their motion is made of."""
+        return len(self.members) * len(self.many.time) * len(self.many.damping)
+
+
+def swings_together(asked: Sequence[Asked]) -> list[Swings]:
+    """Simulate the members of several plans of one arm, as many at once as memory allows.
+
+    Parameters
+    ----------
+    asked : sequence of Asked
+    """
+    found: list[Swings] = []
+    while len(found) < len(asked):
+        sizes = np.cumsum([each.size for each in asked[len(found) :]])
+        now = asked[len(found) : len(found) + max(1, int(np.sum(sizes <= _AT_ONCE)))]
+        links, first = _integrated(now), 0
+        for each in now:
+            own = links[: len(each.many.time), first : first + len(each.members)]
+            deviation = each.many.deviation(each.members, own)
+            found.append(
+                Swings(time=each.many.time, duration=each.many.duration, deviation=deviation)
+            )
+            first += len(each.members)
+    return found
+
+
+def _integrated(asked: Sequence[Asked]) -> np.ndarray:
+    """Positions of the links less those of their plan (K, B, n); those of short plans go on."""
+    along, count = [each.many for each in asked], max(len(each.many.time) for each in asked)
+    ends = np.cumsum([len(each.members) for each in asked])
+    rows = [slice(end - len(each.members), end) for each, end in zip(asked, ends, strict=True)]
+    arms = _Arms([member.departure for each in asked for member in each.members])
+    motors: list[np.ndarray] = []
+    own, begun = [], []
+    for each, mine in zip(asked, rows, strict=True):
+        moved, of = each.many.motors([member.command for member in each.members])
+        begun.append(each.many.begun(arms.some(mine), moved[0, of, 0]))
+        own.append(of + sum(before.shape[1] for before in motors))
+        motors.append(np.concatenate([moved, np.repeat(moved[-1:], count - len(moved), axis=0)]))
+    commanded, of = np.concatenate(motors, axis=1), np.concatenate(own)
+    springs, rigid = along[0].springs, along[0].rigid
+    n = len(along[0].damping)
+    joints, damping = np.arange(n), arms.damping * along[0].damping
+    step = np.repeat([many.step for many in along], [len(each.members) for each in asked])[:, None]
+    e = np.concatenate(begun)
+    turn, rate, drive = commanded[0, of, 0], np.zeros_like(e), np.zeros_like(e)
+    left, right = np.empty((len(e), n, n)), np.empty_like(e)
+    found = np.empty((count, len(e), n))
+    found[0] = e
+    for k in range(1, count):
+        state = np.concatenate([rate, e], axis=1)
+        for many, mine in zip(along, rows, strict=True):
+            bodies, payload = many.step_at(k), arms.payload[mine]
+            # One product for all members of a plan, whatever they carry.
+            own_right, more = (
+                state[mine] @ bodies[:, :, n : 3 * n].swapaxes(1, 2) - bodies[:, None, :, -1]
+            )
+            right[mine] = own_right + payload * more
+            left[mine] = bodies[0, :, :n] + payload[..., None] * bodies[1, :, :n]
+        before = arms.stiffness * springs.torque(turn - e) + damping * (drive - rate)
+        now = commanded[k, of]
+        turn = now[:, 0] + arms.servo * now[:, 2]
+        drive = now[:, 1] + arms.servo * now[:, 3]
+        # Springs at the predicted place, straight from there to the end of the step.
+        torque, stiffness = springs.at(turn - e - step * rate)
+        torque, stiffness = arms.stiffness * torque, arms.stiffness * stiffness
+        ahead = torque + 0.5 * step * stiffness * rate + damping * drive
+        right += 0.5 * (before + ahead)
+        left[:, joints, joints] += 0.5 * damping + 0.25 * step * stiffness
+        # Rigid joints do as their motors.
+        left[:, rigid] = 0.0
+        left[:, rigid, rigid], right[:, rigid] = 1.0, drive[:, rigid]
+        new = np.linalg.solve(left, right[..., None])[..., 0]
+        e, rate = e + 0.5 * step * (rate + new), new
+        e[:, rigid] = turn[:, rigid]
+        found[k] = e
+    return found
 
 
 class _Arms:
@@ -248,14 +305,12 @@ class _Arms:
         self.payload = np.array([[each.payload - 1.0] for each in departures])
         self.servo = np.array([[each.servo] for each in departures])
 
-    def of(self, parts: np.ndarray, place: int) -> np.ndarray:
-        """Quantities (B, ...) of each arm from (2, K, ...) of all bodies and of the payload."""
-        factor = self.payload.reshape(-1, *([1] * (parts.ndim - 2)))
-        return np.asarray(parts[0, place] + factor * parts[1, place])
-
-
-def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    return np.asarray(np.matmul(matrices, vectors[..., None])[..., 0])
+    def some(self, rows: slice) -> _Arms:
+        """Those of some rows."""
+        found = copy.copy(self)
+        for name, values in vars(self).items():
+            setattr(found, name, values[rows])
+        return found
 
 
 def _hung(springs: EvenSprings, weight: WeightAlong, arms: _Arms, turn: np.ndarray) -> np.ndarray:

@@ -137,6 +137,7 @@ class _Equations:
         self._free = np.flatnonzero(arm.elastic)
         springs = list(enumerate(arm.springs))
         self._springs = [(j, spring) for j, spring in springs if spring is not None]
+        self._law = [_nothing if spring is None else spring.torque_alone for spring in arm.springs]
         # Torque that alone winds the spring up by the loop's half width: so wide is the loop then.
         self._friction = np.array(
             [
@@ -153,12 +154,11 @@ class _Equations:
         q, v = state[:n], state[n : 2 * n]
         if self._rigid.size:
             q, v = np.where(arm.elastic, q, motor), np.where(arm.elastic, v, speed)
-        windup, rate = motor - q, speed - v
-        torque = arm.damping * rate
+        rate = speed - v
         # Numbers of Python's own: six springs one by one are quicker so than as arrays.
-        turns = windup.tolist()
-        for j, spring in self._springs:
-            torque[j] += spring.torque_at(turns[j])[0]
+        turns = (motor - q).tolist()
+        torque = np.array([spring(turn) for spring, turn in zip(self._law, turns, strict=True)])
+        torque += arm.damping * rate
         slope = np.zeros(3 * n)
         if self._loops.size:
             loop, own = state[2 * n :], self._loops
@@ -190,6 +190,11 @@ class _Equations:
         for j, spring in self._springs:
             torque[:, j] += spring.torque(windup[:, j])
         return torque
+
+
+def _nothing(_: float) -> float:
+    """Torque of no spring."""
+    return 0.0
 
 
 def _sample_times(duration: float, end: float) -> np.ndarray:

@@ -78,6 +78,15 @@ class JointSpring:
         torque = c0 + x * (c1 + x * (c2 + x * c3))
         return (torque if windup >= 0.0 else -torque), c1 + x * (2.0 * c2 + x * 3.0 * c3)
 
+    def torque_alone(self, windup: float) -> float:
+        """Torque [N m] at one wind-up [rad], without the stiffness there."""
+        size = windup if windup >= 0.0 else -windup
+        k = bisect_right(self._windups, size) - 1
+        c0, c1, c2, c3 = self._pieces[k]
+        x = size - self._windups[k]
+        torque: float = c0 + x * (c1 + x * (c2 + x * c3))
+        return torque if windup >= 0.0 else -torque
+
     def torque(self, windup: np.ndarray) -> np.ndarray:
         """Torques (k,) [N m] at wind-ups (k,) [rad]."""
         return _evaluated(self._by_windup, np.array(self._windups), windup)

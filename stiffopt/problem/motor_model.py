@@ -100,7 +100,7 @@ class MotorModel(StageModel):
     @cached_property
     def lead(self) -> Quantity:
         """Wind-up by which the motors are ahead (n,) [rad]."""
-        return self._law(self.torques.spring)
+        return self.windup_of_motors(self.torques.spring)
 
     @cached_property
     def hung(self) -> Quantity:
@@ -110,7 +110,7 @@ class MotorModel(StageModel):
     @cached_property
     def sag(self) -> Quantity:
         """Wind-up under weight and process force (n,) [rad]."""
-        return self._law(self.torques.held)
+        return self.windup_of_motors(self.torques.held)
 
     def rates(self, value: Quantity, orders: int, count: int = 3) -> list[Quantity]:
         """A value and its first derivatives by time, so many.
@@ -153,7 +153,7 @@ class MotorModel(StageModel):
             static=at_tool(gravity), dynamic=at_tool(spring - held), process=at_tool(held - gravity)
         )
 
-    def _law(self, torque: Quantity) -> Quantity:
+    def windup_of_motors(self, torque: Quantity) -> Quantity:
         """Wind-up (n,) [rad] by which the motors are ahead."""
         angles = [
             0.0 if chain is None else chain.windup(torque[j], smoothing=self.wider * self.smoothing)
@@ -213,7 +213,7 @@ class NearMotorModel(MotorModel):
         """First three rates of the wind-up by which the motors are ahead, (n,) each."""
         first, second, third = self._torque_rates
         torque = ca.SX.sym("torque", self.robot.n)
-        law, one = [self._law(torque)], np.ones(self.robot.n)
+        law, one = [self.windup_of_motors(torque)], np.ones(self.robot.n)
         for _ in range(3):
             law.append(ca.jtimes(law[-1], torque, one))
         *_, steep, bent, twisted = ca.substitute(law, [torque], [self.torques.spring])
@@ -245,16 +245,24 @@ class MotorLaw:
     """
 
     def __init__(self, robot: Robot, process_force: object = (0.0, 0.0, 0.0)) -> None:
-        derivatives = [ca.SX.sym(f"d{k}", robot.n) for k in range(6)]
-        p = ca.SX.sym("smoothing")
-        model = MotorModel(robot, derivatives, p, np.zeros(robot.n), process_force, 1.0)
-        given = [*derivatives, p]
-        sag = [ca.densify(each) for each in model.rates(model.sag, 1, 5)]
-        lead = [ca.densify(each) for each in model.rates(model.lead, 3)]
-        self._sag = ca.Function("sag", given, sag)
+        motion = [ca.SX.sym(f"d{k}", robot.n) for k in range(6)]
+        smoothing = ca.SX.sym("smoothing")
+        model = MotorModel(robot, motion, smoothing, np.zeros(robot.n), process_force, 1.0)
+        # What acts on the springs does not depend on how wide corners are: most of the cost, once.
+        self._spring = _law(motion, model.rates(model.torques.spring, 3))
         # All that motors need of it; each further rate costs twice the one before.
-        self._motors_sag = ca.Function("motors_sag", given, sag[:4])
-        self._lead = ca.Function("lead", given, lead)
+        self._held = _law(motion, model.rates(model.torques.held, 1))
+        torques = [ca.SX.sym(f"t{k}", robot.n) for k in range(6)]
+        windup = model.windup_of_motors(torques[0])
+        along = MotorModel(robot, torques, smoothing, np.zeros(robot.n), process_force, 1.0)
+        self._windup = _law([*torques[:4], smoothing], along.rates(windup, 1))
+        self._model, self._given = model, [*motion, smoothing]
+        self._last: tuple[Trajectory, np.ndarray, np.ndarray, np.ndarray] | None = None
+
+    @cached_property
+    def _sag(self) -> ca.Function:
+        """Wind-up at rest and five rates: of links that are carried where they hang."""
+        return _law(self._given, self._model.rates(self._model.sag, 1, 5))
 
     def motion(
         self,
@@ -281,12 +289,13 @@ class MotorLaw:
             of the sag has its own acceleration.
         """
         moves = _sampled(link)
-        plan = np.stack([link(moves, k) for k in range(6)])
         if sagged:
-            loaded = place = self._hanging(plan, smoothing)
+            place = self._hanging(np.stack([link(moves, k) for k in range(6)]), smoothing)
+            spring = _of(self._spring, place)
         else:
-            loaded, place = plan, plan[:4] - _of(self._motors_sag, plan, smoothing)
-        lead = _of(self._lead, loaded, smoothing)
+            plan, spring, weight = self._torques(link, moves)
+            place = plan[:4] - _of(self._windup, weight, smoothing)
+        lead = _of(self._windup, spring, smoothing)
         if lag is None:
             return Trajectory.through(moves, place[:4] + lead, link)
         # The wind-up as a motion of its own, which begins and ends later than the rest.
@@ -302,6 +311,18 @@ class MotorLaw:
             motors[:, :, joints] += _late(windup, times - own)[:, :, joints]
         return Trajectory.through(times, motors, held)
 
+    def _torques(
+        self, link: Trajectory, moves: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The links' plan (6, K, n), torques of springs and at rest with three rates (4, K, n).
+
+        Those of the last plan are kept: it is tried with corners of several widths.
+        """
+        if self._last is None or self._last[0] is not link:
+            plan = np.stack([link(moves, k) for k in range(6)])
+            self._last = link, plan, _of(self._spring, plan), _of(self._held, plan)
+        return self._last[1:]
+
     def _hanging(self, plan: np.ndarray, smoothing: float) -> np.ndarray:
         """Where links hang under their own weight there, with five derivatives (6, K, n)."""
         place = plan
@@ -313,10 +334,15 @@ class MotorLaw:
         return place
 
 
-def _of(law: ca.Function, derivatives: np.ndarray, smoothing: float) -> np.ndarray:
-    """A law's values (m, K, n) along a motion with its derivatives (6, K, n)."""
-    count = derivatives.shape[1]
-    given = (*(each.T for each in derivatives), np.full((1, count), smoothing))
+def _law(given: list[Quantity], values: list[Quantity]) -> ca.Function:
+    """A formula for many instants, in which nothing is computed twice."""
+    return ca.Function("law", given, [ca.densify(each) for each in ca.cse(values)])
+
+
+def _of(law: ca.Function, rates: np.ndarray, *numbers: float) -> np.ndarray:
+    """A law's values (m, K, n) along what has so many rates (k, K, n), and of further numbers."""
+    count = rates.shape[1]
+    given = (*(each.T for each in rates), *(np.full((1, count), each) for each in numbers))
     return np.stack([each.full().T for each in law.map(count)(*given)])
 
 

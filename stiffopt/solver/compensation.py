@@ -10,15 +10,15 @@ over the stiffness, so that its middle lies above the nominal one.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.violations import CERTIFIED
-from stiffopt.elastic.many_arms import ManyArms, Member, Swings
+from stiffopt.elastic.many_arms import Asked, ManyArms, Member, Swings, swings_together
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
 from stiffopt.elastic.smooth_motion import smooth_motion
@@ -49,6 +49,10 @@ _COARSE = 1001
 _OF_LINKS = ("shaped_deviation", "tool_deviation")
 
 Progress = Callable[[str], object]
+Answer = TypeVar("Answer")
+# What asks for the swings of members on the way to its answer: those of several are simulated
+# together, which costs little more than one alone.
+Asking = Generator[Asked, Swings, Answer]
 
 
 def compensate(
@@ -77,11 +81,13 @@ def compensate(
     RobotError
         An uncertainty takes a joint's damping above critical.
     """
-    found, law = [], MotorLaw(problem.robot, problem.process_force)
+    law = MotorLaw(problem.robot, problem.process_force)
+    asking = []
     for motion in motions:
         if progress is not None:
             progress(motion.name)
-        found.append(_Compensator(problem, arm, motion, law).compensated())
+        asking.append(_begun(_Compensator(problem, arm, motion, law).compensated()))
+    found = _answered(asking)
     own, trajectory = found[0]
     refusal, command = _refusal(problem, own.excess), None
     if not refusal:
@@ -126,14 +132,15 @@ def recompensated(
     """
     law = MotorLaw(problem.robot, problem.process_force)
     own, *others = motions
-    chosen = [_Compensator(problem, arm, each, law).chosen() for each in others]
+    chosen = _answered([_begun(_Compensator(problem, arm, each, law).chosen()) for each in others])
     problem = problem if uncertainty is None else replace(problem, uncertainty=uncertainty)
     arm = arm if damping is None else arm.damped(damping)
-    found = [_Compensator(problem, arm, own, law, made.plan, servo).given(made)]
-    found += [
-        _Compensator(problem, arm, motion, law, servo=servo).given(command)
+    asking = [_begun(_Compensator(problem, arm, own, law, made.plan, servo).given(made))]
+    asking += [
+        _begun(_Compensator(problem, arm, motion, law, servo=servo).given(command))
         for motion, command in zip(others, chosen, strict=True)
     ]
+    found = _answered(asking)
     return Compensation(
         motions=tuple(found),
         command=None,
@@ -152,7 +159,26 @@ def compensated(
 ) -> tuple[CompensatedMotion, Trajectory]:
     """What compensation gives of one motion, and the motors' command; parameters as above."""
     law = MotorLaw(problem.robot, problem.process_force)
-    return _Compensator(problem, arm, motion, law).compensated()
+    return _answered([_begun(_Compensator(problem, arm, motion, law).compensated())])[0]
+
+
+def _begun(asking: Asking[Answer]) -> tuple[Asking[Answer], Asked]:
+    """One that has come to what it asks first."""
+    return asking, next(asking)
+
+
+def _answered(begun: Sequence[tuple[Asking[Answer], Asked]]) -> list[Answer]:
+    """The answers of several: what all of them ask is simulated together, round by round."""
+    asked, answers = dict(begun), {}  # type: dict[Asking[Answer], Asked], dict[Asking[Answer], Answer]
+    while asked:
+        swings = swings_together(list(asked.values()))
+        for asking, own in zip(list(asked), swings, strict=True):
+            try:
+                asked[asking] = asking.send(own)
+            except StopIteration as ended:
+                answers[asking] = ended.value
+                del asked[asking]
+    return [answers[asking] for asking, _ in begun]
 
 
 def _refusal(problem: TrajectoryProblem, excess: tuple[Violation, ...]) -> str:
@@ -250,36 +276,36 @@ class _Compensator:
     def _driven(self, arms: list[Departure]) -> list[Departure]:
         return arms if self._known is None else [replace(each, servo=1.0) for each in arms]
 
-    def compensated(self) -> tuple[CompensatedMotion, Trajectory]:
+    def compensated(self) -> Asking[tuple[CompensatedMotion, Trajectory]]:
         """What compensation gives, and the command."""
-        lead, share, signs = self._chosen()
+        lead, share, signs = yield from self._chosen()
         trajectory = lead.command(share)
         command = MotorMotion.of(trajectory)
-        found = self._on_all(command, signs, lead.spacing, share)
+        found = yield from self._on_all(command, signs, lead.spacing, share)
         return replace(found, excess=self._excess(trajectory)), trajectory
 
-    def chosen(self) -> MadeCommand:
+    def chosen(self) -> Asking[MadeCommand]:
         """The command alone."""
-        lead, share, _ = self._chosen()
+        lead, share, _ = yield from self._chosen()
         return MadeCommand(lead.command(share), self._plan, lead.spacing, share)
 
-    def given(self, made: MadeCommand) -> CompensatedMotion:
+    def given(self, made: MadeCommand) -> Asking[CompensatedMotion]:
         """What a command gives that exists already."""
         command = MotorMotion.of(made.motors)
-        signs = self._worst_signs(*self._with_single(command))
-        found = self._on_all(command, signs, made.spacing, made.share)
+        signs = self._worst_signs(*(yield from self._with_single(command)))
+        found = yield from self._on_all(command, signs, made.spacing, made.share)
         return replace(found, excess=self._excess(made.motors))
 
     def _on_all(
         self, command: MotorMotion, signs: list[Departure], spacing: float | None, share: float
-    ) -> CompensatedMotion:
+    ) -> Asking[CompensatedMotion]:
         """What a command gives on the arm as modelled, at its bounds, as drawn."""
         follows, plan = self._follows, self._plan
         drawn = self._driven(draws(self._unsure, self._arm.robot.n, self._carries))
         arms = [self._nominal, *self._corners, *signs, *drawn]
         members = [Member(command=follows, departure=each, reference=follows) for each in arms]
         members += [Member(command=command, departure=each, reference=plan) for each in arms]
-        swings = self._many.swings(members)
+        swings = yield Asked(self._many, members)
         count = len(arms)
         planned = _spreads(swings.peak[:count], swings.peak_after[:count], arms, len(drawn))
         own = _spreads(swings.peak[count:], swings.peak_after[count:], arms, len(drawn))
@@ -297,7 +323,7 @@ class _Compensator:
             excess=(),
         )
 
-    def _chosen(self) -> tuple[_Lead, float, list[Departure]]:
+    def _chosen(self) -> Asking[tuple[_Lead, float, list[Departure]]]:
         """Spline and share of the least worst case; the worst signs of the joints' stiffness."""
         leads = self._leads()
         within = [lead for lead in leads if self._within(lead.motors)] or leads
@@ -309,15 +335,14 @@ class _Compensator:
             if share == 1.0 or self._within(lead.command(share))
         ]
         commands = [MotorMotion.of(lead.command(share)) for lead, share in tried]
-        signs = self._worst_signs(*self._with_single(commands[0]))
+        signs = self._worst_signs(*(yield from self._with_single(commands[0])))
         arms = [*self._corners, *signs]
-        swings = self._many.swings(
-            [
-                Member(command=own, departure=arm, reference=self._plan)
-                for own in commands
-                for arm in arms
-            ]
-        )
+        members = [
+            Member(command=own, departure=arm, reference=self._plan)
+            for own in commands
+            for arm in arms
+        ]
+        swings = yield Asked(self._many, members)
         shape = (len(commands), len(arms))
         flight = swings.peak.reshape(shape).max(axis=1)
         after = swings.peak_after.reshape(shape).max(axis=1)
@@ -351,12 +376,12 @@ class _Compensator:
         ]
         return [*own, *splines]
 
-    def _with_single(self, command: MotorMotion) -> tuple[Swings, int]:
+    def _with_single(self, command: MotorMotion) -> Asking[tuple[Swings, int]]:
         """The nominal arm, then those with one softer joint each; how many."""
         single = self._driven(one_at_a_time(self._unsure, self._arm.robot.n))
         arms = [self._nominal, *single]
         members = [Member(command=command, departure=arm, reference=self._plan) for arm in arms]
-        return self._many.swings(members), len(arms)
+        return (yield Asked(self._many, members)), len(arms)
 
     def _worst_signs(self, swings: Swings, count: int) -> list[Departure]:
         """Arms whose joints are softer and stiffer such that their errors add up, to first order.

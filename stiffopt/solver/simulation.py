@@ -21,6 +21,7 @@ from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import check_reach, simulate, typical_hysteresis
 from stiffopt.errors import NotSimulatedError
+from stiffopt.interrupts import delivered
 from stiffopt.problem.resolve import ResolvedMotion, resolve
 from stiffopt.result.assessment import PeakRms
 from stiffopt.result.simulation import (
@@ -242,6 +243,7 @@ def with_simulation(
     if not problem.robot.tool_yields(solution.assessment.position):
         return _noted(solution, "Not simulated: no joint that yields moves the tool.")
     try:
+        delivered()
         arm = elastic_arm(problem, solution.assessment.position[0])
         counted = solution.assessment.feasible(CERTIFIED)
         own = PlannedMotion.of("optimised", solution.assessment, counted)

@@ -22,6 +22,7 @@ from stiffopt.certificate.objective_value import (
 )
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.errors import NoSolutionFound, ProblemError
+from stiffopt.interrupts import delivered
 from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.clear_poses import check_clear_poses
 from stiffopt.problem.files import LoadedProblem
@@ -137,6 +138,7 @@ def solve_keeping(
     else:
         rival = better_baseline(problem, beside)
         try:
+            delivered()
             begin = _begin(problem, motion, beside, guess)
             if start:
                 random = np.random.default_rng([problem.method.seed, start])

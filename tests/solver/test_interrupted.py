@@ -1,8 +1,13 @@
 """Ctrl-C between the solver's own runs: what there is, is kept and said."""
 
+import json
+import signal
+
 import pytest
 from small_arms import write_problem
 
+from stiffopt.cli import run
+from stiffopt.problem import files
 from stiffopt.problem.files import load_problem
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver import solve as solving
@@ -59,3 +64,26 @@ def test_before_any_motion_nothing_is_claimed(stated, monkeypatch):
     monkeypatch.setattr(solving, "baselines", interrupted)
     with pytest.raises(KeyboardInterrupt):
         solving.solve(stated)
+
+
+def test_from_the_first_second_on_a_command_keeps_a_motion(tmp_path, monkeypatch, capsys):
+    path, out = write_problem(tmp_path), tmp_path / "out"
+    plain = files.load_problem
+
+    def pressed(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        return plain(*arguments)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        monkeypatch.setattr(files, "load_problem", pressed)
+        assert run(["solve", str(path), "--out", str(out), "--quiet"]) == 130
+        assert capsys.readouterr().out.startswith("interrupted: Stopped by the user before")
+        assert json.loads((out / "result.json").read_text())["status"] == "interrupted"
+        # What lies there already is better than a baseline.
+        earlier = {each.name: each.read_bytes() for each in out.iterdir() if each.is_file()}
+        assert run(["solve", str(path), "--out", str(out), "--quiet"]) == 130
+        assert "the earlier answer" in capsys.readouterr().err
+        assert earlier == {each.name: each.read_bytes() for each in out.iterdir() if each.is_file()}
+    finally:
+        signal.signal(signal.SIGINT, before)
