@@ -26,6 +26,21 @@ def viscous(world: World, joint: int, severity: float, rng: np.random.Generator)
     return Outcome(parameters={"dFv": change})
 
 
+@effect("friction", drawn=False)
+def viscous_power(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
+    """Viscous friction by a power of the speed that is not one, as greases have it."""
+    power = 1.0 + sign(rng) * rng.uniform(0.3, 0.4)
+    change = 0.8 * severity * spread(rng) * world.robot.viscous[joint]
+
+    def law(state: State, up: np.ndarray, down: np.ndarray) -> None:
+        more = change * np.abs(state.motor_velocity[:, joint]) ** power
+        up[:, joint] += more
+        down[:, joint] += more
+
+    world.friction.append(law)
+    return Outcome(law={"power": power, "change": change})
+
+
 @effect("friction")
 def stribeck(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
     """More friction near standstill, falling as a rational function of speed."""

@@ -223,6 +223,9 @@ class Effect:
         Name of an effect that says much the same in another form, one with an amplitude where the
         other has a shape. Evidence prices amplitudes and no shapes, so that between the two the
         fits count, and what the data determine of either; one side says it.
+    beside : Effect, optional
+        What it must stand out beside: amplitudes so free that laws which are not quite those of the
+        catalogue are among them. It is fitted for that judgement only and never named.
     reference : str
         Source of its form: a key of references.bib, or the source in words.
     drawn : callable, optional
@@ -258,6 +261,7 @@ class Effect:
     needs: tuple[Need, ...] = ()
     confused_with: tuple[str, ...] = ()
     twin: str = ""
+    beside: Effect | None = None
     reference: str = ""
     drawn: Report | None = None
     of_runs: Callable[..., Effect] | None = None

@@ -41,12 +41,7 @@ REPORTED = {
         "vs": "rad/s",
         "b": "1/K",
     },
-    "friction_drift": {
-        "dFc": "N m",
-        "dFc_spread": "N m",
-        "dFv": "N m s/rad",
-        "dFv_spread": "N m s/rad",
-    },
+    "friction_drift": {"dFc_spread": "N m", "dFv_spread": "N m s/rad"},
     "coupled_drive": {"Fc": "N m", "Fv": "N m s/rad", "J": "kg m^2", "c": ""},
     "backlash": {"width": "rad"},
     "hysteresis": {"h": "N m", "s": "rad"},

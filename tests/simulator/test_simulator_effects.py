@@ -13,6 +13,7 @@ SILENT = 0.06  # of the sensor noise; what second-order integration leaves is be
 FRICTION = {
     "coulomb",
     "viscous",
+    "viscous_power",
     "stribeck",
     "load_friction",
     "asym_friction",

@@ -1,28 +1,31 @@
-"""Friction that is another one from run to run: a random effect by run, its mean and its spread.
+"""Friction that is another one from run to run: a random effect by run, about what all share.
 
 The housing of yesterday, the grease that has settled, a night of rest: no signal of a recording
-tells. Every run has a level of its own, drawn about a mean that all share; what a further run has
-is the mean, give or take the spread. As mixed models have it (Laird and Ware 1982), the levels of
-runs count as drawn, not as parameters of the robot.
+tells. Every run is off by an amount of its own from the mean of all, which is friction like any
+other and that of other effects; what a further run has is the mean, give or take the spread. As
+mixed models have it (Laird and Ware 1982), what single runs have counts as drawn, not as
+parameters of the robot.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import dry_friction, viscous_friction
+from stiffopt.discovery.catalogue.friction import rounded_load
 from stiffopt.discovery.comparison.signals import JointConstants, JointSignals, smooth_sign
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
-from stiffopt.symbolic import Quantity
+from stiffopt.symbolic import Quantity, smooth_abs
 
 # Before a name of a run, in the names of amplitudes.
 OF_RUN = "of "
 # Share of friction that differs from run to run, typically.
 _TYPICAL = 0.2
+# Of the speed in the law of any friction, its rounding at standstill [rad/s], and that of the load.
+_POWERS, _SLOW, _LOAD_ROUNDING = (0.0, 0.5, 1.0, 2.0), 1e-2, 0.02
 
 
 def _term(
@@ -31,100 +34,101 @@ def _term(
     amplitudes: Sequence[Quantity],
     shapes: Sequence[Quantity],
 ) -> Term:
-    """Friction by the level of a run that was seen, by the mean of all in any other."""
-    if signals.run in seen:
-        level = amplitudes[0] + amplitudes[1 + seen.index(signals.run)]
-    else:
-        level = _mean(amplitudes)
+    """What a run that was seen has beside the mean of all; nothing in any other."""
+    if signals.run not in seen:
+        return Term()
+    off = amplitudes[seen.index(signals.run)] - sum(amplitudes) / len(amplitudes)
     constants, w, viscous = signals.constants, signals.motor_velocity, shapes[0]
     dry = (1.0 - viscous) * dry_friction(constants) * smooth_sign(w)
-    return Term(drive_torque=level * (dry + viscous * viscous_friction(constants) * w))
-
-
-def _mean(amplitudes: Sequence[Any]) -> Any:
-    """Mean level of the runs that were seen."""
-    level, *own = amplitudes
-    return level + sum(own) / len(own) if own else level
-
-
-def _sizes(shapes: Sequence[float], constants: JointConstants) -> tuple[float, float]:
-    """Dry and viscous friction of a unit level [N m], [N m s/rad]."""
-    return (
-        (1.0 - shapes[0]) * dry_friction(constants),
-        shapes[0] * viscous_friction(constants),
-    )
+    return Term(drive_torque=off * (dry + viscous * viscous_friction(constants) * w))
 
 
 def _report(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: JointConstants
 ) -> Mapping[str, float]:
-    own = np.array(amplitudes[1:])
-    mean = float(_mean(amplitudes))
-    spread = float(own.std(ddof=1)) if own.size > 1 else 0.0
-    dry, viscous = _sizes(shapes, constants)
+    spread = float(np.std(amplitudes, ddof=1)) if len(amplitudes) > 1 else 0.0
     return {
-        "dFc": mean * dry,
-        "dFc_spread": spread * dry,
-        "dFv": mean * viscous,
-        "dFv_spread": spread * viscous,
+        "dFc_spread": spread * (1.0 - shapes[0]) * dry_friction(constants),
+        "dFv_spread": spread * shapes[0] * viscous_friction(constants),
     }
 
 
 def _drawn(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: JointConstants
 ) -> Mapping[str, float]:
-    """What the mean and the spread of so few runs may be off by from those of all [N m], ..."""
-    count = max(len(amplitudes) - 1, 2)
+    """What the spread of so few runs may be off by from that of all [N m], [N m s/rad]."""
     found = _report(amplitudes, shapes, constants)
-    return {
-        name: found[f"{name.removesuffix('_spread')}_spread"]
-        / np.sqrt(2.0 * (count - 1) if name.endswith("_spread") else count)
-        for name in found
-    }
+    return {k: v / np.sqrt(2.0 * max(len(amplitudes) - 1, 1)) for k, v in found.items()}
+
+
+def _any_law(
+    signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
+) -> Term:
+    """Friction by any powers of the speed, and by the load."""
+    w = signals.motor_velocity
+    speed = smooth_abs(w, _SLOW)
+    *powers, of_load = amplitudes
+    law = sum(a * speed**power for a, power in zip(powers, _POWERS, strict=True))
+    dry = law * dry_friction(signals.constants) + of_load * rounded_load(signals, _LOAD_ROUNDING)
+    return Term(drive_torque=dry * smooth_sign(w))
+
+
+# Runs that are driven at other speeds and loads differ by a law that is not quite the model's.
+ANY_FRICTION = Effect(
+    name="any_friction",
+    family="friction",
+    scope="joint",
+    equation="tau += sg(w)*(sum of c*abs(w)^p + mu*abs(s))",
+    signature="motor torque off against the motion, by any law of speed and load",
+    needs=("torque", "moves", "reverses"),
+    reference="BittencourtAxelsson2014",
+    term=_any_law,
+    amplitudes=(
+        *(
+            Amplitude(name=f"c{power:g}", unit="", scale=2.0, lower=-50.0, upper=50.0)
+            for power in _POWERS
+        ),
+        Amplitude(name="mu", unit="", scale=0.1, lower=-6.0, upper=6.0),
+    ),
+)
 
 
 def friction_drift(runs: Sequence[str], *, seen: bool = True) -> Effect:
-    """The effect with a level for each of some runs.
+    """The effect with an amount for each of some runs.
 
     Parameters
     ----------
     runs : sequence of str
     seen : bool
-        Whether runs of these names are those that the levels are of.
+        Whether runs of these names are those that the amounts are of.
     """
     return Effect(
         name="friction_drift",
         family="friction",
         scope="joint",
-        equation="tau += (m + a_run)*(share of Fc*sg(w) + share of Fv*w), a_run ~ N(0, spread^2)",
-        signature="motor torque off against the motion by a level that is another one in every"
-        " run, whatever the motion and the temperature",
+        equation="tau += a_run*(share of Fc*sg(w) + share of Fv*w), a_run ~ N(0, spread^2), sum 0",
+        signature="motor torque off against the motion by an amount that is another one in"
+        " every run, whatever the motion and the temperature",
         title="friction drift between runs",
         phrase="friction that differs from run to run",
         needs=("torque", "moves", "reverses", "three_runs"),
         confused_with=("thermal_friction",),
+        beside=ANY_FRICTION,
         reference="LairdWare1982",
         term=partial(_term, tuple(runs) if seen else ()),
-        amplitudes=(
-            Amplitude(name="mean", unit="", scale=1.0, lower=-1.0, upper=5.0),
-            *(
-                Amplitude(name=f"{OF_RUN}{run}", unit="", scale=_TYPICAL, lower=-5.0, upper=25.0)
-                for run in runs
-            ),
+        amplitudes=tuple(
+            Amplitude(name=f"{OF_RUN}{run}", unit="", scale=_TYPICAL, lower=-5.0, upper=25.0)
+            for run in runs
         ),
         shapes=(Shape(name="viscous", unit="", starts=(0.0, 0.5, 1.0), lower=0.0, upper=1.0),),
         report=_report,
         drawn=_drawn,
-        units={
-            "dFc": "N m",
-            "dFc_spread": "N m",
-            "dFv": "N m s/rad",
-            "dFv_spread": "N m s/rad",
-        },
+        units={"dFc_spread": "N m", "dFv_spread": "N m s/rad"},
         of_runs=friction_drift,
         separate="Repeat one motion on several days, and several times on one: what differs"
         " between days alone is drift, what goes with the housing's warmth is oil.",
     )
 
 
-FRICTION_DRIFT = friction_drift(())
+# Signals of no recording have a run without a name.
+FRICTION_DRIFT = friction_drift(("", "another"))

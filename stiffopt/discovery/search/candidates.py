@@ -15,7 +15,7 @@ from stiffopt.discovery.comparison.evidence import Added, AddedSums, Beside, pos
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.pace import Pace
-from stiffopt.discovery.thresholds import NAMED_DEVIATIONS
+from stiffopt.discovery.thresholds import NAMED_DEVIATIONS, NAMED_EVIDENCE
 
 # Share of its work on one channel from which an effect acts on another: less is the swing of links
 # that others set going.
@@ -91,6 +91,7 @@ class Scorer:
         self._prior = np.concatenate([sd, np.ones(amplitudes)])
         self.start = posterior(self._sums.own, self._prior, cross_validate=False)
         self._beside = Beside(self._sums.own, self._prior)
+        self._freed: dict[tuple[object, ...], Scorer] = {}
 
     @cached_property
     def _columns(self) -> np.ndarray:
@@ -122,7 +123,7 @@ class Scorer:
         if not np.isfinite(size).all() or not np.any(size > 1e-12):
             return None
         found, kept = self._bounded(located, sums)
-        if found is None or not _itself(located, found, kept):
+        if found is None or not _itself(located, found, kept) or not self._stands_out(located):
             return None
         mean = np.zeros(len(size))
         covariance = np.zeros((len(size),) * 2)
@@ -178,6 +179,18 @@ class Scorer:
                 return found, kept
             kept = np.delete(kept, worst)
         return None, kept
+
+    def _stands_out(self, located: LocatedEffect) -> bool:
+        """Whether it is still seen beside all that could stand in for it."""
+        free = located.effect.beside
+        if free is None:
+            return True
+        law = replace(located, effect=free, shapes=())
+        if law.key not in self._freed:
+            self._freed[law.key] = Scorer(self.comparison, (*self.base, law))
+        alone = replace(located, effect=replace(located.effect, beside=None))
+        found = self._freed[law.key].score(alone)
+        return found is not None and found.evidence >= NAMED_EVIDENCE
 
     def _gained(self, sums: AddedSums, kept: np.ndarray) -> float:
         return self._beside.log_predictive(sums, kept) - float(np.sum(self.by_block))
