@@ -8,6 +8,7 @@ import sys
 
 import pytest
 
+from benchmarks.identification_peers import __main__ as identification
 from benchmarks.peers import __main__ as peers
 from benchmarks.peers.judge import Judged
 from benchmarks.random_problems import __main__ as random_problems
@@ -90,3 +91,26 @@ def test_the_page_says_of_its_records_what_they_say():
     assert "Solved: 2 at abc1234, 1 at commits that their records do not name." in told
     assert "Solved: 1 at abc1234." in told
     assert "once" not in told
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["nowhere"], "No set 'nowhere': take one of here."),
+        (["here", "nowhere"], "No set 'nowhere'"),
+        (["install", "nothing"], "No peer 'nothing': take one of figaroh, mujoco, pysindy."),
+        ([], "No recordings in"),
+        (["here"], "recordings.toml"),
+    ],
+)
+def test_unknown_sets_and_peers_end_in_a_sentence(monkeypatch, tmp_path, capsys, names, said):
+    if names:
+        (tmp_path / "here").mkdir()
+        (tmp_path / "here" / "recordings.toml").write_text("schema = 1\n")
+    monkeypatch.setattr(identification, "RECORDINGS", tmp_path)
+    monkeypatch.setattr(identification, "HERE", tmp_path)
+    monkeypatch.setattr(sys, "argv", ["identification_peers", *names])
+    with pytest.raises(SystemExit) as stopped:
+        identification.main()
+    assert stopped.value.code == 2
+    assert said in capsys.readouterr().err

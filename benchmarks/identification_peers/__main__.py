@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from stiffopt.discovery.diagnose import diagnose
 from stiffopt.discovery.diagnosis import Diagnosis, channel_fits
 from stiffopt.discovery.proof.predict import Prediction
 from stiffopt.discovery.proof.proof import RunProof, prove, used_samples
+from stiffopt.errors import StiffoptError
 
 HERE = Path(__file__).parent
 RECORDINGS = Path(
@@ -146,6 +147,18 @@ def _spread(test: list[Motion]) -> list[float | None]:
     return [float(np.concatenate(parts).std()) if parts else None for parts in values]
 
 
+def _refuse(what: str, names: list[str], known: list[str]) -> None:
+    """Stop where a name is none of those that there are."""
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        _stop(f"No {what} {', '.join(map(repr, unknown))}: take one of {', '.join(known)}.")
+
+
+def _stop(sentence: str) -> NoReturn:
+    print(sentence, file=sys.stderr)
+    sys.exit(2)
+
+
 def main() -> None:
     """Install peers, or run them."""
     parser = argparse.ArgumentParser(
@@ -156,6 +169,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="sets (all), or install [NAME ...], or page")
     asked = parser.parse_args()
     if asked.names[:1] == ["install"]:
+        _refuse("peer", asked.names[1:], list(PEERS.packages))
         PEERS.install(asked.names[1:])
         return
     work = HERE / "work"
@@ -164,11 +178,16 @@ def main() -> None:
         done = [json.loads(path.read_text()) for path in stored if path.is_file()]
         (HERE / "RESULTS.md").write_text(page(done))
         return
-    if not RECORDINGS.is_dir():
-        sys.exit(f"no recordings in {RECORDINGS}: set STIFFOPT_RECORDINGS to their folder")
+    there = sorted(path.parent.name for path in RECORDINGS.glob("*/recordings.toml"))
+    if not there:
+        _stop(f"No recordings in {RECORDINGS}: set STIFFOPT_RECORDINGS to their folder.")
+    _refuse("set", asked.names, there)
     work.mkdir(exist_ok=True)
     for name in asked.names or SETS:
-        found = one(name)
+        try:
+            found = one(name)
+        except StiffoptError as error:
+            _stop(str(error))
         (work / f"{name}.json").write_text(json.dumps(found))
         print(section(found), flush=True)
 

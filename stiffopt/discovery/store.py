@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -171,6 +172,15 @@ def _rigid(diagnosis: Diagnosis) -> dict[str, Any] | None:
         "widths": list(rigid.widths),
         "gain": rigid.gain,
         "single": None if rigid.single is None else rigid.single.located.label,
+        "counterbalances": [
+            {
+                "joint": each.joint + 1,
+                "torque": each.torque,
+                "likelier": each.balanced,
+                "gain": each.gain if math.isfinite(each.gain) else None,
+            }
+            for each in rigid.counterweights
+        ],
     }
 
 

@@ -53,6 +53,16 @@ def test_a_body_that_must_go_far_takes_no_other_along(training: Training) -> Non
     assert _moved(comparison, free) < 0.2 * _moved(comparison, together)
 
 
+def test_a_body_as_nothing_is_made_is_told_beside_a_counterbalance(training: Training) -> None:
+    """The law of a lever predicts parts left out better than any mass; nothing has moved else."""
+    balancer = (effect("gravity_spring"),)
+    (found,) = rigid_stage(_balanced(training), [THERE], balancer).counterweights
+    assert (found.joint, found.balanced) == (0, True)
+    assert found.change > found.nominal
+    nothing = rigid_stage(training.comparison(), [THERE], balancer)
+    assert nothing.counterweights == ()
+
+
 def _moved(comparison: Comparison, bodies: np.ndarray) -> float:
     """How far a fit moves the second body, over its typical sizes."""
     fit = comparison.with_bodies(bodies).fit([THERE])

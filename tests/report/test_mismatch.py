@@ -1,17 +1,19 @@
 """What a mismatch is made of, in words, at the edges: next to nothing, and less than nothing."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from stiffopt.discovery.judging.shares import Part, Share
-from stiffopt.discovery.search.rigid import OF_A_BODY, RigidStage
+from stiffopt.discovery.search.rigid import OF_A_BODY, Counterweight, RigidStage
 from stiffopt.report.diagnosis.mismatch import (
     _channels,
     _probabilities,
     _range,
     _span,
+    counterbalance_sentences,
     mismatches,
 )
 
@@ -55,6 +57,25 @@ def test_encoders_within_their_noise_are_not_spoken_of():
 def test_bodies_that_are_all_held_are_not_reidentified(width, freed):
     rigid = RigidStage(widths=(OF_A_BODY[0], width), gain=20.0, single=None)
     assert ("re-identified" in told(0.9, 0.1, Part(kind="nominal"), rigid=rigid)) == freed
+
+
+@pytest.mark.parametrize(
+    ("gain", "words"),
+    [(70.0, "likelier a counterbalance"), (0.5, "do not tell"), (-math.inf, "do not tell")],
+)
+def test_a_counterbalance_is_told_beside_the_weight_that_it_is_like(gain, words):
+    weight = Counterweight(joint=1, nominal=160.0, change=595.0, gain=gain)
+    rigid = RigidStage(widths=(OF_A_BODY[2],), gain=20.0, single=None, counterweights=(weight,))
+    constants = SimpleNamespace(links=["a", "b"], joints=[SimpleNamespace(prismatic=False)] * 2)
+    diagnosis = SimpleNamespace(
+        search=SimpleNamespace(rigid=rigid), training=SimpleNamespace(constants=constants)
+    )
+    (said,) = counterbalance_sentences(diagnosis)
+    assert said.startswith("Counterbalance of joint 2, or the weight of b")
+    assert words in said
+    assert "up to 5800 N m" in said
+    short = told(0.9, 0.1, Part(kind="nominal"), rigid=rigid)
+    assert ("likely a counterbalance of joint 2" in short) == (gain > 2.0)
 
 
 def test_shares_are_rounded_before_they_are_told():

@@ -8,19 +8,20 @@ a little of everything where it explains as much in recordings left out.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
-from stiffopt.discovery.comparison.bodies import body_units
+from stiffopt.discovery.comparison.bodies import A_BODY, body_units, nominal_bodies
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer
 from stiffopt.discovery.search.left_out import LeftOut
-from stiffopt.discovery.thresholds import NAMED_EVIDENCE, SPARSE_SHARE
+from stiffopt.discovery.thresholds import NAMED_EVIDENCE, NEAR_CENTRE, SPARSE_SHARE
 
 # Standard deviations of inertial parameters that are tried, over their typical sizes.
 WIDTHS = (0.02, 0.06, 0.2, 0.6)
@@ -31,6 +32,39 @@ _HELD = 2
 _ROUNDS = 3
 # Passes over all bodies, and squares over noise in recordings left out that another width gains.
 _PASSES, _LEAST = 5, 2.0
+# What bodies are weighed by [m/s^2].
+_GRAVITY = 9.81
+
+
+@dataclass(frozen=True, kw_only=True)
+class Counterweight:
+    """A body that was re-identified as nothing that is made: as a counterbalance would pull.
+
+    Parameters
+    ----------
+    joint : int
+        That carries it (from 0).
+    nominal, change : float
+        First moment of the body about its joint, and of what it gained [kg m].
+    gain : float
+        Squares over noise that a counterbalance in its place takes away in recordings left out;
+        below zero where it adds to them.
+    """
+
+    joint: int
+    nominal: float
+    change: float
+    gain: float
+
+    @property
+    def balanced(self) -> bool:
+        """Whether recordings left out say that it is a counterbalance."""
+        return self.gain > _LEAST
+
+    @property
+    def torque(self) -> float:
+        """The most that it pulls with [N m]."""
+        return _GRAVITY * self.change
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,11 +80,13 @@ class RigidStage:
         Log predictive density of stretches left out that free bodies gain.
     single : Candidate or None
         One change that explains as much.
+    counterweights : tuple of Counterweight
     """
 
     widths: tuple[float, ...]
     gain: float
     single: Candidate | None
+    counterweights: tuple[Counterweight, ...] = ()
 
     @property
     def freed(self) -> bool:
@@ -90,7 +126,14 @@ def rigid_stage(
         single = None
     if gain < NAMED_EVIDENCE:
         return RigidStage(widths=(), gain=0.0, single=single)
-    return RigidStage(widths=_widths(comparison, found, tell), gain=gain, single=single)
+    widths, free, least = _widths(comparison, found, tell)
+    tell("re-identify the rigid model: counterbalances in place of bodies")
+    return RigidStage(
+        widths=widths,
+        gain=gain,
+        single=single,
+        counterweights=_counterweights(free, found, widths, least, catalogue),
+    )
 
 
 def _gain_of_free(
@@ -115,13 +158,21 @@ def _gain_of_free(
 
 def _widths(
     comparison: Comparison, effects: Sequence[LocatedEffect], tell: Callable[[str], object]
-) -> tuple[float, ...]:
+) -> tuple[tuple[float, ...], Comparison, float]:
     """Widths of every body by which recordings left out are predicted best.
 
     One body that must go far, as what carries a counterbalance that nobody told of, would let all
     others go where it gains a little along the training motion, and they are wrong on any other.
     What is left of parts left out is judged, over the noise that free bodies leave, not its
     density: that forgives where a fit knew nothing, and predictions do not.
+
+    Returns
+    -------
+    widths : tuple of float
+    free : Comparison
+        With the noise that free bodies leave.
+    squares : float
+        That these widths leave over it.
     """
     n = comparison.robot.n
     free = comparison.with_bodies(_deviations(comparison, (WIDTHS[-1],) * n))
@@ -140,7 +191,39 @@ def _widths(
                 widths, least = tried, found
         if least == before:
             break
-    return tuple(widths)
+    return tuple(widths), free, least
+
+
+def _counterweights(
+    free: Comparison,
+    effects: Sequence[LocatedEffect],
+    widths: tuple[float, ...],
+    squares: float,
+    catalogue: Sequence[Effect],
+) -> tuple[Counterweight, ...]:
+    """Bodies whose first moment changes by more than all that it was.
+
+    By what a description is off, no centre of mass goes to the other side of its joint.
+    """
+    own = free.with_bodies(_deviations(free, widths))
+    moved = own.fit(effects).posterior.mean[: A_BODY * free.robot.n].reshape(-1, A_BODY)
+    bodies = nominal_bodies(free.robot)
+    nominal = np.linalg.norm(bodies[:, 1:4], axis=1)
+    change = np.linalg.norm(moved[:, 1:4], axis=1)
+    found = []
+    for body in np.flatnonzero(change > np.maximum(nominal, NEAR_CENTRE * bodies[:, 0])).tolist():
+        held = _deviations(free, (*widths[:body], OF_A_BODY[0], *widths[body + 1 :])).ravel()
+        instead = [
+            LeftOut(free, [*effects, located]).squares(held)
+            for entry in catalogue
+            if entry.twin
+            for located in places(entry, free.constants, ())
+            if located.joint == body
+        ]
+        gain = squares - min(instead, default=math.inf)
+        size, by = float(nominal[body]), float(change[body])
+        found.append(Counterweight(joint=body, nominal=size, change=by, gain=gain))
+    return tuple(found)
 
 
 def _deviations(comparison: Comparison, widths: Sequence[float]) -> np.ndarray:

@@ -167,6 +167,29 @@ def _beside_rod(diagnosis: Diagnosis) -> str:
     return f" How what is left follows {what} within the training runs does not carry over to them."
 
 
+def counterbalance_sentences(diagnosis: Diagnosis) -> list[str]:
+    """One for every body that was re-identified as a counterbalance pulls."""
+    rigid = diagnosis.search.rigid
+    found = []
+    for each in () if rigid is None else rigid.counterweights:
+        joint, link = each.joint + 1, diagnosis.training.constants.links[each.joint]
+        unit = joint_unit("N m", diagnosis.training.constants.joints[each.joint].prismatic)
+        is_it = (
+            "it is likelier a counterbalance, which predicts recordings left out better"
+            if each.balanced
+            else "recordings left out do not tell the two apart"
+        )
+        found.append(
+            f"Counterbalance of joint {joint}, or the weight of {link}: as re-identified, the"
+            f" link's first moment changes by {significant(each.change, 2)} kg m, of"
+            f" {significant(each.nominal, 2)}, as nothing is made; a counterbalance of up to"
+            f" {significant(each.torque, 2)} {unit} pulls alike, and {is_it}. The extended model"
+            f" holds it as mass. Accelerate joint {joint} hard at one place: mass resists, a"
+            " counterbalance does not."
+        )
+    return found
+
+
 def carried_over_sentences(diagnosis: Diagnosis) -> list[str]:
     """One for every value that does not carry over to a held-out run."""
     found = [_drift_words(diagnosis, each) for each in diagnosis.drift]
@@ -269,7 +292,9 @@ def _masses(diagnosis: Diagnosis, effects: Sequence[LocatedEffect]) -> str:
     found = [f"{e.effect.title} ({place(diagnosis, e)})" for e in effects]
     rigid = diagnosis.search.rigid
     if rigid is not None and rigid.freed:
-        found.append("rigid model re-identified")
+        joints = [each.joint + 1 for each in rigid.counterweights if each.balanced]
+        likely = f", likely a counterbalance of {joints_in_words(joints)}" if joints else ""
+        found.append(f"rigid model re-identified{likely}")
     elif not found:
         return "nominal values within their tolerances"
     return listed(found)

@@ -26,6 +26,7 @@ from stiffopt.report.diagnosis.figures import (
 from stiffopt.report.diagnosis.held_out import Trace, overlay_figure, trace, worst_windows
 from stiffopt.report.diagnosis.mismatch import (
     carried_over_sentences,
+    counterbalance_sentences,
     episode_sentences,
     mismatches,
     rod_sentence,
@@ -116,6 +117,7 @@ def write_diagnosis_report(
         "unexplained": unexplained_sentence(diagnosis),
         "mismatches": mismatches(diagnosis),
         "rod": rod_sentence(diagnosis),
+        "counterbalances": counterbalance_sentences(diagnosis),
         "carried_over": [*episode_sentences(diagnosis), *carried_over_sentences(diagnosis)],
         "new": new,
         "not_given": unstated_rows(diagnosis, unstated),

@@ -9,6 +9,7 @@ from stiffopt.report.common.terminal import print_lines, print_table
 from stiffopt.report.common.text import DASH, pm, significant
 from stiffopt.report.diagnosis.mismatch import (
     carried_over_sentences,
+    counterbalance_sentences,
     episode_sentences,
     mismatches,
     rod_sentence,
@@ -45,6 +46,7 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     part = label == "named" and stays_open(diagnosis)
     print_lines([f"{'named in part' if part else label}: {_verdict(diagnosis)}"])
     more = [each.sentence for each in mismatches(diagnosis)]
+    more += counterbalance_sentences(diagnosis)
     more += [*clipped_words(diagnosis), *episode_sentences(diagnosis), rod_sentence(diagnosis)]
     more += carried_over_sentences(diagnosis)
     print_lines([line for line in more if line])
