@@ -15,6 +15,8 @@ from stiffopt.files import LARGEST_TEXT, check_file
 _MOST = 1000
 # Elements of xacro that only define something: without them the arm is the same.
 _DEFINING = ("property", "arg", "macro")
+# Robots in other formats, by the root of their XML.
+_OTHERS = {"mujoco": "an MJCF (a model of MuJoCo)", "sdf": "an SDF (a model of Gazebo)"}
 # What of a link and of a joint is mechanics; shapes and colours are left out.
 _KEPT = {
     "link": ("inertial",),
@@ -42,6 +44,8 @@ def read_tree(path: str | os.PathLike[str]) -> ET.Element:
         raise InputFileError(path, "", f"is not a URDF: {shortened(error)}.") from error
     if found.tag != "robot":
         tag = shortened(found.tag)[1:-1]
+        if tag in _OTHERS:
+            raise InputFileError(path, "", unread_model(_OTHERS[tag]))
         raise InputFileError(path, "", f"is not a URDF: the root is <{tag}>, not <robot>.")
     tree = ET.Element("robot", name=found.get("name", "robot"))
     for kind, kept in _KEPT.items():
@@ -55,6 +59,14 @@ def read_tree(path: str | os.PathLike[str]) -> ET.Element:
     _check_expanded(found, tree, path)
     _check_joined(tree, path)
     return tree
+
+
+def unread_model(kind: str) -> str:
+    """What to do with a robot in a format that is not read."""
+    return (
+        f"is {kind}; only URDF is read. Take the URDF that came with the arm or that its CAD"
+        " exports, or expand its xacro: `xacro arm.urdf.xacro > arm.urdf`."
+    )
 
 
 def _check_expanded(found: ET.Element, tree: ET.Element, path: Path) -> None:

@@ -26,7 +26,7 @@ from stiffopt.robot.held_joints import arm_ends
 from stiffopt.robot.own_catalogue import read_own_catalogue
 from stiffopt.robot.rigid_body import RigidBodies
 from stiffopt.robot.urdf import UNLIMITED, LoadedUrdf, load_urdf
-from stiffopt.robot.urdf_tree import read_tree
+from stiffopt.robot.urdf_tree import read_tree, unread_model
 from stiffopt.starter.placeholders import (
     Placeholder,
     credible_torques,
@@ -55,6 +55,7 @@ _AHEAD, _MOST_TIPS = 1e-3, 6
 _TOOL = re.compile("tcp|tool|flange|effector", re.IGNORECASE)
 # Masses that torque limits change by less than this are as they were.
 _SAME_SCALE = 0.05
+_NOT_READ = {".sdf": "an SDF", ".mjcf": "an MJCF", ".xacro": "xacro"}
 _OWN_ELEMENTS = ('# A slide: describe its elements, such as type = "constant" with its stiffness.',)
 _NO_REDUCER = "# No packaged reducer bears"
 
@@ -105,13 +106,7 @@ def robot_text(
     InputFileError, RobotError
         No URDF that can be read, a tip that it lacks, or several arms and no tip.
     """
-    if urdf.suffix.lower() in (".sdf", ".mjcf", ".xacro") or urdf.name.endswith(".urdf.xacro"):
-        raise InputFileError(
-            urdf,
-            "",
-            f"{urdf.suffix} is not read, only URDF. Convert it first: `xacro FILE > robot.urdf`,"
-            " `sdf2urdf`, or the exporter of MuJoCo models.",
-        )
+    _check_format(urdf)
     ends = [] if tip else arm_ends(read_tree(urdf))
     if len(ends) > 1:
         raise RobotError(
@@ -167,6 +162,17 @@ def robot_text(
     if tip is None:
         notes[1:1] = _farther_out(arm, tool)
     return StartedRobot(text="\n".join(lines) + "\n", notes=tuple(notes))
+
+
+def _check_format(urdf: Path) -> None:
+    """Raise `InputFileError` for a file whose name says that it is no URDF."""
+    kind = "xacro" if urdf.name.endswith(".urdf.xacro") else _NOT_READ.get(urdf.suffix.lower())
+    if kind is not None:
+        raise InputFileError(urdf, "", unread_model(kind))
+    if urdf.suffix.lower() == ".toml":
+        raise InputFileError(
+            urdf, "", f"is a robot file already: go on with `stiffopt init problem {urdf}`."
+        )
 
 
 def _notes(

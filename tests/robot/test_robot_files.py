@@ -281,8 +281,8 @@ def test_messages_about_files(folder):
     (folder / "pair.urdf").write_text("<robot")
     with pytest.raises(InputFileError, match="is not a URDF"):
         load_robot(folder / "pair.urdf")
-    (folder / "pair.urdf").write_text("<sdf/>")
-    with pytest.raises(InputFileError, match="the root is <sdf>"):
+    (folder / "pair.urdf").write_text("<svg/>")
+    with pytest.raises(InputFileError, match="the root is <svg>"):
         load_robot(folder / "pair.urdf")
 
 

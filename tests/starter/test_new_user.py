@@ -52,10 +52,20 @@ def test_a_robot_file_of_a_urdf_is_read_as_it_is(tmp_path, capsys):
     assert "is there already and is kept" in capsys.readouterr().err
 
 
-def test_what_is_no_urdf_is_said(tmp_path, capsys):
-    (tmp_path / "arm.sdf").write_text("<sdf/>")
-    assert run(["init", "robot", str(tmp_path / "arm.sdf")]) == 2
-    assert "only URDF. Convert it first" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("arm.sdf", "<sdf/>", "is an SDF; only URDF is read. Take the URDF"),
+        ("arm.xml", "<mujoco/>", "is an MJCF (a model of MuJoCo); only URDF is read"),
+        ("arm.urdf", "<sdf/>", "is an SDF (a model of Gazebo); only URDF is read"),
+        ("arm.urdf.xacro", "<robot/>", "expand its xacro: `xacro arm.urdf.xacro > arm.urdf`"),
+        ("arm.toml", "schema = 1", "is a robot file already: go on with `stiffopt init problem"),
+    ],
+)
+def test_what_is_no_urdf_is_said(name, text, said, tmp_path, capsys):
+    (tmp_path / name).write_text(text)
+    assert run(["init", "robot", str(tmp_path / name)]) == 2
+    assert said in capsys.readouterr().err
 
 
 def test_the_reducer_bears_the_torque():
