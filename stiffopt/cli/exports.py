@@ -47,10 +47,16 @@ def export(
     from stiffopt.export.format import FORMATS
     from stiffopt.export.model_format import MODEL_FORMATS
     from stiffopt.export.motion import read_motion
+    from stiffopt.result.store import RESULT_FILE
 
     refuse_changes(changes)
     if to in MODEL_FORMATS:
         if recordings is None:
+            if (result / RESULT_FILE).exists():
+                raise InputError(
+                    f"--to {to} is of a diagnosis; {result} holds a solve, which goes to"
+                    f" {', '.join(FORMATS)}."
+                )
             raise InputError(
                 f"--to {to}: give the recording set of the diagnosis as --recordings, whose robot "
                 "is changed by what was found."

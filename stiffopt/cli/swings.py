@@ -25,6 +25,10 @@ from stiffopt.folders import output_folder
 
 # Entries that a simulation may change: no motion depends on them.
 _UNSURE = re.compile(r"\s*uncertainty\b")
+_SOLVED = (
+    "the motion was solved; only [uncertainty] may change, such as uncertainty.stiffness=0.3. Solve"
+    " again with --set"
+)
 _OF_SERVOS = re.compile(r"\bservo_(bandwidth|feed_forward|delay)\b")
 
 if TYPE_CHECKING:
@@ -86,7 +90,7 @@ def simulate(
     from stiffopt.solver.stored import read_result
     from stiffopt.units import to_si
 
-    refuse_changes(tuple(each for each in changes if not _UNSURE.match(each)))
+    refuse_changes(tuple(each for each in changes if not _UNSURE.match(each)), _SOLVED)
     settled = to_si(number_or_text(band), "length", "--band")
     late = to_si(number_or_text(delay), "time", "--delay")
     if settled <= 0.0:

@@ -215,7 +215,7 @@ def _unexplained(unexplained: Unexplained) -> dict[str, Any]:
 
 
 def _arrays(prediction: Prediction, signals: Signals) -> bytes:
-    """An .npz of the predicted channels under the set's own names, with the stamps."""
+    """An .npz of the predicted channels with the stamps, named and measured as the set's own."""
     columns: dict[str, np.ndarray] = {}
     for kind, values in (
         ("torque", prediction.torque),
@@ -226,5 +226,5 @@ def _arrays(prediction: Prediction, signals: Signals) -> bytes:
     if signals.time:
         columns[signals.time] = prediction.stamps
     stream = io.BytesIO()
-    np.savez_compressed(stream, allow_pickle=False, **columns)
+    np.savez_compressed(stream, allow_pickle=False, **signals.as_recorded(columns))
     return stream.getvalue()

@@ -75,6 +75,20 @@ class Signals:
                 out[name] = _earlier(out[self.time], out[name], self.torque_delay)
         return out
 
+    def as_recorded(self, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Columns in SI in the units and with the delay of the files: what `to_si` undoes."""
+        out = dict(columns)
+        for kind, joint, name in self.columns():
+            if name not in out:
+                continue
+            if kind == "torque" and self.torque_delay and self.time in out:
+                out[name] = np.interp(out[self.time] - self.torque_delay, out[self.time], out[name])
+            if kind in self.scale:
+                out[name] = out[name] / self.scale[kind][joint]
+        if "time" in self.scale and self.time in out:
+            out[self.time] = out[self.time] / float(self.scale["time"])
+        return out
+
     def of(self, kind: Kind) -> tuple[str, ...] | None:
         """Column names of one kind of channel."""
         names: tuple[str, ...] | None = getattr(self, kind)

@@ -85,7 +85,7 @@ def test_what_is_uncertain_can_be_asked_anew(solved):
 @pytest.mark.parametrize(
     ("options", "what"),
     [
-        (["--set", "motion.duration=0.7"], "has no entries to change"),
+        (["--set", "motion.duration=0.7"], "only [uncertainty] may change, such as"),
         (["--set", "uncertainty.stiffness=1.2"], "below 1"),
         (["--set", "uncertainty.stiff=0.1"], "stiff"),
         (["--damping", "2"], "damping is a share of the critical one"),

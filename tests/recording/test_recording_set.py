@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,32 @@ def test_an_opened_run_holds_the_columns_as_recorded(make_set: MakeSet) -> None:
     np.testing.assert_array_equal(run.link_position[:, 0], data["ql1"])
     assert np.isnan(run.link_position[:, 1]).all()
     assert run.usable
+
+
+def test_predictions_are_written_as_the_set_was_recorded(make_set: MakeSet) -> None:
+    """In its units, one a joint where they differ, and as late as its torques."""
+    signals = load_recordings(make_set()).signals
+    scaled = replace(
+        signals,
+        scale={"time": np.array(1e-3), "torque": np.array([1e-3, 13.9])},
+        torque_delay=0.02,
+    )
+    time = np.arange(0.0, 2.0, 0.004)
+    channels = {
+        signals.time: time,
+        signals.torque[0]: np.full(len(time), 4.0),
+        signals.torque[1]: time,
+        signals.position[1]: time,
+    }
+    written = scaled.as_recorded(channels)
+    assert written[signals.time] == pytest.approx(1e3 * time)
+    assert written[signals.torque[0]] == pytest.approx(np.full(len(time), 4e3))
+    assert np.all(np.isfinite(written[signals.torque[1]]))
+    back = scaled.to_si(written)
+    for name, values in channels.items():
+        inside = slice(5, -5)
+        assert back[name][inside] == pytest.approx(values[inside])
+    assert signals.as_recorded(channels).keys() == channels.keys()
 
 
 def test_the_set_may_list_joints_in_another_order(make_set: MakeSet) -> None:

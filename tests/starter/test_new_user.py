@@ -161,6 +161,9 @@ def test_own_table_to_a_diagnosis(tmp_path):
     document = json.loads((out / "diagnosis.json").read_text())
     (own,) = [f for f in document["findings"] if (f["effect"], f["joint"]) == ("coulomb", 2)]
     assert own["parameters"]["dFc"]["value"] == pytest.approx(2.32, abs=0.06)
+    predicted, recorded = np.load(out / "pred_after_z_test.npz"), np.load(folder / "z_test.npz")
+    for name in (HEAD[0], HEAD[4]):
+        assert predicted[name] == pytest.approx(recorded[name], abs=2.5)
 
 
 @pytest.mark.slow
