@@ -132,14 +132,7 @@ def test_effect_is_named_at_its_place_before_anything_else(trial: Trial) -> None
     assert finding.probability >= max((r.probability for r in finding.rivals), default=0.0)
 
 
-@pytest.mark.parametrize(
-    "trial",
-    trials(
-        transmission_error="a gravity spring of 2.8 deviations stands beside it, explaining 0 %",
-        external_contact="position friction of 2.2 deviations stands beside it, at 0.61",
-    ),
-    scope="module",
-)
+@pytest.mark.parametrize("trial", trials(), scope="module")
 def test_nothing_is_named_beside_the_effect(trial: Trial) -> None:
     diagnosis = diagnosed(trial.spec)
     assert len(diagnosis.findings) == 1, said(diagnosis)

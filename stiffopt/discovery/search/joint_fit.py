@@ -7,6 +7,7 @@ import numpy as np
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.search.candidates import Candidate, Scorer
+from stiffopt.discovery.search.left_out import borne_out
 from stiffopt.discovery.search.uncertainty import significance
 from stiffopt.discovery.thresholds import (
     BORNE_OUT_SHARE,
@@ -99,6 +100,30 @@ def confirmed(
             break
         kept.pop(lost)
     return kept
+
+
+def standing(
+    comparison: Comparison, effects: list[LocatedEffect], *, strict: bool
+) -> list[LocatedEffect]:
+    """Effects that are confirmed and that recordings left out bear out.
+
+    Where nominal values have tolerances that somebody vouches for, an effect also stands that these
+    would have to leave to stand in for it: what is left of recordings does not tell the two apart.
+    """
+    sure = confirmed(comparison, effects, strict=strict)
+    kept = borne_out(comparison, sure)
+    if strict or len(kept) == len(sure):
+        return kept
+    return [e for e in sure if e in kept or _vouched_for(comparison, sure, e)]
+
+
+def _vouched_for(
+    comparison: Comparison, effects: list[LocatedEffect], located: LocatedEffect
+) -> bool:
+    """Whether most of the evidence for an effect is that nominal values stay where they belong."""
+    scorer = Scorer(comparison, [e for e in effects if e is not located])
+    own = scorer.score(located)
+    return own is not None and _relief(own, scorer) > RELIEF_SHARE * own.evidence
 
 
 def _alone_borne_out(comparison: Comparison, effects: list[LocatedEffect], index: int) -> bool:

@@ -16,12 +16,11 @@ from stiffopt.discovery.search.changes import changes
 from stiffopt.discovery.search.exchange import added_again, exchanged, restored
 from stiffopt.discovery.search.joint_fit import (
     STOPPED,
-    confirmed,
     fitted_jointly,
     passes,
     pruned,
+    standing,
 )
-from stiffopt.discovery.search.left_out import borne_out
 from stiffopt.discovery.search.pace import paced
 from stiffopt.discovery.search.rigid import RigidStage, rigid_stage
 from stiffopt.discovery.search.rivals import Ranked, Selected, not_weighed
@@ -229,18 +228,16 @@ def _search(
         _forward(so_far, catalogue, most, AT_ONCE if strict else 1, say, tell)
     if so_far.effects:
         say(f"confirm what was found ({len(so_far.effects)}) on stretches left out")
-    sure = confirmed(so_far.current, so_far.effects, strict=strict)
-    if strict:
-        sure = borne_out(so_far.current, sure)
+    sure = standing(so_far.current, so_far.effects, strict=strict)
     if len(sure) < len(so_far.effects):
         lost = [e for e in so_far.effects if e not in sure]
         so_far.fitted(fitted_jointly(so_far.start, sure))
         if strict:
             so_far.fitted(added_again(so_far.start, so_far.current, so_far.effects, lost))
     so_far.weighed(exchanged(so_far.start, so_far.current, so_far.effects, catalogue, tell))
-    for _ in range(EXCHANGES if strict else 0):
+    for _ in range(EXCHANGES):
         effects = so_far.effects
-        kept = borne_out(so_far.current, confirmed(so_far.current, effects, strict=True))
+        kept = standing(so_far.current, effects, strict=strict)
         if len(kept) == len(effects):
             break
         so_far.fitted(fitted_jointly(so_far.start, kept))
