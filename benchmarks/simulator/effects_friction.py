@@ -124,7 +124,7 @@ def thermal_friction(
     return Outcome(parameters={"b": share}, law={"activation": energy})
 
 
-@effect("friction", drawn=False)
+@effect("friction")
 def lubricated_friction(
     world: World, joint: int, severity: float, rng: np.random.Generator
 ) -> Outcome:
@@ -162,7 +162,7 @@ def lubricated_friction(
     return Outcome(law={"slope": slope, "touching": touching, "warm": float(warm), "speed": speed})
 
 
-@effect("friction", drawn=False)
+@effect("friction")
 def friction_drift(world: World, joint: int, severity: float, rng: np.random.Generator) -> Outcome:
     """Friction that is another on every day: a factor on all of it, log-normal from run to run."""
     level = world.robot.coulomb[joint]

@@ -89,7 +89,7 @@ def test_in_the_last_stages_the_findings_stay(tmp_path, monkeypatch, stage, told
     ("module", "stage", "left_out"),
     [
         (searching, "rigid_stage", "more may be missing than that"),
-        (searching, "confirmed", "was not weighed against what could stand in its place"),
+        (searching, "standing", "was not weighed against what could stand in its place"),
         (exchange, "ranked_among_rivals", "was not weighed against"),
         (diagnosing, "assess_findings", "when the search was over"),
         (diagnosing, "from_all_samples", "without samples near standstill"),

@@ -101,7 +101,7 @@ def test_the_catalogue_of_the_design_is_complete():
     outside |= {"slew_limit", "dragging_brake"}
     later = {name for name, entry in EFFECTS.items() if not entry.drawn}
     named = (FRICTION | DRIVE | ELASTIC | OUTER | alone) - outside - later
-    assert len(named) == 30
+    assert len(named) == 32
     inside = {name for name, entry in EFFECTS.items() if not entry.outside} - later
     assert inside == named
     assert set(EFFECTS) - inside - later == outside
