@@ -18,6 +18,7 @@ from stiffopt.discovery.experiment.design import leading_pair, plan_experiment
 from stiffopt.discovery.extended.left_open import at_rate
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.extended.schema import LeftOpenSection
+from stiffopt.discovery.heartbeat import never_quiet
 from stiffopt.discovery.identifiable import effect_checks
 from stiffopt.discovery.judging.all_samples import from_all_samples
 from stiffopt.discovery.judging.beyond_deviation import beyond_deviation
@@ -89,7 +90,8 @@ def diagnose(
         Beside those of the catalogue: from Python, or a file of them.
     settings : Settings, optional
     progress : callable, optional
-        Called with a sentence at every step.
+        Called with a sentence at every step, and every few seconds of a longer one, from a thread
+        beside.
     model : ExtendedModel or path, optional
         extended.toml of an earlier diagnosis, in place of the nominal model.
     experiment : bool
@@ -115,9 +117,29 @@ def diagnose(
     if not isinstance(recordings, RecordingSet):
         recordings = load_recordings(recordings)
     require_test_runs(recordings)
-    settings = settings or Settings()
-    say = progress or (lambda _: None)
-    extra = _given(effects)
+    with never_quiet(progress) as say:
+        return _diagnosed(
+            recordings,
+            _given(effects),
+            settings or Settings(),
+            say,
+            model,
+            experiment=experiment,
+            despite_doubts=despite_doubts,
+        )
+
+
+def _diagnosed(
+    recordings: RecordingSet,
+    extra: tuple[Effect, ...],
+    settings: Settings,
+    say: Say,
+    model: ExtendedModel | str | os.PathLike[str] | None,
+    *,
+    experiment: bool,
+    despite_doubts: bool,
+) -> Diagnosis:
+    """See `diagnose`."""
     base = load_extended(model, extra) if isinstance(model, str | os.PathLike) else model
     if base is not None:
         recordings = base.applied_to(recordings)

@@ -1,0 +1,59 @@
+"""A line every few seconds, whatever a step takes: what goes on still, and for how long."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+# Silence after which a step says again that it goes on [s].
+_QUIET = 4.0
+
+
+@contextmanager
+def never_quiet(
+    say: Callable[[str], object] | None, quiet: float = _QUIET
+) -> Iterator[Callable[[str], object]]:
+    """Pass sentences on, and the last one again with its time where none has come for a while.
+
+    Parameters
+    ----------
+    say : callable or None
+        Called with a sentence, from a thread beside where it is said again.
+    quiet : float
+        [s]
+    """
+    if say is None:
+        yield lambda _: None
+        return
+    last, begin, spoken = "", time.monotonic(), time.monotonic()
+    done, one_at_a_time = threading.Event(), threading.Lock()
+
+    def pass_on(sentence: str) -> None:
+        nonlocal last, begin, spoken
+        with one_at_a_time:
+            last, begin = sentence, time.monotonic()
+            spoken = begin
+            say(sentence)
+
+    def go_on() -> None:
+        nonlocal spoken
+        while not done.wait(quiet / 8.0):
+            with one_at_a_time:
+                now = time.monotonic()
+                if now - spoken < quiet or not last or done.is_set():
+                    continue
+                spoken = now
+                try:
+                    say(f"still at it, {now - begin:.0f} s after: {last}")
+                except (Exception, KeyboardInterrupt):  # what displays it is done for
+                    return
+
+    beside = threading.Thread(target=go_on, daemon=True)
+    beside.start()
+    try:
+        yield pass_on
+    finally:
+        done.set()
+        beside.join()

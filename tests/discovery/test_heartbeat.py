@@ -1,0 +1,52 @@
+"""A step that takes long says that it goes on."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from stiffopt.discovery.heartbeat import never_quiet
+
+
+def test_a_long_step_says_so_again() -> None:
+    said: list[str] = []
+    with never_quiet(said.append, quiet=0.05) as say:
+        time.sleep(0.2)  # nothing was said yet
+        assert said == []
+        say("fit all")
+        time.sleep(0.4)
+    assert said[0] == "fit all"
+    assert said[1].endswith(" after: fit all")
+    assert len(said) >= 3
+    after = len(said)
+    time.sleep(0.2)
+    assert len(said) == after
+
+
+def test_short_steps_say_nothing_twice() -> None:
+    said: list[str] = []
+    with never_quiet(said.append, quiet=5.0) as say:
+        say("first")
+        say("second")
+    assert said == ["first", "second"]
+
+
+def test_a_display_that_fails_ends_nothing() -> None:
+    """Ctrl-C and errors of a display are for the step that speaks, not for the thread beside."""
+
+    def fail(sentence: str) -> None:
+        if "still" in sentence:
+            raise KeyboardInterrupt
+
+    with never_quiet(fail, quiet=0.05) as say:
+        say("fit all")
+        time.sleep(0.3)
+
+    with pytest.raises(KeyboardInterrupt), never_quiet(fail, quiet=5.0) as say:
+        say("still")
+
+
+def test_nobody_listens() -> None:
+    with never_quiet(None) as say:
+        say("first")
