@@ -216,7 +216,8 @@ def _diagnosed(
     def concluded() -> Diagnosis:
         proofs, taken = tuple(opened.proofs), opened.shares.found()
         drift = drifts(whole, training.constants, opened.velocities)
-        seen = (*training.recorded, *(proof.run for proof in proofs))
+        unusable = [run for run in runs if not run.usable]
+        seen = (*training.recorded, *unusable, *(proof.run for proof in proofs))
         return Diagnosis(
             recordings=recordings,
             settings=settings,

@@ -211,6 +211,9 @@ def _unexplained(unexplained: Unexplained) -> dict[str, Any]:
         "ratio": unexplained.ratio,
         "left": unexplained.left,
         "brief": unexplained.brief,
+        "alone": None
+        if unexplained.alone is None
+        else {"run": unexplained.alone[0], "times_any_other": unexplained.alone[1]},
     }
 
 

@@ -144,7 +144,7 @@ def train(
     notes: list[str] = []
     for run in training_runs(recordings, say) if runs is None else runs:
         if not run.usable:
-            notes.append(f"{run.file} is left out: a joint of it has no usable position.")
+            notes.append(_unusable(run))
             continue
         probe = prepare(robot, run, len(opened), None, settings, swinging=swinging)
         _check_nominal(recordings, run, probe)
@@ -292,6 +292,17 @@ def _check_noise(recordings: RecordingSet, noise: KnownNoise, runs: Sequence[Pre
                 f"to {largest[j]:.3g}: no sensor is so quiet. State one standard deviation, or "
                 "leave it out.",
             )
+
+
+def _unusable(run: RecordedRun) -> str:
+    why = "; ".join(
+        f"joint {fault.joint} {fault.detail.removesuffix('.').removesuffix('. Left out')}"
+        for fault in run.faults
+        if fault.signal == "position" and fault.left_out
+    )
+    return (
+        f"{run.file} is left out: a joint of it has no usable position{f' ({why})' if why else ''}."
+    )
 
 
 def _nothing_to_fit(run: RecordedRun, ready: PreparedRun) -> str:

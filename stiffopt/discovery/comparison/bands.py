@@ -15,7 +15,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.filtering import ROWS_A_BAND, ZeroPhaseFilter, derivative
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import link_motion, uniform, whole
+from stiffopt.discovery.comparison.prepare import link_motion, near_gaps, uniform, whole
 from stiffopt.discovery.comparison.signals import smooth_sign
 from stiffopt.recording.run import RecordedRun
 
@@ -167,6 +167,8 @@ def _samples(
     margin = min(ZeroPhaseFilter(1.0 / dt, BANDS[0]).settling, len(time) // 4)
     every = max(1, (len(time) - 2 * margin) * runs // _SAMPLES)
     kept = np.arange(margin, len(time) - margin, every)
+    clear = ~near_gaps(run.time, run.step, time, margin)[kept]
+    kept = kept[clear] if clear.any() else kept
     links = link_motion(robot, motor, dt, low_pass)
     q, v, a = links.position[kept], links.velocity[kept], links.acceleration[kept]
     speed, rate = velocity[kept], acceleration[kept]

@@ -18,6 +18,7 @@ from stiffopt.discovery.comparison.swing import (
     slow_filter,
 )
 from stiffopt.discovery.settings import Settings
+from stiffopt.recording.clock import GAP
 from stiffopt.recording.run import RecordedRun
 
 # Rounds of link motion = motor motion - wind-up; each shrinks the error by (f/resonance)^2.
@@ -188,7 +189,7 @@ def prepare(
     moving = np.abs(velocity) >= settings.slow
     inside = np.zeros(len(time), dtype=bool)
     inside[low_pass.settling : max(len(time) - low_pass.settling, 0)] = True
-    gap = _near_gaps(run, time, low_pass.settling)
+    gap = near_gaps(run.time, run.step, time, low_pass.settling)
     used = inside & ~gap
     deflection = position - link
     standing = _widened(~moving, int(1.0 / (low_pass.cutoff * dt)))
@@ -305,12 +306,10 @@ def _widened(flags: np.ndarray, reach: int) -> np.ndarray:
     return np.asarray(padded[high] - padded[low] > 0.0)
 
 
-def _near_gaps(run: RecordedRun, time: np.ndarray, reach: int) -> np.ndarray:
-    """Samples of the clock that no measurement is near."""
-    steps = np.diff(run.time)
-    gaps = np.flatnonzero(steps > 5.0 * run.step)
+def near_gaps(stamps: np.ndarray, step: float, time: np.ndarray, reach: int) -> np.ndarray:
+    """Whether instants (K,) lie between stamps far apart, or within `reach` steps of these."""
     near = np.zeros(len(time), dtype=bool)
-    margin = reach * run.step
-    for k in gaps:
-        near |= (time > run.time[k] - margin) & (time < run.time[k + 1] + margin)
+    margin = reach * step
+    for k in np.flatnonzero(np.diff(stamps) > GAP * step):
+        near |= (time > stamps[k] - margin) & (time < stamps[k + 1] + margin)
     return near

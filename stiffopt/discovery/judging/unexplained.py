@@ -29,6 +29,8 @@ _KNOTS = 8
 _MOST = 3
 _LEAST_GAIN = 0.03
 _RIDGE = 1.0
+# How many times as much as any other a run must leave to be named for it.
+_ALONE = 5.0
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,9 @@ class Unexplained:
         Root mean square in that channel over what the nominal model leaves.
     brief : bool
         In bursts, faster than a fit's filter: `ratio` is that where they lie, `gain` their share.
+    alone : tuple of (str, float) or None
+        The training run that holds nearly all of what the nominal model leaves in the worst
+        channel, and how many times as much as any other.
     """
 
     channels: tuple[str, ...]
@@ -61,6 +66,7 @@ class Unexplained:
     ratio: float
     left: float = 1.0
     brief: bool = False
+    alone: tuple[str, float] | None = None
 
 
 def assess_findings(result: SearchResult) -> tuple[tuple[Selected, ...], Unexplained | None]:
@@ -138,6 +144,21 @@ def channel_name(channel: int, joints: int) -> str:
     return f"{kind}_{channel % joints + 1}"
 
 
+def _in_one_run(comparison: Comparison, rows: np.ndarray) -> tuple[str, float] | None:
+    """The run in which the nominal model leaves far more of these rows than in all others."""
+    number = comparison.rows.sampled(lambda run: np.full(len(run.time), float(run.index)))[rows]
+    left = {
+        run.name: float(np.sqrt(np.mean(comparison.target[rows][number == run.index] ** 2)))
+        for run in comparison.runs
+        if (number == run.index).any()
+    }
+    if len(left) < 2:
+        return None
+    most, next_most = sorted(left, key=lambda name: -left[name])[:2]
+    ratio = left[most] / max(left[next_most], 1e-12)
+    return (most, ratio) if ratio > _ALONE else None
+
+
 def _describe(result: SearchResult, channels: Sequence[int]) -> Unexplained:
     comparison = result.comparison
     rows = comparison.rows
@@ -158,6 +179,7 @@ def _describe(result: SearchResult, channels: Sequence[int]) -> Unexplained:
         period=None if period is None or chosen != ("time",) else period[0],
         gain=float(np.clip(gain, 0.0, 1.0)),
         ratio=float(result.after[worst]),
+        alone=_in_one_run(comparison, own),
         left=float(result.after[worst] / result.before[worst]),
     )
 

@@ -26,8 +26,13 @@ _LEAST = min(share for share, _ in _FAILS)
 _USUAL = (0.5, 2.0)
 _FLOOR = 0.02
 _MOST_STEPS = 3
-# What one more step of a reading must gain, of the sum of logarithms over joints.
-_STEP = 0.7
+# What one more step of a reading must gain, of the sum of logarithms over joints; and what a step
+# costs where different explanations are weighed.
+_STEP, _STEP_PRICE = 0.7, 0.5
+# Share of a joint's range beyond its limits from which a reading is doubted for that.
+_BEYOND_SHARE = 0.05
+# Sizes of gains that are units or signs.
+_UNITS = (1.0, 1e3, 1e-3)
 # Delays that are tried [s]; shorter ones than the second are an effect of the catalogue.
 _DELAYS = np.concatenate([-np.geomspace(2.0, 0.01, 40), np.geomspace(0.01, 2.0, 40)])
 _LATE = 0.06
@@ -61,6 +66,12 @@ class Explanation:
     gains: np.ndarray | None = None
     gravity: np.ndarray | None = None
     delay: float | None = None
+
+    @property
+    def price(self) -> float:
+        """What it must gain: steps of the reading, and factors that any number may be."""
+        free = self.gains is not None and not np.isin(np.abs(self.gains), _UNITS).all()
+        return _STEP_PRICE * (self.reading.steps + 2 * free)
 
 
 class Explanations:
@@ -106,7 +117,20 @@ class Explanations:
             return None
         found = [self._gravity(), self._delay(), self._gains(self.own), *self._readings()]
         candidates = [e for e in found if e is not None]
-        return max(candidates, key=lambda e: e.score - 0.5 * e.reading.steps, default=None)
+        return max(
+            candidates, key=lambda e: e.score - e.price - self._beyond(e.reading), default=None
+        )
+
+    def _beyond(self, reading: Reading) -> float:
+        """Price of a reading by which joints were where the robot's limits do not let them."""
+        recordings = self.robot.recordings
+        arm, order = recordings.robot, recordings.order
+        lower, upper = arm.position_lower[order], arm.position_upper[order]
+        position = self.motions.of(reading).position
+        margin = _BEYOND_SHARE * (upper - lower)
+        with np.errstate(invalid="ignore"):
+            out = (position < lower - margin) | (position > upper + margin)
+        return 2.0 * _STEP_PRICE if out.any() else 0.0
 
     def standing_in_degrees(self) -> Explanation | None:
         """Joints that hardly move as the degrees that they are stated in, but well as radians.
@@ -176,10 +200,16 @@ class Explanations:
             ]
             if not tried:
                 break
-            other, after = max(tried, key=lambda one: self._gain_of(left, one[1]))
+            # Of those that are as good the first, which says the least.
+            other, after = max(
+                tried, key=lambda one: round(self._gain_of(left, one[1]) - self._beyond(one[0]), 1)
+            )
             if reading is self.own:
                 # Degrees and amperes at once: neither explains anything alone.
-                found.append(self._gains(tried[0][0]))
+                all_joints = np.ones(self.n, dtype=bool)
+                found.append(
+                    self._gains(reading.in_other_units(self.robot.recordings.prismatic, all_joints))
+                )
             if self._gain_of(left, after) < _STEP:
                 break
             reading, left = other, after

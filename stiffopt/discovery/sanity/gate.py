@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -16,12 +16,14 @@ from stiffopt.discovery.sanity.lines import (
     column_line,
     joints_in_words,
     listed_numbers,
+    of_some,
     scale_line,
     share_words,
 )
 from stiffopt.discovery.sanity.odd_runs import OddRun, odd_runs
-from stiffopt.discovery.sanity.orders import DEGREE
+from stiffopt.discovery.sanity.orders import DEGREE, MILLIMETRE
 from stiffopt.discovery.sanity.samples import sampled
+from stiffopt.discovery.sanity.second_sensors import second_sensors
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.recording.set_points import is_set_point, may_be_set_point
@@ -65,7 +67,7 @@ class SanityGate:
         found = [
             *_currents(recordings),
             *_set_points(recordings),
-            *_second_sensors(recordings, runs),
+            *second_sensors(recordings, runs),
         ]
         explanation, search = None, self._search
         if search is not None:
@@ -281,12 +283,7 @@ def _of_one_run(
     recordings: RecordingSet, name: str, search: Explanations, explanation: Explanation
 ) -> Iterator[Doubt]:
     for doubt in _explained(recordings, search, explanation):
-        yield replace(
-            doubt,
-            evidence=f"Of {name} alone, not of all runs: {doubt.evidence} Mend that file or"
-            " leave it out: lines of recordings.toml hold for every run.",
-            line="",
-        )
+        yield replace(doubt, evidence=of_some([name], doubt.evidence), line="")
 
 
 def _of_single_runs(
@@ -312,7 +309,7 @@ def _of_reading(recordings: RecordingSet, explanation: Explanation, shares: str)
     """Degrees, swapped columns and turned signs of a reading."""
     reading, n = explanation.reading, recordings.n
     scale = np.array(reading.position_scale)
-    degrees = np.flatnonzero(np.abs(scale) == DEGREE)
+    units = {"degrees": ("deg", DEGREE), "mm": ("mm", MILLIMETRE)}
     turned = np.flatnonzero(scale < 0.0)
     if reading.time_scale != 1.0:
         yield Doubt(
@@ -322,14 +319,17 @@ def _of_reading(recordings: RecordingSet, explanation: Explanation, shares: str)
             f" of this motion: {shares}.",
             line=f"time = {reading.time_scale:g} in [signals.scale]",
         )
-    if degrees.size:
-        every = degrees.size == n - int(recordings.prismatic.sum())
-        which = "all joints" if every else joints_in_words(degrees)
+    for unit, (symbol, size) in units.items():
+        alike = np.flatnonzero(np.abs(scale) == size)
+        if not alike.size:
+            continue
+        every = alike.size == n
+        which = "all joints" if every else joints_in_words(alike)
         yield Doubt(
             kind="position unit",
-            joints=tuple(int(j) + 1 for j in degrees),
-            evidence=f"The positions of {which} look like degrees: {shares}.",
-            line=scale_line(recordings, "position", np.abs(scale), "deg" if every else ""),
+            joints=tuple(int(j) + 1 for j in alike),
+            evidence=f"The positions of {which} look like {unit}: {shares}.",
+            line=scale_line(recordings, "position", np.abs(scale), symbol if every else ""),
         )
     swapped = {
         kind: [j for j, source in enumerate(order) if j != source]
@@ -351,14 +351,16 @@ def _of_reading(recordings: RecordingSet, explanation: Explanation, shares: str)
     torque_turned = np.flatnonzero(np.array(reading.torque_scale) < 0.0)
     if turned.size:
         with_torque = set(turned) == set(torque_turned)
-        what = "Position and torque" if with_torque else "The position"
+        one = turned.size == 1
+        what = "Position and torque" if with_torque else f"The position{'' if one else 's'}"
+        look = "look" if with_torque or not one else "looks"
         lines = scale_line(recordings, "position", np.sign(scale))
         if with_torque:
             lines += " and " + scale_line(recordings, "torque", np.array(reading.torque_scale))
         yield Doubt(
             kind="position sign",
             joints=tuple(int(j) + 1 for j in turned),
-            evidence=f"{what} of {joints_in_words(turned)} look turned round, as about an axis of"
+            evidence=f"{what} of {joints_in_words(turned)} {look} turned round, as about an axis of"
             f" the other direction: {shares}.",
             line=lines,
         )
@@ -383,7 +385,10 @@ def _of_gains(
     factors = np.array([float(f"{1.0 / gain:.3g}") for gain in gains])
     line = scale_line(recordings, "torque", factors)
     for j in np.flatnonzero(gains != 1.0):
-        kind, words = _gain_in_words(float(gains[j]), None if ratio is None else float(ratio[j]))
+        slides = bool(recordings.prismatic[j])
+        kind, words = _gain_in_words(
+            float(gains[j]), None if ratio is None else float(ratio[j]), "N" if slides else "N m"
+        )
         shares = share_words(before, explanation.left, [int(j)])
         yield Doubt(
             kind=kind,
@@ -393,61 +398,26 @@ def _of_gains(
         )
 
 
-def _gain_in_words(gain: float, ratio: float | None) -> tuple[str, str]:
+def _gain_in_words(gain: float, ratio: float | None, newton: str) -> tuple[str, str]:
     size = abs(gain)
     turned = ", and has the other sign" if gain < 0.0 else ""
     if abs(size - 1.0) < _LIKE and gain < 0.0:
         return "torque sign", "has the other sign"
-    for factor, unit in ((1e3, "mN m"), (1e-3, "kN m")):
+    for factor, prefix in ((1e3, "m"), (1e-3, "k")):
         if abs(size / factor - 1.0) < _LIKE:
-            return "torque unit", f"looks like {unit}{turned}"
+            return "torque unit", f"looks like {prefix}{newton}{turned}"
     if ratio is not None and abs(ratio) > 2.0 and abs(size * abs(ratio) - 1.0) < _LIKE:
         return "torque unit", f"looks like that of the motor, before the gear of {ratio:g}{turned}"
     if size < 1.0:
         geared = ""
         if ratio is None and _GEARS[0] < 1.0 / size < _GEARS[1]:
             geared = f", or the motor's own torque before a gear of {1.0 / size:.3g}"
-        return "torque unit", f"looks like current, about {1.0 / size:.3g} N m/A{geared}{turned}"
+        current = f"looks like current, about {1.0 / size:.3g} {newton}/A{geared}{turned}"
+        return "torque unit", f"{current}, if the robot's file is not of a larger arm"
     return "torque gain", f"is {gain:.3g} times what the model expects{turned}"
 
 
-# ---- by the other sensors and by the limits
-
-
-def _second_sensors(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
-    """Velocities and link angles that are not of the motion that positions tell."""
-    seen: dict[str, dict[int, tuple[str, float | None]]] = {}
-    for run in runs:
-        for fault in run.faults:
-            too_short = fault.ratio is not None and np.isnan(fault.ratio)
-            if fault.kind == "contradicts position" and fault.joint is not None and not too_short:
-                detail = fault.detail.removesuffix(". Left out.")
-                seen.setdefault(fault.signal, {}).setdefault(fault.joint, (detail, fault.ratio))
-    for signal, joints in seen.items():
-        noun = "velocity" if signal == "velocity" else "link position"
-        each = "; ".join(f"that of joint {joint} {detail}" for joint, (detail, _) in joints.items())
-        ratios = {joint: ratio for joint, (_, ratio) in joints.items()}
-        yield Doubt(
-            kind=noun,
-            joints=tuple(joints),
-            evidence=f"The {noun} is not that of the position: {each}.",
-            line=_ratio_line(recordings, signal, ratios),
-        )
-
-
-def _ratio_line(recordings: RecordingSet, signal: str, ratios: Mapping[int, float | None]) -> str:
-    """Line that mends all joints of a signal by one cause, "" where there is none."""
-    units = {"velocity": "deg/s", "link_position": "deg"}
-    known = np.array([np.nan if ratio is None else ratio for ratio in ratios.values()])
-    if np.all(np.abs(known * DEGREE - 1.0) < _NEAR):
-        return scale_line(recordings, signal, np.ones(recordings.n), units[signal])
-    if np.all(np.abs(known / DEGREE - 1.0) < _NEAR):
-        return 'position = "deg" in [signals.scale]'
-    if np.all(np.abs(known + 1.0) < _LIKE):
-        signs = np.ones(recordings.n)
-        signs[np.array(list(ratios)) - 1] = -1.0
-        return scale_line(recordings, signal, signs)
-    return ""
+# ---- by the limits
 
 
 def _beyond_limits(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:

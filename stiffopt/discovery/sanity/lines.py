@@ -6,10 +6,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from stiffopt.errors import times
 from stiffopt.recording.recording_set import RecordingSet
 
-# Signals that are read together with the position.
-_WITH_POSITION = {"velocity": "deg/s", "link_position": "deg"}
+# Signals that are read together with the position, and what their unit adds to its unit.
+_WITH_POSITION = {"velocity": "/s", "link_position": ""}
 
 
 def scale_line(recordings: RecordingSet, signal: str, factors: np.ndarray, unit: str = "") -> str:
@@ -18,7 +19,9 @@ def scale_line(recordings: RecordingSet, signal: str, factors: np.ndarray, unit:
         text = f'{signal} = "{unit}"'
         if signal == "position":
             others = [k for k in _WITH_POSITION if getattr(recordings.signals, k) is not None]
-            text += "".join(f' (and {k} = "{_WITH_POSITION[k]}" if it is too)' for k in others)
+            text += "".join(
+                f' (and {k} = "{unit}{_WITH_POSITION[k]}" if it is too)' for k in others
+            )
         return f"{text} in [signals.scale]"
     stated = recordings.signals.scale_of(signal, recordings.n)
     return f"{signal} = {listed_numbers(stated * factors)} in [signals.scale]"
@@ -43,6 +46,15 @@ def joints_in_words(joints: Iterable[int]) -> str:
     return f"joints {', '.join(names[:-1])} and {names[-1]}"
 
 
+def of_some(names: Sequence[str], evidence: str) -> str:
+    """Evidence of these runs, where others are as the file says."""
+    them, those = ("it", "that file") if len(names) == 1 else ("them", "those files")
+    return (
+        f"Of {' and '.join(names)} alone, not of all runs: {evidence} Mend {those} or leave {them}"
+        " out: lines of recordings.toml hold for every run."
+    )
+
+
 def share_words(before: np.ndarray, after: np.ndarray, joints: Sequence[int]) -> str:
     """What the model leaves of each joint's torque as described, and otherwise."""
     parts = [f"{_share(after[j])} in place of {_share(before[j])} at joint {j + 1}" for j in joints]
@@ -51,5 +63,5 @@ def share_words(before: np.ndarray, after: np.ndarray, joints: Sequence[int]) ->
 
 def _share(value: float) -> str:
     if value >= 2.0:
-        return f"{value:.3g} times all"
-    return f"{100.0 * value:.2g} %"
+        return f"{times(value) if value >= 10.0 else f'{value:.2g} times'} all"
+    return f"{100.0 * value:.0f} %" if value >= 0.1 else f"{100.0 * value:.2g} %"

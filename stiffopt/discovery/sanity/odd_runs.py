@@ -14,6 +14,8 @@ from stiffopt.recording.run import RecordedRun
 # The nominal model leaves at least this share of a torque's variance in an odd run, and so many
 # times more than in any other run; shares below the last are as good as nothing.
 _LEFT, _TIMES, _NOTHING = 0.05, 8.0, 0.005
+# Where it leaves more of others too, they are no measure: what is wrong is wrong in all runs.
+_OTHERS = 0.3
 # Runs that are compared.
 _MOST_RUNS = 60
 # Of the ranges that others moved in, what is near them still; fewer instants decide nothing.
@@ -78,7 +80,8 @@ def odd_runs(together: Explanations, runs: Sequence[RecordedRun]) -> list[OddRun
 
 def _odd(shares: np.ndarray, others: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore"):
-        return np.asarray((shares > _LEFT) & (shares > _TIMES * np.maximum(others, _NOTHING)))
+        far = (shares > _LEFT) & (shares > _TIMES * np.maximum(others, _NOTHING))
+        return np.asarray(far & (others < _OTHERS))
 
 
 def _where_others_were(samples: Samples, others: Sequence[Samples]) -> Samples | None:

@@ -1,4 +1,4 @@
-"""Other readings of the same files: swapped joints and columns, turned signs, degrees."""
+"""Other readings of the same files: swapped joints and columns, turned signs, units."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.sanity.balance import Motion
 from stiffopt.discovery.sanity.samples import Samples
 
-DEGREE = np.pi / 180.0
+# Units that positions of turning and of sliding joints may be in, in SI.
+DEGREE, MILLIMETRE = np.pi / 180.0, 1e-3
 # Of clocks in ms, us and ns, and of stamps counted with another rate.
 _CLOCKS = (1e-3, 1e-6, 1e-9, 0.01, 0.1, 10.0, 100.0, 1e3)
 
@@ -68,25 +69,28 @@ class Reading:
         return scaled
 
     def neighbours(self, prismatic: np.ndarray) -> Iterator[Reading]:
-        """Readings one step further: two joints swapped, a sign turned, degrees."""
+        """Readings one step further: units, two joints swapped, a sign turned, a clock."""
         n, parts = len(self.position_from), ("position", "torque", "both")
-        degrees = tuple(
-            s if slides or s != 1.0 else DEGREE
-            for s, slides in zip(self.position_scale, prismatic, strict=True)
-        )
-        if degrees != self.position_scale:
-            yield self._stepped(position_scale=degrees)
-        if self.time_scale == 1.0:
-            for factor in _CLOCKS:
-                yield self._stepped(time_scale=factor)
+        for which in (*np.eye(n, dtype=bool), ~prismatic, prismatic, np.ones(n, dtype=bool)):
+            other = self.in_other_units(prismatic, which)
+            if other != self:
+                yield other
         for part in parts:
             for one, two in combinations(range(n), 2):
                 yield self._swapped(part, one, two)
             for joint in range(n):
                 yield self._turned(part, joint)
-        for joint in range(n):
-            if not prismatic[joint] and n > 1:
-                yield self._stepped(position_scale=_times(self.position_scale, joint, DEGREE))
+        if self.time_scale == 1.0:
+            for factor in _CLOCKS:
+                yield self._stepped(time_scale=factor)
+
+    def in_other_units(self, prismatic: np.ndarray, which: np.ndarray) -> Reading:
+        """Positions of these joints (n,) in degrees or mm, unless they are by now."""
+        scale = tuple(
+            s * (MILLIMETRE if slides else DEGREE) if chosen and abs(s) == 1.0 else s
+            for s, slides, chosen in zip(self.position_scale, prismatic, which, strict=True)
+        )
+        return self if scale == self.position_scale else self._stepped(position_scale=scale)
 
     def _stepped(self, **changes: Any) -> Reading:
         return replace(self, steps=self.steps + 1, **changes)

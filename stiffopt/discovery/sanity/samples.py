@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, derivative
-from stiffopt.discovery.comparison.prepare import uniform, whole
+from stiffopt.discovery.comparison.prepare import near_gaps, uniform, whole
 from stiffopt.recording.run import RecordedRun
 
 # Instants of all runs together: enough for a dozen columns, few enough to try many descriptions.
@@ -73,6 +73,8 @@ def sampled(runs: Sequence[RecordedRun]) -> Samples | None:
         dt = float(time[1] - time[0])
         low_pass = ZeroPhaseFilter(1.0 / dt, min(_CUTOFF, 0.2 / dt))
         inside = np.arange(low_pass.settling, len(time) - low_pass.settling)
+        bridged = near_gaps(_stamps_of_all(run), run.step, time, low_pass.settling)
+        inside = inside[~bridged[inside]]
         if len(inside) < 20:
             continue
         places = inside[np.linspace(0, len(inside) - 1, min(every, len(inside))).astype(int)]
@@ -86,3 +88,10 @@ def sampled(runs: Sequence[RecordedRun]) -> Samples | None:
     q, v, a = np.concatenate(motions, axis=1)
     measured = np.vstack([each.shifted(0.0) for each in series])
     return Samples(q, v, a, measured, tuple(series))
+
+
+def _stamps_of_all(run: RecordedRun) -> np.ndarray:
+    """Times at which no channel lacks a number that it has at others."""
+    channels = np.hstack([run.position, run.torque])
+    known = np.isfinite(channels)
+    return np.asarray(run.time[(known | ~known.any(axis=0)).all(axis=1)])

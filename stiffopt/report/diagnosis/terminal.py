@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stiffopt.report.common.terminal import print_lines, print_table
-from stiffopt.report.common.text import DASH, pm, significant
+from stiffopt.report.common.text import DASH, listed, pm, significant
 from stiffopt.report.diagnosis.mismatch import (
     carried_over_sentences,
     counterbalance_sentences,
@@ -19,6 +19,7 @@ from stiffopt.report.diagnosis.words import (
     channels_in_words,
     clipped_words,
     new_and_unstated,
+    not_judged,
     place,
     prismatic,
     stays_open,
@@ -37,6 +38,8 @@ _VERDICTS = {
     "outside_catalogue": "Something is missing that no entry of the catalogue explains.",
 }
 NOT_GIVEN = "no nominal value"
+# Channels that were left out and are told one by one.
+_FAULTS = 5
 _HEAD = ("effect", "where", "parameters", "explains", "probability", "confused with")
 
 
@@ -47,7 +50,12 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     print_lines([f"{'named in part' if part else label}: {_verdict(diagnosis)}"])
     more = [each.sentence for each in mismatches(diagnosis)]
     more += counterbalance_sentences(diagnosis)
-    more += [*clipped_words(diagnosis), *episode_sentences(diagnosis), rod_sentence(diagnosis)]
+    more += [
+        *not_judged(diagnosis),
+        *clipped_words(diagnosis),
+        *episode_sentences(diagnosis),
+        rod_sentence(diagnosis),
+    ]
     more += carried_over_sentences(diagnosis)
     print_lines([line for line in more if line])
     new, unstated = new_and_unstated(diagnosis)
@@ -75,15 +83,27 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     if diagnosis.next_experiment:
         lines.append(f"Next: {diagnosis.next_experiment}")
     lines += [f"Assumed: {note}" for note in diagnosis.assumptions]
-    if diagnosis.faults:
-        broken = sum(fault.left_out for _, fault in diagnosis.faults)
-        lines.append(
-            f"Faults of the recordings: {len(diagnosis.faults)} ({broken} channels left out), in "
-            "diagnosis.json."
-        )
+    lines += fault_lines(diagnosis)
     page = folder / "report.html"
     lines.append(f"Answer: {folder / 'diagnosis.json'}")
     print_lines([*lines, *([f"Report: {page}"] if page.is_file() else [])])
+
+
+def fault_lines(diagnosis: Diagnosis) -> list[str]:
+    """What is wrong with channels: those that were left out by name, of the others how many."""
+    left_out: dict[tuple[str, str], list[str]] = {}
+    for run, fault in diagnosis.faults:
+        if fault.left_out:
+            left_out.setdefault((fault.channel, fault.detail), []).append(run)
+    lines = [
+        f"Fault of the recordings: {channel} of {listed(runs)} {detail}"
+        for (channel, detail), runs in list(left_out.items())[:_FAULTS]
+    ]
+    told = sum(map(len, list(left_out.values())[:_FAULTS]))
+    if rest := len(diagnosis.faults) - told:
+        faults = "Further faults" if told else "Faults"
+        lines.append(f"{faults} of the recordings: {rest}, in diagnosis.json.")
+    return lines
 
 
 def _verdict(diagnosis: Diagnosis) -> str:

@@ -14,6 +14,7 @@ from stiffopt.report.common.text import capital, listed, significant, words
 if TYPE_CHECKING:
     from stiffopt.discovery.comparison.located_effect import LocatedEffect
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
+    from stiffopt.discovery.judging.unexplained import Unexplained
 
 VERDICTS = {
     "named": "missing effect named",
@@ -84,7 +85,8 @@ def headline(diagnosis: Diagnosis) -> str:
     if nothing := unchanged(diagnosis):
         return nothing.removesuffix(".")
     if diagnosis.verdict == "nothing_missing":
-        return "Nothing is missing within the tolerances"
+        silent = " ".join(not_judged(diagnosis)).removesuffix(".")
+        return f"Nothing is missing within the tolerances{silent and '. '}{silent}"
     if not diagnosis.findings:
         where = (
             channels_in_words(diagnosis.unexplained.channels[:1]) if diagnosis.unexplained else ""
@@ -116,6 +118,31 @@ def _open_words(diagnosis: Diagnosis) -> str:
         return ""
     where = channels_in_words(left.channels[:1])
     return f"; {significant(left.ratio, 2)} times the noise stays open in {where}"
+
+
+def not_judged(diagnosis: Diagnosis) -> list[str]:
+    """Torques that are stated but show in no training run: a sentence for each joint."""
+    training, n = diagnosis.training, diagnosis.training.robot.n
+    stated = diagnosis.recordings.signals.torque or ("",) * n
+    silent = [
+        j for j in range(n) if stated[j] and j not in diagnosis.search.comparison.rows.channels
+    ]
+    found = []
+    for j in silent:
+        broken = {
+            run
+            for run, fault in diagnosis.faults
+            if fault.joint == j + 1 and fault.signal == "torque" and fault.left_out
+        }
+        still = not any(
+            (abs(run.signals.motor_velocity[:, j]) >= training.settings.slow).any()
+            for run in training.runs
+        )
+        why = "its torque can be used in no training run"
+        if still and not broken.issuperset(run.name for run in training.runs):
+            why = "it never moves, or its position does not follow it"
+        found.append(f"Joint {j + 1} was not judged: {why}.")
+    return found
 
 
 def clipped_words(diagnosis: Diagnosis) -> list[str]:
@@ -202,10 +229,21 @@ def fall(diagnosis: Diagnosis, channel: str) -> tuple[float, float]:
 
 
 def unexplained_sentence(diagnosis: Diagnosis) -> str:
-    """What remains beyond the catalogue and what it follows."""
+    """What remains beyond the catalogue, what it follows, and the run that is alone with it."""
     unexplained = diagnosis.unexplained
     if unexplained is None:
         return ""
+    text = _followed(unexplained)
+    if unexplained.alone is not None:
+        run, ratio = unexplained.alone
+        text += (
+            f" In {run} the nominal model leaves {significant(ratio, 2)} times as much there as in"
+            " any other training run: was the load, or the arm, another one?"
+        )
+    return text
+
+
+def _followed(unexplained: Unexplained) -> str:
     channels = channels_in_words(unexplained.channels)
     if unexplained.brief:
         return (
