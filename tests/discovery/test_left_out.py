@@ -171,7 +171,7 @@ def test_friction_that_all_moving_samples_contradict_goes() -> None:
     assert parameters.effects[0].amplitudes == known[0].amplitudes
 
 
-def test_an_offset_of_a_link_encoder_is_not_judged_by_torques() -> None:
+def test_an_offset_of_a_link_encoder_is_joints_without_torque_by_torques() -> None:
     """It changes none of them, and goes by nothing that they say."""
     training = train(load_recordings(SHIPPED), Settings())
     comparison = training.comparison()

@@ -18,8 +18,8 @@ from stiffopt.report.diagnosis.mismatch import (
 from stiffopt.report.diagnosis.words import (
     channels_in_words,
     clipped_words,
+    joints_without_torque,
     new_and_unstated,
-    not_judged,
     place,
     prismatic,
     stays_open,
@@ -51,7 +51,7 @@ def print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     more = [each.sentence for each in mismatches(diagnosis)]
     more += counterbalance_sentences(diagnosis)
     more += [
-        *not_judged(diagnosis),
+        *joints_without_torque(diagnosis),
         *clipped_words(diagnosis),
         *episode_sentences(diagnosis),
         rod_sentence(diagnosis),

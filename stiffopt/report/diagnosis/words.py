@@ -85,7 +85,7 @@ def headline(diagnosis: Diagnosis) -> str:
     if nothing := unchanged(diagnosis):
         return nothing.removesuffix(".")
     if diagnosis.verdict == "nothing_missing":
-        silent = " ".join(not_judged(diagnosis)).removesuffix(".")
+        silent = " ".join(joints_without_torque(diagnosis)).removesuffix(".")
         return f"Nothing is missing within the tolerances{silent and '. '}{silent}"
     if not diagnosis.findings:
         where = (
@@ -120,7 +120,7 @@ def _open_words(diagnosis: Diagnosis) -> str:
     return f"; {significant(left.ratio, 2)} times the noise stays open in {where}"
 
 
-def not_judged(diagnosis: Diagnosis) -> list[str]:
+def joints_without_torque(diagnosis: Diagnosis) -> list[str]:
     """Torques that are stated but show in no training run: a sentence for each joint."""
     training, n = diagnosis.training, diagnosis.training.robot.n
     stated = diagnosis.recordings.signals.torque or ("",) * n
