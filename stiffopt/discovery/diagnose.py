@@ -33,6 +33,7 @@ from stiffopt.discovery.judging.left_open import doubted_by_left_open, open_sect
 from stiffopt.discovery.judging.modes import mode_shifts
 from stiffopt.discovery.judging.other_band import doubted_by_band
 from stiffopt.discovery.judging.shares import parts_of
+from stiffopt.discovery.judging.torque_scale import doubted_by_scale
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.gate import SanityGate
@@ -175,6 +176,7 @@ def _diagnosed(
     selected, unexplained = even_if_stopped(stopped, assessed)
     start = () if base is None else (base.extension,)
     selected, parameters = _parameters(training, settings, start, result, selected, stopped, say)
+    parameters = doubted_by_scale(parameters, selected)
     located = tuple(s.located for s in selected)
     findings = even_if_stopped(
         stopped,

@@ -187,6 +187,20 @@ class Estimate:
             between=self.between + more,
         )
 
+    def scaled(self, scales: Sequence[float]) -> Estimate:
+        """The estimate where each effect's amplitudes are off by one factor (e,), in deviations."""
+        more = np.zeros_like(self.covariance)
+        for index, scale in enumerate(scales):
+            rows, _ = self._places(index)
+            own = rows[: len(self.sizes[index])]
+            more[np.ix_(own, own)] = scale**2 * np.outer(self.values[own], self.values[own])
+        return replace(
+            self,
+            covariance=self.covariance + more,
+            spread=self.spread + more,
+            between=self.between + more,
+        )
+
     def _places(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Where the amplitudes and shapes of an effect stand, and the units they have there."""
         lengths = [len(s) for s in self.sizes]
