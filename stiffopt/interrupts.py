@@ -41,10 +41,10 @@ def handled(handler: Callable[..., object] | signal.Handlers) -> Iterator[None]:
 def beginning() -> Iterator[None]:
     """While an answer is prepared: the first Ctrl-C waits for something to keep (`delivered`).
 
-    A second one ends it at once.
+    A second one ends it at once. Within another one it is the same as that.
     """
     before = signal.getsignal(signal.SIGINT)
-    if before is signal.SIG_IGN:
+    if before is signal.SIG_IGN or _preparing.until is not None:
         yield
         return
 
@@ -64,13 +64,16 @@ def beginning() -> Iterator[None]:
             _preparing.until, _preparing.stopped = None, False
 
 
-def delivered() -> None:
-    """There is something to keep: from here on Ctrl-C interrupts, one that waited does now."""
+def delivered(*, ended: bool = False) -> None:
+    """There is something to keep: from here on Ctrl-C interrupts, one that waited does now.
+
+    Where the answer has `ended`, it was too late.
+    """
     if _preparing.until is not None:
         signal.signal(signal.SIGINT, _preparing.until)
         _preparing.until = None
-    if _preparing.stopped:
-        _preparing.stopped = False
+    stopped, _preparing.stopped = _preparing.stopped, False
+    if stopped and not ended:
         raise KeyboardInterrupt
 
 

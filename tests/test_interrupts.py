@@ -51,3 +51,19 @@ def test_a_shell_that_ignores_it_is_heeded():
     with beginning():
         signal.raise_signal(signal.SIGINT)
         delivered()
+
+
+def test_within_another_one_it_is_the_same(capsys):
+    with beginning():
+        signal.raise_signal(signal.SIGINT)
+        with beginning(), pytest.raises(KeyboardInterrupt):
+            delivered()
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert capsys.readouterr().err.count("to keep") == 1
+
+
+def test_an_answer_that_has_ended_is_not_interrupted():
+    with beginning():
+        signal.raise_signal(signal.SIGINT)
+        delivered(ended=True)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

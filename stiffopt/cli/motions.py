@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stiffopt.cli.base import Changes, Open, Out, app, default_folder, show_report
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.folders import output_folder
-from stiffopt.interrupts import beginning, finishing
+from stiffopt.interrupts import beginning, delivered, finishing
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -53,8 +53,7 @@ def solve(
     quiet
         No progress display.
     """
-    with ExitStack() as preparing:
-        preparing.enter_context(beginning())
+    with beginning():
         from stiffopt.certificate.assess import assess
         from stiffopt.problem.files import load_problem
         from stiffopt.result.compensation_store import write_command
@@ -91,7 +90,7 @@ def solve(
                     loop = solve_extended(stated, found, progress=progress)
                     stated = loop.problem
                     solution = with_simulation(stated, loop.solution, progress)
-            preparing.close()
+            delivered(ended=True)
             stopped = solution.status is SolveStatus.INTERRUPTED
             if stopped and not solution.solver.iterations and (folder / RESULT_FILE).exists():
                 raise KeyboardInterrupt(
