@@ -107,7 +107,7 @@ def recording(
 ) -> int:
     """Write a recording set of one's own tables or bags: what it guesses, it says.
 
-    Reads CSV of any form, NPZ, Parquet, MCAP and rosbag2.
+    Reads CSV of any form, NPZ, Parquet, LeRobot datasets, MCAP and rosbag2.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ import itertools
 import re
 
 _WORDS = ("target", "cmd", "command", "desired", "planned", "soll", "setpoint", "consigne",
-          "consigna", "riferimento")  # fmt: skip
+          "consigna", "riferimento", "action")  # fmt: skip
 # Of these longer words begin: commanded, setpoints; Sollposition, and not the town of Solleck.
 _BEGINNINGS = ("target", "command", "desired", "setpoint", "consign")
 _SOLL = r"soll(wert|pos|winkel|lage|stell|dreh|achs|gelenk|bahn|weg)"

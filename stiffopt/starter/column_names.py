@@ -19,11 +19,11 @@ _WORDS = {
     ),
     "link_position": ("link", "linkside", "ql", "secondary", "outputside"),
     "position": ("position", "positions", "pos", "q", "angle", "angles", "theta", "winkel", "lage",
-                 "ist", "axis", "joint", "a", "j"),
+                 "ist", "axis", "joint", "a", "j", "state"),
 }  # fmt: skip
 CURRENT = ("current", "currents", "strom", "amps", "i")
 # Words that other signals of a joint have, too.
-_VAGUE = ("axis", "joint", "a", "j")
+_VAGUE = ("axis", "joint", "a", "j", "state")
 _AMPERES = ("a", "ma", "arms")
 _OTHER = (
     "temperature",

@@ -214,7 +214,10 @@ def _kept(table: Mapping[str, np.ndarray], names: Sequence[str]) -> dict[str, np
 def _files(data: Sequence[Path]) -> list[Path]:
     found: list[Path] = []
     for path in data:
-        if path.is_dir() and not is_messages(path):
+        if (path / "meta" / "info.json").is_file():
+            # A LeRobot dataset.
+            found += sorted(path.glob("data/**/*.parquet"))
+        elif path.is_dir() and not is_messages(path):
             found += sorted(
                 p for p in path.iterdir() if p.suffix.lower() in _ENDINGS or is_messages(p)
             )
@@ -222,8 +225,8 @@ def _files(data: Sequence[Path]) -> list[Path]:
             found.append(path)
     if not found:
         raise InputError(
-            f"no recordings in {', '.join(map(str, data))}: {', '.join(_ENDINGS)}, MCAP and rosbag2"
-            " are read."
+            f"no recordings in {', '.join(map(str, data))}: {', '.join(_ENDINGS)}, MCAP, rosbag2"
+            " and LeRobot datasets are read."
         )
     stems = [_stem(path) for path in found]
     twice = [path for path, stem in zip(found, stems, strict=True) if stems.count(stem) > 1]

@@ -28,6 +28,12 @@ UNITS = {
 }  # fmt: skip
 _MARKS = (";", "\t", ",", "|")
 _NUMBER = re.compile(r"^[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?$")
+# Thousands set off by a mark that is not the decimal one, which follows or cannot be meant:
+# 1.234,5 and 1,234.5, and with apostrophes or spaces 1'234.5 and 1 234. A mere 1.234 is no such.
+_GROUPED = re.compile(
+    r"^[+-]?\d{1,3}((\.\d{3})+,\d*|(,\d{3})+\.\d*|([.,]\d{3}){2,}"
+    r"|(['\u2019 \u00a0\u202f]\d{3})+([.,]\d*)?)$"
+)
 # Far above what one recording holds.
 _LARGEST = 2**30
 
@@ -71,21 +77,12 @@ def _npz(path: Path) -> dict[str, np.ndarray]:
 
 def _parquet(path: Path) -> dict[str, np.ndarray]:
     try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
+        from stiffopt.starter.parquet_tables import parquet_columns
     except ModuleNotFoundError as error:
         raise InputError(
             f"{path}: reading it needs pyarrow. Install it: pip install 'stiffopt[recordings]'"
         ) from error
-    try:
-        table = pq.read_table(path)
-    except (pa.ArrowException, OSError) as error:
-        raise InputFileError(path, "", f"cannot be read as Parquet: {error}") from error
-    found = {}
-    for name, column in zip(table.column_names, table.columns, strict=True):
-        if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
-            found[name] = column.to_numpy().astype(float)
-    return _checked(found, path)
+    return _checked(parquet_columns(path), path)
 
 
 def _text(path: Path) -> dict[str, np.ndarray]:
@@ -186,7 +183,7 @@ def _cells(line: str, mark: str) -> list[str]:
 
 
 def _is_data(row: list[str]) -> bool:
-    numbers = sum(bool(_NUMBER.match(cell)) for cell in row)
+    numbers = sum(bool(_NUMBER.match(cell) or _GROUPED.match(cell)) for cell in row)
     return numbers * 2 > len(row)
 
 
@@ -195,10 +192,22 @@ def _numbers(row: list[str], width: int) -> list[float]:
 
 
 def _number(cell: str) -> float:
+    if _GROUPED.match(cell):
+        cell = _ungrouped(cell)
     try:
         return float(cell.replace(",", "."))
     except ValueError:
         return float("nan")
+
+
+def _ungrouped(cell: str) -> str:
+    """A number with its thousands no longer set off."""
+    bare = re.sub(r"[^\d.,+-]", "", cell)
+    marks = [mark for mark in bare if mark in ".,"]
+    if len(set(marks)) < len(marks) or len(set(marks)) == 2:
+        # The first mark sets off thousands; another one, at the end, is the decimal one.
+        bare = bare.replace(marks[0], "")
+    return bare
 
 
 def _checked(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
 from datetime import datetime, timedelta
@@ -481,3 +482,80 @@ def test_nothing_but_set_points_is_asked_about(tmp_path, capsys):
     assert "QUESTION: set points by their names, and no measured position" in said
     assert run(["recording", "check", str(out)]) == 2
     assert "The positions are set points by their names" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_lerobot_dataset_is_a_recording_set(named, tmp_path, capsys):
+    """Vectors whose entries meta/info.json names, two episodes in one file, actions beside them."""
+    arrow = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as parquet
+
+    motors = ["pan", "lift"]
+    features = {
+        "action": {"names": motors},
+        "observation.state": {"names": [f"{motor}.pos" for motor in motors]},
+        "observation.effort": {"names": {"motors": motors}},
+    }
+    (tmp_path / "set" / "meta").mkdir(parents=True)
+    (tmp_path / "set" / "meta" / "info.json").write_text(
+        json.dumps({"features": features if named else {}})
+    )
+    file = tmp_path / "set" / "data" / "chunk-000" / "file-000.parquet"
+    file.parent.mkdir(parents=True)
+    position, torque = (np.stack(VALUES[k : k + 2], axis=1) for k in (0, 2))
+    vectors = {
+        "action": 0.9 * position,
+        "observation.state": position,
+        "observation.effort": torque,
+    }
+    columns = {
+        name: arrow.array(np.vstack([rows, 0.5 * rows]).tolist(), arrow.list_(arrow.float64()))
+        for name, rows in vectors.items()
+    }
+    columns |= {
+        "observation.image": arrow.array([b"x"] * 2 * len(TIME)),
+        "timestamp": np.tile(TIME, 2),
+        "episode_index": np.repeat([0, 1], len(TIME)),
+    }
+    parquet.write_table(arrow.table(columns), file)
+    out = tmp_path / "out"
+    arguments = ["init", "recording", str(tmp_path / "set"), "--urdf", str(URDF)]
+    assert run([*arguments, "--out", str(out)]) == 0
+    assert "begins anew 1 time(s): it is kept as 2 runs" in capsys.readouterr().out
+    signals = tomllib.loads((out / "recordings.toml").read_text())["signals"]
+    entries = ["pan.pos", "lift.pos"] if named else ["0", "1"]
+    assert signals["position"] == [f"observation.state.{entry}" for entry in entries]
+    second = np.load(out / "file-000_2.npz")
+    np.testing.assert_allclose(second[signals["torque"][1]], 0.5 * VALUES[3])
+
+
+def test_stamps_of_a_data_frame_are_seconds(tmp_path):
+    arrow = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as parquet
+
+    stamped = (1e9 * TIME).astype("datetime64[ns]") + np.timedelta64(1, "D")
+    columns = dict(zip(NAMES, [stamped, *VALUES], strict=True))
+    parquet.write_table(arrow.table(columns), tmp_path / "log.parquet")
+    np.testing.assert_allclose(read_any_table(tmp_path / "log.parquet")["t"], TIME, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("cell", "value"),
+    [
+        ("1.234,5", 1234.5),
+        ("-12.345.678,25", -12345678.25),
+        ("1,234.5", 1234.5),
+        ("1.234.567", 1234567.0),
+        ("1'234.5", 1234.5),
+        ("1\N{NARROW NO-BREAK SPACE}234,5", 1234.5),
+        ("1.234", 1.234),
+        ("1,234", 1.234),
+        ("1e3", 1e3),
+    ],
+)
+def test_thousands_that_are_set_off(cell, value, tmp_path):
+    """As spreadsheets write them: left out, large torques would be missing without a word."""
+    text = ["sep=;", '"Zeit in ms";"q1";"tau1"', *(f'"{k},5";"0,25";"{cell}"' for k in range(5))]
+    found = table(tmp_path, text)
+    assert found["tau1"].tolist() == [value] * 5
+    assert found["Zeit in ms"][1] == 1.5

@@ -41,13 +41,14 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
         table = source.read(columns=list(dict.fromkeys([*needed, *index])), use_threads=False)
     if index:
         table = _episode(path, table, episode)
-    features = _features(file)
     columns = {}
     for name, match in entries.items():
         if match is None:
             columns[name] = _numbers(path, name, table.column(name))
         else:
-            columns[name] = _entry(path, table.column(match[1]), match[1], match[2], features)
+            columns[name] = _entry(
+                path, table.column(match[1]), match[1], match[2], vector_names(file, match[1])
+            )
     return columns
 
 
@@ -67,7 +68,7 @@ def _episode(path: Path, table: arrow.Table, episode: int | None) -> arrow.Table
 
 
 def _entry(
-    path: Path, column: arrow.ChunkedArray, feature: str, entry: str, features: dict[str, Any]
+    path: Path, column: arrow.ChunkedArray, feature: str, entry: str, names: list[str]
 ) -> np.ndarray:
     """One entry of a column of vectors."""
     kind = column.type
@@ -75,7 +76,6 @@ def _entry(
     if not lists:
         raise InputFileError(path, feature, f"needs a column of vectors, got {kind}.")
     rows = np.array(column.to_pylist(), dtype=float)
-    names = _names(features.get(feature))
     if entry.isdecimal():
         number = int(entry)
     elif entry in names:
@@ -85,6 +85,11 @@ def _entry(
     if rows.ndim != 2 or number >= rows.shape[1]:
         raise InputFileError(path, feature, f"has no entry {number}: it is of shape {rows.shape}.")
     return rows[:, number]
+
+
+def vector_names(path: Path, feature: str) -> list[str]:
+    """Names of the entries of a column of vectors, by the dataset of its file; empty where none."""
+    return _names(_features(path).get(feature))
 
 
 def _names(feature: Any) -> list[str]:

@@ -22,10 +22,11 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
         missing(path, wanted, file.schema_arrow.names)
         check_numbers(path, file.metadata.num_rows, len(wanted))
         table = file.read(columns=list(wanted), use_threads=False)
-    return {name: _numbers(path, name, table.column(name)) for name in wanted}
+    return {name: numbers(path, name, table.column(name)) for name in wanted}
 
 
-def _numbers(path: Path, name: str, column: arrow.ChunkedArray) -> np.ndarray:
+def numbers(path: Path, name: str, column: arrow.ChunkedArray) -> np.ndarray:
+    """A column as numbers (K,), stamps as seconds after the first."""
     kind = column.type
     if len(column) == 0:
         return np.empty(0)
