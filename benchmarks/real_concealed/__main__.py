@@ -13,7 +13,7 @@ import json
 import shutil
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -55,31 +55,60 @@ def main() -> None:
     folder = given.work / key.text[:16]
     begin = time.monotonic()
     made = plans(key, sets, given.cases, given.controls)
-    rows = []
-    for plan in made:
-        done = folder / plan.name / "case.json"
+    rows: list[tuple[Plan, dict[str, Any]]] = []
+    repeats = 0
+    for ways in made:
+        done = folder / ways[0].name / "case.json"
         if not done.exists() and time.monotonic() - begin < given.seconds:
-            _run(plan, sets[plan.source], folder)
+            _run(ways, sets, folder, [identity(*row) for row in rows])
         if done.exists():
-            rows.append((plan, json.loads(done.read_text())))
-    text = page(key, rows, len(made))
+            found = json.loads(done.read_text())
+            if found["drawn"] is None:
+                repeats += 1
+            else:
+                rows.append((ways[found["drawn"]], found))
+    text = page(key, rows, len(made) - repeats)
     (HERE / "RESULTS.md").write_text(text, encoding="utf-8")
     print(text)
 
 
-def _run(plan: Plan, s: PublicSet, folder: Path) -> None:
-    """Make one case, diagnose it, and leave what there is to count."""
+def identity(plan: Plan, found: dict[str, Any]) -> tuple[Any, ...]:
+    """What makes a case another: set, kind, joint and amount; of controls what they lose."""
+    if plan.kind is None:
+        return plan.source, None, plan.size
+    return plan.source, plan.kind.name, found["joint"], float(f"{found['amount']:.3g}")
+
+
+def _run(
+    ways: Sequence[Plan],
+    sets: dict[str, PublicSet],
+    folder: Path,
+    known: Sequence[tuple[Any, ...]],
+) -> None:
+    """Make the first of some cases that is no repeat, diagnose it, and leave what is to count."""
+    for drawn, plan in enumerate(ways):
+        first = Job("whole", sets[plan.source].folder, folder / "first" / plan.source)
+        (model,) = answers([first], 1, _say)
+        if model is None:
+            return
+        amount, reached, joint = 0.0, 0.0, 0
+        if plan.kind is not None:
+            amount, reached, joint = _amount(plan, sets[plan.source], model)
+        case = {"drawn": drawn, "joint": joint, "amount": amount, "size": reached}
+        if identity(plan, case) not in known:
+            _diagnose(plan, sets[plan.source], folder, first, case)
+            return
+    _keep(folder, ways[0], {"drawn": None})
+
+
+def _diagnose(plan: Plan, s: PublicSet, folder: Path, first: Job, made: dict[str, Any]) -> None:
+    """Hide what was drawn, and diagnose the difference."""
     begin, case = time.monotonic(), folder / plan.name / "set"
-    first = Job("whole", s.folder, folder / "first" / plan.source)
-    (known,) = answers([first], 1, _say)
-    if known is None:
-        return
+    joint, amount = int(made["joint"]), float(made["amount"])
     shutil.rmtree(case, ignore_errors=True)
-    amount, reached, joint = 0.0, 0.0, 0
     if plan.kind is None:
         _shorter(plan, s, case)
     else:
-        amount, reached, joint = _amount(plan, s, known)
         hidden(s, plan.kind, joint, amount, case)
     stopped = plan.kind is not None and plan.kind.where == "sign" and _doubted(case)
     answer = None
@@ -93,18 +122,20 @@ def _run(plan: Plan, s: PublicSet, folder: Path) -> None:
         (answer,) = answers([Job("whole", case, out, model=model)], 1, _say)
     shutil.rmtree(case, ignore_errors=True)
     kept = {
-        "joint": joint,
-        "amount": amount,
+        **made,
         "truth": [] if plan.kind is None else [vars(t) for t in plan.kind.truth(s, joint)],
-        "size": reached,
         "stopped": stopped,
         "verdict": None if answer is None else answer["verdict"],
         "findings": [] if answer is None else answer["findings"],
         "seconds": time.monotonic() - begin,
     }
+    _keep(folder, plan, kept)
+    _say(f"{plan.name} {plan.source}: {kept['seconds']:.0f} s")
+
+
+def _keep(folder: Path, plan: Plan, kept: dict[str, Any]) -> None:
     (folder / plan.name).mkdir(parents=True, exist_ok=True)
     (folder / plan.name / "case.json").write_text(json.dumps(kept, indent=1))
-    _say(f"{plan.name} {plan.source}: {kept['seconds']:.0f} s")
 
 
 def _amount(plan: Plan, s: PublicSet, known: dict[str, Any]) -> tuple[float, float, int]:

@@ -16,6 +16,8 @@ WEIGHTS = {
 }  # fmt: skip
 # Factors on a nominal stiffness, which has no multiples.
 FACTORS = (0.5, 2.0)
+# How often a case is drawn at most, for one that is no repeat of another.
+DRAWS = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,30 +47,23 @@ class Plan:
     sign: float
 
 
-def plans(key: Key, sets: dict[str, PublicSet], hidden: int, controls: int) -> list[Plan]:
-    """All of a run, controls between the others."""
+def plans(
+    key: Key, sets: dict[str, PublicSet], hidden: int, controls: int
+) -> list[tuple[Plan, ...]]:
+    """All of a run, controls between the others: of each the one drawn, then those in its place.
+
+    Some kinds have little choice; what repeats another case is drawn again.
+    """
     kinds: list[Kind] = []
     sizes: list[float] = []
     possible = [k for k in KINDS if not k.sets or set(k.sets) & set(sets)]
     while len(kinds) < hidden:
         kinds += key.shuffled(possible, "real", "kinds", len(kinds))
         sizes += key.shuffled(SIZES * 4, "real", "sizes", len(sizes))
-    found = []
-    for number, (kind, size) in enumerate(zip(kinds[:hidden], sizes, strict=False), start=1):
-        draw = key.draw("real", "case", number)
-        names = [s for s in sets if not kind.sets or s in kind.sets]
-        weights = [WEIGHTS[s] for s in names]
-        source = names[int(draw.choice(len(names), p=[w / sum(weights) for w in weights]))]
-        joints = tuple(int(j) for j in draw.permutation(_joints(sets[source], kind)))
-        if kind.name == "stiffness":
-            size = float(draw.choice(FACTORS))
-        sign = float(draw.choice([-1.0, 1.0])) if kind.name in ("motor gain", "offset") else 1.0
-        found.append(
-            Plan(
-                name=f"case_{number:03d}", source=source, kind=kind, joints=joints, size=size,
-                sign=sign,
-            )
-        )  # fmt: skip
+    found = [
+        tuple(_drawn(key, sets, number, kind, size, again) for again in range(DRAWS))
+        for number, (kind, size) in enumerate(zip(kinds[:hidden], sizes, strict=False), start=1)
+    ]
     for number in range(1, controls + 1):
         draw = key.draw("real", "control", number)
         names = list(sets)
@@ -77,8 +72,27 @@ def plans(key: Key, sets: dict[str, PublicSet], hidden: int, controls: int) -> l
             name=f"control_{number:03d}", source=source, kind=None, joints=(),
             size=float(draw.uniform(0.02, 0.15)), sign=1.0,
         )  # fmt: skip
-        found.insert(number * (hidden // max(controls, 1) + 1) - 1, control)
+        found.insert(number * (hidden // max(controls, 1) + 1) - 1, (control,))
     return found
+
+
+def _drawn(
+    key: Key, sets: dict[str, PublicSet], number: int, kind: Kind, size: float, again: int
+) -> Plan:
+    """A case; drawn anew so many times, from the second on in any size."""
+    draw = key.draw("real", "case", number, *([again] if again else []))
+    names = [s for s in sets if not kind.sets or s in kind.sets]
+    weights = [WEIGHTS[s] for s in names]
+    source = names[int(draw.choice(len(names), p=[w / sum(weights) for w in weights]))]
+    joints = tuple(int(j) for j in draw.permutation(_joints(sets[source], kind)))
+    if kind.name == "stiffness":
+        size = float(draw.choice(FACTORS))
+    elif again > 1:
+        size = float(draw.choice(SIZES))
+    sign = float(draw.choice([-1.0, 1.0])) if kind.name in ("motor gain", "offset") else 1.0
+    return Plan(
+        name=f"case_{number:03d}", source=source, kind=kind, joints=joints, size=size, sign=sign
+    )
 
 
 def _joints(s: PublicSet, kind: Kind) -> list[int]:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks.blind.key import Key
 from benchmarks.blind.score import Named
-from benchmarks.real_concealed.draw import plans
+from benchmarks.real_concealed import __main__ as concealed
+from benchmarks.real_concealed.draw import Plan, plans
 from benchmarks.real_concealed.hide import KINDS, hidden, size
 from benchmarks.real_concealed.motion import MOVING, PublicSet
 from benchmarks.real_concealed.page import page
@@ -63,8 +66,8 @@ def test_draws_follow_from_the_key_and_the_page_counts_them() -> None:
     assert made == plans(key, sets, 16, 2)
     assert made != plans(Key("dev-2", "0" * 40), sets, 16, 2)
     assert len(made) == 18
-    control = next(p for p in made if p.kind is None)
-    case = next(p for p in made if p.kind is not None and p.kind.name == "coulomb")
+    control = next(p for p, *_ in made if p.kind is None)
+    case = next(p for p, *_ in made if p.kind is not None and p.kind.name == "coulomb")
     assert case.kind is not None
     assert case.kind.truth(sets["ur10e"], case.joints[0]) == (Named("coulomb", case.joints[0] + 1),)
     finding = {
@@ -92,3 +95,32 @@ def test_draws_follow_from_the_key_and_the_page_counts_them() -> None:
     assert "hold the truth: 1 of 1" in text
     finding["parameters"] = {"dFc": {"value": 2.1, "sd": None}}
     assert "hold the truth: none counted" in page(key, rows, len(made))
+
+
+def test_what_repeats_a_case_is_drawn_again(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Play has three axes of one set: what is hidden already takes another place or size."""
+    sets = {"ur10e": PublicSet(SET), "kuka_kr300": PublicSet(SET)}
+    ways = next(
+        ways
+        for ways in plans(Key("dev-1", "0" * 40), sets, 30, 0)
+        if ways[0].kind is not None and ways[0].kind.name == "coulomb"
+    )
+    assert len({(way.source, way.joints, way.size) for way in ways}) > 3
+    monkeypatch.setattr(concealed, "answers", lambda *_: [{}])
+    monkeypatch.setattr(concealed, "_amount", lambda plan, *_: (plan.size, 1.0, plan.joints[0]))
+    made: list[tuple[Any, ...]] = []
+
+    def diagnosed(plan: Plan, s: PublicSet, folder: Path, first: Any, case: Any) -> None:
+        made.append(concealed.identity(plan, case))
+
+    monkeypatch.setattr(concealed, "_diagnose", diagnosed)
+    for _ in range(3):
+        concealed._run(ways, sets, tmp_path, made)
+    assert len(set(made)) == 3
+    every = [concealed.identity(w, {"joint": w.joints[0], "amount": w.size}) for w in ways]
+    concealed._run(ways, sets, tmp_path, every)
+    assert len(made) == 3
+    kept = json.loads((tmp_path / ways[0].name / "case.json").read_text())
+    assert kept == {"drawn": None}
