@@ -240,6 +240,7 @@ def estimate(comparison: Comparison, effects: Sequence[LocatedEffect]) -> Estima
             slopes.append(_shape_slope(comparison, located, amplitudes, i, step))
     matrix = np.column_stack([nuisance, *columns, *slopes])
     prior = np.concatenate([prior_sd, np.ones(len(scaled)), np.full(len(slopes), _SHAPE_PRIOR)])
+    del columns, slopes
     blocks = stretches(comparison)
     covariance, spread = _jackknife(comparison, matrix, prior, blocks)
     between = covariance
@@ -367,20 +368,23 @@ def _jackknife(
     fewest: int = _FEWEST,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Covariance by the linear model, and by leaving blocks of rows out one after another."""
-    scaled = matrix * prior
-    parts = [block == b for b in range(int(block.max()) + 1)]
-    grams = np.array([scaled[p].T @ scaled[p] for p in parts])
-    moments = np.array([scaled[p].T @ comparison.target[p] for p in parts])
-    gram, moment = grams.sum(axis=0) + np.eye(len(prior)), moments.sum(axis=0)
     units = np.outer(prior, prior)
+    grams = np.empty((int(block.max()) + 1, *units.shape))
+    moments = np.empty(grams.shape[:2])
+    for b in range(len(grams)):
+        # One part at a time: of a long run the columns are large, and no copy of them is made.
+        part = matrix[block == b]
+        grams[b] = units * (part.T @ part)
+        moments[b] = prior * (part.T @ comparison.target[block == b])
+    gram, moment = grams.sum(axis=0) + np.eye(len(prior)), moments.sum(axis=0)
     covariance = np.linalg.inv(gram) * units
-    if len(parts) < fewest:
+    if len(grams) < fewest:
         return covariance, covariance
     left_out = np.array(
         [np.linalg.solve(gram - g, moment - m) for g, m in zip(grams, moments, strict=True)]
     )
     away = left_out - left_out.mean(axis=0)
-    return covariance, (len(parts) - 1) / len(parts) * away.T @ away * units
+    return covariance, (len(grams) - 1) / len(grams) * away.T @ away * units
 
 
 def stretches(comparison: Comparison) -> np.ndarray:

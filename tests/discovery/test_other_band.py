@@ -1,0 +1,39 @@
+"""What half the band says otherwise counts beyond what it knows less."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from shipped_set import SHIPPED
+
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.judging.other_band import beyond_chance, doubted_by_band
+from stiffopt.discovery.search.uncertainty import estimate
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.training import train
+from stiffopt.recording.recording_set import load_recordings
+
+
+@pytest.mark.parametrize(("wrong", "least", "most"), [(0.0, 0.4, 0.55), (1.0, 0.9, 1.0)])
+def test_means_of_all_and_of_half_differ_by_chance(wrong: float, least: float, most: float) -> None:
+    """The same law in both: of their difference half is taken for chance; another one: little."""
+    draw = np.random.default_rng(3)
+    samples = draw.normal(size=(4000, 40))
+    samples[:, :20] += wrong
+    away = samples[:, :20].mean(axis=1) - samples.mean(axis=1)
+    found = beyond_chance(away, np.full(4000, 1 / 20), np.full(4000, 1 / 40))
+    assert least < np.sum(found**2) / np.sum(away**2) < most
+
+
+def test_a_law_that_holds_is_hardly_doubted() -> None:
+    """Dry friction is the same in every band."""
+    training = train(load_recordings(SHIPPED), Settings())
+    comparison = training.comparison()
+    there = LocatedEffect(effect=effect("coulomb"), joint=1)
+    known = estimate(comparison, [there])
+    doubted = doubted_by_band(training, comparison, known)
+    constants = there.constants(training.constants)
+    before, after = (each.parameters(0, constants)["dFc"] for each in (known, doubted))
+    assert after[0] == before[0]
+    assert before[1] <= after[1] < 1.5 * before[1]
