@@ -57,10 +57,12 @@ _HASTE = 8.0
 _SEEN = 0.5
 # Of the widths of the motors' law, tried when all limits hold: at half of it, nothing more is left
 # after arrival than by the exact law.
-_SHARPER = (0.5, 0.7)
+_SHARPER = (0.5, 0.6, 0.7, 0.8, 0.9)
 # An excess that is still larger after a correction is a corner of a joint's stiffness passed too
 # fast: the motors' law gets wider corners.
 _CORNER = 0.25
+# Corners at least so wide are tried narrower again when all limits hold, by this.
+_WIDE, _NARROWER = 3.0, 0.7
 
 
 def refined(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> Outcome:
@@ -148,7 +150,7 @@ def rank(problem: TrajectoryProblem, outcome: Outcome) -> tuple[bool, float]:
 def _corrected(run: SolveRun, outcome: Outcome) -> Outcome:
     """The same mesh, rows drawn in where the exact ones, or the simulated arm, exceed them."""
     nlp = outcome.transcription.nlp
-    outcome, nlp = _within_rows(run, outcome, nlp)
+    outcome, nlp = _narrowed(run, *_within_rows(run, outcome, nlp))
     for _ in range(_REFINEMENTS):
         found = _sharpened(run, outcome) if outcome.raw.converged else outcome
         late = _after_arrival(run.problem, found.assessment)
@@ -165,10 +167,35 @@ def _corrected(run: SolveRun, outcome: Outcome) -> Outcome:
     return _sharpened(run, outcome) if outcome.raw.converged else outcome
 
 
-def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nlp]:
+def _narrowed(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nlp]:
+    """Corners of the motors' law narrower again, as long as every limit holds.
+
+    Wide ones let the corrections come to rest; what they leave in flight and after arrival goes
+    with their width.
+    """
+    while outcome.raw.converged and not _excess(outcome.assessment):
+        corners = _NARROWER * outcome.smoothing.corners
+        if corners < _WIDE:
+            break
+        try:
+            again = solve_again(run, outcome, nlp, replace(outcome.smoothing, corners=corners))
+        except KeyboardInterrupt:
+            return stopped(outcome), nlp
+        found, narrow = _within_rows(run, again, nlp, narrowing=True)
+        if not found.raw.converged or _excess(found.assessment):
+            outcome.solver.rebound(nlp)
+            return (stopped(outcome) if found.raw.status == "interrupted" else outcome), nlp
+        outcome, nlp = found, narrow
+    return outcome, nlp
+
+
+def _within_rows(
+    run: SolveRun, outcome: Outcome, nlp: Nlp, *, narrowing: bool = False
+) -> tuple[Outcome, Nlp]:
     """Path rows drawn in until the exact ones are kept; the programme with their bounds.
 
-    While the exact rows themselves show an excess, nothing else is asked of the motion.
+    While the exact rows themselves show an excess, nothing else is asked of the motion. Corners of
+    the motors' law get wider where an excess stays; `narrowing`, it ends there.
     """
     made = Programme(outcome.transcription, outcome.solver)
     rows, smoothing, raw = None, outcome.smoothing, outcome.raw
@@ -178,9 +205,10 @@ def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nl
         for attempt in range(1, _CORRECTIONS + 1):
             if rows is None or known is None:
                 excess = _excess(outcome.assessment)
-                if not _to_mend(outcome, excess):
+                stays = attempt > 1 and max(excess.values(), default=0.0) > _CORNER
+                if not _to_mend(outcome, excess) or (stays and narrowing):
                     break
-                if attempt > 1 and max(excess.values(), default=0.0) > _CORNER:
+                if stays:
                     smoothing = replace(smoothing, corners=_passable(run, outcome))
                 rows = rows or exact_path_rows(run.problem, run.motion, run.scales)
                 known = excess_of(made.transcription, raw.x, smoothing.parameters, rows)
@@ -188,7 +216,7 @@ def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nl
             haste = min(2.0 ** (attempt - 1), _HASTE)
             found = tightened(nlp, known, most=_LARGEST_STEP, haste=haste, limits=LIMITS)
             found = drawn_in(found, unseen)
-            if _same_bounds(found, nlp) and smoothing == outcome.smoothing:
+            if not _worth_solving(found, nlp, moved=smoothing != outcome.smoothing):
                 break
             nlp = found
             again = corrected(run, made, raw, nlp, smoothing)
@@ -228,6 +256,12 @@ def _unseen(known: Excess, excess: dict[str, float]) -> dict[str, float]:
     """What the rows do not know, such as the delay by damping: it is the same all along."""
     unseen = {k: v for k, v in excess.items() if known.largest.get(k, 0.0) < _SEEN * v}
     return {k: min(v, _LARGEST_STEP) for k, v in unseen.items()}
+
+
+def _worth_solving(nlp: Nlp, before: Nlp, *, moved: bool) -> bool:
+    """Whether rows, or `moved` corners, ask for another motion and leave room for one."""
+    asks = moved or not _same_bounds(nlp, before)
+    return asks and bool(np.all(nlp.lower_g <= nlp.upper_g))
 
 
 def _same_bounds(one: Nlp, other: Nlp) -> bool:
