@@ -24,6 +24,16 @@ def is_symbolic(value: Quantity) -> bool:
     return isinstance(value, ca.SX | ca.MX)
 
 
+def array_of(matrix: ca.DM) -> np.ndarray:
+    """Numbers of a matrix.
+
+    `DM.full()` runs Python code within C++: a Ctrl-C that comes then is lost in it, and None is
+    answered in place of the numbers.
+    """
+    dense = matrix if matrix.is_dense() else ca.densify(matrix)
+    return np.array(dense.nonzeros(), dtype=float).reshape(matrix.shape, order="F")
+
+
 def softplus(x: Quantity) -> Quantity:
     """Smooth max(x, 0) without overflow: log(1 + exp(x))."""
     return np.logaddexp(x, 0.0) if not is_symbolic(x) else _softplus_symbolic(x)

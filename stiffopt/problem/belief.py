@@ -12,6 +12,7 @@ from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.believed import Believed
 from stiffopt.result.trajectory import Trajectory
+from stiffopt.symbolic import array_of
 
 PARTS = ("static", "dynamic", "process", "total")
 
@@ -46,7 +47,7 @@ def believed_of(
     states = np.hstack([motion(time, k) for k in range(order)])
     function = ca.Function("believed", [x, u], [ca.densify(value) for value in outputs.values()])
     found = function.map(len(time))(states.T, motion(time, order).T)
-    values = {name: value.full().T for name, value in zip(outputs, found, strict=True)}
+    values = {name: array_of(value).T for name, value in zip(outputs, found, strict=True)}
     return Believed(
         time=time,
         spring_torque=values["spring_torque"],

@@ -29,7 +29,7 @@ from stiffopt.dynamics.deflection import Deflection
 from stiffopt.problem.stage_model import StageModel
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.symbolic import Quantity
+from stiffopt.symbolic import Quantity, array_of
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -343,7 +343,7 @@ def _of(law: ca.Function, rates: np.ndarray, *numbers: float) -> np.ndarray:
     """A law's values (m, K, n) along what has so many rates (k, K, n), and of further numbers."""
     count = rates.shape[1]
     given = (*(each.T for each in rates), *(np.full((1, count), each) for each in numbers))
-    return np.stack([each.full().T for each in law.map(count)(*given)])
+    return np.stack([array_of(each).T for each in law.map(count)(*given)])
 
 
 def _sampled(motion: Trajectory) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 from stiffopt.errors import InputError
 from stiffopt.interrupts import handled
 from stiffopt.solver.monitor import Iterate, Monitor, Progress
+from stiffopt.symbolic import array_of
 from stiffopt.transcription.nlp import Nlp, NlpEntry, RowViolation
 
 _STATUS = {
@@ -306,21 +307,21 @@ class IpoptSolver:
         self, outputs: dict[str, ca.DM], p: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Of bounds and rows; of fixed variables what the Lagrangian's gradient leaves there."""
-        lam_x, lam_g = (outputs[name].full().ravel() for name in ("lam_x", "lam_g"))
+        lam_x, lam_g = (array_of(outputs[name]).ravel() for name in ("lam_x", "lam_g"))
         fixed = self.nlp.lower_x == self.nlp.upper_x
         if fixed.any():
             gradient = self._solver.get_function("nlp_grad_f")(outputs["x"], p)[1]
             jacobian = self._solver.get_function("nlp_jac_g")(outputs["x"], p)[1]
-            slope = (gradient + ca.mtimes(jacobian.T, outputs["lam_g"])).full().ravel()
+            slope = array_of(gradient + ca.mtimes(jacobian.T, outputs["lam_g"])).ravel()
             lam_x[fixed] = -slope[fixed]
         return lam_x, lam_g
 
     def _iterate(self, outputs: dict[str, ca.DM]) -> Iterate:
-        g = outputs["g"].full().ravel()
+        g = array_of(outputs["g"]).ravel()
         excess = self.nlp.violations(g)
         return Iterate(
             iteration=max(len(self._monitor.history) - 1, 0),
-            x=outputs["x"].full().ravel(),
+            x=array_of(outputs["x"]).ravel(),
             g=g,
             objective=float(outputs["f"]) * self.nlp.objective_scale,
             violation=float(excess.max()) if excess.size else 0.0,
@@ -331,7 +332,7 @@ class IpoptSolver:
         value = ca.Function("value", [self.nlp.x, self.nlp.p], [self.nlp.f, self.nlp.g])
         slope = self._solver.get_function("nlp_jac_g")
         for x in points:
-            f, g = (m.full().ravel() for m in value(x, p))
+            f, g = (array_of(m).ravel() for m in value(x, p))
             bad = np.flatnonzero(~np.isfinite(g))
             if bad.size:
                 return f"no finite value of row: {self.nlp.rows.entry(int(bad[0]))}"
@@ -381,7 +382,7 @@ def kkt_residual(nlp: Nlp, raw: RawSolution, parameters: np.ndarray | None = Non
     lagrangian = type(nlp.x).sym("lam", nlp.g.numel())
     gradient = ca.gradient(nlp.f, nlp.x) + ca.mtimes(ca.jacobian(nlp.g, nlp.x).T, lagrangian)
     function = ca.Function("kkt", [nlp.x, nlp.p, lagrangian], [gradient, nlp.g])
-    slope, g = (m.full().ravel() for m in function(raw.x, p, raw.multipliers_g))
+    slope, g = (array_of(m).ravel() for m in function(raw.x, p, raw.multipliers_g))
     worst = float(np.abs(slope + raw.multipliers_x).max(initial=0.0))
     for value, lower, upper, multiplier in (
         (raw.x, nlp.lower_x, nlp.upper_x, raw.multipliers_x),

@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver
+from stiffopt.symbolic import array_of
 from stiffopt.transcription.nlp import Blocks, Nlp, NlpEntry
 from stiffopt.transcription.ocp import Rows
 
@@ -99,9 +100,9 @@ def _least(
     begin = np.append(np.clip(x, nlp.lower_x, nlp.upper_x), relaxed.slacks)
     raw = IpoptSolver(relaxed.nlp, options).solve(begin, parameters, max_seconds=max_seconds)
     slack = relaxed.unscaled(np.maximum(raw.x[n:], 0.0))
-    multipliers = (relaxed.selection.T @ ca.DM(raw.multipliers_g)).full().ravel()
+    multipliers = array_of(relaxed.selection.T @ ca.DM(raw.multipliers_g)).ravel()
     g, _ = nlp.derivatives["jac_g"](raw.x[:n], nlp.parameters(parameters))
-    named = relaxed.named(nlp.violations(g.full()), slack)
+    named = relaxed.named(nlp.violations(array_of(g)), slack)
     known = {(entry.name, entry.label) for entry in named}
     held = nlp.conflicts(raw.multipliers_x[:n], multipliers)
     named += [entry for entry in held if (entry.name, entry.label) not in known]
@@ -198,7 +199,7 @@ class _Relaxed:
         nlp = self._first
         inside = np.clip(x, nlp.lower_x, nlp.upper_x)
         g, _ = nlp.derivatives["jac_g"](inside, nlp.parameters(self._parameters))
-        excess = np.nan_to_num(nlp.violations(g.full()), nan=1.0, posinf=1e6)
+        excess = np.nan_to_num(nlp.violations(array_of(g)), nan=1.0, posinf=1e6)
         found = np.zeros(self.count)
         free = self._groups >= 0
         np.maximum.at(found, self._groups[free], excess[free])

@@ -23,6 +23,7 @@ from stiffopt.solver.monitor import Progress
 from stiffopt.solver.phase_one import least_excess
 from stiffopt.solver.plan import SolveStage, solver_options
 from stiffopt.solver.solve_run import SolveProgress, SolveRun
+from stiffopt.symbolic import array_of
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import Mesh, uniform_mesh
 from stiffopt.transcription.nlp import BlockScales, Nlp
@@ -382,7 +383,7 @@ def _excess(transcription: Transcription, guess: Guess, smoothing: Smoothing) ->
     nlp = transcription.nlp
     rows = ca.Function("rows", [nlp.x, nlp.p], [nlp.g])
     found = rows(transcription.pack(guess), nlp.parameters(smoothing.parameters))
-    return float(nlp.violations(found.full()).max(initial=0.0))
+    return float(nlp.violations(array_of(found)).max(initial=0.0))
 
 
 def _uniform(ocp: OptimalControlProblem, stage: SolveStage, guess: Guess) -> Mesh:

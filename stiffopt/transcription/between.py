@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from stiffopt.symbolic import array_of
 from stiffopt.transcription.nlp import Block, Nlp
 from stiffopt.transcription.transcription import Transcription
 
@@ -59,16 +60,14 @@ def excess_of(
     inside = np.linspace(0.0, 1.0, _POINTS, endpoint=False)
     times = np.append((breaks[:-1, None] + steps[:, None] * inside).ravel(), breaks[-1])
     share = times / breaks[-1]
-    values = (
+    values = array_of(
         rows.map(len(times))(
             motion.states(share).T,
             motion.controls(share).T,
             ca.repmat(ca.DM(motion.statics), 1, len(times)),
             ca.repmat(ca.DM(parameters), 1, len(times)),
         )
-        .full()
-        .T
-    )
+    ).T
     largest: dict[str, float] = {}
     near = []
     for block, entries in transcription.path_blocks:

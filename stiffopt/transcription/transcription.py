@@ -11,6 +11,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 
 from stiffopt.errors import ProblemError
+from stiffopt.symbolic import array_of
 from stiffopt.transcription import grid
 from stiffopt.transcription.chain_splines import ChainSplines
 from stiffopt.transcription.mesh import Mesh
@@ -155,7 +156,7 @@ class Transcription:
             duration=float(durations.sum()),
             phase_durations=durations,
             breaks=np.concatenate([[0.0], np.cumsum(steps)]),
-            integrals=np.asarray(integrals.full()).ravel(),
+            integrals=array_of(integrals).ravel(),
             objective=float(objective),
         )
 

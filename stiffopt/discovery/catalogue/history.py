@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from stiffopt.symbolic import Quantity, is_symbolic
+from stiffopt.symbolic import Quantity, array_of, is_symbolic
 
 # (state, inputs of one sample, parameters) -> (next state, output), in NumPy style.
 Step = Callable[[Quantity, Sequence[Quantity], Sequence[Quantity]], tuple[Quantity, Quantity]]
@@ -81,7 +81,7 @@ def scan(
     symbolic = any(is_symbolic(p) for p in parameters)
     own = ca.vertcat(*parameters) if parameters else ca.DM.zeros(0, 1)
     _, output = mapped(ca.DM(list(state)), samples, ca.repmat(own, 1, count))
-    return output if symbolic else output.full().ravel()
+    return output if symbolic else array_of(output).ravel()
 
 
 @lru_cache(maxsize=64)

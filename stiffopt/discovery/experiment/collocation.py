@@ -16,7 +16,7 @@ from stiffopt.discovery.experiment.separation import Separation
 from stiffopt.dynamics.newton_euler import newton_euler
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.ipopt import IpoptOptions, IpoptSolver
-from stiffopt.symbolic import Quantity
+from stiffopt.symbolic import Quantity, array_of
 from stiffopt.transcription import (
     Guess,
     OptimalControlProblem,
@@ -213,7 +213,7 @@ class _Instant:
         s = run.signals
         function = ca.Function("along", [self.q, self.v, self.a], [ca.densify(formula)])
         points = (s.motor_position.T, s.motor_velocity.T, s.motor_acceleration.T)
-        return np.asarray(function.map(len(run.time))(*points).full().T)
+        return np.asarray(array_of(function.map(len(run.time))(*points)).T)
 
     def _in_model(self) -> tuple[Any, Any, Any]:
         full = []
@@ -251,7 +251,7 @@ def _problem(model: _Instant, motion: Trajectory, limits: MotionLimits) -> Optim
     end = np.concatenate([limits.upper, np.zeros(n)])
     times = np.linspace(0.0, motion.duration, 200)
     function = ca.Function("size", [model.q, model.v, model.a], [integrand])
-    along = function.map(len(times))(*(motion(times, k).T for k in range(3))).full()
+    along = array_of(function.map(len(times))(*(motion(times, k).T for k in range(3))))
     return OptimalControlProblem(
         name="next experiment",
         states=(*(f"{j} position" for j in names), *(f"{j} velocity" for j in names)),
