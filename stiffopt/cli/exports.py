@@ -81,6 +81,6 @@ def _found(result: Path, to: str, recordings: Path, effects: Path | None) -> dic
     from stiffopt.export.model_format import MODEL_FORMATS, notes
 
     found = read_found(result, recordings, effects)
-    for line in notes(found):
+    for line in (*notes(found), *MODEL_FORMATS[to].remarks(found)):
         print(line)
     return {MODEL_FORMATS[to].file: MODEL_FORMATS[to].text(found)}

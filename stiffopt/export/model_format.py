@@ -26,6 +26,10 @@ class ModelFormat(ABC):
     def text(self, found: FoundRobot) -> str:
         """Content of the file."""
 
+    def remarks(self, found: FoundRobot) -> list[str]:
+        """What else is not in it as in the robot, a line each."""
+        return []
+
 
 def notes(found: FoundRobot) -> list[str]:
     """What was changed and what has no place in such a model, a line each."""

@@ -37,7 +37,7 @@ def compared(first: Path, second: Path) -> tuple[str, list[Row]]:
     for key in dict.fromkeys((*one, *two)):
         a, b = one.get(key), two.get(key)
         if not _equal(a, b):
-            rows.append((key, _text(a), _text(b), _change(a, b)))
+            rows.append((key, _text(a), _text(b), _change(key, a, b)))
     return names[0], rows
 
 
@@ -77,6 +77,9 @@ def _text(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def _change(a: Any, b: Any) -> str:
+def _change(key: str, a: Any, b: Any) -> str:
+    if key.rpartition(".")[2] == "joint":
+        # Which one, not how much.
+        return ""
     numbers = all(isinstance(v, float | int) and not isinstance(v, bool) for v in (a, b))
     return more(b, a, 3) if numbers and a else ""

@@ -14,6 +14,7 @@ from stiffopt.cli import run
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import with_changes
 from stiffopt.problem.files import load_problem
+from stiffopt.report.compare import compared
 from stiffopt.solver.solve import solve
 
 TWO_LINK = ROOT / "problems" / "two_link.toml"
@@ -109,6 +110,15 @@ def test_one_entry_changed_for_a_run_and_the_answers_compared(tmp_path, capsys):
     assert run(["compare", str(one), str(tmp_path)]) == 2
     assert run(["solve", str(TWO_LINK), "--set", "motion.durration=1 s"]) == 2
     assert "Did you mean 'duration'?" in capsys.readouterr().err
+
+
+def test_another_joint_is_no_percentage(tmp_path):
+    for name, joint, time in (("one", 6, 1.0), ("two", 4, 1.5)):
+        (tmp_path / name).mkdir()
+        answer = {"worst": {"joint": joint, "time": time}}
+        (tmp_path / name / "result.json").write_text(json.dumps(answer))
+    _, rows = compared(tmp_path / "one", tmp_path / "two")
+    assert rows == [("worst.joint", "6", "4", ""), ("worst.time", "1", "1.5", "+50 %")]
 
 
 def test_the_report_opens_where_it_is_asked_for(tmp_path, monkeypatch):

@@ -15,6 +15,9 @@ from stiffopt.export.model_format import MODEL_FORMATS, ModelFormat, notes
 # MuJoCo's dry friction is a soft constraint: these make it nearly full at 1 mrad/s.
 _FRICTION_TIME, _FRICTION_IMPEDANCE = 0.002, "0.9999 0.9999 0.001 0.5 2"
 
+# MuJoCo's least moment of inertia is 1e-15 kg m^2; and what rounding needs of the largest.
+_LEAST_MOMENT, _LEAST_SHARE = 1e-9, 1e-6
+
 
 class Mjcf(ModelFormat):
     """Bodies with inertias, joints with `frictionloss`, `damping` and `armature`, motors.
@@ -32,7 +35,7 @@ class Mjcf(ModelFormat):
         """Content of found.xml."""
         robot = found.robot
         root = ET.Element("mujoco", model=found.name)
-        for line in notes(found):
+        for line in (*notes(found), *self.remarks(found)):
             root.append(ET.Comment(f" {line.replace('--', '- -')} "))
         ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false")
         gravity = robot.tree.gravity
@@ -58,6 +61,16 @@ class Mjcf(ModelFormat):
         ET.indent(root)
         return ET.tostring(root, encoding="unicode") + "\n"
 
+    def remarks(self, found: FoundRobot) -> list[str]:
+        """Bodies whose inertia MuJoCo would refuse."""
+        return [
+            f"inertia behind {name} belongs to no body, and MuJoCo refuses it: moments of"
+            f" {_listed(before)} kg m^2 become {_listed(after)}"
+            for name, body in zip(found.robot.joint_names, found.robot.tree.bodies, strict=True)
+            for before, _ in [np.linalg.eigh(body.inertia)]
+            if (after := _possible(before)) is not before
+        ]
+
     def _body(self, parent: ET.Element, found: FoundRobot, j: int) -> ET.Element:
         robot = found.robot
         body, name = robot.tree.bodies[j], robot.joint_names[j]
@@ -80,7 +93,7 @@ class Mjcf(ModelFormat):
             "inertial",
             pos=_numbers(body.centre),
             mass=repr(float(body.mass)),
-            fullinertia=_numbers(body.inertia[rows, columns]),
+            fullinertia=_numbers(_of_a_body(body.inertia)[rows, columns]),
         )
         joint = {
             "name": name,
@@ -95,6 +108,27 @@ class Mjcf(ModelFormat):
         }
         ET.SubElement(element, "joint", joint)
         return element
+
+
+def _of_a_body(inertia: np.ndarray) -> np.ndarray:
+    """The inertia (3, 3), or the nearest that a body can have with the same largest moment."""
+    moments, axes = np.linalg.eigh(inertia)
+    raised = _possible(moments)
+    return inertia if raised is moments else axes @ np.diag(raised) @ axes.T
+
+
+def _possible(moments: np.ndarray) -> np.ndarray:
+    """Principal moments (3,), in order: themselves, or raised until two make up the third."""
+    least = max(_LEAST_MOMENT, _LEAST_SHARE * moments[2])
+    if moments[0] >= least and moments[0] + moments[1] >= moments[2]:
+        return moments
+    raised = np.maximum(moments, least)
+    lacking = (1.0 + _LEAST_SHARE) * raised[2] - raised[0] - raised[1]
+    return raised + 0.5 * max(lacking, 0.0) * np.array([1.0, 1.0, 0.0])
+
+
+def _listed(moments: np.ndarray) -> str:
+    return ", ".join(f"{each:.4g}" for each in moments)
 
 
 def _range(kind: str, low: float, high: float) -> dict[str, str]:

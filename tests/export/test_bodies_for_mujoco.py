@@ -1,0 +1,44 @@
+"""Inertias of URDFs that belong to no body, in an MJCF: MuJoCo would refuse them."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from small_arms import PLANAR
+
+from stiffopt.export.found import FoundRobot
+from stiffopt.export.model_format import MODEL_FORMATS
+from stiffopt.robot.files import load_robot
+
+
+@pytest.mark.parametrize(
+    "moments",
+    [
+        (0.01, 0.02, 0.5),  # as of a URDF of a large arm: x and y together less than z
+        (0.0, 0.0, 0.0),
+        (0.2, 0.2, 0.2),
+    ],
+)
+def test_mujoco_reads_bodies_that_cannot_be(moments, tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    values = dict(zip(("ixx", "iyy", "izz"), moments, strict=True))
+    written = " ".join(f'{key}="{value}"' for key, value in values.items())
+    inertia = f'<inertia {written} ixy="0" ixz="0" iyz="0"/>'
+    *parts, last = re.split(r"<inertia [^>]*/>", PLANAR)
+    (tmp_path / "arm.urdf").write_text(inertia.join([*parts, last]))
+    arm = load_robot(tmp_path / "arm.urdf")
+    found = FoundRobot(
+        name="arm", nominal=arm, robot=arm, gain=np.ones(arm.n), changes=(), left_out=()
+    )
+    mjcf = MODEL_FORMATS["mjcf"]
+    model = mujoco.MjModel.from_xml_string(mjcf.text(found))
+    said = mjcf.remarks(found)
+    assert np.sort(model.body_inertia[2])[2] == pytest.approx(max(moments), abs=1e-8)
+    if moments[0] == 0.2:
+        assert said == []
+        assert model.body_inertia[2] == pytest.approx(moments)
+    else:
+        assert len(said) == arm.n
+        assert "belongs to no body, and MuJoCo refuses it" in said[0]
