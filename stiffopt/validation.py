@@ -29,7 +29,7 @@ _FORMS = ("model_type", "dataclass_type", "list_type", "dict_type", "literal_err
 class Section(BaseModel):
     """Base of every file section: unknown keys are errors, values do not change afterwards."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 def validate(model: type[Model], data: Mapping[str, Any], path: object) -> Model:

@@ -21,7 +21,6 @@ from stiffopt.robot.element_sections import Cited
 from stiffopt.robot.elements import ElementBuilder, located
 from stiffopt.robot.frames import LinkFrame, link_frame, link_names
 from stiffopt.robot.link_shapes import read_link_shapes
-from stiffopt.robot.own_catalogue import read_own_catalogue
 from stiffopt.robot.robot import Robot, Source
 from stiffopt.robot.schema import JointSection, PlaceSection, RobotFile, robot_file
 from stiffopt.robot.urdf import UNLIMITED, LinkBody, load_urdf
@@ -101,7 +100,12 @@ def load_robot(
 def _own_entries(data: Mapping[str, Any], path: Path) -> OwnEntries:
     """The user's own catalogue, where the file has one: names are checked with the rest."""
     named = data.get("catalogue")
-    return read_own_catalogue(path.parent / named) if isinstance(named, str) else {}
+    if not isinstance(named, str):
+        return {}
+    # Its sections need a while to load, and few have one.
+    from stiffopt.robot.own_catalogue import read_own_catalogue
+
+    return read_own_catalogue(path.parent / named)
 
 
 def own_entries_of(source: object, folder: Path) -> OwnEntries:
