@@ -114,7 +114,7 @@ def _of_a_body(inertia: np.ndarray) -> np.ndarray:
     """The inertia (3, 3), or the nearest that a body can have with the same largest moment."""
     moments, axes = np.linalg.eigh(inertia)
     raised = _possible(moments)
-    return inertia if raised is moments else axes @ np.diag(raised) @ axes.T
+    return inertia if raised is moments else np.asarray(axes @ np.diag(raised) @ axes.T)
 
 
 def _possible(moments: np.ndarray) -> np.ndarray:
