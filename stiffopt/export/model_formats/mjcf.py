@@ -114,7 +114,7 @@ def _of_a_body(inertia: np.ndarray) -> np.ndarray:
     """The inertia (3, 3), or the nearest that a body can have with the same largest moment."""
     moments, axes = np.linalg.eigh(inertia)
     raised = _possible(moments)
-    return inertia if raised is moments else np.asarray(axes @ np.diag(raised) @ axes.T)
+    return inertia if raised is moments else axes @ np.diag(raised) @ axes.T
 
 
 def _possible(moments: np.ndarray) -> np.ndarray:
@@ -122,9 +122,10 @@ def _possible(moments: np.ndarray) -> np.ndarray:
     least = max(_LEAST_MOMENT, _LEAST_SHARE * moments[2])
     if moments[0] >= least and moments[0] + moments[1] >= moments[2]:
         return moments
-    raised = np.maximum(moments, least)
-    lacking = (1.0 + _LEAST_SHARE) * raised[2] - raised[0] - raised[1]
-    return raised + 0.5 * max(lacking, 0.0) * np.array([1.0, 1.0, 0.0])
+    raised: np.ndarray = np.maximum(moments, least)
+    lacking = float((1.0 + _LEAST_SHARE) * raised[2] - raised[0] - raised[1])
+    raised[:2] += 0.5 * max(lacking, 0.0)
+    return raised
 
 
 def _listed(moments: np.ndarray) -> str:
