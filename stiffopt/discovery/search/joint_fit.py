@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
 from stiffopt.discovery.search.candidates import Candidate, Scorer
 from stiffopt.discovery.search.left_out import borne_out
 from stiffopt.discovery.search.uncertainty import significance
@@ -51,10 +51,26 @@ def fitted_jointly(
         if located.effect.shapes:
             others = [e for k, e in enumerate(refined) if k != i]
             scorer = Scorer(current, others)
-            scored = scorer.score(refined[i])
+            scored = scorer.score(refined[i]) or _from_starts(scorer, refined[i])
             if scored is not None:
                 refined[i] = scorer.refine(scored).located
     return start.about(current.fit(refined)), refined
+
+
+def _from_starts(scorer: Scorer, located: LocatedEffect) -> Candidate | None:
+    """The best of the shapes that an effect starts from at its place; None where none can be.
+
+    Shapes that were fitted beside another effect may ask for amplitudes that cannot be once that
+    one has gone.
+    """
+    comparison = scorer.comparison
+    runs = [run.name for run in comparison.runs]
+    found = [
+        scored
+        for each in places(located.effect, comparison.constants, runs)
+        if each.same_place(located) and (scored := scorer.score(each)) is not None
+    ]
+    return max(found, key=lambda each: each.evidence, default=None)
 
 
 def pruned(comparison: Comparison, effects: list[LocatedEffect]) -> list[LocatedEffect]:
