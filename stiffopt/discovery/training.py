@@ -31,6 +31,8 @@ Say = Callable[[str], object]
 
 # Wind-up of a joint beyond which it is no drivetrain's, [rad] or [m].
 _SOFTEST = 1.0
+# No spring of a joint takes longer to follow its torque [s].
+_CREEPS = 10.0
 # Least noise of a torque over its largest value: 24 bits tell no less.
 _QUIETEST = 2.0**-24
 
@@ -147,7 +149,7 @@ def train(
             notes.append(_unusable(run))
             continue
         probe = prepare(robot, run, len(opened), None, settings, swinging=swinging)
-        _check_nominal(recordings, run, probe)
+        _check_nominal(robot, run, probe)
         if not (probe.torque_used.any() or probe.deflection_used.any()):
             notes.append(_nothing_to_fit(run, probe))
             continue
@@ -238,9 +240,9 @@ def _with_bands(
     return replace(settings, cutoff=bands.fit, predict=bands.predict), note
 
 
-def _check_nominal(recordings: RecordingSet, run: RecordedRun, ready: PreparedRun) -> None:
+def _check_nominal(robot: RobotModel, run: RecordedRun, ready: PreparedRun) -> None:
     """Raise `InputFileError` where the nominal model says nothing of a run that can be compared."""
-    signals = ready.signals
+    recordings, signals = robot.recordings, ready.signals
     if not np.isfinite(signals.drive_torque).all():
         raise InputFileError(
             recordings.path,
@@ -248,7 +250,7 @@ def _check_nominal(recordings: RecordingSet, run: RecordedRun, ready: PreparedRu
             f"the nominal model gives no finite torque along {run.file}. Check its positions and "
             "times, and masses and stiffnesses of the robot.",
         )
-    _check_damping(recordings, ready)
+    _check_damping(robot, ready)
     widest = np.abs(signals.windup).max(axis=0)
     joint = int(widest.argmax())
     if widest[joint] > _SOFTEST:
@@ -262,10 +264,12 @@ def _check_nominal(recordings: RecordingSet, run: RecordedRun, ready: PreparedRu
         )
 
 
-def _check_damping(recordings: RecordingSet, probe: PreparedRun) -> None:
+def _check_damping(robot: RobotModel, probe: PreparedRun) -> None:
     """Raise `InputFileError` where a joint would creep back instead of swinging."""
-    swing = probe.swing
+    recordings, swing = robot.recordings, probe.swing
     if swing is None:
+        if robot.swings:
+            _check_creep(robot)
         return
     inertia = np.diagonal(swing.bodies[2], axis1=1, axis2=2)
     critical = 2.0 * np.sqrt(np.max(swing.stiffness * inertia, axis=0))
@@ -278,6 +282,22 @@ def _check_damping(recordings: RecordingSet, probe: PreparedRun) -> None:
             f"{critical[j]:.3g} of the joint swinging alone. Joints have 1 to 5 % of that; give "
             "the damping of the spring, not the friction of the drive.",
         )
+
+
+def _check_creep(robot: RobotModel) -> None:
+    """Raise `InputFileError` where a spring would not have followed its torque within a run."""
+    recordings = robot.recordings
+    slope = robot.compliance(np.zeros((1, robot.n)))[0]
+    for j, joint in enumerate(robot.constants.joints):
+        if joint.joint_damping * slope[j] > _CREEPS:
+            unit = joint_unit("N m s/rad", bool(recordings.prismatic[j]))
+            raise InputFileError(
+                recordings.path,
+                "nominal.joint_damping",
+                f"{joint.joint_damping:g} {unit} at {recordings.joints[j]!r} lets its spring follow"
+                f" a torque within {joint.joint_damping * slope[j]:.3g} s; allowed are {_CREEPS:g}"
+                " s. Give the damping of the spring, 1 to 5 % of the critical one.",
+            )
 
 
 def _check_noise(recordings: RecordingSet, noise: KnownNoise, runs: Sequence[PreparedRun]) -> None:

@@ -26,6 +26,8 @@ _FAR = 50.0
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 # No link of an arm has its mass so far from its centre [m].
 _WIDE = 10.0
+# No body of a robot is smaller than an atom [m].
+_ATOM = 1e-10
 # A smaller share of an arm's mass or inertia does not matter.
 _MATTERS = 1e-3
 # Limits that are meant as none are written larger.
@@ -271,6 +273,11 @@ def _check_gyrations(tree: ET.Element, path: Path) -> None:
     }
     arm = sum(mass for mass, _ in sizes.values())
     for name, (mass, moment) in sizes.items():
+        if 0.0 < moment < mass * _ATOM**2:
+            raise RobotError(
+                f"{path}: link {name!r}: {mass:g} kg with {moment:g} kg m^2 lie within an atom."
+                " Give the moments of the body, or 0 for a mass in one point."
+            )
         if not 0.0 < mass * _WIDE**2 < moment:
             continue
         # Frames for a tool or a sensor are given some small numbers at times.

@@ -59,6 +59,7 @@ def test_a_robot_takes_the_damping_that_was_found():
     [
         ("joint_damping", "[-1.0, 2.0]", r"joint_damping.*0"),
         ("joint_damping", "[9e5, 2.0]", r"9e\+?0?5|900000.*above the critical"),
+        ("joint_damping", "[5.0, 1e12]", r"1e\+12 N m s/rad at 'joint2'.*spring"),
         ("stiffness", "1.5", r"tolerance\.stiffness.*1"),
     ],
 )
@@ -89,5 +90,6 @@ def test_a_damping_above_critical_is_told_in_the_unit_of_its_joint() -> None:
         damping=np.array([300.0]),
     )
     probe: Any = SimpleNamespace(swing=swing)
+    robot: Any = SimpleNamespace(recordings=told)
     with pytest.raises(InputFileError, match="300 N s/m at 'lift' is above the critical 200"):
-        _check_damping(told, probe)
+        _check_damping(robot, probe)

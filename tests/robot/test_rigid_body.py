@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from small_arms import ROOT
 
 from stiffopt.certificate.rigid_body import link_torques
 from stiffopt.errors import RobotError
@@ -16,6 +17,7 @@ from stiffopt.robot.rotations import (
     rotation_vector,
     rpy_from_rotation,
 )
+from stiffopt.robot.urdf import load_urdf
 
 ROBOT = load_robot("er3a_c60")
 Q, V, A = np.random.default_rng(4).uniform(-1.0, 1.0, (3, 6))
@@ -127,3 +129,14 @@ def test_rotations_turn_back_and_meet_half_way() -> None:
     np.testing.assert_allclose(
         rotation_vector(first.T @ half), rotation_vector(half.T @ last), atol=1e-12
     )
+
+
+def test_a_body_smaller_than_an_atom_is_refused(tmp_path):
+    text = (ROOT / "problems" / "two_link.urdf").read_text()
+    assert '"0.5"' in text
+    path = tmp_path / "tiny.urdf"
+    path.write_text(text.replace('"0.5"', '"1e-30"'))
+    with pytest.raises(RobotError, match=r"link 'link_1'.*within an atom"):
+        load_urdf(path)
+    path.write_text(text.replace('"0.5"', '"0"'))
+    load_urdf(path)
