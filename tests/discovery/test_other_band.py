@@ -8,6 +8,7 @@ from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.judging import other_band
 from stiffopt.discovery.judging.other_band import beyond_chance, doubted_by_band
 from stiffopt.discovery.search.uncertainty import estimate
 from stiffopt.discovery.settings import Settings
@@ -26,10 +27,21 @@ def test_means_of_all_and_of_half_differ_by_chance(wrong: float, least: float, m
     assert least < np.sum(found**2) / np.sum(away**2) < most
 
 
-def test_a_law_that_holds_is_hardly_doubted() -> None:
-    """Dry friction is the same in every band."""
+@pytest.mark.parametrize("after_model", [False, True])
+def test_a_law_that_holds_is_hardly_doubted(
+    after_model: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Dry friction is the same in every band; chance counts where a model was started from."""
     training = train(load_recordings(SHIPPED), Settings())
     comparison = training.comparison()
+    comparison.after_model = after_model
+    asked: list[np.ndarray] = []
+
+    def seen(away: np.ndarray, less: np.ndarray, more: np.ndarray) -> np.ndarray:
+        asked.append(away)
+        return beyond_chance(away, less, more)
+
+    monkeypatch.setattr(other_band, "beyond_chance", seen)
     there = LocatedEffect(effect=effect("coulomb"), joint=1)
     known = estimate(comparison, [there])
     doubted = doubted_by_band(training, comparison, known)
@@ -37,3 +49,4 @@ def test_a_law_that_holds_is_hardly_doubted() -> None:
     before, after = (each.parameters(0, constants)["dFc"] for each in (known, doubted))
     assert after[0] == before[0]
     assert before[1] <= after[1] < 1.5 * before[1]
+    assert bool(asked) == after_model

@@ -26,8 +26,9 @@ _UNSEEN, _WIDEST = 0.5, 100.0
 def doubted_by_band(training: Training, comparison: Comparison, parameters: Estimate) -> Estimate:
     """The estimate, where what half the band says otherwise counts as one standard deviation.
 
-    Less what it may say otherwise by chance: of two estimates of which one has all that the other
-    has, the difference varies as their variances differ (Hausman 1978).
+    Where an extended model was started from, less what it may say otherwise by chance: of two
+    estimates of which one has all that the other has, the difference varies as their variances
+    differ (Hausman 1978). Elsewhere everything may be missing, and variances are too small.
 
     Parameters
     ----------
@@ -47,13 +48,15 @@ def doubted_by_band(training: Training, comparison: Comparison, parameters: Esti
         return parameters
     other = replace(training, runs=tuple(runs)).comparison().with_bodies(comparison.bodies)
     other = other.moved(comparison.columns.found, comparison.inflation)
-    half = estimate(other, [each.located for each in parameters.effects])
+    located = [each.located for each in parameters.effects]
     first, last = len(parameters.nuisance), len(parameters.values)
-    away = beyond_chance(
-        half.values[len(half.nuisance) :] - parameters.values[first:],
-        _variances(half)[len(half.nuisance) : len(half.values)],
-        _variances(parameters)[first:last],
-    )
+    if comparison.after_model:
+        half = estimate(other, located)
+        less = _variances(half)[len(half.nuisance) : len(half.values)]
+        away = half.values[len(half.nuisance) :] - parameters.values[first:]
+        away = beyond_chance(away, less, _variances(parameters)[first:last])
+    else:
+        away = other.fit(located).amplitudes() - parameters.values[first:]
     own = np.diag(parameters.covariance)[first:last]
     bounds = np.concatenate([e.located.bounds(training.constants) for e in parameters.effects])
     range_ = np.minimum(bounds[:, 1] - bounds[:, 0], _WIDEST)
