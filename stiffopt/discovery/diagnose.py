@@ -35,6 +35,7 @@ from stiffopt.discovery.judging.other_band import doubted_by_band
 from stiffopt.discovery.judging.shares import parts_of
 from stiffopt.discovery.judging.torque_scale import doubted_by_scale
 from stiffopt.discovery.judging.unexplained import Unexplained, assess_findings
+from stiffopt.discovery.judging.variance_explained import variance_explained
 from stiffopt.discovery.sanity.doubt import Doubt, DoubtfulRecordings
 from stiffopt.discovery.sanity.gate import SanityGate
 from stiffopt.discovery.search.candidates import Scorer
@@ -301,7 +302,13 @@ def _parameters(
         estimated = unless_stopped(stopped, ONE_BAND, lambda: asked(first)) or first
         return kept, doubted_by_left_open(training, estimated)
 
-    return beyond_deviation(selected, doubted)
+    def explained(found: Sequence[Selected]) -> Sequence[float]:
+        located, channels = zip(*((s.located, s.channel) for s in found), strict=True)
+        return variance_explained(comparison, located, channels)
+
+    # A change since a model was made is judged by what that left open, not by the noise.
+    asked_for = None if comparison.after_model else explained
+    return beyond_deviation(selected, doubted, asked_for)
 
 
 def _predicted(opened: HeldOut, recordings: RecordingSet, stopped: list[str], say: Say) -> None:

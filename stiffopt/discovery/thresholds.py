@@ -48,6 +48,8 @@ BORNE_OUT_SHARE = 0.5
 # Deviations from nothing that a finding has at least; and a value that every joint has and the
 # nominal model does not give.
 NOTHING_DEVIATIONS, UNSTATED_DEVIATIONS = 2.0, 1.0
+# Share of its channel that it takes away in recordings left out: less is told as 0 %.
+NOTHING_SHARE = 0.005
 
 # ---- When recordings left out bear it out [0036, 0045]
 

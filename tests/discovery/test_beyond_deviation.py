@@ -51,6 +51,22 @@ def test_a_deviation_as_large_as_its_value_takes_it(
     assert [e.located for e in known.effects] == [s.located for s in kept]
 
 
+@pytest.mark.parametrize(
+    ("nominal", "share", "stays"), [("", 0.0, 0), ("", 0.1, 1), ("coulomb", 0.0, 1)]
+)
+def test_what_explains_nothing_is_none(nominal: str, share: float, stays: int) -> None:
+    """However sure its value is."""
+    comparison = train(load_recordings(SHIPPED), Settings()).comparison()
+    friction = replace(effect("coulomb"), nominal=nominal)
+    there = Selected(LocatedEffect(effect=friction, joint=1), 1.0, 1.0, 1.0, (), 1)
+
+    def estimated(found: Sequence[Selected]) -> Found:
+        return tuple(found), estimate(comparison, [s.located for s in found])
+
+    kept, _ = beyond_deviation([there], estimated, lambda found: [share] * len(found))
+    assert len(kept) == stays
+
+
 def test_a_place_that_is_passed_once_is_no_finding(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its shapes were fitted to that moment, and no other part could contradict them."""
     place = LocatedEffect(effect=effect("position_friction"), joint=0, shapes=(0.5, 0.1))

@@ -12,13 +12,19 @@ from collections.abc import Callable, Sequence
 
 from stiffopt.discovery.search.rivals import Selected
 from stiffopt.discovery.search.uncertainty import Estimate
-from stiffopt.discovery.thresholds import NOTHING_DEVIATIONS, UNSTATED_DEVIATIONS
+from stiffopt.discovery.thresholds import (
+    NOTHING_DEVIATIONS,
+    NOTHING_SHARE,
+    UNSTATED_DEVIATIONS,
+)
 
 Found = tuple[tuple[Selected, ...], Estimate]
 
 
 def beyond_deviation(
-    selected: Sequence[Selected], estimated: Callable[[Sequence[Selected]], Found]
+    selected: Sequence[Selected],
+    estimated: Callable[[Sequence[Selected]], Found],
+    explained: Callable[[Sequence[Selected]], Sequence[float]] | None = None,
 ) -> Found:
     """What was found and how sure it is, without what may be nothing: one after another.
 
@@ -27,6 +33,9 @@ def beyond_deviation(
     selected : sequence of Selected
     estimated : callable
         -> those of some findings that are borne out, and all that is known of their values.
+    explained : callable, optional
+        -> share of its channel that each takes away in recordings left out; what takes nothing
+        that can be told explains nothing.
 
     Notes
     -----
@@ -36,6 +45,12 @@ def beyond_deviation(
     while True:
         kept, parameters = estimated(selected)
         excess = [_excess(each, parameters, k) for k, each in enumerate(kept)]
+        if explained is not None and kept and min(excess) >= 0.0:
+            # Of what every joint has nobody doubts that it is there.
+            excess = [
+                0.0 if each.located.effect.nominal else share - NOTHING_SHARE
+                for each, share in zip(kept, explained(kept), strict=True)
+            ]
         if not excess or min(excess) >= 0.0:
             return kept, parameters
         least = excess.index(min(excess))

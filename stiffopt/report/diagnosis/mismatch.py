@@ -164,7 +164,10 @@ def _beside_rod(diagnosis: Diagnosis) -> str:
     if rod.depends or not left.regressors or left.gain < SHOWN_SHARE:
         return ""
     what = listed(regressor_words(each) for each in left.regressors)
-    return f" How what is left follows {what} within the training runs does not carry over to them."
+    return (
+        f" How what is left follows {what} within the training runs does not carry over to runs"
+        " left out."
+    )
 
 
 def counterbalance_sentences(diagnosis: Diagnosis) -> list[str]:
