@@ -17,6 +17,8 @@ _LEAST_INTERVALS = 16
 _MOST_COARSE, _MOST_MIDDLE = 60, 100
 # Iterations without a point that keeps all rows, after which it is asked whether there is any.
 _PATIENCE = 100
+# First barrier of a minimum duration, and so its bounds' multipliers.
+_DURATION_BARRIER = 1e-3
 # IPOPT's names of how far a start is moved from bounds.
 _PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 
@@ -88,6 +90,10 @@ def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOp
     if len(smoothing_stages(problem)) == 1 and not problem.plans_links:
         # Of smooth programmes the residual of a step is small enough as it is: refined if not.
         extra["min_refinement_steps"] = 0
+    fastest = any(each.name == "duration" for each in problem.objectives)
+    if fastest and not problem.plans_links:
+        # Beside one duration, multipliers of 1 at thousands of bounds lead far into the inside.
+        extra |= {"bound_mult_init_method": "mu-based", "mu_init": _DURATION_BARRIER}
     if problem.plans_links and near:
         # Multipliers of a small barrier, else the motion is first led far away from where it is.
         extra |= {"bound_mult_init_method": "mu-based", "mu_init": 1e-4}

@@ -1,15 +1,21 @@
 """How fine meshes are reached."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from stiffopt.baseline.baselines import baselines
 from stiffopt.problem.files import load_problem
-from stiffopt.problem.formulation import Scales
+from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.objective import Objective
 from stiffopt.problem.resolve import resolve
-from stiffopt.solver.plan import stages
+from stiffopt.solver.guess import initial_guess
+from stiffopt.solver.ipopt import IpoptSolver
+from stiffopt.solver.plan import solver_options, stages
 from stiffopt.solver.solve_run import SolveRun
+from stiffopt.transcription.build import transcribe
+from stiffopt.transcription.mesh import uniform_mesh
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 
@@ -32,3 +38,16 @@ def test_a_solve_begins_with_corners_as_wide_as_a_smooth_motion_needs(jerk, corn
     run = SolveRun(problem, motion, Scales(), None, quintic)
     assert run.corners == corners
     assert {s.smoothing.corners for s in stages(problem, 40, run.corners)} == {corners}
+
+
+def test_a_minimum_duration_is_not_first_led_far_from_where_it_begins():
+    problem = load_problem(PROBLEMS / "ur10_torque_squared.toml").problem
+    problem = replace(problem, duration=(0.3, 5.0), objectives=(Objective(name="duration"),))
+    motion = resolve(problem)
+    ocp = formulate(problem, motion, Scales())
+    made = transcribe(ocp, problem.method.transcription, uniform_mesh(20))
+    guess = initial_guess(problem, motion, baselines(problem, motion))
+    found = IpoptSolver(made.nlp, solver_options(problem)).solve(made.pack(guess), ocp.parameters)
+    assert found.status == "optimal"
+    # With IPOPT's own first multipliers it comes from 1.2 s by way of 4.3 s to 1.0 s.
+    assert max(each.objective for each in found.history) < 1.5 * guess.duration
