@@ -222,7 +222,9 @@ def _counterweights(
         ]
         gain = squares - min(instead, default=math.inf)
         size, by = float(nominal[body]), float(change[body])
-        found.append(Counterweight(joint=body, nominal=size, change=by, gain=gain))
+        # Where the body predicts better it is a body (the upper arm of the UR10e, by 374).
+        if gain > -_LEAST:
+            found.append(Counterweight(joint=body, nominal=size, change=by, gain=gain))
     return tuple(found)
 
 
