@@ -7,12 +7,13 @@ import numpy as np
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
 from stiffopt.discovery.search.candidates import Candidate, Scorer
-from stiffopt.discovery.search.left_out import borne_out
+from stiffopt.discovery.search.left_out import borne_out, shares_left_out
 from stiffopt.discovery.search.uncertainty import significance
 from stiffopt.discovery.thresholds import (
     BORNE_OUT_SHARE,
     CONFIRMED_DEVIATIONS,
     DETERMINED_DEVIATIONS,
+    LEFT_OUT_SHARE,
     NAMED_DEVIATIONS,
     NAMED_EVIDENCE,
     NAMED_SHARE,
@@ -123,14 +124,19 @@ def standing(
 ) -> list[LocatedEffect]:
     """Effects that are confirmed and that recordings left out bear out.
 
-    Where nominal values have tolerances that somebody vouches for, an effect also stands that these
-    would have to leave to stand in for it: what is left of recordings does not tell the two apart.
+    Where somebody vouches for the nominal model less is asked: to take away something there at all,
+    or that nominal values would have to leave their tolerances to stand in for it, since what is
+    left of recordings does not tell the two apart.
     """
     sure = confirmed(comparison, effects, strict=strict)
-    kept = borne_out(comparison, sure)
-    if strict or len(kept) == len(sure):
-        return kept
-    return [e for e in sure if e in kept or _vouched_for(comparison, sure, e)]
+    if strict:
+        return borne_out(comparison, sure)
+    shares = shares_left_out(comparison, sure)
+    return [
+        e
+        for e, share in zip(sure, shares, strict=True)
+        if e.run is not None or share >= LEFT_OUT_SHARE or _vouched_for(comparison, sure, e)
+    ]
 
 
 def _vouched_for(
