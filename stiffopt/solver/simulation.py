@@ -20,8 +20,10 @@ from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import check_reach, simulate, typical_hysteresis
+from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import NotSimulatedError
 from stiffopt.interrupts import delivered
+from stiffopt.problem.formulation import smoothing_stages
 from stiffopt.problem.resolve import ResolvedMotion, resolve
 from stiffopt.result.assessment import PeakRms
 from stiffopt.result.simulation import (
@@ -41,6 +43,11 @@ if TYPE_CHECKING:
     from stiffopt.result.assessment import Assessment
     from stiffopt.result.solution import Baseline, Solution
     from stiffopt.result.trajectory import Trajectory
+
+_NOT_ASKED = (
+    "No command.csv: no objective or limit is about how the arm yields. State [uncertainty] for a "
+    "command that leads the wind-up, judged on uncertain arms."
+)
 
 
 def elastic_arm(problem: TrajectoryProblem, start: np.ndarray) -> ElasticArm:
@@ -261,6 +268,8 @@ def with_simulation(
                 "No command.csv: the links are planned to swing on after arrival, as far as the "
                 "limits allow; q of trajectory.csv is the command for that.",
             )
+        if not _asks_for_command(problem):
+            return _noted(solution, _NOT_ASKED)
         compensation = compensate(
             problem, arm, [own, *others], progress=_events(progress, solution)
         )
@@ -279,6 +288,11 @@ def with_simulation(
     except NotSimulatedError as error:
         return _noted(solution, f"Not simulated on the elastic arm: {error}")
     return replace(solution, compensation=compensation)
+
+
+def _asks_for_command(problem: TrajectoryProblem) -> bool:
+    """Whether an objective, a limit or a stated uncertainty is about how the arm yields."""
+    return len(smoothing_stages(problem)) > 1 or problem.uncertainty != Uncertainty()
 
 
 def _noted(solution: Solution, note: str) -> Solution:

@@ -10,6 +10,7 @@ from small_arms import load
 
 from stiffopt.baseline.baselines import baselines, slowed_quintic
 from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.elastic.uncertainty import Uncertainty
 from stiffopt.errors import RobotError
 from stiffopt.problem.resolve import resolve
 from stiffopt.report.solve.swing import simulation_notes, simulation_table
@@ -163,3 +164,13 @@ def test_an_interruption_tells_what_was_not_made(solved, monkeypatch, stage, tol
     assert (found.simulation is None) == (stage == "simulate_motions")
     assert told in found.notes[-1]
     assert ("stiffopt simulate" in found.notes[-1]) == (stage == "simulate_motions")
+
+
+def test_no_command_is_chosen_where_nothing_asks_how_the_arm_yields(tmp_path):
+    plain = load(tmp_path, duration="0.6")
+    solution = solve(plain, simulate=True)
+    assert solution.simulation is not None
+    assert solution.compensation is None
+    assert "State [uncertainty] for a command" in solution.notes[-1]
+    doubted = replace(plain, uncertainty=Uncertainty(stiffness=0.1))
+    assert solve(doubted, simulate=True).compensation is not None
