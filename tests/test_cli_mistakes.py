@@ -21,7 +21,7 @@ URDF = str(ROOT / "problems" / "two_link.urdf")
         (["export", PROBLEM, "--to", "csv"], r"two_link\.toml: is a file: give the folder"),
         (["export", "nowhere", "--to", "csv"], r": nowhere/result\.json: there is no folder"),
         (["export", "here", "--to", "csv", "--set", "a=1"], r"--set 'a=1': a folder of results is"),
-        (["simulate", "here", "--set", "a=1"], "Solve, study or diagnose again with --set"),
+        (["simulate", "here", "--set", "a=1"], "Solve again with --set"),
         (["compare", "here", "here", "--set", "a=1"], "has no entries to change"),
         (["view", "here", "--set", "a=1"], "has no entries to change"),
         (["verify", PROBLEM, "--set", "motion.durations=2"], r"motion.durations.*Did you mean"),
