@@ -13,27 +13,19 @@ from stiffopt.discovery.sanity.doubt import Doubt
 from stiffopt.discovery.sanity.explanations import Explanation, Explanations
 from stiffopt.discovery.sanity.joint_gains import JointGain, joint_gains
 from stiffopt.discovery.sanity.lines import (
-    column_line,
     joints_in_words,
-    listed_numbers,
     of_some,
     scale_line,
-    share_words,
 )
 from stiffopt.discovery.sanity.odd_runs import OddRun, odd_runs
-from stiffopt.discovery.sanity.orders import DEGREE, MILLIMETRE
+from stiffopt.discovery.sanity.position_limits import beyond_limits
+from stiffopt.discovery.sanity.readings import explained, in_rad
 from stiffopt.discovery.sanity.samples import sampled
 from stiffopt.discovery.sanity.second_sensors import second_sensors
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
 from stiffopt.recording.set_points import is_set_point, may_be_set_point
 
-# How far beyond its limits a joint may read: share of its range, and [rad] or [m].
-_BEYOND = (0.05, 0.02)
-# Within which a factor counts as that of a unit, a sign or a gear.
-_LIKE, _NEAR = 0.2, 0.1
-# Ratios of the gears of arms.
-_GEARS = (20.0, 400.0)
 # Share of a torque's variance that is open where single runs are looked at, and how many.
 _OPEN, _MOST_RUNS = 0.04, 12
 
@@ -76,13 +68,13 @@ class SanityGate:
             if odd:
                 found = [*_of_odd_runs(recordings, odd), *found]
             elif explanation is not None:
-                found = [*_explained(recordings, search, explanation), *found]
+                found = [*explained(recordings, search, explanation), *found]
             elif (standing := search.standing_in_degrees()) is not None:
-                found = [_in_rad(recordings, search, standing), *found]
+                found = [in_rad(recordings, search, standing), *found]
             elif len(runs) > 1 and not found:
                 found = [*_of_single_runs(recordings, runs, search)]
         if not any(doubt.kind == "position unit" for doubt in found):
-            found += _beyond_limits(recordings, runs)
+            found += beyond_limits(recordings, runs)
         return tuple(found)
 
     @property
@@ -192,41 +184,6 @@ def _of_joint_gain(recordings: RecordingSet, found: JointGain) -> Doubt:
     )
 
 
-# ---- by the torques
-
-
-def _explained(
-    recordings: RecordingSet, search: Explanations, explanation: Explanation
-) -> Iterator[Doubt]:
-    shares = share_words(search.strict, explanation.left, explanation.joints)
-    joints = tuple(j + 1 for j in explanation.joints)
-    if explanation.gravity is not None:
-        direction = 9.81 * explanation.gravity
-        stated = listed_numbers(recordings.gravity)
-        fit = f"the torques fit gravity along {listed_numbers(direction)}"
-        if not direction.any():
-            fit = "the torques hold no weight, as of a controller that adds it behind them"
-        yield Doubt(
-            kind="gravity",
-            joints=joints,
-            evidence=f"Gravity is stated as {stated} m/s^2, but {fit}: {shares}.",
-            line=f"gravity = {listed_numbers(direction)}",
-        )
-    elif explanation.delay is not None:
-        later = "later" if explanation.delay > 0.0 else "earlier"
-        yield Doubt(
-            kind="delay",
-            joints=joints,
-            evidence=f"The torques fit the motion if they were recorded"
-            f" {1e3 * abs(explanation.delay):.0f} ms {later} than the positions: {shares}.",
-            line=f"torque_delay = {explanation.delay:.3f} in [signals]",
-        )
-    else:
-        yield from _of_reading(recordings, explanation, shares)
-        if explanation.gains is not None:
-            yield from _of_gains(recordings, explanation, search.strict)
-
-
 def _of_elsewhere(odd: OddRun) -> Doubt:
     which = joints_in_words(odd.joints)
     return Doubt(
@@ -236,23 +193,6 @@ def _of_elsewhere(odd: OddRun) -> Doubt:
         f" there, in the torque of {which}. If that is the same arm with the same load, the model"
         " lacks something that shows there alone.",
         line="",
-    )
-
-
-def _in_rad(recordings: RecordingSet, search: Explanations, found: Explanation) -> Doubt:
-    """Joints that are stated in degrees and move in rad."""
-    which = joints_in_words(found.joints)
-    most = np.degrees(np.ptp(search.samples.position[:, list(found.joints)], axis=0).max())
-    each = ", ".join(f"{100.0 * found.left[j]:.2g} % at joint {j + 1}" for j in found.joints)
-    line = scale_line(recordings, "position", np.array(found.reading.position_scale))
-    also = " (and the velocity's likewise)" if recordings.signals.velocity is not None else ""
-    return Doubt(
-        kind="position unit",
-        joints=tuple(j + 1 for j in found.joints),
-        evidence=f"The positions of {which} look like rad, not degrees: as degrees they move by"
-        f" {most:.2g} deg at most, as rad the nominal model leaves of the torque's variance"
-        f" {each}.",
-        line=line + also,
     )
 
 
@@ -282,7 +222,7 @@ def _of_odd_runs(recordings: RecordingSet, odd: Sequence[OddRun]) -> Iterator[Do
 def _of_one_run(
     recordings: RecordingSet, name: str, search: Explanations, explanation: Explanation
 ) -> Iterator[Doubt]:
-    for doubt in _explained(recordings, search, explanation):
+    for doubt in explained(recordings, search, explanation):
         yield replace(doubt, evidence=of_some([name], doubt.evidence), line="")
 
 
@@ -303,172 +243,3 @@ def _of_single_runs(
         if explanation is None:
             continue
         yield from _of_one_run(recordings, run.name, search, explanation)
-
-
-def _of_reading(recordings: RecordingSet, explanation: Explanation, shares: str) -> Iterator[Doubt]:
-    """Degrees, swapped columns and turned signs of a reading."""
-    reading, n = explanation.reading, recordings.n
-    scale = np.array(reading.position_scale)
-    units = {"degrees": ("deg", DEGREE), "mm": ("mm", MILLIMETRE)}
-    turned = np.flatnonzero(scale < 0.0)
-    if reading.time_scale != 1.0:
-        yield Doubt(
-            kind="time unit",
-            joints=(),
-            evidence=f"The time looks {1.0 / reading.time_scale:g} times too large for the torques"
-            f" of this motion: {shares}.",
-            line=f"time = {reading.time_scale:g} in [signals.scale]",
-        )
-    for unit, (symbol, size) in units.items():
-        alike = np.flatnonzero(np.abs(scale) == size)
-        if not alike.size:
-            continue
-        every = alike.size == n
-        which = "all joints" if every else joints_in_words(alike)
-        yield Doubt(
-            kind="position unit",
-            joints=tuple(int(j) + 1 for j in alike),
-            evidence=f"The positions of {which} look like {unit}: {shares}.",
-            line=scale_line(recordings, "position", np.abs(scale), symbol if every else ""),
-        )
-    swapped = {
-        kind: [j for j, source in enumerate(order) if j != source]
-        for kind, order in (("position", reading.position_from), ("torque", reading.torque_from))
-    }
-    both = reading.position_from == reading.torque_from
-    for kind, order in (("position", reading.position_from), ("torque", reading.torque_from)):
-        if not swapped[kind] or (both and kind == "torque"):
-            continue
-        kinds = ("position", "torque") if both else (kind,)
-        what = "positions and torques" if both else f"{kind} columns"
-        lines = " and ".join(column_line(recordings, each, order) for each in kinds)
-        yield Doubt(
-            kind="joint order" if both else f"{kind} order",
-            joints=tuple(j + 1 for j in swapped[kind]),
-            evidence=f"The {what} of {joints_in_words(swapped[kind])} look exchanged: {shares}.",
-            line=f"{lines} in [signals]",
-        )
-    torque_turned = np.flatnonzero(np.array(reading.torque_scale) < 0.0)
-    if turned.size:
-        with_torque = set(turned) == set(torque_turned)
-        one = turned.size == 1
-        what = "Position and torque" if with_torque else f"The position{'' if one else 's'}"
-        look = "look" if with_torque or not one else "looks"
-        lines = scale_line(recordings, "position", np.sign(scale))
-        if with_torque:
-            lines += " and " + scale_line(recordings, "torque", np.array(reading.torque_scale))
-        yield Doubt(
-            kind="position sign",
-            joints=tuple(int(j) + 1 for j in turned),
-            evidence=f"{what} of {joints_in_words(turned)} {look} turned round, as about an axis of"
-            f" the other direction: {shares}.",
-            line=lines,
-        )
-        torque_turned = np.array([] if with_torque else torque_turned, dtype=int)
-    if torque_turned.size:
-        yield Doubt(
-            kind="torque sign",
-            joints=tuple(int(j) + 1 for j in torque_turned),
-            evidence=f"The torque of {joints_in_words(torque_turned)} has the other sign:"
-            f" {shares}.",
-            line=scale_line(recordings, "torque", np.array(reading.torque_scale)),
-        )
-
-
-def _of_gains(
-    recordings: RecordingSet, explanation: Explanation, before: np.ndarray
-) -> Iterator[Doubt]:
-    """Torques off by a factor, joint by joint; one line mends them all."""
-    gains = explanation.gains
-    assert gains is not None
-    ratio = recordings.nominal.gear_ratio
-    factors = np.array([float(f"{1.0 / gain:.3g}") for gain in gains])
-    line = scale_line(recordings, "torque", factors)
-    for j in np.flatnonzero(gains != 1.0):
-        slides = bool(recordings.prismatic[j])
-        kind, words = _gain_in_words(
-            float(gains[j]), None if ratio is None else float(ratio[j]), "N" if slides else "N m"
-        )
-        shares = share_words(before, explanation.left, [int(j)])
-        yield Doubt(
-            kind=kind,
-            joints=(int(j) + 1,),
-            evidence=f"The torque of joint {j + 1} {words}: {shares}.",
-            line=line,
-        )
-
-
-def _gain_in_words(gain: float, ratio: float | None, newton: str) -> tuple[str, str]:
-    size = abs(gain)
-    turned = ", and has the other sign" if gain < 0.0 else ""
-    if abs(size - 1.0) < _LIKE and gain < 0.0:
-        return "torque sign", "has the other sign"
-    for factor, prefix in ((1e3, "m"), (1e-3, "k")):
-        if abs(size / factor - 1.0) < _LIKE:
-            return "torque unit", f"looks like {prefix}{newton}{turned}"
-    if ratio is not None and abs(ratio) > 2.0 and abs(size * abs(ratio) - 1.0) < _LIKE:
-        return "torque unit", f"looks like that of the motor, before the gear of {ratio:g}{turned}"
-    if size < 1.0:
-        geared = ""
-        if ratio is None and _GEARS[0] < 1.0 / size < _GEARS[1]:
-            geared = f", or the motor's own torque before a gear of {1.0 / size:.3g}"
-        current = f"looks like current, about {1.0 / size:.3g} {newton}/A{geared}{turned}"
-        return "torque unit", f"{current}, if the robot's file is not of a larger arm"
-    return "torque gain", f"is {gain:.3g} times what the model expects{turned}"
-
-
-# ---- by the limits
-
-
-def _beyond_limits(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> Iterator[Doubt]:
-    lower = recordings.robot.position_lower[recordings.order]
-    upper = recordings.robot.position_upper[recordings.order]
-    span = upper - lower
-    reach = np.full((2, recordings.n), np.nan)
-    for run in runs:
-        known = np.isfinite(run.position)
-        low = np.where(known, run.position, np.inf).min(axis=0)
-        high = np.where(known, run.position, -np.inf).max(axis=0)
-        reach[0], reach[1] = np.fmin(reach[0], low), np.fmax(reach[1], high)
-    margin = np.maximum(_BEYOND[0] * span, _BEYOND[1])
-    with np.errstate(invalid="ignore"):
-        out = np.isfinite(span) & ((reach[0] < lower - margin) | (reach[1] > upper + margin))
-    if not out.any():
-        return
-    turning = ~recordings.prismatic
-    in_degrees = DEGREE * reach
-    fits = (in_degrees[0] >= lower - margin) & (in_degrees[1] <= upper + margin)
-    far = np.nanmax(np.abs(reach[:, turning & out]), initial=0.0) > 3.0 * np.pi
-    if far and np.all(fits | ~turning | ~np.isfinite(span)):
-        yield Doubt(
-            kind="position unit",
-            joints=tuple(int(j) + 1 for j in np.flatnonzero(out)),
-            evidence="The positions look like degrees: "
-            + _reaches(recordings, reach, lower, upper, out),
-            line=scale_line(recordings, "position", np.ones(recordings.n), "deg"),
-        )
-        return
-    yield Doubt(
-        kind="position limits",
-        joints=tuple(int(j) + 1 for j in np.flatnonzero(out)),
-        evidence="Positions lie beyond the limits of the robot's own file: "
-        + _reaches(recordings, reach, lower, upper, out)
-        + " Check their zero, sign and unit, or mend the limits there.",
-        line="",
-    )
-
-
-def _reaches(
-    recordings: RecordingSet,
-    reach: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    out: np.ndarray,
-) -> str:
-    parts = [
-        f"joint {j + 1} reads {reach[0, j]:.3g} to {reach[1, j]:.3g}"
-        f" {'m' if recordings.prismatic[j] else 'rad'}, its limits are {lower[j]:.3g} to"
-        f" {upper[j]:.3g}"
-        for j in np.flatnonzero(out)
-    ]
-    return "; ".join(parts) + "."
