@@ -7,12 +7,7 @@ from benchmarks.reliability.mutants import alone, called
 
 CASES = tuple(cases()) if FAULTS.is_dir() else ()
 # What can be used after all: odd, but nothing that a file must not say.
-USED = {
-    "deep_extdiag_exc_IndexError_a9381a",
-    "phys_exc_ZeroDivisionError_54d86c",
-    "phys_hang_hang_3d49f7",
-    "trap_rate_20Hz_all",
-}
+USED = {"phys_hang_hang_3d49f7", "trap_rate_20Hz_all"}
 
 
 @pytest.fixture(scope="module", autouse=True)
