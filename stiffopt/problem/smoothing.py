@@ -6,7 +6,7 @@ problem.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
@@ -38,3 +38,8 @@ class Smoothing:
     def law(self) -> float:
         """Factor on the widths of the law by which motors lead."""
         return float(self.stiffness * self.corners)
+
+    def bent(self, share: float) -> Smoothing:
+        """With stiffness that bends within a share of its widths; the motors' law is as wide."""
+        corners = self.corners / share
+        return replace(self, stiffness=share * self.stiffness, corners=corners)

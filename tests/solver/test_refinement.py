@@ -99,6 +99,22 @@ def test_nothing_is_solved_again_where_no_row_is_exceeded(problem, monkeypatch):
     assert after is worse
 
 
+def test_a_bend_that_the_smooth_law_rounds_off_is_drawn_in(tmp_path, coarse, monkeypatch):
+    soft = reducer(k1=3e3, k2=9e3, k3=1.2e4)
+    softer = reducer(k1=1e3, k2=3e3, k3=6e3, t1=1.0)
+    write_robot(tmp_path, "planar", [joint("shoulder", soft), joint("elbow", softer)])
+    path = tmp_path / "problem.toml"
+    path.write_text(problem_text("planar", duration="0.8", minimise=PEAK, method="intervals = 16"))
+    stated = load_problem(path).problem
+    found, (_, outcome) = solve_keeping(stated)
+    monkeypatch.setattr(refinement, "_BENDS", 1.0)
+    rounded, (_, before) = solve_keeping(stated)
+    assert before.objective_gap > refinement.TRUE_OBJECTIVE
+    assert outcome.objective_gap < 0.3 * before.objective_gap
+    assert found.objective.value < rounded.objective.value
+    assert found.assessment.feasible(CERTIFIED)
+
+
 def test_corners_get_narrower_again_where_every_limit_holds(tmp_path, monkeypatch):
     soft = joint("swivel", reducer(k1=100.0, k2=300.0, k3=500.0, t1=0.3, t2=0.9))
     write_robot(tmp_path, "swivel", [soft])
