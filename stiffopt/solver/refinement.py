@@ -64,6 +64,8 @@ _SHARPER = (0.5, 0.6, 0.7, 0.8, 0.9)
 # An excess that is still larger after a correction is a corner of a joint's stiffness passed too
 # fast: the motors' law gets wider corners.
 _CORNER = 0.25
+# Beyond what any correction takes: the corners get wider before the first.
+_SPIKE = 4.0
 # Corners at least so wide are tried narrower again when all limits hold, by this.
 _WIDE, _NARROWER = 3.0, 0.7
 
@@ -208,10 +210,11 @@ def _within_rows(
         for attempt in range(1, _CORRECTIONS + 1):
             if rows is None or known is None:
                 excess = _excess(outcome.assessment)
-                stays = attempt > 1 and max(excess.values(), default=0.0) > _CORNER
+                worst = max(excess.values(), default=0.0)
+                stays = attempt > 1 and worst > _CORNER
                 if not _to_mend(outcome, excess) or (stays and narrowing):
                     break
-                if stays:
+                if stays or (worst > _SPIKE and not narrowing):
                     smoothing = replace(smoothing, corners=_passable(run, outcome))
                 rows = rows or exact_path_rows(run.problem, run.motion, run.scales)
                 bends = _BENDS if outcome.objective_gap > TRUE_OBJECTIVE else 1.0

@@ -115,6 +115,29 @@ def test_a_bend_that_the_smooth_law_rounds_off_is_drawn_in(tmp_path, coarse, mon
     assert found.assessment.feasible(CERTIFIED)
 
 
+@pytest.mark.parametrize(("excess", "wider"), [(29.0, True), (0.5, False)])
+def test_corners_get_wider_before_the_first_correction_of_a_spike(
+    tmp_path, monkeypatch, excess, wider
+):
+    soft = joint("swivel", reducer(k1=100.0, k2=300.0, k3=500.0, t1=0.3, t2=0.9))
+    write_robot(tmp_path, "swivel", [soft])
+    path = tmp_path / "problem.toml"
+    path.write_text(problem_text("swivel", duration="0.6", minimise='objective = "tool_deviation"'))
+    _, (run, outcome) = solve_keeping(load_problem(path).problem)
+    tried = []
+
+    def never_solved(run, made, raw, nlp, smoothing):
+        tried.append(smoothing.corners)
+        return replace(raw, status="iteration_limit")
+
+    monkeypatch.setattr(refinement, "_excess", lambda _: {"jerk": excess})
+    monkeypatch.setattr(refinement, "corrected", never_solved)
+    refinement._within_rows(run, outcome, outcome.transcription.nlp)
+    before = outcome.smoothing.corners
+    assert len(tried) == 1
+    assert (tried[0] > 1.3 * before) == wider
+
+
 def test_corners_get_narrower_again_where_every_limit_holds(tmp_path, monkeypatch):
     soft = joint("swivel", reducer(k1=100.0, k2=300.0, k3=500.0, t1=0.3, t2=0.9))
     write_robot(tmp_path, "swivel", [soft])
