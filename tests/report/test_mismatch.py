@@ -20,8 +20,9 @@ from stiffopt.report.diagnosis.mismatch import (
 OFFSETS = Part(kind="usual")
 
 
-def told(part, left, part_of=OFFSETS, kinds=("torque",), rigid=None):
-    """The sentence of one part and of what is open."""
+def told(part, left, part_of=OFFSETS, kinds=("torque",), rigid=None, moved=()):
+    """The sentence of one part and of what is open; nominal values moved by name, over one sd."""
+    names, changes = [name for name, _ in moved], np.array([value for _, value in moved])
     diagnosis = SimpleNamespace(
         findings=(None,),
         shares=[
@@ -29,7 +30,11 @@ def told(part, left, part_of=OFFSETS, kinds=("torque",), rigid=None):
             Share(part=None, measured="torque", share=left),
         ],
         held_out=[SimpleNamespace(channels=[SimpleNamespace(kind=kind) for kind in kinds])],
-        search=SimpleNamespace(rigid=rigid),
+        search=SimpleNamespace(
+            rigid=rigid,
+            comparison=SimpleNamespace(nuisance=(names, np.full(len(names), 0.3), None)),
+            fit=SimpleNamespace(posterior=SimpleNamespace(mean=changes)),
+        ),
     )
     (only,) = mismatches(diagnosis)
     return only.sentence
@@ -57,6 +62,22 @@ def test_encoders_within_their_noise_are_not_spoken_of():
 def test_bodies_that_are_all_held_are_not_reidentified(width, freed):
     rigid = RigidStage(widths=(OF_A_BODY[0], width), gain=20.0, single=None)
     assert ("re-identified" in told(0.9, 0.1, Part(kind="nominal"), rigid=rigid)) == freed
+
+
+@pytest.mark.parametrize(
+    ("moved", "share", "words"),
+    [
+        ((("viscous 1", 0.1), ("coulomb 3", 0.7)), 0.96, "Coulomb friction of joint 3: +70 %"),
+        ((("mass 5", -0.4),), 0.96, "mass behind joint 5: -40 %"),
+        ((("com 2 z", 0.31),), 0.96, "centre of mass z behind joint 2: 0.31 m"),
+        ((("coulomb 3", 0.2),), 0.96, ""),
+        ((("coulomb 3", 0.7),), 0.1, ""),
+    ],
+)
+def test_the_nominal_value_that_moved_most_is_told(moved, share, words):
+    said = told(share, 1.0 - share, Part(kind="nominal"), moved=moved)
+    assert (f"within their tolerances (most of all {words})" in said) == bool(words)
+    assert ("most of all" in said) == bool(words)
 
 
 @pytest.mark.parametrize(

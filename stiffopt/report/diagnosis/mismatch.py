@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from stiffopt.discovery.judging.black_box import SHOWN_SHARE
 from stiffopt.report.common.text import listed, pm, significant
+from stiffopt.report.diagnosis.overview import moved_values
 from stiffopt.report.diagnosis.words import (
     channel_words,
     fall,
@@ -24,10 +25,14 @@ if TYPE_CHECKING:
     from stiffopt.discovery.comparison.located_effect import LocatedEffect
     from stiffopt.discovery.diagnosis import Diagnosis, Finding
     from stiffopt.discovery.judging.carried_over import Drift
-    from stiffopt.discovery.judging.shares import Part
+    from stiffopt.discovery.judging.shares import Share
 
 # Shares below are not told apart from nothing, nor above from all.
 _LEAST, _ALL = 0.005, 0.995
+# Share of nominal values from which it is said which of them moved.
+_TELLING = 0.2
+# Names of nominal values of joints, where they are not those of the files.
+_NOMINAL = {"coulomb": "Coulomb friction", "viscous": "viscous friction", "com": "centre of mass"}
 _SOMETHING = "Something that touches, loads or offsets"
 _MEASURED = {"torque": "the torques", "link_position": "the link encoders"}
 
@@ -96,7 +101,7 @@ def mismatches(diagnosis: Diagnosis) -> list[Mismatch]:
     for kind in kinds:
         pieces = [
             NamedShare(
-                words="open" if each.part is None else _part_words(diagnosis, each.part),
+                words="open" if each.part is None else _part_words(diagnosis, each),
                 share=each.share,
                 open=each.part is None,
             )
@@ -278,7 +283,9 @@ def unstated_rows(diagnosis: Diagnosis, findings: Sequence[Finding]) -> list[Uns
     return rows
 
 
-def _part_words(diagnosis: Diagnosis, part: Part) -> str:
+def _part_words(diagnosis: Diagnosis, share: Share) -> str:
+    part = share.part
+    assert part is not None
     joints = sorted({e.joint + 1 for e in part.effects if e.joint is not None})
     where = f" ({joints_in_words(joints)})" if joints else ""
     if part.kind == "unstated":
@@ -287,8 +294,25 @@ def _part_words(diagnosis: Diagnosis, part: Part) -> str:
     if part.kind == "usual":
         return f"offsets{where}"
     if part.kind == "nominal":
-        return _masses(diagnosis, part.effects)
+        text = _masses(diagnosis, part.effects)
+        return f"{text}{_foremost(diagnosis) if share.share > _TELLING else ''}"
     return f"{part.effects[0].effect.title}{where}"
+
+
+def _foremost(diagnosis: Diagnosis) -> str:
+    """The nominal value that moved furthest within its tolerance, where that says something."""
+    moved = [each for each in moved_values(diagnosis) if abs(each.change) >= each.tolerance]
+    if not moved:
+        return ""
+    first = moved[0]
+    kind, *rest = first.name.split()
+    joint = next(each for each in rest if each.isdecimal())
+    words = [_NOMINAL.get(kind, kind.replace("_", " ")), *(each for each in rest if each != joint)]
+    where = "behind" if kind in ("mass", "com") else "of"
+    size = f"{100.0 * first.change:+.2g} %"
+    if first.unit:
+        size = f"{significant(first.change, 2)} {first.unit}"
+    return f" (most of all {' '.join(words)} {where} joint {joint}: {size})"
 
 
 def _masses(diagnosis: Diagnosis, effects: Sequence[LocatedEffect]) -> str:
