@@ -182,5 +182,20 @@ def test_a_still_of_an_arm_without_length(tmp_path, centre):
     assert low <= 0.0 <= high
 
 
+def test_a_still_holds_every_path_whole(moved):
+    """Also of a baseline that goes far around, and of a tool that is drawn far off its path."""
+    problem, motion = moved
+    own = poses_along(problem, motion)
+    far = Poses(own.time, own.position + np.sin(np.linspace(0, np.pi, len(own.time)))[:, None],
+                {}, {}, {})  # fmt: skip
+    robot = problem.robot
+    (axes,) = still_figure(robot.tree, robot.tool, [own, far], "dynamic", 500.0).axes
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    for line in axes.lines:
+        x, y = line.get_data()
+        assert left <= np.min(x) <= np.max(x) <= right
+        assert low <= np.min(y) <= np.max(y) <= high
+
+
 def _resting(arm):
     return Poses(np.array([0.0, 1.0]), np.zeros((2, arm.n)), {}, {}, {})

@@ -122,7 +122,8 @@ document.addEventListener("DOMContentLoaded", () => {
   const plannedLine = line(BLUE), bentLine = line(VERMILLION), ghostLine = ghost ? line(GREY) : null;
   const plannedPath = path(motion, "", 0);
   trace(plannedLine, plannedPath);
-  if (ghost) trace(ghostLine, path(baseline, "", 0));
+  const ghostPath = ghost ? path(baseline, "", 0) : [];
+  if (ghost) trace(ghostLine, ghostPath);
   const extent = scene.joints.reduce((sum, joint) => sum + vector(joint.translation).length(), offset.length());
   const ball = new THREE.Mesh(new THREE.SphereGeometry(0.012 * extent, 20, 14), solid(VERMILLION));
   world.add(ball);
@@ -152,9 +153,10 @@ document.addEventListener("DOMContentLoaded", () => {
   controls.enableZoom = false;
   canvas.addEventListener("pointerdown", () => { controls.enableZoom = true; });
   canvas.addEventListener("pointerleave", () => { controls.enableZoom = false; });
-  // All poses and the path in view, from the side of the tool.
+  // All poses and both paths in view, from the side of the tool.
   const points = [...plannedPath];
   motion.time.forEach((time, k) => { if (k % 10 === 0) for (const placed of frames(at(motion, motion.position, time))) points.push(new Vector3().setFromMatrixPosition(placed)); });
+  points.push(...ghostPath);
   const low = points.reduce((a, b) => a.clone().min(b)), high = points.reduce((a, b) => a.clone().max(b));
   const centre = low.clone().add(high).multiplyScalar(0.5);
   const towards = plannedPath[0].clone().add(plannedPath[plannedPath.length - 1]).multiplyScalar(0.5).sub(points[plannedPath.length]).setZ(0);

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 _HEIGHT = 4.6
 # What is seen at least [m], also of an arm whose joints and tool lie at one point.
 _LEAST_SEEN = 0.1
+# Of the picture over what is drawn: lines have a width.
+_MARGIN = 1.02
 # Looked at from this far above the horizon [rad].
 _ABOVE = 0.4
 
@@ -66,7 +68,9 @@ def still_figure(
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.set_axis_off()
         ends = poses.position[[0, -1]]
-        scale = _fit(axes, tree, tool, view, np.vstack([ends, bent[at : at + 1]]))
+        flats = [tool_positions(tree, tool, each) @ view.T for each, _, _ in paths]
+        seen = np.vstack([flat[:, :2] for flat in flats])
+        scale = _fit(axes, tree, tool, view, np.vstack([ends, bent[at : at + 1]]), seen)
         for edge in edges_around(cell):
             axes.plot(*(edge @ view.T)[:, :2].T, color=GREY, linewidth=0.8, zorder=0.5)
         for q in ends:
@@ -74,8 +78,7 @@ def still_figure(
         if part:
             _arm(axes, tree, tool, view, poses.position[at], scale, BLUE, None, 0.25)
         _arm(axes, tree, tool, view, bent[at], scale, "#c3c9d1", share, 1.0)
-        for positions, colour, dash in paths:
-            flat = tool_positions(tree, tool, positions) @ view.T
+        for flat, (_, colour, dash) in zip(flats, paths, strict=True):
             axes.plot(*flat[:, :2].T, color=colour, linestyle=dash, zorder=20)
         flat = tool_positions(tree, tool, bent[at : at + 1]) @ view.T
         axes.plot(*flat[:, :2].T, "o", color=VERMILLION, markersize=6, zorder=21)
@@ -134,9 +137,14 @@ def _rods(
 
 
 def _fit(
-    axes: Axes, tree: BodyTree, tool: LinkFrame, view: np.ndarray, positions: np.ndarray
+    axes: Axes,
+    tree: BodyTree,
+    tool: LinkFrame,
+    view: np.ndarray,
+    positions: np.ndarray,
+    seen: np.ndarray,
 ) -> float:
-    """Limits in which all poses have room; return points on paper per metre."""
+    """Limits in which all poses and points (K, 2) have room; return points on paper per metre."""
     ends = [
         (view @ point)[:2] + side * radius
         for q in positions
@@ -144,9 +152,9 @@ def _fit(
         for point in (begin, end)
         for side in (-1.6, 1.6)
     ]
-    ends += [(view @ point)[:2] for point in tool_positions(tree, tool, positions)]
-    low, high = np.min(ends, axis=0), np.max(ends, axis=0)
-    wide, tall = np.maximum(high - low, _LEAST_SEEN)
+    every = np.vstack([*ends, seen])
+    low, high = every.min(axis=0), every.max(axis=0)
+    wide, tall = _MARGIN * np.maximum(high - low, _LEAST_SEEN)
     scale = min(WIDTH / wide, _HEIGHT / tall)
     middle = 0.5 * (low + high)
     half = 0.5 * np.array([WIDTH, _HEIGHT]) / scale
