@@ -41,6 +41,9 @@ class FirstMotion:
     duration : float
     yields : bool
         Whether the tool yields on the way and the arm can swing.
+    bare : str
+        The strongest turning joint where it has no spring though others have; else "". What the arm
+        deviates by is then hardly known, and others' deviation can nearly be taken to nothing.
     checked : bool
         Whether there are links with shapes that could meet; else no pose was refused for that.
     """
@@ -49,6 +52,7 @@ class FirstMotion:
     end: np.ndarray
     duration: float
     yields: bool
+    bare: str
     checked: bool
 
 
@@ -72,8 +76,16 @@ def first_motion(robot: Robot) -> FirstMotion:
         end,
         _duration(robot, start, end, swing or 0.0),
         yields=swing is not None,
+        bare=_bare(robot) if swing is not None else "",
         checked=bool(shapes.pairs),
     )
+
+
+def _bare(robot: Robot) -> str:
+    """Name of the strongest turning joint where it has no spring, else ""."""
+    strongest = int(np.argmax(np.where(robot.prismatic, 0.0, robot.torque_max)))
+    chain = robot.chains[strongest]
+    return "" if chain is not None and chain.stages else robot.joint_names[strongest]
 
 
 def _between(start: np.ndarray, end: np.ndarray) -> np.ndarray:

@@ -29,14 +29,18 @@ def problem_text(robot: Robot, file: str | Path, folder: Path) -> str:
     """
     motion = first_motion(robot)
     named = beside(file, folder) if isinstance(file, Path) else file
-    objective = (
-        ('"torque_squared"',) if not motion.yields else ('"shaped_deviation"', 'measure = "peak"')
-    )
-    why = (
-        "a rigid tool: least heat. With joints that yield, minimise shaped_deviation"
-        if not motion.yields
-        else "least deviation of the tool, links that swing included; rest after arrival"
-    )
+    if not motion.yields:
+        objective = ['"torque_squared"']
+        why = "a rigid tool: least heat. With joints that yield, minimise shaped_deviation"
+    elif motion.bare:
+        objective = ['"torque_squared"']
+        why = (
+            f"least heat: {motion.bare}, the strongest, is rigid here. Give its elements, then"
+            " minimise shaped_deviation"
+        )
+    else:
+        objective = ['"shaped_deviation"', 'measure = "peak"']
+        why = "least deviation of the tool, links that swing included; rest after arrival"
     cell = (
         "links are kept from each other; state what stands around"
         if motion.checked

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gripper_arm import write_gripper_urdf
+from small_arms import joint as table_of
+from small_arms import write_robot
 
 import stiffopt.robot
 from stiffopt.cli import run
@@ -144,6 +146,18 @@ def test_an_arm_without_masses(tmp_path, capsys):
     bodies = arm.rigid_bodies()
     for pose in motion.points:
         assert np.all(np.abs(bodies.gravity_torque(pose)) < arm.torque_max)
+
+
+def test_an_arm_whose_strongest_joint_has_no_spring_is_given_least_heat(tmp_path, capsys):
+    spring = '[[joint.element]]\nname = "spring"\ntype = "constant"\nstiffness = 1e4\n'
+    elastic = [table_of("shoulder", spring), table_of("elbow", spring, torque_max=30.0)]
+    bare = [table_of("shoulder", ""), table_of("elbow", spring, torque_max=30.0)]
+    for joints, objective in ((elastic, "shaped_deviation"), (bare, "torque_squared")):
+        robot = write_robot(tmp_path, "planar", joints)
+        out = tmp_path / f"{objective}.toml"
+        assert run(["init", "problem", str(robot), "--out", str(out)]) == 0
+        assert load_problem(out).problem.objectives[0].name == objective
+    assert "shoulder, the strongest, is rigid here" in out.read_text()
 
 
 def test_without_any_mass_there_is_nothing_to_plan(tmp_path):
