@@ -68,6 +68,8 @@ _CORNER = 0.25
 _SPIKE = 4.0
 # Corners at least so wide are tried narrower again when all limits hold, by this.
 _WIDE, _NARROWER = 3.0, 0.7
+# Corrections that narrower corners are given to keep every limit, and iterations of each.
+_TRIES, _MANY = 4, 100
 
 
 def refined(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> Outcome:
@@ -211,7 +213,7 @@ def _within_rows(
             if rows is None or known is None:
                 excess = _excess(outcome.assessment)
                 worst = max(excess.values(), default=0.0)
-                stays = attempt > 1 and worst > _CORNER
+                stays = attempt > (_TRIES if narrowing else 1) and worst > _CORNER
                 if not _to_mend(outcome, excess) or (stays and narrowing):
                     break
                 if stays or (worst > _SPIKE and not narrowing):
@@ -227,7 +229,7 @@ def _within_rows(
                 break
             nlp = found
             again = corrected(run, made, raw, nlp, smoothing)
-            if _failed(again):
+            if _failed(again) or (narrowing and again.iterations > _MANY):
                 break
             raw, known = again, None
             if raw.converged and not unseen:
