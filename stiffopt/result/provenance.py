@@ -30,14 +30,21 @@ def inputs_hash(problem: object) -> str:
     return hashlib.sha256(document.encode()).hexdigest()
 
 
+@functools.cache
+def _compared(kind: Any) -> tuple[str, ...]:
+    """Fields of a dataclass; what takes no part in comparisons, as a path, is no input."""
+    return tuple(f.name for f in dataclasses.fields(kind) if f.compare)
+
+
 def _plain(value: object) -> object:
     """Nested plain data of dataclasses, arrays and rigid-body models."""
+    if isinstance(value, float):
+        return repr(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        # What takes no part in comparisons is no input: where a file lies, say.
-        fields = [f for f in dataclasses.fields(value) if f.compare]
+        kind = type(value)
         return {
-            "class": type(value).__name__,
-            **{f.name: _plain(getattr(value, f.name)) for f in fields},
+            "class": kind.__name__,
+            **{name: _plain(getattr(value, name)) for name in _compared(kind)},
         }
     if isinstance(value, np.ndarray):
         return [repr(x) for x in value.ravel().tolist()]
@@ -47,7 +54,7 @@ def _plain(value: object) -> object:
         return [_plain(v) for v in value]
     if type(value).__module__.startswith("pinocchio"):
         return _model(value)
-    return repr(value) if isinstance(value, float) else str(value)
+    return str(value)
 
 
 def _model(model: Any) -> object:

@@ -21,7 +21,7 @@ from stiffopt.transcription.piecewise_linear import PiecewiseLinear
 from stiffopt.transcription.radau import Radau
 from stiffopt.transcription.scheme import Intervals, Scheme, StagePoints, Symbols
 from stiffopt.transcription.stage_function import StageFunction
-from stiffopt.transcription.structure import scaled_like, structure_of
+from stiffopt.transcription.structure import same_bounds, scaled_like, structure_of
 from stiffopt.transcription.transcription import Transcription
 
 METHODS = ("piecewise_linear", "hermite_simpson", "radau")
@@ -86,7 +86,13 @@ def adapted(first: Transcription, ocp: OptimalControlProblem) -> Transcription |
     stage = ocp.numbered_stage
     if structure_of(ocp, stage, first.scheme, first.mesh) != first.structure:
         return None
-    return _Builder(scaled_like(ocp, first.ocp), first.scheme, first.mesh, stage, first).build()
+    own = scaled_like(ocp, first.ocp)
+    if same_bounds(own, first.ocp):
+        # What is left are numbers of the stage: most cases of a sweep.
+        fixed = first.nlp.numbers[: len(first.nlp.numbers) - len(stage.numbers)]
+        nlp = replace(first.nlp, numbers=np.append(fixed, stage.numbers))
+        return replace(first, ocp=own, nlp=nlp)
+    return _Builder(own, first.scheme, first.mesh, stage, first).build()
 
 
 class _Builder:

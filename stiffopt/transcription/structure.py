@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
@@ -11,6 +11,12 @@ from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.node_derivatives import NumberedStage
 from stiffopt.transcription.ocp import OptimalControlProblem, Rows, Waypoint
 from stiffopt.transcription.scheme import Scheme
+
+# What `structure_of` compares, or is compared block by block.
+_OF_GRAPH = (
+    "name", "dynamics", "stage", "intermediate", "objective", "integral_function",
+    "path_rows", "integral_rows", "start", "vias", "end",
+)  # fmt: skip
 
 
 def structure_of(
@@ -58,6 +64,22 @@ def scaled_like(ocp: OptimalControlProblem, first: OptimalControlProblem) -> Opt
             for own, other in zip(ocp.vias, first.vias, strict=True)
         ),
     )
+
+
+def same_bounds(one: OptimalControlProblem, other: OptimalControlProblem) -> bool:
+    """Whether two problems of one structure have the same bounds, scales and duration."""
+    return _bounding(one) == _bounding(other)
+
+
+def _bounding(ocp: OptimalControlProblem) -> list[object]:
+    """All values of a problem but its functions' own, as what can be compared."""
+    points = [ocp.start, *ocp.vias, ocp.end]
+    blocks = [*ocp.path_rows, *ocp.integral_rows, *(r for w in points if w for r in w.rows)]
+    facts: list[object] = [
+        getattr(ocp, each.name) for each in fields(ocp) if each.name not in _OF_GRAPH
+    ]
+    facts += [each for rows in blocks for each in (rows.lower, rows.upper, rows.scale)]
+    return [each.tobytes() if isinstance(each, np.ndarray) else each for each in facts]
 
 
 def _waypoint(own: Waypoint | None, first: Waypoint | None) -> Waypoint | None:

@@ -9,7 +9,12 @@ from small_arms import ROOT
 
 from stiffopt import solve
 from stiffopt.problem.files import load_problem
+from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.resolve import resolve
 from stiffopt.solver.family import ProblemFamily, WarmStart
+from stiffopt.transcription import build
+from stiffopt.transcription.mesh import uniform_mesh
+from stiffopt.transcription.structure import same_bounds, scaled_like
 
 BASE = ROOT / "problems" / "two_link.toml"
 # Torque limits that bind make a start with multipliers worth something.
@@ -104,3 +109,30 @@ def test_what_cannot_be_is_told_from_a_warm_start_as_well(first):
     solution, following = family.solve(problem("motion.duration=0.2 s"), end)
     assert str(solution.status) == "infeasible"
     assert following is None
+
+
+@pytest.mark.parametrize(
+    ("change", "quick"),
+    [
+        ("payload.mass=0.33", True),
+        ("motion.duration=0.8 s", False),
+        ("motion.end.joints=[1.2, -0.4]", False),
+        ("limits.scale={ torque = 0.95 }", True),
+        ("limits.scale={ velocity = 0.95 }", False),
+    ],
+)
+def test_bounds_are_taken_over_only_where_they_are_the_same(monkeypatch, change, quick):
+    def stated(*changes):
+        near = problem("payload.mass=0.3", *changes)
+        return formulate(near, resolve(near), Scales())
+
+    made = build.transcribe(stated(), "piecewise_linear", uniform_mesh(8))
+    ocp = stated(change)
+    taken = build.adapted(made, ocp)
+    assert same_bounds(scaled_like(ocp, made.ocp), made.ocp) is quick
+    monkeypatch.setattr(build, "same_bounds", lambda *_: False)
+    built = build.adapted(made, ocp)
+    for name in ("lower_x", "upper_x", "lower_g", "upper_g", "numbers"):
+        assert np.array_equal(getattr(taken.nlp, name), getattr(built.nlp, name)), name
+    # Torque is bounded relative to its limit, which is a number of the stage.
+    assert np.array_equal(made.nlp.numbers, built.nlp.numbers) is not quick or "duration" in change
