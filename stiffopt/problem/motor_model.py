@@ -251,18 +251,12 @@ class MotorLaw:
         # What acts on the springs does not depend on how wide corners are: most of the cost, once.
         self._spring = _law(motion, model.rates(model.torques.spring, 3))
         # All that motors need of it; each further rate costs twice the one before.
-        self._held = _law(motion, model.rates(model.torques.held, 1))
+        self._held = _law(motion[:4], model.rates(model.torques.held, 1))
         torques = [ca.SX.sym(f"t{k}", robot.n) for k in range(6)]
         windup = model.windup_of_motors(torques[0])
         along = MotorModel(robot, torques, smoothing, np.zeros(robot.n), process_force, 1.0)
         self._windup = _law([*torques[:4], smoothing], along.rates(windup, 1))
-        self._model, self._given = model, [*motion, smoothing]
         self._last: tuple[Trajectory, np.ndarray, np.ndarray, np.ndarray] | None = None
-
-    @cached_property
-    def _sag(self) -> ca.Function:
-        """Wind-up at rest and five rates: of links that are carried where they hang."""
-        return _law(self._given, self._model.rates(self._model.sag, 1, 5))
 
     def motion(
         self,
@@ -290,7 +284,8 @@ class MotorLaw:
         """
         moves = _sampled(link)
         if sagged:
-            place = self._hanging(np.stack([link(moves, k) for k in range(6)]), smoothing)
+            plan = np.stack([link(moves, k) for k in range(6)])
+            place = self._hanging(link, moves, plan, smoothing)
             spring = _of(self._spring, place)
         else:
             plan, spring, weight = self._torques(link, moves)
@@ -320,18 +315,24 @@ class MotorLaw:
         """
         if self._last is None or self._last[0] is not link:
             plan = np.stack([link(moves, k) for k in range(6)])
-            self._last = link, plan, _of(self._spring, plan), _of(self._held, plan)
+            self._last = link, plan, _of(self._spring, plan), _of(self._held, plan[:4])
         return self._last[1:]
 
-    def _hanging(self, plan: np.ndarray, smoothing: float) -> np.ndarray:
+    def _hanging(
+        self, link: Trajectory, moves: np.ndarray, plan: np.ndarray, smoothing: float
+    ) -> np.ndarray:
         """Where links hang under their own weight there, with five derivatives (6, K, n)."""
-        place = plan
+        place, sag = plan[:4], np.zeros_like(plan[:4])
         # The sag changes little with itself.
         for _ in range(_ROUNDS):
-            before, place = place, plan - _of(self._sag, place, smoothing)
-            if np.max(np.abs(place[0] - before[0])) < _SETTLED:
+            before, sag = sag, _of(self._windup, _of(self._held, place), smoothing)
+            place = plan[:4] - sag
+            if np.max(np.abs(sag[0] - before[0])) < _SETTLED:
                 break
-        return place
+        # Between two instants it is a polynomial of degree 7: formulas for two further rates would
+        # be fifteen times as long.
+        along = Trajectory.through(moves, sag, link)
+        return np.concatenate([place, plan[4:] - np.stack([along(moves, k) for k in (4, 5)])])
 
 
 def _law(given: list[Quantity], values: list[Quantity]) -> ca.Function:

@@ -306,18 +306,26 @@ def _sharpened(run: SolveRun, outcome: Outcome) -> Outcome:
     if _worst_in_flight(outcome.assessment) > CERTIFIED or run.end_modes:
         return outcome
     found, share = outcome, 1.0
-    for narrower in _SHARPER:
-        tried = _with_motors(run, outcome, narrower, sagged=False)
-        if _worst_in_flight(tried.assessment) <= CERTIFIED:
-            found, share = tried, narrower
-            break
-    tried = _with_motors(run, outcome, share, sagged=True)
-    return tried if _worst_in_flight(tried.assessment) <= CERTIFIED else found
+    # A narrower law asks for more: halving finds the narrowest that does.
+    first, last = 0, len(_SHARPER)
+    while first < last:
+        middle = (first + last) // 2
+        tried = _with_motors(run, outcome, _SHARPER[middle], sagged=False)
+        if tried is None:
+            first = middle + 1
+        else:
+            found, share, last = tried, _SHARPER[middle], middle
+    return _with_motors(run, outcome, share, sagged=True) or found
 
 
-def _with_motors(run: SolveRun, outcome: Outcome, share: float, *, sagged: bool) -> Outcome:
+def _with_motors(run: SolveRun, outcome: Outcome, share: float, *, sagged: bool) -> Outcome | None:
+    """The outcome with motors of its own, where they keep every limit in flight."""
     trajectory = motors_of(run, outcome, share, sagged=sagged)
+    if drive_violations(run.problem, trajectory)[0].value > CERTIFIED:
+        return None
     assessment = assess(run.problem, trajectory)
+    if _worst_in_flight(assessment) > CERTIFIED:
+        return None
     return replace(outcome, trajectory=trajectory, assessment=assessment)
 
 

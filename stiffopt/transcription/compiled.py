@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import hashlib
 import os
 import platform
@@ -21,12 +22,14 @@ from pathlib import Path
 
 import casadi as ca
 
-from stiffopt.transcription import node_derivatives
+from stiffopt.transcription import node_derivatives, wide_code
 
-_FLAGS = ("-O1", "-fPIC", "-shared")
-# Lines of a generated function that are compiled as one.
-_LONGEST = 1000
-_ARGUMENTS = "const casadi_real** arg, casadi_real** res, casadi_real* w"
+# Of multiply and add in one the last digit would be another one than without a compiler.
+_FLAGS = ("-O1", "-fPIC", "-shared", "-ffp-contract=off")
+# The widest registers there are; not every compiler knows the word.
+_NATIVE = ("-march=native",)
+# Inputs of a numbered stage that are the same at all points: parameters and numbers.
+SHARED = (1, 2)
 _PACKAGES = Path(__file__).parents[2]
 
 # Compilers at work for this process, by library; kept, or Python would complain of them.
@@ -118,44 +121,19 @@ def make(path: Path, program: str) -> None:
         formula = path.with_suffix(".casadi")
         function = ca.Function.deserialize(formula.read_text(encoding="ascii"))
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f"{path.stem}.parts-") as parts:
-            # Thousands of local variables would cost the compiler more than all else.
-            generator = ca.CodeGenerator("stage.c", {"avoid_stack": True})
-            for each in node_derivatives.with_derivatives(function):
-                generator.add(each)
-            generator.generate(f"{parts}/")
             source, made = Path(parts) / "stage.c", Path(parts) / "stage.so"
-            source.write_text(_in_parts(source.read_text(encoding="utf-8")), encoding="utf-8")
-            command = [program, *_FLAGS, str(source), "-o", str(made), "-lm"]
-            subprocess.run(command, check=True, stdin=subprocess.DEVNULL)
+            derivatives = node_derivatives.with_derivatives(function)
+            source.write_text(wide_code.wide_code(derivatives, SHARED), encoding="ascii")
+            _compile(program, source, made)
             made.replace(path)
         formula.unlink(missing_ok=True)
 
 
-def _in_parts(code: str) -> str:
-    """The same C code in functions of bounded length, for which a compiler needs less memory.
-
-    All that a generated function knows stands in its arguments, so it may be cut at any line.
-    """
-    lines: list[str] = []
-    body: list[str] = []
-    head = ""
-    for line in code.splitlines():
-        if line.startswith("static int casadi_f") and line.endswith("{"):
-            head, body = line, []
-        elif not head:
-            lines.append(line)
-        elif line == "  return 0;":
-            calls = []
-            for k in range(0, len(body), _LONGEST):
-                part = f"{head.split()[2].split('(')[0]}_{k}"
-                lines.append(f"static __attribute__((noinline)) void {part}({_ARGUMENTS}) {{")
-                lines += [*body[k : k + _LONGEST], "}"]
-                calls.append(f"  {part}(arg, res, w);")
-            lines += [head, *calls, line]
-            head = ""
-        else:
-            body.append(line)
-    return "\n".join(lines)
+def _compile(program: str, source: Path, made: Path) -> None:
+    command = [program, *_FLAGS, str(source), "-o", str(made), "-lm"]
+    native = [program, *_NATIVE, *command[1:]]
+    if subprocess.run(native, check=False, stdin=subprocess.DEVNULL).returncode:
+        subprocess.run(command, check=True, stdin=subprocess.DEVNULL)
 
 
 def _start(path: Path, formula: str, program: str) -> None:
@@ -189,9 +167,20 @@ def _held(path: Path) -> Iterator[bool]:
 
 
 def _key(formula: str, program: str) -> str:
-    derivatives = Path(node_derivatives.__file__).read_text(encoding="utf-8")
-    parts = (formula, derivatives, ca.CasadiMeta.version(), program, *_FLAGS, platform.platform())
+    made_by = [Path(str(each.__file__)).read_text() for each in (node_derivatives, wide_code)]
+    machine = (platform.platform(), _processor())
+    parts = (formula, *made_by, ca.CasadiMeta.version(), program, *_FLAGS, *_NATIVE, *machine)
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
+
+
+@functools.cache
+def _processor() -> str:
+    """What the processor can do: a cache may be shared by several."""
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="ascii", errors="ignore").splitlines():
+            if line.startswith(("flags", "Features")):
+                return line
+    return platform.processor()
 
 
 if __name__ == "__main__":

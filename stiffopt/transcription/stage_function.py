@@ -31,21 +31,24 @@ class StageFunction:
             if library is None
             else tuple(ca.external(name, str(library)) for name in NAMES)
         )
-        self._values, self._jacobian, self._hessian = (each.map(count) for each in functions)
+        # What is compiled takes several points at once.
+        self._lanes = int(functions[0].size2_in(0))
+        self._calls = -(-count // self._lanes)
+        self._values, self._jacobian, self._hessian = (each.map(self._calls) for each in functions)
         self._own, self._numbers = parameters, len(stage.numbers)
         self._count = count
         self.size = int(functions[0].size1_out(0))
-        self._jacobian_pattern = _block_diagonal(functions[1], count)
-        self._hessian_pattern = _block_diagonal(functions[2], count)
+        self._jacobian_pattern = self._block_diagonal(functions[1])
+        self._hessian_pattern = self._block_diagonal(functions[2])
 
     def values(self, variables: ca.MX, parameters: ca.MX) -> ca.MX:
         """Integrands and path rows (m, count)."""
-        return self._values(variables, *self._same(parameters))
+        return self._values(self._filled(variables), *self._same(parameters))[:, : self._count]
 
     def jacobian(self, variables: ca.MX, parameters: ca.MX) -> ca.MX:
         """All values by all variables (m count, n count), block-diagonal."""
-        found = self._jacobian(variables, *self._same(parameters))
-        return ca.sparsity_cast(found, self._jacobian_pattern)
+        found = self._jacobian(self._filled(variables), *self._same(parameters))
+        return self._along_diagonal(found, variables.size1(), self._jacobian_pattern)
 
     def hessian(self, variables: ca.MX, parameters: ca.MX, weights: ca.MX) -> ca.MX:
         """Second derivatives of the values' weighted sum (n count, n count), block-diagonal.
@@ -55,14 +58,23 @@ class StageFunction:
         variables, parameters : MX (n, count), (np,)
         weights : MX (m, count)
         """
-        found = self._hessian(variables, *self._same(parameters), weights)
-        return ca.sparsity_cast(found, self._hessian_pattern)
+        given = (self._filled(variables), *self._same(parameters), self._filled(weights))
+        return self._along_diagonal(self._hessian(*given), variables.size1(), self._hessian_pattern)
 
     def _same(self, parameters: ca.MX) -> tuple[ca.MX, ca.MX]:
         own, numbers = parameters[: self._own], parameters[parameters.numel() - self._numbers :]
-        return ca.repmat(own, 1, self._count), ca.repmat(numbers, 1, self._count)
+        return ca.repmat(own, 1, self._calls), ca.repmat(numbers, 1, self._calls)
 
+    def _filled(self, columns: ca.MX) -> ca.MX:
+        """As many columns as are computed; the last one again where there are fewer points."""
+        missing = self._calls * self._lanes - self._count
+        return ca.horzcat(columns, ca.repmat(columns[:, -1], 1, missing)) if missing else columns
 
-def _block_diagonal(function: ca.Function, count: int) -> ca.Sparsity:
-    # Its nonzeros are in the order of the blocks side by side.
-    return ca.diagcat(*[function.sparsity_out(0)] * count)
+    def _along_diagonal(self, found: ca.MX, width: int, pattern: ca.Sparsity) -> ca.MX:
+        """Blocks side by side, each so wide, as one block-diagonal matrix."""
+        return ca.sparsity_cast(found[:, : width * self._count], pattern)
+
+    def _block_diagonal(self, function: ca.Function) -> ca.Sparsity:
+        # Its nonzeros are in the order of the blocks side by side.
+        block = ca.horzsplit(function.sparsity_out(0), function.size2_out(0) // self._lanes)[0]
+        return ca.diagcat(*[block] * self._count)

@@ -15,6 +15,8 @@ import pytest
 
 from stiffopt.transcription import compiled
 from stiffopt.transcription.node_derivatives import NAMES, numbered, with_derivatives
+from stiffopt.transcription.stage_function import StageFunction
+from stiffopt.transcription.wide_code import LANES
 
 pytestmark = pytest.mark.skipif(compiled.shutil.which("cc") is None, reason="needs a C compiler")
 
@@ -85,34 +87,30 @@ def test_an_intermediate_may_be_computed_from_another() -> None:
     np.testing.assert_allclose(ours.full(), truth(point, factors).full(), rtol=1e-12)
 
 
+def fast(name: str, path: Path, *inputs: object) -> np.ndarray:
+    """Output of a compiled function for one point, which stands in every lane."""
+    function = ca.external(name, str(path))
+    given = [
+        each if k in compiled.SHARED else ca.repmat(ca.DM(each), 1, LANES)
+        for k, each in enumerate(inputs)
+    ]
+    found = np.asarray(function(*given).full())
+    lanes = np.split(found, LANES, axis=1)
+    for each in lanes[1:]:
+        np.testing.assert_array_equal(each, lanes[0])
+    return lanes[0]
+
+
 def test_two_payloads_are_one_library(cache: Path) -> None:
     light, heavy = (numbered(*stage(payload)) for payload in (3.7, 5.1))
     path = made(light.function)
     assert compiled.library(heavy.function) == path
     point = np.array([0.3, -0.7, 1.1, 0.2])
-    fast = ca.external(NAMES[0], str(path))
     for each in (light, heavy):
         slow = with_derivatives(each.function)[0](point, 0.5, each.numbers)
-        np.testing.assert_allclose(fast(point, 0.5, each.numbers).full(), slow.full(), rtol=1e-14)
+        ours = fast(NAMES[0], path, point, 0.5, each.numbers)
+        np.testing.assert_allclose(ours, slow.full(), rtol=1e-14)
     assert not np.allclose(light.numbers, heavy.numbers)
-
-
-def test_long_functions_are_compiled_in_parts(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "_LONGEST", 7)
-    taken = numbered(*stage(2.3))
-    generator = ca.CodeGenerator("stage.c", {"avoid_stack": True})
-    for each in with_derivatives(taken.function):
-        generator.add(each)
-    cache.mkdir()
-    source = cache / "stage.c"
-    source.write_text(compiled._in_parts(generator.dump()))
-    assert source.read_text().count("noinline") > 10
-    subprocess.run(["cc", "-shared", "-fPIC", source, "-o", cache / "stage.so", "-lm"], check=True)
-    point, factors = np.array([0.3, -0.7, 1.1, 0.2]), np.array([0.5, -1.0, 2.0, 0.1])
-    fast = ca.external(NAMES[2], str(cache / "stage.so"))
-    slow = with_derivatives(taken.function)[2]
-    inputs = (point, 0.5, taken.numbers, factors)
-    np.testing.assert_allclose(fast(*inputs).full(), slow(*inputs).full(), rtol=1e-13)
 
 
 def test_compiled_derivatives_are_the_interpreted_ones(cache: Path) -> None:
@@ -120,9 +118,8 @@ def test_compiled_derivatives_are_the_interpreted_ones(cache: Path) -> None:
     path = made(taken.function)
     rng = np.random.default_rng(2)
     for name, slow in zip(NAMES, with_derivatives(taken.function), strict=True):
-        fast = ca.external(name, str(path))
         inputs = [rng.normal(size=slow.size_in(k)) for k in range(slow.n_in())]
-        np.testing.assert_allclose(fast(*inputs).full(), slow(*inputs).full(), rtol=1e-13)
+        np.testing.assert_allclose(fast(name, path, *inputs), slow(*inputs).full(), rtol=1e-13)
 
 
 def test_no_compiler_no_library(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -176,3 +173,23 @@ def test_many_processes_may_ask_at_once(cache: Path) -> None:
     assert compiled.library(function) == path
     assert compiled.clear() == 1
     assert compiled.libraries() == []
+
+
+def test_a_programme_may_have_any_number_of_points(cache: Path) -> None:
+    taken = numbered(*stage(2.3))
+    count = LANES + 3
+    slow = StageFunction(taken, count, 1)
+    compiled.wait()
+    quick = StageFunction(taken, count, 1)
+    rng = np.random.default_rng(5)
+    variables, p = ca.MX.sym("w", 4, count), ca.MX.sym("p", 1 + len(taken.numbers))
+    weights = ca.MX.sym("weights", 4, count)
+    given = (rng.normal(size=(4, count)), [0.7, *taken.numbers], rng.normal(size=(4, count)))
+    found = []
+    for each in (slow, quick):
+        values = each.values(variables, p)
+        slopes, bends = each.jacobian(variables, p), each.hessian(variables, p, weights)
+        found.append(ca.Function("all", [variables, p, weights], [values, slopes, bends])(*given))
+    for one, other in zip(*found, strict=True):
+        assert one.sparsity() == other.sparsity()
+        np.testing.assert_allclose(one.full(), other.full(), rtol=1e-13)

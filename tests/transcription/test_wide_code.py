@@ -1,0 +1,79 @@
+"""Code for several points at once: every operation, to the last digit, in every lane."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from stiffopt.transcription import compiled, wide_code
+from stiffopt.transcription.wide_code import LANES
+
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+
+
+def made(functions: list[ca.Function], folder: Path) -> Path:
+    source, library = folder / "wide.c", folder / "wide.so"
+    source.write_text(wide_code.wide_code(functions, (1,)))
+    compiled._compile("cc", source, library)
+    return library
+
+
+def every_operation() -> ca.Function:
+    a, b, shared = ca.SX.sym("a"), ca.SX.sym("b"), ca.SX.sym("shared", 2)
+    inside = ca.fabs(a) / (1.0 + ca.fabs(a))
+    values = [
+        *(a + b, a - b, a * b, a / b, -a, a**2, 2 * a, 1 / a, a + 0.1, shared[0] * a),
+        *(a < b, a <= a, a == b, a != b, ca.logic_not(a), ca.logic_and(a, b - b)),
+        *(ca.logic_or(a, b - b), ca.sign(a), ca.sign(b - b), ca.fabs(a)),
+        *(ca.if_else(a < 0, b, shared[1]), ca.fmin(a, b), ca.fmax(a, b), ca.fmod(a, b)),
+        *(ca.exp(a), ca.log(ca.fabs(a)), ca.sqrt(ca.fabs(a)), ca.sin(a), ca.cos(a), ca.tan(a)),
+        *(ca.asin(inside), ca.acos(inside), ca.atan(a), ca.sinh(a), ca.cosh(a), ca.tanh(a)),
+        *(ca.asinh(a), ca.acosh(1 + inside), ca.atanh(inside), ca.floor(a), ca.ceil(a)),
+        *(ca.erf(a), ca.log1p(inside), ca.expm1(a), ca.fabs(a) ** b, ca.fabs(a) ** 1.7),
+        *(ca.atan2(a, b), ca.hypot(a, b), ca.copysign(a, b), ca.remainder(a, b)),
+    ]
+    # Not dense: zeros that nobody computes.
+    pattern = ca.diagcat(*values[:4], ca.vertcat(*values[4:]))
+    return ca.Function("every", [ca.vertcat(a, b), shared], [pattern])
+
+
+def test_every_operation_is_that_of_casadi(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(wide_code, "_LONGEST", 7)
+    one = every_operation()
+    many = ca.external("every", str(made([one], tmp_path)))
+    points = np.random.default_rng(3).normal(size=(2, 3 * LANES))
+    shared = [0.3, -1.7]
+    slow = np.hstack([one(point, shared).full() for point in points.T])
+    found = many.map(3)(points, ca.repmat(ca.DM(shared), 1, 3))
+    assert found.nnz() == 3 * LANES * one.nnz_out(0)
+    np.testing.assert_allclose(found.full(), slow, rtol=1e-15, atol=0)
+
+
+def test_what_is_not_given_is_zero(tmp_path: Path) -> None:
+    x, shared = ca.SX.sym("x"), ca.SX.sym("shared")
+    library = made([ca.Function("shifted", [x, shared], [x + shared + 1.0])], tmp_path)
+    wide = ca.external("shifted", str(library)).map(2)
+    nothing = ca.DM(1, 2 * LANES)
+    np.testing.assert_array_equal(wide(nothing, ca.DM.zeros(1, 2)).full(), 1.0)
+    buffer, evaluate = wide.buffer()
+    found = np.zeros(2 * LANES)
+    buffer.set_res(0, memoryview(found))
+    evaluate()
+    np.testing.assert_array_equal(found, 1.0)
+
+
+def test_a_compiler_that_knows_no_native_is_asked_without(tmp_path: Path) -> None:
+    strict = tmp_path / "strict"
+    strict.write_text("#!/bin/sh\ncase $* in *native*) exit 1;; esac\nexec cc $*\n")
+    strict.chmod(0o755)
+    source, library = tmp_path / "wide.c", tmp_path / "wide.so"
+    source.write_text(wide_code.wide_code([every_operation()], (1,)))
+    compiled._compile(str(strict), source, library)
+    assert library.exists()
+    with pytest.raises(subprocess.CalledProcessError):
+        compiled._compile("false", source, library)
