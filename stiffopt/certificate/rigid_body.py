@@ -1,4 +1,4 @@
-"""Torques, tool positions and Jacobians along a motion, by pinocchio alone."""
+"""Torques, tool positions and Jacobians along a motion, from pinocchio and its model alone."""
 
 from __future__ import annotations
 
@@ -8,11 +8,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
+from stiffopt.certificate.moving_joints import (
+    holding_torques,
+    joint_places,
+    moving_joints,
+    point_jacobian,
+)
 from stiffopt.robot.bodies_in_motion import torques_along
 from stiffopt.robot.rigid_body import without_rotors
 
 if TYPE_CHECKING:
     from stiffopt.robot.robot import Robot
+
+# Instants at once: what they take stays in the processor's cache.
+_BLOCK = 2000
 
 
 @dataclass(frozen=True)
@@ -39,32 +48,21 @@ class RigidBodyHistory:
 def rigid_body_history(
     robot: Robot, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
 ) -> RigidBodyHistory:
-    """Evaluate pinocchio at every instant; arrays (K, n)."""
-    model = without_rotors(robot.model)
-    tool = pin.Frame(
-        "stiffopt_tool",
-        robot.tool.joint,
-        0,
-        pin.SE3(np.asarray(robot.tool.rotation), np.asarray(robot.tool.offset)),
-        pin.FrameType.OP_FRAME,
-    )
-    frame = model.addFrame(tool, False)
+    """Evaluate pinocchio's model at every instant; arrays (K, n)."""
+    model, tool = without_rotors(robot.model), robot.tool
+    places, weight = joint_places(model), np.asarray(model.gravity.linear)
+    count, n = position.shape
+    gravity_torque, along = np.empty((count, n)), np.empty((count, 3))
+    jacobian = np.empty((count, 3, n))
+    for first in range(0, count, _BLOCK):
+        block = slice(first, first + _BLOCK)
+        joints = moving_joints(places, position[block])
+        point = joints[tool.joint - 1].point(np.asarray(tool.offset))
+        along[block] = point.T
+        gravity_torque[block] = holding_torques(joints, weight)
+        jacobian[block] = point_jacobian(joints, tool.joint, point)
     link_torque = torques_along(model, position, velocity, acceleration)
-    still = np.zeros_like(position)
-    gravity_torque = torques_along(model, position, still, still)
-    data = model.createData()
-    count, joints = position.shape
-    tool_position = np.empty((count, 3))
-    # pin drops the second axis for an arm of one joint.
-    full = np.empty((count, 6, joints) if joints > 1 else (count, 6))
-    axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    # Pinocchio's own number, which the Jacobian's computation renews.
-    place = data.oMf[frame].translation
-    for k in range(count):
-        full[k] = pin.computeFrameJacobian(model, data, position[k], frame, axes)
-        tool_position[k] = place
-    jacobian = np.ascontiguousarray(full.reshape(count, 6, joints)[:, :3])
-    return RigidBodyHistory(link_torque, gravity_torque, tool_position, jacobian)
+    return RigidBodyHistory(link_torque, gravity_torque, along, jacobian)
 
 
 def link_torques(

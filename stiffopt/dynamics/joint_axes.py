@@ -9,6 +9,7 @@ constant offset of the joint angle.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,6 +63,7 @@ def clean(values: np.ndarray) -> np.ndarray:
     return np.where(near_one, np.sign(values), values)
 
 
+@functools.lru_cache(maxsize=16)
 def axis_joints(tree: BodyTree) -> tuple[AxisJoint, ...]:
     """Joints of an arm in its own order: entry i - 1 is joint i."""
     base = np.eye(3)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -187,10 +188,10 @@ class Limits:
         keys = [key for kind in LIMITS.values() for key in kind.keys]
         return cls({key.name: key.value(robot) for key in keys})
 
-    @property
-    def kinds(self) -> list[LimitKind]:
+    @cached_property
+    def kinds(self) -> tuple[LimitKind, ...]:
         """The kinds of limit that are active."""
-        return [kind for kind in LIMITS.values() if kind.active(self)]
+        return tuple(kind for kind in LIMITS.values() if kind.active(self))
 
 
 def derivative_bounds(

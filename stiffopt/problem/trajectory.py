@@ -218,10 +218,10 @@ class TrajectoryProblem:
     def _let_go_of_jerk(self) -> None:
         """On a fixed path the robot's own jerk limit is left out, where none was asked for."""
         own = Limits.of(self.robot)
-        jerk = self.active_limits.jerk
-        if np.any(np.isfinite(jerk)) and np.array_equal(jerk, own.jerk):
+        stated = own if self.limits is None else self.limits
+        if np.any(np.isfinite(stated.jerk)) and np.array_equal(stated.jerk, own.jerk):
             free = np.full(self.joints, np.inf)
-            limits = Limits({**self.active_limits.values, "jerk": free})
+            limits = Limits({**stated.values, "jerk": free})
             object.__setattr__(self, "limits", limits)
             object.__setattr__(self, "remarks", (*self.remarks, _NO_JERK))
 
@@ -275,7 +275,7 @@ class TrajectoryProblem:
         """Whether the motion is averaged over a swing of the arm's lowest mode."""
         return any(objective.kind.shaped for objective in self.objectives)
 
-    @property
+    @cached_property
     def active_limits(self) -> Limits:
         """The limits in force."""
         return Limits.of(self.robot) if self.limits is None else self.limits

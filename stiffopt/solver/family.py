@@ -7,8 +7,7 @@ anew.
 
 from __future__ import annotations
 
-import io
-import zipfile
+import json
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -68,49 +67,47 @@ class WarmStart:
     method: str
 
     def to_bytes(self) -> bytes:
-        """As a NumPy archive."""
-        stream = io.BytesIO()
-        arrays = {f"mesh{k}": share for k, share in enumerate(self.mesh)}
-        arrays |= {f"scale_{name}": np.array(value) for name, value in self.scales.items()}
-        arrays |= {f"of_x{k}": each for k, each in enumerate(self.block_scales.variables)}
-        arrays |= {f"of_g{k}": each for k, each in enumerate(self.block_scales.rows)}
-        np.savez(
-            stream,
-            x=self.x,
-            multipliers_x=self.multipliers_x,
-            multipliers_g=self.multipliers_g,
-            smoothing=self.smoothing.parameters,
-            method=np.array(self.method),
-            **arrays,  # type: ignore[arg-type]
-        )
-        return stream.getvalue()
+        """As a line of JSON and the numbers of all arrays, one after another."""
+        of_x, of_g = self.block_scales.variables, self.block_scales.rows
+        groups = [[self.x], [self.multipliers_x], [self.multipliers_g], self.mesh, of_x, of_g]
+        head = {
+            "sizes": [[len(each) for each in group] for group in groups],
+            "smoothing": self.smoothing.parameters.tolist(),
+            "scales": {name: float(value) for name, value in self.scales.items()},
+            "method": self.method,
+        }
+        numbers = np.concatenate([np.zeros(0), *(each for group in groups for each in group)])
+        return json.dumps(head).encode() + b"\n" + numbers.astype("<f8").tobytes()
 
     @classmethod
     def from_bytes(cls, content: bytes) -> WarmStart | None:
         """Read what `to_bytes` wrote; None of bytes of another shape, as of an older version."""
         try:
             return cls._read(content)
-        except (KeyError, TypeError, ValueError, OSError, zipfile.BadZipFile):
+        except (KeyError, TypeError, ValueError):
             return None
 
     @classmethod
     def _read(cls, content: bytes) -> WarmStart:
-        with np.load(io.BytesIO(content)) as held:
-
-            def numbered(name: str) -> list[np.ndarray]:
-                count = sum(each.startswith(name) for each in held.files)
-                return [held[f"{name}{k}"] for k in range(count)]
-
-            return cls(
-                held["x"],
-                held["multipliers_x"],
-                held["multipliers_g"],
-                numbered("mesh"),
-                Smoothing(*held["smoothing"].tolist()),
-                {n[6:]: float(held[n]) for n in held.files if n.startswith("scale_")},
-                BlockScales(tuple(numbered("of_x")), tuple(numbered("of_g"))),
-                str(held["method"]),
-            )
+        line, _, held = content.partition(b"\n")
+        head = json.loads(line)
+        numbers = np.frombuffer(held, "<f8").astype(float)
+        sizes = [size for group in head["sizes"] for size in group]
+        if sum(sizes) != len(numbers):
+            raise ValueError("cut off")
+        arrays = iter(np.split(numbers, np.cumsum(sizes)[:-1]))
+        groups = [[next(arrays) for _ in group] for group in head["sizes"]]
+        (x,), (multipliers_x,), (multipliers_g,), mesh, of_x, of_g = groups
+        return cls(
+            x,
+            multipliers_x,
+            multipliers_g,
+            mesh,
+            Smoothing(*head["smoothing"]),
+            head["scales"],
+            BlockScales(tuple(of_x), tuple(of_g)),
+            head["method"],
+        )
 
 
 class ProblemFamily:

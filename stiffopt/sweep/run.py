@@ -134,7 +134,7 @@ class _Queue:
 
     def file(self, key: str) -> Path:
         """Where a case ended."""
-        return self._folder / CASES / _WARM / f"{key}.npz"
+        return self._folder / CASES / _WARM / key
 
 
 _Solved = tuple[dict[str, Any], bytes | None]

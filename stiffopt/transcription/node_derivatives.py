@@ -11,6 +11,7 @@ Two devices make it fast:
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -55,19 +56,61 @@ def numbered(stage: ca.Function, intermediate: ca.Function | None = None) -> Num
     # The intermediate comes first, so that what follows is computed from it.
     outputs = [ca.densify(each) for each in (*through, ca.vertcat(*stage.call(symbols)))]
     inputs = [ca.vertcat(*variables), parameters]
-    numbers: list[float] = []
+    plain = ca.Function("stage", inputs, outputs)
+    read = _read(plain)
+    if read.formula not in _taken:
+        _taken[read.formula] = _without_numbers(plain, inputs)
+    _taken.move_to_end(read.formula)
+    while len(_taken) > _KEPT:
+        _taken.popitem(last=False)
+    function, uses = _taken[read.formula]
+    return NumberedStage(function, np.array([read.constants[k] for k in uses]))
+
+
+@dataclass(frozen=True)
+class _Read:
+    """A function operation by operation: the formula, and constants by their instruction."""
+
+    formula: tuple[object, ...]
+    constants: dict[int, float]
+
+
+# Formulas without their numbers, and which instructions hold these: those used last. Most problems
+# of a sweep have one.
+_taken: OrderedDict[tuple[object, ...], tuple[ca.Function, list[int]]] = OrderedDict()
+_KEPT = 8
+
+
+def _read(function: ca.Function) -> _Read:
+    formula: list[object] = [function.size_in(k) for k in range(function.n_in())]
+    formula += [function.size_out(k) for k in range(function.n_out())]
+    constants: dict[int, float] = {}
+    for k in range(function.n_instructions()):
+        operation = function.instruction_id(k)
+        formula.append((operation, *function.instruction_output(k)))
+        if operation == ca.OP_CONST:
+            constants[k] = value = function.instruction_constant(k)
+            formula.append(value if value in _STRUCTURAL else None)
+        else:
+            formula.append(tuple(function.instruction_input(k)))
+    return _Read(tuple(formula), constants)
+
+
+def _without_numbers(function: ca.Function, inputs: list[ca.SX]) -> tuple[ca.Function, list[int]]:
+    """The function with one more input for the numbers; which instruction holds each of them."""
+    uses: list[int] = []
     names: list[ca.SX] = []
 
-    def number(value: float) -> ca.SX:
+    def number(value: float, instruction: int) -> ca.SX:
         if value in _STRUCTURAL:
             return ca.SX(value)
-        numbers.append(value)
+        uses.append(instruction)
         names.append(ca.SX.sym(f"n{len(names)}"))
         return names[-1]
 
-    replayed = _replayed(ca.Function("stage", inputs, outputs), inputs, number=number)
-    inputs.append(ca.vertcat(ca.SX(0, 1), *names))
-    return NumberedStage(ca.Function("stage", inputs, replayed), np.array(numbers))
+    replayed = _replayed(function, inputs, number=number)
+    given = ca.vertcat(ca.SX(0, 1), *names)
+    return ca.Function("stage", [*inputs, given], replayed), uses
 
 
 def with_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function, ca.Function]:
@@ -113,7 +156,7 @@ def with_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function, c
 def _replayed(
     function: ca.Function,
     inputs: list[ca.SX],
-    number: Callable[[float], ca.SX] = ca.SX,
+    number: Callable[[float, int], ca.SX] = lambda value, _: ca.SX(value),
     intermediate: ca.SX | None = None,
 ) -> list[ca.SX]:
     """Outputs of a function, computed again operation by operation.
@@ -124,16 +167,16 @@ def _replayed(
         Of SX, with dense outputs.
     inputs : list of SX
     number : callable
-        What stands for a number, asked for at each of its uses: whether two numbers happen to be
-        equal is no part of a formula.
+        What stands for a number, by its value and instruction, asked for at each of its uses:
+        whether two numbers happen to be equal is no part of a formula.
     intermediate : SX, optional
         Stands for the first output in all that is computed from it.
     """
-    work: dict[int, ca.SX | float] = {}
+    work: dict[int, ca.SX | tuple[float, int]] = {}
 
     def used(place: int) -> ca.SX:
         held = work[place]
-        return number(held) if isinstance(held, float) else held
+        return number(*held) if isinstance(held, tuple) else held
 
     given = [ca.vertsplit(each) for each in inputs]
     outputs = [[ca.SX(0)] * function.nnz_out(k) for k in range(function.n_out())]
@@ -141,7 +184,7 @@ def _replayed(
         operation = function.instruction_id(k)
         read, written = function.instruction_input(k), function.instruction_output(k)
         if operation == ca.OP_CONST:
-            work[written[0]] = function.instruction_constant(k)
+            work[written[0]] = function.instruction_constant(k), k
         elif operation == ca.OP_INPUT:
             work[written[0]] = given[read[0]][read[1]]
         elif operation == ca.OP_OUTPUT:

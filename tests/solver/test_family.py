@@ -68,7 +68,7 @@ def test_another_programme_is_built(first):
     assert set(solution.baselines) == {"toppra", "quintic"}
 
 
-def test_bytes_of_another_shape_are_no_warm_start():
+def test_bytes_of_another_shape_are_no_warm_start(first):
     older = io.BytesIO()
     empty = np.zeros(0)
     np.savez(
@@ -80,7 +80,9 @@ def test_bytes_of_another_shape_are_no_warm_start():
         method=np.array("collocation 20"),
     )
     assert WarmStart.from_bytes(older.getvalue()) is None
-    assert WarmStart.from_bytes(older.getvalue()[:100]) is None
+    own = first[2].to_bytes()
+    assert WarmStart.from_bytes(own) is not None
+    assert all(WarmStart.from_bytes(own[:length]) is None for length in (0, 20, 1001, -8, -1))
 
 
 def test_an_end_goes_through_a_file(first):

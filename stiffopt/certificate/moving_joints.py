@@ -1,0 +1,169 @@
+"""Joint axes along a motion, all instants at once: what Jacobians and weights follow from.
+
+Written out from the placements and inertias of pinocchio's own model, since pinocchio gives them at
+one instant a call; the tests hold both against each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class JointPlace:
+    """What stays of one joint and the body that it carries, in its own frame if not said otherwise.
+
+    Parameters
+    ----------
+    parent : int
+        Number of the joint that it hangs on, from 1; 0 is the base.
+    prismatic : bool
+    place : int
+        Of its value among the positions.
+    within : array (3, 3)
+        A frame whose third column is the axis.
+    rotation, translation : array (3, 3), (3,) [m]
+        Of that frame and of the origin, in such a frame of the parent.
+    mass : float [kg]
+    centre : array (3,) [m]
+        Of mass.
+    """
+
+    parent: int
+    prismatic: bool
+    place: int
+    within: np.ndarray
+    rotation: np.ndarray
+    translation: np.ndarray
+    mass: float
+    centre: np.ndarray
+
+
+@dataclass(frozen=True)
+class MovingJoint:
+    """One joint at K instants; base axes.
+
+    Parameters
+    ----------
+    of : JointPlace
+    origin : array (3, K) [m]
+    frame : array (3, 3, K)
+        Vectors of its frame, the axis last.
+    """
+
+    of: JointPlace
+    origin: np.ndarray
+    frame: np.ndarray
+
+    @property
+    def axis(self) -> np.ndarray:
+        """Unit vector (3, K)."""
+        return np.asarray(self.frame[2])
+
+    def point(self, place: np.ndarray) -> np.ndarray:
+        """Where a point (3,) [m] of the body is (3, K) [m]; given in the joint's own frame."""
+        return self.origin + _turned(self.frame, place @ self.of.within)
+
+
+def joint_places(model: Any) -> list[JointPlace]:
+    """Joints of a pinocchio model, in its order."""
+    made: list[JointPlace] = []
+    for number in range(1, model.njoints):
+        parent, joint = int(model.parents[number]), model.joints[number]
+        held, body = model.jointPlacements[number], model.inertias[number]
+        data = joint.createData()
+        joint.calc(data, np.zeros(model.nq))
+        # Velocity and turning rate for a unit of the joint's own.
+        slide, turn = np.split(np.asarray(data.S, dtype=float).ravel(), 2)
+        prismatic = not np.any(turn)
+        within = _frame_along(slide if prismatic else turn)
+        before = made[parent - 1].within.T if parent else np.eye(3)
+        rotation, translation = before @ held.rotation @ within, before @ held.translation
+        made.append(
+            JointPlace(
+                parent, prismatic, joint.idx_q, within, rotation, translation, body.mass, body.lever
+            )
+        )
+    return made
+
+
+def moving_joints(places: list[JointPlace], position: np.ndarray) -> list[MovingJoint]:
+    """Joints at the positions (K, n) [rad] or [m]."""
+    count = len(position)
+    base = np.repeat(np.eye(3)[:, :, None], count, axis=2)
+    made: list[MovingJoint] = []
+    for of in places:
+        parent = made[of.parent - 1] if of.parent else None
+        before = base if parent is None else parent.frame
+        origin = _turned(before, of.translation)
+        if parent is not None:
+            origin += parent.origin
+        # Columns of the frame's matrix times a constant rotation.
+        frame = (of.rotation.T @ before.reshape(3, 3 * count)).reshape(3, 3, count)
+        value = position[:, of.place]
+        if of.prismatic:
+            origin += frame[2] * value
+        else:
+            c, s = np.cos(value), np.sin(value)
+            x, y = frame[0] * c + frame[1] * s, frame[1] * c - frame[0] * s
+            frame[0], frame[1] = x, y
+        made.append(MovingJoint(of, origin, frame))
+    return made
+
+
+def point_jacobian(joints: list[MovingJoint], carrier: int, point: np.ndarray) -> np.ndarray:
+    """Velocity of a point (3, K) [m] of the body of joint `carrier` for a unit of each joint's.
+
+    (K, 3, n), base axes.
+    """
+    columns = np.zeros((len(joints), *point.shape))
+    while carrier:
+        joint = joints[carrier - 1]
+        lever = point - joint.origin
+        columns[carrier - 1] = joint.axis if joint.of.prismatic else _cross(joint.axis, lever)
+        carrier = joint.of.parent
+    return columns.transpose(2, 1, 0)
+
+
+def holding_torques(joints: list[MovingJoint], gravity: np.ndarray) -> np.ndarray:
+    """Torques (K, n) [N m], or forces [N] where a joint slides, that hold the weight at rest."""
+    masses = [joint.of.mass for joint in joints]
+    moments = [joint.of.mass * joint.point(joint.of.centre) for joint in joints]
+    torques = np.empty((len(joints), joints[0].origin.shape[1]))
+    for k in reversed(range(len(joints))):
+        joint, parent = joints[k], joints[k].of.parent
+        if parent:
+            masses[parent - 1] += masses[k]
+            moments[parent - 1] += moments[k]
+        if joint.of.prismatic:
+            torques[k] = -masses[k] * (gravity @ joint.axis)
+        else:
+            # Axis times lever times weight: the product of three vectors may be turned around.
+            lever = moments[k] - masses[k] * joint.origin
+            torques[k] = _dot(lever, _cross(joint.axis, gravity[:, None]))
+    return torques.T
+
+
+def _frame_along(axis: np.ndarray) -> np.ndarray:
+    """A rotation whose third column is `axis`."""
+    least = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    x = np.cross(least, axis)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(axis, x), axis])
+
+
+def _turned(frame: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    return np.asarray((vector @ frame.reshape(3, -1)).reshape(3, -1))
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.stack(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
