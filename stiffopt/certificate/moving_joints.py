@@ -65,7 +65,7 @@ class MovingJoint:
 
     def point(self, place: np.ndarray) -> np.ndarray:
         """Where a point (3,) [m] of the body is (3, K) [m]; given in the joint's own frame."""
-        return self.origin + _turned(self.frame, place @ self.of.within)
+        return np.asarray(self.origin + _turned(self.frame, place @ self.of.within))
 
 
 def joint_places(model: Any) -> list[JointPlace]:
