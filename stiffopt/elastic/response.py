@@ -7,6 +7,7 @@ to the next and f is linear there; both steps are then exact, however fast a mod
 
 from __future__ import annotations
 
+from copy import copy
 from functools import cached_property
 from math import factorial
 
@@ -41,19 +42,53 @@ class SwingResponse:
         self.dt, self.n = dt, inertia.shape[1]
         self._mobility = np.linalg.inv(inertia)
         self._rate, self._stiffness = rate, stiffness
-        n, count = self.n, len(inertia)
-        mobility, damping, springs = (
-            0.5 * (m[1:] + m[:-1]) for m in (self._mobility, rate, stiffness)
-        )
         # Velocities over a typical rate, so that all states are of one size.
-        self._unit = float(np.sqrt(np.max(np.abs(mobility @ springs))))
-        slope = np.zeros((count - 1, 2 * n, 2 * n))
-        slope[:, :n, n:] = self._unit * np.eye(n)
-        slope[:, n:, :n] = -mobility @ springs / self._unit
-        slope[:, n:, n:] = -mobility @ damping
-        self._step = exponentials(dt * slope)
-        self._soft = np.linalg.inv(springs)
-        self._lag = self._soft @ damping @ self._soft
+        self._unit = float(np.sqrt(np.max(np.abs(self._mobility @ stiffness))))
+        steps, size = len(inertia) - 1, 2 * self.n
+        self._step = np.empty((steps, size, size))
+        self._soft, self._lag = np.empty((2, steps, self.n, self.n))
+        # x_k+1 - step_k x_k = added_k+1 as a lower banded matrix of unit diagonal. By column: of a
+        # state, the diagonal and what the next one has of it below.
+        self._by_column = np.zeros((steps + 1, size, 2 * size))
+        self._by_column[..., 0] = 1.0
+        self._take(0, steps)
+
+    def _take(self, first: int, last: int) -> None:
+        """Take steps, those from sample `first` on and before `last`, with the springs of now."""
+        n, size = self.n, 2 * self.n
+        along = self._by_column.strides[0]
+        below = np.ndarray(
+            self._step.shape, buffer=self._by_column, offset=8 * size, strides=(along, 8 * (2 * size - 1), 8)
+        )
+        for begin in range(first, last, _AT_ONCE):
+            steps = slice(begin, min(begin + _AT_ONCE, last))
+            ends = slice(begin + 1, steps.stop + 1)
+            mobility, damping, springs = (
+                0.5 * (m[ends] + m[steps]) for m in (self._mobility, self._rate, self._stiffness)
+            )
+            slope = np.zeros((len(springs), size, size))
+            slope[:, :n, n:] = self._unit * np.eye(n)
+            slope[:, n:, :n] = -mobility @ springs / self._unit
+            slope[:, n:, n:] = -mobility @ damping
+            self._step[steps] = exponentials(self.dt * slope)
+            below[steps] = -self._step[steps].swapaxes(1, 2)
+            self._soft[steps] = soft = np.linalg.inv(springs)
+            self._lag[steps] = soft @ damping @ soft
+
+    def copy(self) -> SwingResponse:
+        """One whose springs may be changed."""
+        new = copy(self)
+        new.__dict__.pop("_gains", None)
+        for name in ("_stiffness", "_step", "_soft", "_lag", "_by_column"):
+            setattr(new, name, getattr(self, name).copy())
+        return new
+
+    def change_springs(self, samples: slice, stiffness: np.ndarray) -> None:
+        """Take other springs (K, n, n) at some samples [N m/rad]; elsewhere they stay."""
+        self._stiffness[samples] = stiffness
+        self.__dict__.pop("_gains", None)
+        first, last, _ = samples.indices(len(self._stiffness))
+        self._take(max(first - 1, 0), min(last, len(self._step)))
 
     def __call__(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Swing under torques on the links.
@@ -151,23 +186,12 @@ class SwingResponse:
         left = torque - self._rate @ velocity - self._stiffness @ z
         return np.asarray(self._mobility @ left)
 
-    @cached_property
-    def _band(self) -> np.ndarray:
-        """x_k+1 - step_k x_k = added_k+1 as a lower banded matrix of unit diagonal."""
-        size, count = 2 * self.n, len(self._step)
-        # By column: of a state, the diagonal and what the next one has of it below.
-        by_column = np.zeros((count + 1, size, 2 * size))
-        by_column[..., 0] = 1.0
-        for column in range(size):
-            below = slice(size - column, 2 * size - column)
-            by_column[:-1, column, below] = -self._step[:, :, column]
-        return by_column.reshape(-1, 2 * size).T
-
     def _march(self, added: np.ndarray) -> np.ndarray:
         count, size, many = added.shape
         if not many:
             return added
-        found, failed = dtbtrs(self._band, added.reshape(count * size, many), uplo="L", diag="U")
+        band = self._by_column.reshape(-1, 2 * size).T
+        found, failed = dtbtrs(band, added.reshape(count * size, many), uplo="L", diag="U")
         assert not failed
         return np.asarray(found).reshape(added.shape)
 
@@ -177,28 +201,23 @@ def exponentials(matrices: np.ndarray) -> np.ndarray:
 
     Series of the scaled matrices, squared again; scipy's takes them one by one.
     """
-    out = np.empty_like(matrices)
-    for first in range(0, len(matrices), _AT_ONCE):
-        part = slice(first, first + _AT_ONCE)
-        out[part] = _series(matrices[part])
-    return out
-
-
-def _series(matrices: np.ndarray) -> np.ndarray:
     largest = float(np.abs(matrices).sum(axis=1).max())
     halvings = max(0, int(np.ceil(np.log2(max(largest, 1e-300) / _SMALL))))
     once = matrices / 2.0**halvings
     twice = once @ once
     thrice = twice @ once
-    own = np.eye(matrices.shape[1])
 
     def three(first: int) -> np.ndarray:
         c = [1.0 / factorial(first + k) for k in range(3)]
-        return np.asarray(c[0] * own + c[1] * once + c[2] * twice)
+        terms = c[1] * once
+        terms += c[2] * twice
+        np.einsum("kii->ki", terms)[:] += c[0]
+        return np.asarray(terms)
 
     found = three(_TERMS - 3)
     for first in range(_TERMS - 6, -1, -3):
-        found = found @ thrice + three(first)
+        found = found @ thrice
+        found += three(first)
     for _ in range(halvings):
         found = found @ found
     return np.asarray(found)

@@ -115,6 +115,16 @@ class Swing:
     softer: np.ndarray | float
     heavier: np.ndarray | float
 
+    def copy(self) -> Swing:
+        """One whose springs may be changed."""
+        return replace(self, response=self.response.copy(), stiffness=self.stiffness.copy())
+
+    def change_springs(self, samples: slice, stiffness: np.ndarray) -> None:
+        """Take another stiffness of (K, n) at some samples; elsewhere it stays."""
+        self.stiffness[samples] = own = stiffness[samples]
+        springs = own[..., None] * np.eye(self.response.n)
+        self.response.change_springs(samples, self.bodies[0][samples] + springs)
+
     def answer(
         self, link_torque: np.ndarray | None, deflection: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -266,7 +276,7 @@ class Springs:
             else near.bodies
         )
         weight, rate, inertia = bodies
-        stiffness = 1.0 / (self.robot.compliance(links.spring) * np.clip(softer, *_SOFTER))
+        stiffness = self._stiffness(links, softer)
         own = np.eye(self.robot.n)
         response = SwingResponse(
             inertia + heavier,
@@ -275,6 +285,12 @@ class Springs:
             self.dt,
         )
         return Swing(response, stiffness, self.damping, bodies, links, softer, heavier)
+
+    def _stiffness(self, links: LinkMotion, softer: np.ndarray | float) -> np.ndarray:
+        """Stiffness of the springs (K, n) along a motion [N m/rad]."""
+        return np.asarray(
+            1.0 / (self.robot.compliance(links.spring) * np.clip(softer, *_SOFTER))
+        )
 
     def started(
         self,
@@ -328,7 +344,7 @@ class Springs:
         softer : callable, optional
             What it makes of the springs.
         """
-        before, end, growing = np.inf, len(self.motor), 0
+        before, end, growing, given = np.inf, len(self.motor), 0, swing
         reached = [0]
         torque: np.ndarray | float = 0.0
         displaced: np.ndarray | float = 0.0
@@ -354,9 +370,12 @@ class Springs:
                 before, end = np.inf, min(len(sizes), 2 * end)
             worst = float(np.max(sizes[:end]))
             if worst > _SLOW * before:
-                # Springs bend where the motion was taken to be: anew about where it is.
+                # Springs bend where the motion was taken to be: anew about where it is, as far as
+                # it is followed.
                 ratio = swing.softer if softer is None else softer(links)
-                swing = self.swing(links, ratio, swing.heavier, swing)
+                if swing is given:
+                    swing = given.copy()
+                swing.change_springs(slice(first, end), self._stiffness(links, ratio))
             if worst > before:
                 growing += end - first <= _FEWEST
                 if growing > _GROWING:
