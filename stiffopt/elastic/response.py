@@ -109,23 +109,33 @@ class SwingResponse:
             z, velocity, acceleration = (np.stack(x, axis=2) for x in zip(*each, strict=True))
             return z, velocity, acceleration
         many = torque[..., None]
-        state = self._march(self._forced(many))
+        state = self._march(self._forced(many)[None, ..., 0])[0]
         z, velocity = state[:, : self.n], self._unit * state[:, self.n :]
-        pulled = self._pulled(many, z, velocity)
-        return z[..., 0], velocity[..., 0], pulled[..., 0]
+        return z, velocity, self._pulled(many, z[..., None], velocity[..., None])[..., 0]
 
     def moved(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Swing and its velocity under torques (K, n) of many calls, mostly on one link.
 
         The same as a call gives; what a step does with a torque is kept from call to call.
         """
-        added = np.zeros((len(torque), 2 * self.n, 1))
-        begin, end = self._gains
-        for j in np.flatnonzero(np.any(torque, axis=0)):
-            own = torque[:, j, None]
-            added[1:, :, 0] += begin[j] * own[:-1] + end[j] * own[1:]
-        state = self._march(added)[..., 0]
+        added = np.zeros((1, len(torque), 2 * self.n))
+        for link in np.flatnonzero(torque.any(axis=0)):
+            self._push(added, link, torque[None, :, link])
+        state = self._march(added)[0]
         return state[:, : self.n], self._unit * state[:, self.n :]
+
+    def pushed(self, link: int, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Swing and its velocity (m, K, n) under each of m torques (m, K) on one link."""
+        added = np.zeros((*torque.shape, 2 * self.n))
+        self._push(added, link, torque)
+        state = self._march(added)
+        return state[..., : self.n], self._unit * state[..., self.n :]
+
+    def _push(self, added: np.ndarray, link: int, torque: np.ndarray) -> None:
+        """Add to the states (m, K, 2 n) what each of m torques (m, K) does on one link."""
+        begin, end = self._gains
+        added[:, 1:] += begin[link] * torque[:, :-1, None]
+        added[:, 1:] += end[link] * torque[:, 1:, None]
 
     def free(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Swing (K, n, m) that is left alone after it begins at displacements and velocities.
@@ -135,10 +145,10 @@ class SwingResponse:
         state : array (2 n, m)
             [rad], below them [rad/s].
         """
-        begin = np.zeros((len(self._step) + 1, 2 * self.n, state.shape[1]))
-        begin[0, : self.n] = state[: self.n]
-        begin[0, self.n :] = state[self.n :] / self._unit
-        found = self._march(begin)
+        begin = np.zeros((state.shape[1], len(self._step) + 1, 2 * self.n))
+        begin[:, 0, : self.n] = state[: self.n].T
+        begin[:, 0, self.n :] = state[self.n :].T / self._unit
+        found = np.moveaxis(self._march(begin), 0, 2)
         z, velocity = found[:, : self.n], self._unit * found[:, self.n :]
         return z, velocity, self._pulled(np.zeros_like(z), z, velocity)
 
@@ -187,13 +197,14 @@ class SwingResponse:
         return np.asarray(self._mobility @ left)
 
     def _march(self, added: np.ndarray) -> np.ndarray:
-        count, size, many = added.shape
-        if not many:
+        """States (m, K, 2 n) from what each step adds to them; takes its memory."""
+        if not len(added):
             return added
-        band = self._by_column.reshape(-1, 2 * size).T
-        found, failed = dtbtrs(band, added.reshape(count * size, many), uplo="L", diag="U")
+        band = self._by_column.reshape(-1, 4 * self.n).T
+        whole = added.reshape(len(added), -1).T
+        found, failed = dtbtrs(band, whole, uplo="L", diag="U", overwrite_b=True)
         assert not failed
-        return np.asarray(found).reshape(added.shape)
+        return np.asarray(found.T).reshape(added.shape)
 
 
 def exponentials(matrices: np.ndarray) -> np.ndarray:

@@ -262,21 +262,15 @@ class Columns:
     def _made_of(self, located: LocatedEffect, sizes: np.ndarray) -> PieceColumns:
         """Columns for such sizes of the amplitudes."""
         count = len(sizes)
-        if located.joint is None or any(run.swing is not None for run in self.runs):
+        if located.joint is None:
             per_run = [list(located.columns(run, self.robot)) for run in self.runs]
             rows = [
                 self.rows.flatten([c[0] for c in each], [c[1] for c in each])
                 for each in zip(*per_run, strict=True)
             ]
             return self.pieces.split(np.column_stack(rows) * sizes)
-        added = [
-            [
-                (kind, joint, i, values)
-                for i in range(count)
-                for kind, joint, values in located.channels(run, self.robot, i)
-            ]
-            for run in self.runs
-        ]
+        # One run after another: where links swing, all channels of it are moved.
+        added = (list(located.channels(run, self.robot)) for run in self.runs)
         parts = ((begin, part * sizes) for begin, part in self.rows.of_channels(added, count))
         return self.pieces.from_stretches(parts, count)
 

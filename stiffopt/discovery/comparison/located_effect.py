@@ -162,31 +162,49 @@ class LocatedEffect:
         )
 
     def channels(
-        self, run: PreparedRun, robot: RobotModel, amplitude: int
-    ) -> Iterator[tuple[Kind, int, np.ndarray]]:
-        """Change (K,) of single channels for a unit of an amplitude; none where nothing changes.
+        self, run: PreparedRun, robot: RobotModel
+    ) -> Iterator[tuple[Kind, int, int, np.ndarray]]:
+        """Changes (K,) of single channels for a unit of each amplitude, where anything changes.
 
-        Of an effect of a joint along a run whose links do not swing: kind and joint (from 0).
+        Of an effect of a joint: kind, joint and amplitude (from 0), and the change; several of one
+        channel add up.
         """
         assert self.joint is not None
         if self.run is not None and run.name != self.run:
             return
-        signals = run.of_joint(self.joint)
-        unit = [1.0 if k == amplitude else 0.0 for k in range(len(self.effect.amplitudes))]
-        term = self.effect.term(signals, unit, self.shapes)
-        joint = robot.constants.joints[self.joint]
-        torque = np.asarray(term.drive_torque + term.link_torque, dtype=float)
-        deflection = np.asarray(term.deflection + term.reading, dtype=float)
-        if np.any(term.link_torque):
-            deflection = deflection + joint.compliance(signals.spring_torque) * term.link_torque
-        added: tuple[tuple[Kind, int, np.ndarray], ...] = (
-            ("torque", self.joint, torque),
-            ("deflection", self.joint, deflection),
-            ("torque", self.joint - 1, np.asarray(term.previous_torque, dtype=float)),
-        )
-        for kind, index, values in added:
-            if index >= 0 and values.any():
-                yield kind, index, np.broadcast_to(values, run.time.shape)
+        signals, count, pushes = run.of_joint(self.joint), len(self.effect.amplitudes), {}
+        for i in range(count):
+            unit = [1.0 if k == i else 0.0 for k in range(count)]
+            term = self.effect.term(signals, unit, self.shapes)
+            torque, deflection, link, wound = (
+                np.asarray(x, dtype=float)
+                for x in (term.drive_torque, term.reading, term.link_torque, term.deflection)
+            )
+            loaded = link.any()
+            if run.swing is None:
+                torque, deflection = torque + link, wound + deflection
+                if loaded:
+                    deflection = deflection + run.compliance(robot, self.joint) * link
+            elif loaded or wound.any():
+                pushes[i] = link, wound
+            added: tuple[tuple[Kind, int, np.ndarray], ...] = (
+                ("torque", self.joint, torque),
+                ("deflection", self.joint, deflection),
+                ("torque", self.joint - 1, np.asarray(term.previous_torque, dtype=float)),
+            )
+            for kind, joint, values in added:
+                if joint >= 0 and values.any():
+                    yield kind, joint, i, np.broadcast_to(values, run.time.shape)
+        if run.swing is not None and pushes:
+            links, wounds = (
+                np.stack([np.broadcast_to(x, run.time.shape) for x in each])
+                for each in zip(*pushes.values(), strict=True)
+            )
+            answers = run.swing.pushed(self.joint, links, wounds)
+            for i, torques, deflections in zip(pushes, *answers, strict=True):
+                for joint in range(robot.n):
+                    yield "torque", joint, i, torques[:, joint]
+                    yield "deflection", joint, i, deflections[:, joint]
 
     def columns(
         self, run: PreparedRun, robot: RobotModel

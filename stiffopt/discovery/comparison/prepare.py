@@ -68,6 +68,7 @@ class PreparedRun:
     beside: np.ndarray | float = 0.0
     swung: dict[tuple[object, ...], PreparedRun] = field(default_factory=dict, init=False)
     _joints: dict[int, JointSignals] = field(default_factory=dict, init=False)
+    _compliance: dict[int, np.ndarray] = field(default_factory=dict, init=False)
 
     @property
     def links(self) -> LinkMotion:
@@ -86,6 +87,13 @@ class PreparedRun:
         if index not in self._joints:
             self._joints[index] = self.signals.of_joint(index)
         return self._joints[index]
+
+    def compliance(self, robot: RobotModel, index: int) -> np.ndarray:
+        """Slope of the nominal wind-up of one joint (0-based) (K,) [rad/(N m)]."""
+        if index not in self._compliance:
+            torque = self.of_joint(index).spring_torque
+            self._compliance[index] = np.asarray(robot.constants.joints[index].compliance(torque))
+        return self._compliance[index]
 
     def springs(self, robot: RobotModel, damping: np.ndarray | None = None) -> Springs:
         """Springs between the motors and the links of this run, as damped as given or nominal."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -129,13 +129,13 @@ class ChannelRows:
                 )
 
     def of_channels(
-        self, added: Sequence[Sequence[tuple[str, int, int, np.ndarray]]], count: int
+        self, added: Iterable[Sequence[tuple[str, int, int, np.ndarray]]], count: int
     ) -> Iterator[tuple[int, np.ndarray]]:
         """Columns of rows from what they add to single channels of every run.
 
         Parameters
         ----------
-        added : sequence of sequence of (kind, joint, column, array (K,)), one a run
+        added : iterable of sequence of (kind, joint, column, array (K,)), one a run
             "torque" or "deflection", and the joint from 0.
         count : int
 

@@ -142,6 +142,16 @@ class Swing:
         z, velocity = self.response.moved(-np.asarray(needed))
         return -self.stiffness * z - pushed - self.damping * velocity, -z
 
+    def pushed(
+        self, joint: int, link_torque: np.ndarray, deflection: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Changes as `answer` gives them, (m, K, n) each, of m pushes (m, K) at one joint."""
+        wound = self.stiffness[:, joint] * deflection
+        z, velocity = self.response.pushed(joint, -(wound + link_torque))
+        torque = -self.stiffness * z - self.damping * velocity
+        torque[..., joint] -= wound
+        return torque, -z
+
     def begun_near(self, links: LinkMotion, near: LinkMotion, window: slice) -> LinkMotion:
         """Link motion that begins otherwise, so that it is nearest to another one in a window.
 
