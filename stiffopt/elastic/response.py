@@ -58,7 +58,10 @@ class SwingResponse:
         n, size = self.n, 2 * self.n
         along = self._by_column.strides[0]
         below = np.ndarray(
-            self._step.shape, buffer=self._by_column, offset=8 * size, strides=(along, 8 * (2 * size - 1), 8)
+            self._step.shape,
+            buffer=self._by_column,
+            offset=8 * size,
+            strides=(along, 8 * (2 * size - 1), 8),
         )
         for begin in range(first, last, _AT_ONCE):
             steps = slice(begin, min(begin + _AT_ONCE, last))

@@ -298,9 +298,7 @@ class Springs:
 
     def _stiffness(self, links: LinkMotion, softer: np.ndarray | float) -> np.ndarray:
         """Stiffness of the springs (K, n) along a motion [N m/rad]."""
-        return np.asarray(
-            1.0 / (self.robot.compliance(links.spring) * np.clip(softer, *_SOFTER))
-        )
+        return np.asarray(1.0 / (self.robot.compliance(links.spring) * np.clip(softer, *_SOFTER)))
 
     def started(
         self,
