@@ -122,7 +122,7 @@ class SwingResponse:
         The same as a call gives; what a step does with a torque is kept from call to call.
         """
         added = np.zeros((1, len(torque), 2 * self.n))
-        for link in np.flatnonzero(torque.any(axis=0)):
+        for link in np.flatnonzero(torque.any(axis=0)).tolist():
             self._push(added, link, torque[None, :, link])
         state = self._march(added)[0]
         return state[:, : self.n], self._unit * state[:, self.n :]
