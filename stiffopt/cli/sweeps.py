@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +16,7 @@ from stiffopt.interrupts import finishing
 
 if TYPE_CHECKING:
     from stiffopt.sweep.cases import Sweep
+    from stiffopt.sweep.workers import Workers
 
 
 @app.command
@@ -44,36 +48,38 @@ def sweep(
     quiet
         No progress display.
     """
+    from stiffopt.files import check_file
+
+    check_file(file)
+    pool = employed(workers, scheduler)
     from stiffopt.sweep.cases import load_sweep
 
     loaded = load_sweep(file, changes)
     folder = out or Path("out") / file.stem
-    return swept(loaded, folder, workers, scheduler, open_report=open_report, quiet=quiet)
+    return swept(loaded, folder, pool, open_report=open_report, quiet=quiet)
 
 
-def swept(
-    sweep: Sweep,
-    folder: Path,
-    workers: int | None,
-    scheduler: str | None,
-    *,
-    open_report: bool,
-    quiet: bool,
-) -> int:
+def employed(workers: int | None, scheduler: str | None) -> Workers:
+    """Workers as the command line asks for them, which load while the cases are being read."""
+    from stiffopt.sweep import workers as known
+
+    if workers is not None and workers < 1:
+        raise InputError(f"--workers {workers}: at least 1 is needed.")
+    return known.workers(workers, scheduler)
+
+
+def swept(sweep: Sweep, folder: Path, pool: Workers, *, open_report: bool, quiet: bool) -> int:
     """Solve the cases of a sweep and write what it found; exit code."""
-    from stiffopt.report.sweep.page import write_sweep_report
     from stiffopt.report.sweep.terminal import SweepDisplay, print_sweep
     from stiffopt.sweep.run import run_sweep
     from stiffopt.sweep.store import PARQUET_FILE, write_sweep
     from stiffopt.sweep.summary import SweepSummary
-    from stiffopt.sweep.workers import workers as employed
 
-    if workers is not None and workers < 1:
-        raise InputError(f"--workers {workers}: at least 1 is needed.")
     with output_folder(folder, "sweep", maybe=(PARQUET_FILE,)) as stage:
-        with nullcontext() if quiet else SweepDisplay(sweep.title) as progress:
-            pool = employed(workers, scheduler)
+        with nullcontext() if quiet else SweepDisplay(sweep.title) as progress, _loading(pool):
             results, interrupted = run_sweep(sweep, folder, pool, progress)
+        from stiffopt.report.sweep.page import write_sweep_report
+
         summary = SweepSummary(sweep, results, interrupted)
         if set(summary.statuses()) == {"invalid"}:
             first = next(each for each in results if each is not None)
@@ -86,3 +92,24 @@ def swept(
     print_sweep(summary, folder)
     show_report(folder, open_report)
     return 130 if interrupted else 0
+
+
+@contextmanager
+def _loading(pool: Workers) -> Iterator[None]:
+    """Load what the answer is written with while others work, who begin with a single case."""
+    if pool.slots == 1:
+        yield
+        return
+    loader = threading.Thread(target=_load)
+    loader.start()
+    try:
+        yield
+    finally:
+        loader.join()
+
+
+def _load() -> None:
+    import_module("stiffopt.report.sweep.page")
+    # What fails is told where it is needed.
+    with suppress(ImportError):
+        import_module("pyarrow.parquet")

@@ -8,18 +8,23 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from importlib import import_module
-from multiprocessing import connection
+from multiprocessing import connection, forkserver, resource_tracker
 from typing import Any, Protocol
 
 from stiffopt.errors import InputError
 
 Call = Callable[..., Any]
+
+_NEEDED = "stiffopt.solver.family"
+# Copies of a process are safe where no library begins threads of the system's own when it loads.
+_FORKS = sys.platform == "linux"
 
 
 class Workers(Protocol):
@@ -68,6 +73,10 @@ class Processes:
     def __init__(self, count: int) -> None:
         self._count = count
         self._pool: Executor | None = None
+        self._context = multiprocessing.get_context("forkserver" if _FORKS else "spawn")
+        # What all begin from loads while the cases are still being read.
+        with _environment():
+            _load_once()
 
     @property
     def slots(self) -> int:
@@ -78,10 +87,11 @@ class Processes:
         """Have a call made; after a death by new processes."""
         for _ in range(2):
             # Each process works on one core; it starts with the first call.
-            with suppress(BrokenProcessPool), _one_thread():
+            with suppress(BrokenProcessPool), _environment():
                 if self._pool is None:
-                    context = multiprocessing.get_context("spawn")
-                    self._pool = ProcessPoolExecutor(self._count, context, initializer=_begin)
+                    _load_once()
+                    own = self._context
+                    self._pool = ProcessPoolExecutor(self._count, own, initializer=_begin)
                     for _ in range(self._count):
                         # All load at once, also where only one case can be begun.
                         self._pool.submit(_load)
@@ -159,9 +169,27 @@ def _cores() -> int:
     return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
 
 
+def _load_once() -> None:
+    """Have one process load what nearly all cases need, of which the workers are copies.
+
+    It does nothing else: there are no threads and no locks that a copy could miss.
+    """
+    if not _FORKS:
+        return
+    forkserver.set_forkserver_preload([_NEEDED])
+    # This one comes with it, and lets Ctrl-C through again when it has begun.
+    resource_tracker.ensure_running()
+    # Ctrl-C while it loads is its parent's to take as well.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _load() -> None:
     """What nearly all cases need."""
-    import_module("stiffopt.solver.family")
+    import_module(_NEEDED)
 
 
 def _begin() -> None:
@@ -179,11 +207,13 @@ def _end_with(sentinel: int) -> None:
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
-    before = os.environ.get("OMP_NUM_THREADS")
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
+def _environment() -> Iterator[None]:
+    """Of processes that begin: of one thread each, and nothing in the working folder is run."""
+    wanted = {"OMP_NUM_THREADS": "1", "PYTHONSAFEPATH": "1"}
+    added = [name for name in wanted if name not in os.environ]
+    os.environ.update({name: wanted[name] for name in added})
     try:
         yield
     finally:
-        if before is None:
-            del os.environ["OMP_NUM_THREADS"]
+        for name in added:
+            del os.environ[name]
