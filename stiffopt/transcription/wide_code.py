@@ -75,6 +75,12 @@ _HEAD = """#include <math.h>
 /* Neither aligned as a whole nor of a type of its own: they lie in arrays of double. */
 typedef double wide __attribute__((vector_size({bytes}), aligned(8), may_alias));
 typedef long long mask __attribute__((vector_size({bytes}), aligned(8), may_alias));
+/* What is left in wide registers slows all code that knows narrow ones only, such as MUMPS. */
+#ifdef __AVX__
+#define LEAVE __builtin_ia32_vzeroupper()
+#else
+#define LEAVE
+#endif
 #define TRUE(a) ((wide)((mask)(a) & (mask)((wide){{0}} + 1.0)))
 """
 _EACH = """static __attribute__((noinline)) wide each_{name}({arguments}) {{
@@ -134,7 +140,7 @@ def _definition(function: ca.Function, shared: Sequence[int]) -> Iterator[str]:
     yield f"  const double* given[{inputs}];"
     yield f"  for (int k = 0; k < {inputs}; k++) given[k] = arg[k] ? arg[k] : none;"
     yield from (f"  {name}_{k}(given, res, (wide*)w);" for k in parts)
-    yield "  return 0;\n}"
+    yield "  LEAVE;\n  return 0;\n}"
     for side, patterns in sparsity.items():
         yield f"long long {name}_n_{side}(void) {{ return {len(patterns)}; }}"
         yield f"const long long* {name}_sparsity_{side}(long long i) {{"
