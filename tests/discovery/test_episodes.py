@@ -83,6 +83,19 @@ def test_what_happens_whenever_a_state_comes_by_is_no_touch():
     assert episodes_in(every) == ()
 
 
+def test_what_happens_where_no_other_part_has_gone_is_no_touch():
+    """A stop near the end of a stroke that one run alone reaches."""
+    every = runs()
+    one = every[1]
+    crest = one.time[60 + np.argmax(one.state[60:-60, 0, 0])]
+    state = one.state.copy()
+    state[:, 0, 0] += bump(one, crest - 0.5, crest + 0.5, 0.2)
+    pushed = added(one, bump(one, crest - 0.5, crest + 0.5), channels=(0,))
+    # Where other parts have gone, the same is one.
+    assert episodes_in([every[0], pushed, *every[2:]])
+    assert episodes_in([every[0], replace(pushed, state=state), *every[2:]]) == ()
+
+
 def test_what_happens_in_most_runs_is_no_accident():
     every = [added(one, bump(one, 2.0 + k, 3.0 + k)) for k, one in enumerate(runs())]
     assert episodes_in(every) == ()

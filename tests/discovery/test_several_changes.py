@@ -12,6 +12,7 @@ from stiffopt.discovery.search import changes as changing
 from stiffopt.discovery.search import search as searching
 from stiffopt.discovery.search.candidates import Scorer, scan
 from stiffopt.discovery.search.changes import _single_change
+from stiffopt.discovery.search.rivals import ranked_among_rivals
 from stiffopt.discovery.search.search import search
 from stiffopt.discovery.settings import FIXED, Settings
 from stiffopt.discovery.training import train
@@ -99,6 +100,21 @@ def test_of_changes_that_are_alike_the_one_that_leaves_least_is_taken(after_mode
     )
     assert [e.effect.name for e in kept[-1][1]] == ["coulomb"]
     assert told == ["found coulomb of joint 1 (log evidence 101)"]
+
+
+def test_what_explains_nothing_is_no_rival_however_much_a_model_left_open(training):
+    """Evidence counts in units of what the model left open; a prior alone is no explanation."""
+    favoured = replace(
+        training, least=np.ones(2), tolerance=FIXED, suspects={"saturation of joint 1": 1e3}
+    ).comparison()
+    friction = effect("asym_friction")
+    catalogue = (friction, *CAUSES)
+    two = [LocatedEffect(effect=each, joint=0) for each in CAUSES[:2]]
+    current = favoured.about(favoured.fit(two))
+    assert current.most_suspected > 1e5
+    ranked = ranked_among_rivals(current, two, two[0], catalogue)
+    assert ranked.likeliest is two[0]
+    assert ranked.selected.rivals == ()
 
 
 def test_what_a_further_change_makes_needless_goes(after_model, monkeypatch):

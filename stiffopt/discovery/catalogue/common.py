@@ -15,6 +15,10 @@ from stiffopt.symbolic import Quantity, is_symbolic
 # shapes hold exactly, so a refined fit sets it to 1 and reports only the shapes.
 WEIGHT = Amplitude(name="weight", unit="", scale=1.0, lower=0.0, upper=1.5)
 
+# How many times larger than what a robot is wrong by as it was built something is that broke, was
+# exchanged or set wrongly since.
+CHANGED = 3.0
+
 # The last joint of a wrist carries a thirteenth of what it is rated for: a rating speaks of a joint
 # up to so many times the largest torque met. From the square of that on it is a placeholder.
 _LIGHT = 15.0

@@ -6,7 +6,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import Constants, motor_inertia, part, ratio_or_zero
+from stiffopt.discovery.catalogue.common import (
+    CHANGED,
+    Constants,
+    motor_inertia,
+    part,
+    ratio_or_zero,
+)
 from stiffopt.discovery.catalogue.robot_change import add_to_body, add_to_nominal_value
 from stiffopt.discovery.comparison.extension import EstimatedEffect
 from stiffopt.discovery.comparison.signals import (
@@ -22,8 +28,8 @@ from stiffopt.symbolic import Quantity, is_symbolic
 # Inertial parameters of a body in a regressor: mass, three first moments, six of the inertia.
 _A_BODY = 10
 _REACH = 0.1  # [m], how far off a centre of mass typically is
-# A body that was changed: its mass over what one is wrong by, and how much farther out it is.
-_CHANGED, _FARTHER = 3.0, 3.0
+# How much farther out what is added to a body lies.
+_FARTHER = 3.0
 
 
 def rotor_inertia_term(
@@ -119,7 +125,7 @@ def _moments(*names: str) -> tuple[Amplitude, ...]:
             scale=_some_moment,
             lower=-40.0,
             upper=40.0,
-            changed=_CHANGED * _FARTHER,
+            changed=CHANGED * _FARTHER,
         )
         for name in names
     )
@@ -137,11 +143,11 @@ _INERTIA = tuple(
         scale=_some_inertia,
         lower=-40.0,
         upper=40.0,
-        changed=_CHANGED * _FARTHER**2,
+        changed=CHANGED * _FARTHER**2,
     )
     for name in ("dIxx", "dIxy", "dIyy", "dIxz", "dIyz", "dIzz")
 )
-_MASS = Amplitude(name="dm", unit="kg", scale=_some_mass, lower=-40.0, upper=40.0, changed=_CHANGED)
+_MASS = Amplitude(name="dm", unit="kg", scale=_some_mass, lower=-40.0, upper=40.0, changed=CHANGED)
 
 ROTOR_INERTIA = Effect(
     name="rotor_inertia",
@@ -157,7 +163,7 @@ ROTOR_INERTIA = Effect(
     term=rotor_inertia_term,
     amplitudes=(
         Amplitude(
-            name="dJ", unit="kg m^2", scale=_quarter_rotor, lower=-2.0, upper=40.0, changed=_CHANGED
+            name="dJ", unit="kg m^2", scale=_quarter_rotor, lower=-2.0, upper=40.0, changed=CHANGED
         ),
     ),
     separate="Accelerate hard in several postures: the inertia of links changes with posture and"

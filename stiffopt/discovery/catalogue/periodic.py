@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from stiffopt.discovery.catalogue.common import Constants
+from stiffopt.discovery.catalogue.common import CHANGED, Constants
 from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Report, Shape, Term
 from stiffopt.symbolic import Quantity
@@ -89,6 +89,11 @@ def _ripple(constants: JointConstants) -> float:
     return 0.02 * constants.torque_rated
 
 
+def _wave(name: str) -> Amplitude:
+    """One wave of the motor torque."""
+    return Amplitude(name=name, unit="N m", scale=_ripple, lower=-20.0, upper=20.0, changed=CHANGED)
+
+
 def _geared(constants: JointConstants) -> bool:
     return constants.ratio > 1.0
 
@@ -132,9 +137,7 @@ TORQUE_RIPPLE = Effect(
     needs=("torque", "moves", "gear_ratio", "pole_pairs", "ripple_slow"),
     term=torque_ripple_term,
     amplitudes=tuple(
-        Amplitude(name=f"{wave}{order}", unit="N m", scale=_ripple, lower=-20.0, upper=20.0)
-        for order in _RIPPLE_ORDERS
-        for wave in ("sin", "cos")
+        _wave(f"{wave}{order}") for order in _RIPPLE_ORDERS for wave in ("sin", "cos")
     ),
     report=_harmonics("B", _RIPPLE_ORDERS),
     units={f"B{order}": "N m" for order in _RIPPLE_ORDERS},
@@ -153,10 +156,7 @@ ROTOR_RIPPLE = Effect(
     needs=("torque", "moves", "gear_ratio", "rotor_slow"),
     confused_with=("torque_ripple",),
     term=rotor_ripple_term,
-    amplitudes=tuple(
-        Amplitude(name=wave, unit="N m", scale=_ripple, lower=-20.0, upper=20.0)
-        for wave in ("sin", "cos")
-    ),
+    amplitudes=(_wave("sin"), _wave("cos")),
     # Strain-wave gears have two a turn, motors their poles and slots.
     shapes=(
         Shape(

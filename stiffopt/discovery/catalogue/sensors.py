@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import (
+    CHANGED,
     Constants,
     dry_friction,
     viscous_friction,
@@ -148,7 +149,9 @@ TORQUE_OFFSET = Effect(
     phrase="torque reading off by a constant",
     needs=("torque", "moves", "reverses"),
     term=torque_offset_term,
-    amplitudes=(Amplitude(name="off", unit="N m", scale=_offset, lower=-7.0, upper=7.0),),
+    amplitudes=(
+        Amplitude(name="off", unit="N m", scale=_offset, lower=-7.0, upper=7.0, changed=CHANGED),
+    ),
     separate="Stop for a second in several postures and move in both directions: friction that"
     " differs between directions vanishes at rest, weight changes with posture.",
 )

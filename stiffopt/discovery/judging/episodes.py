@@ -318,8 +318,11 @@ class _Known:
         place, value = np.concatenate(states), np.concatenate(values)
         if len(place) < _NEIGHBOURS:
             return True
-        away, which = cKDTree(place).query(track.state[inside, joint], k=_NEIGHBOURS)
-        if np.mean(away[:, 0] < _NEAR) < _MET:
+        here = track.state[inside, joint]
+        away, which = cKDTree(place).query(here, k=_NEIGHBOURS)
+        # Where no other part has gone, however near it came, a stop may stand.
+        within = (here[:, 0] >= place[:, 0].min()) & (here[:, 0] <= place[:, 0].max())
+        if np.mean((away[:, 0] < _NEAR) & within) < _MET:
             return True
         own = track.left[inside, channel] / track.usual[channel]
         beside = own - value[which].mean(axis=1)

@@ -15,6 +15,7 @@ from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
 from stiffopt.discovery.search.uncertainty import significance
 from stiffopt.discovery.thresholds import (
+    CHANGES_ALIKE,
     DETERMINED_DEVIATIONS,
     NAMED_EVIDENCE,
     NEAR_CENTRE,
@@ -87,6 +88,10 @@ def ranked_among_rivals(
     found = [
         c for c in every if not c.located.same_place(located) and _agreed(comparison, others, c)
     ]
+    if comparison.after_model:
+        # Evidence is counted in large units there, in which what explains nothing is ahead by its
+        # prior alone.
+        found = [c for c in found if c.evidence >= CHANGES_ALIKE * own.evidence]
     width = float(np.clip(TEMPERED_SHARE * own.evidence, 1.0, TEMPERED_MOST))
     # What a model left open gives to some formula by chance is a unit that evidence counts in.
     width = max(width, SUSPECT_WIDTH * comparison.most_suspected)
