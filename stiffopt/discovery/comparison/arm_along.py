@@ -40,10 +40,11 @@ class BodyRegressor:
         kept = self._robot.kept_torques
         found = kept.pop((self, body), None)
         if found is None:
+            size = self._motion[0].nbytes * A_BODY
+            # Room is made before: a long run has none for one more.
+            while kept and size + sum(each.nbytes for each in kept.values()) > _KEPT_BYTES:
+                kept.pop(next(iter(kept)))
             found = self._robot.body_torques(body, *self._motion)
-            size = sum(each.nbytes for each in kept.values()) + found.nbytes
-            while kept and size > _KEPT_BYTES:
-                size -= kept.pop(next(iter(kept))).nbytes
         kept[self, body] = found
         return found
 

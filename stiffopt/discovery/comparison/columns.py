@@ -13,7 +13,7 @@ from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.extension_change import moves_links
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.nuisance import MOVES_LINKS, nuisance_columns
+from stiffopt.discovery.comparison.nuisance import MOVES_LINKS, OF_LOAD, nuisance_columns
 from stiffopt.discovery.comparison.pieces import PieceColumns, PieceProducts, Pieces, PieceSums
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.rows import ChannelNoise, ChannelRows
@@ -168,17 +168,34 @@ class Columns:
         return self._made[free]
 
     def _nominal_columns(self) -> _Nominal:
+        sd, columns, known = self._known_columns()
         # A joint at rest in one run, or links that could not be followed there, have no column.
-        sd: dict[str, float] = {}
-        columns: dict[str, np.ndarray] = {}
         # One after another: a long run has no room for all of them before they are thinned.
         for number, run in enumerate(self.runs):
-            for each in nuisance_columns(run, self.robot, self.tolerance, self.bodies):
+            new = nuisance_columns(
+                run, self.robot, self.tolerance, self.bodies, lambda name: name not in known
+            )
+            for each in new:
                 sd[each.name] = each.sd
                 rows = columns.setdefault(each.name, np.zeros(self.rows.size))
                 self.rows.put(rows, number, *each.added.channels(run, self.robot))
         matrix = np.column_stack([*columns.values(), np.zeros((self.rows.size, 0))])
         return _Nominal(list(sd), np.array(list(sd.values())), matrix)
+
+    def _known_columns(self) -> tuple[dict[str, float], dict[str, np.ndarray], set[str]]:
+        """Priors and columns of nominal values by name, and those that are as they were at first.
+
+        Where no joint winds up, links move as they did, and only the load may be another.
+        """
+        first = self._family[0]._made.get(self.bodies is not None)
+        if first is None or self.robot.elastic:
+            return {}, {}, set()
+        known = {name for name in first.names if not name.startswith(OF_LOAD)}
+        columns = {
+            name: column if name in known else np.zeros_like(column)
+            for name, column in zip(first.names, first.matrix.T, strict=True)
+        }
+        return dict(zip(first.names, first.sd.tolist(), strict=True)), columns, known
 
     @cached_property
     def target(self) -> np.ndarray:

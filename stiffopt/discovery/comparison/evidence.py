@@ -132,11 +132,17 @@ class AddedSums:
     @cached_property
     def by_block(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same of every block, (b, ...) each."""
-        found = tuple(np.zeros((self._blocks, *part.shape[1:])) for part in self._parts)
-        for whole, part in zip(found, self._parts, strict=True):
-            np.add.at(whole, self._block, part)
-        cross, inner, moment = found
+        cross, inner, moment = (in_blocks(x, self._block, self._blocks) for x in self._parts)
         return cross, inner, moment
+
+
+def in_blocks(parts: np.ndarray, block: np.ndarray, blocks: int) -> np.ndarray:
+    """Sums (b, ...) of parts (a, ...) that belong to blocks (a,)."""
+    found = np.zeros((blocks, *parts.shape[1:]))
+    # Parts are large and few: one sum a part is faster than one loop over all their numbers.
+    for part, own in zip(parts, block.tolist(), strict=True):
+        found[own] += part
+    return found
 
 
 @dataclass(frozen=True, eq=False)

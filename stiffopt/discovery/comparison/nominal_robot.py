@@ -176,7 +176,9 @@ class RobotModel:
     def body_torques(self, body: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Spring torques for the inertial parameters of one body (K, n, 10)."""
         motion = (self._of_robot(x) for x in (q, v, a))
-        return body_torques(self.arm.tree, int(self.order[body]), *motion)[:, self.order]
+        torques = body_torques(self.arm.tree, int(self.order[body]), *motion)
+        # No copy where the set has the robot's order: that is the largest array of a long run.
+        return torques if np.all(self.order == np.arange(self.n)) else torques[:, self.order]
 
     def body_regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Spring torques for the inertial parameters of every body (K, n, 10 n)."""

@@ -23,6 +23,8 @@ OF_SPRINGS = ("stiffness", "T1", "T2", "rounding")
 OF_BODIES = ("mass", "com", "body")
 MOVES_LINKS = (*OF_SPRINGS, "joint_damping", *OF_BODIES)
 
+# Values that act in proportion to all that a drive does.
+OF_LOAD = "torque_constant"
 
 # Whether a value is asked for, by its name.
 Asked = Callable[[str], bool]
@@ -76,8 +78,9 @@ def nuisance_columns(
         yield from _bodies(run, robot, tolerance, asked)
     else:
         for k, (name, sd) in enumerate(zip(body_names(robot), bodies.ravel(), strict=True)):
-            torque = signals.body_regressor[..., k]
-            yield NuisanceColumn(name, float(sd), Contribution(link_torque=torque))
+            if asked(name):
+                torque = signals.body_regressor[..., k]
+                yield NuisanceColumn(name, float(sd), Contribution(link_torque=torque))
     compliance_free = np.zeros_like(signals.spring_torque)
 
     def single(j: int, values: np.ndarray) -> np.ndarray:

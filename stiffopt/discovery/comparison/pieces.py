@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from stiffopt.discovery.comparison.evidence import AddedSums, Sums
+from stiffopt.discovery.comparison.evidence import AddedSums, Sums, in_blocks
 from stiffopt.discovery.comparison.rows import ChannelRows
 
 
@@ -182,11 +182,10 @@ class WeightedSums:
         self._here: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         nominal, total = sums.gram.shape[1], sums.gram.shape[1]
         by_piece: dict[int, list[tuple[int, np.ndarray]]] = {}
-        gram = np.zeros((self._blocks, nominal, nominal))
-        moment, square = np.zeros((self._blocks, nominal)), np.zeros(self._blocks)
-        np.add.at(gram, self._block, weight[:, None, None] * sums.gram)
-        np.add.at(moment, self._block, weight[:, None] * sums.moment)
-        np.add.at(square, self._block, weight * sums.square)
+        gram, moment, square = (
+            in_blocks((weight * x.T).T, self._block, self._blocks)
+            for x in (sums.gram, sums.moment, sums.square)
+        )
         for each in effects:
             for q, part in zip(each.columns.acted.tolist(), each.columns.parts, strict=True):
                 by_piece.setdefault(q, []).append((total, part))

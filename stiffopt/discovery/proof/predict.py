@@ -108,23 +108,34 @@ class Predictor:
         One of them at a time, since a long run has no room for more.
         """
         stamps = self.run.stamps
-        drives, deflections = [], []
-        for extensions in several:
-            prepared = extended(self.nominal, self.robot, *extensions)
-            drives.append(prepared.signals.drive_torque.copy())
-            deflections.append(prepared.signals.windup + prepared.beside)
+        channels = [self._channels(extensions) for extensions in several]
         for band, joints in self._others.items():
-            other = self._along(band)
-            for drive, extensions in zip(drives, several, strict=True):
-                along = extended(other, self.robot, *extensions).signals.drive_torque
-                drive[:, joints] = along[:, joints]
+            self._take_band(band, joints, [drive for drive, _ in channels], several)
         time = self.nominal.time
-        for drive, deflection in zip(drives, deflections, strict=True):
+        for drive, deflection in channels:
             yield Prediction(
                 stamps=stamps,
                 torque=_at_stamps(time, drive, stamps),
                 link_position=self._position - _at_stamps(time, deflection, stamps),
             )
+
+    def _channels(self, extensions: Sequence[Extension]) -> tuple[np.ndarray, np.ndarray]:
+        """Drive torque and motor minus link angle (K, n) in the usual band."""
+        prepared = extended(self.nominal, self.robot, *extensions)
+        return prepared.signals.drive_torque.copy(), prepared.signals.windup + prepared.beside
+
+    def _take_band(
+        self,
+        band: float,
+        joints: list[int],
+        drives: Sequence[np.ndarray],
+        several: Sequence[Sequence[Extension]],
+    ) -> None:
+        """Put the torques of joints that follow another band in their place."""
+        other = self._along(band)
+        for drive, extensions in zip(drives, several, strict=True):
+            along = extended(other, self.robot, *extensions).signals.drive_torque
+            drive[:, joints] = along[:, joints]
 
 
 def _at_stamps(time: np.ndarray, values: np.ndarray, stamps: np.ndarray) -> np.ndarray:
