@@ -23,7 +23,7 @@ LACKS: dict[Need, str] = {
     "reverses": "it moves in one direction only",
     "slow": "it never moves slowly (0.005 to 0.1 rad/s)",
     "speeds": "it moves at one speed only",
-    "load_changes_sign": "gravity never changes sign on it",
+    "load_changes_sign": "neither gravity nor inertia changes the sign of its load",
     "rotor_slow": "it moves too fast for the sampling rate to resolve turns of the rotor",
     "ripple_slow": "it moves too fast for the sampling rate to resolve the motor's poles",
     "warmer": "all runs are equally warm, or their session times are not given",

@@ -18,6 +18,9 @@ _SOME, _LITTLE = 0.05, 0.01
 # Of the highest frequency that sampling keeps; periodic torque above it is lost.
 _KEPT = 0.8
 _GRAVITY_EVERY = 20
+# Half the time over which speeds give accelerations [s], and the share of the largest load that one
+# beyond zero has at least: what a noisy encoder makes of a load near zero turns none round.
+_ACCELERATING, _TURNED = 0.025, 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +35,7 @@ class JointFacts:
         It moves; in both directions; between 0.005 and 0.1 rad/s; over a range of speeds of two
         to one; it stands.
     load_changes_sign : bool
-        Gravity pulls it both ways, or hardly at all.
+        Gravity pulls it both ways, or hardly at all, or its links' inertia does beside gravity.
     rotor_slow : bool
         Part of the motion is slow enough to resolve two periods a turn of the rotor.
     ripple_slow : bool
@@ -64,7 +67,8 @@ class JointFacts:
 def joint_facts(recordings: RecordingSet, runs: Sequence[RecordedRun]) -> tuple[JointFacts, ...]:
     """Facts of every joint over some runs, in the order of the set."""
     gravity = [_gravity(recordings, run) for run in runs if run.usable]
-    return tuple(_facts(recordings, runs, gravity, j) for j in range(recordings.n))
+    loads = [_loads(recordings, run) for run in runs if run.usable]
+    return tuple(_facts(recordings, runs, gravity, loads, j) for j in range(recordings.n))
 
 
 def velocities(run: RecordedRun) -> np.ndarray:
@@ -89,8 +93,32 @@ def _gravity(recordings: RecordingSet, run: RecordedRun) -> np.ndarray:
     return recordings.robot.bodies_in_motion().gravity_torque(position)[:, order]
 
 
+def _loads(recordings: RecordingSet, run: RecordedRun) -> np.ndarray:
+    """Torque of weight and inertia of the nominal model at some samples, (m, n) [N m]."""
+    order, speed = recordings.order, velocities(run)
+    width = max(1, round(_ACCELERATING / run.step))
+    middle = np.arange(width, len(run.time) - width, width)
+    span = (run.time[middle + width] - run.time[middle - width])[:, None]
+    rate = (speed[middle + width] - speed[middle - width]) / span
+    motion = np.stack([run.position[middle], speed[middle], rate])
+    motion = motion[:, np.isfinite(motion).all(axis=(0, 2))]
+    placed = np.zeros(motion.shape)
+    placed[:, :, order] = motion
+    return recordings.robot.bodies_in_motion().torque(*placed)[:, order]
+
+
+def _both_sides(load: np.ndarray) -> bool:
+    """Whether a load lies on both sides of zero."""
+    least = _TURNED * np.abs(load).max(initial=0.0)
+    return bool(load.min(initial=0.0) < -least and load.max(initial=0.0) > least)
+
+
 def _facts(
-    recordings: RecordingSet, runs: Sequence[RecordedRun], gravity: Sequence[np.ndarray], j: int
+    recordings: RecordingSet,
+    runs: Sequence[RecordedRun],
+    gravity: Sequence[np.ndarray],
+    loads: Sequence[np.ndarray],
+    j: int,
 ) -> JointFacts:
     torque = _there([run.torque[:, j] for run in runs])
     links = [run.link_position[:, j] for run in runs if run.link_position is not None]
@@ -116,7 +144,11 @@ def _facts(
         speeds=moves and bool(quick > 2.0 * usual),
         rests=bool((~moving).sum() > _LITTLE * max(1, len(speed))),
         load_changes_sign=moves
-        and bool(light or weight.min(initial=0.0) < 0.0 < weight.max(initial=0.0)),
+        and bool(
+            light
+            or weight.min(initial=0.0) < 0.0 < weight.max(initial=0.0)
+            or _both_sides(np.concatenate([np.zeros(0), *(load[:, j] for load in loads)]))
+        ),
         rotor_slow=moves and _resolved(recordings, runs, speed[moving], j, 2.0),
         ripple_slow=moves and _resolved(recordings, runs, speed[moving], j, poles or 1.0),
         warmer=_warmer(runs, j),

@@ -113,8 +113,26 @@ def test_gravity_that_never_changes_sign_hides_backlash(make_set: MakeSet) -> No
     data["q1"] = data["q1"] + 1.4
     data["ql1"] = data["ql1"] + 1.4
     checks = effects_of(make_set(one=data))
-    assert why(checks, "backlash", 1) == ("gravity never changes sign on it",)
+    assert why(checks, "backlash", 1) == (
+        "neither gravity nor inertia changes the sign of its load",
+    )
     assert possible(checks, "stiffness_linear") == [1]
+
+
+def test_inertia_turns_a_load_round_that_gravity_does_not(make_set: MakeSet) -> None:
+    """A backlash that shows there must be able to stand beside what looks like it."""
+    data = motion()
+    for turns, told in ((1.0, []), (15.0, [1])):
+        moved = 0.5 + 0.2 * np.sin(turns * data["t"])
+        one = {**data, "q1": moved, "ql1": moved, "qd1": 0.2 * turns * np.cos(turns * data["t"])}
+        assert possible(effects_of(make_set(one=one)), "backlash") == told
+
+
+def test_a_noisy_velocity_turns_no_load_round(make_set: MakeSet) -> None:
+    data, rng = motion(), np.random.default_rng(1)
+    data["q1"] = data["ql1"] = 1.3 + 0.2 * np.sin(data["t"])
+    data["qd1"] = 0.2 * np.cos(data["t"]) + 0.002 * rng.normal(size=len(data["t"]))
+    assert possible(effects_of(make_set(one=data)), "backlash") == []
 
 
 def test_a_broken_channel_takes_its_effects_along(make_set: MakeSet) -> None:
