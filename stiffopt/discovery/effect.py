@@ -226,6 +226,9 @@ class Effect:
     beside : Effect, optional
         What it must stand out beside: amplitudes so free that laws which are not quite those of the
         catalogue are among them. It is fitted for that judgement only and never named.
+    likelier_than : Effect, optional
+        What it must have clearly more evidence than, both beside that: the same with a freedom that
+        it claims not to be there. Fitted for that judgement only as well.
     reference : str
         Source of its form: a key of references.bib, or the source in words.
     drawn : callable, optional
@@ -262,6 +265,7 @@ class Effect:
     confused_with: tuple[str, ...] = ()
     twin: str = ""
     beside: Effect | None = None
+    likelier_than: Effect | None = None
     reference: str = ""
     drawn: Report | None = None
     of_runs: Callable[..., Effect] | None = None

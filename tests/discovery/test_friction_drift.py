@@ -40,6 +40,18 @@ def test_runs_of_another_set_are_others_whatever_their_names():
     assert of_run("a", entry, [0.1, -0.2]) == 0.0
 
 
+def test_a_curve_over_time_is_of_its_own_run():
+    within = friction_drift(("a", "b")).likelier_than
+    levels = np.zeros(len(within.amplitudes))
+    levels[: len(levels) // 2] = 0.1
+    signals = sample_signals().of_joint(4)
+    ran = within.term(replace(signals, run="a"), levels, ()).drive_torque
+    # A level curve is what drift is, dry.
+    np.testing.assert_allclose(ran, of_run("a", friction_drift(("a", "b")), [0.1, -0.1]))
+    assert not np.any(within.term(replace(signals, run="b"), levels, ()).drive_torque)
+    assert within.term(replace(signals, run="c"), levels, ()).drive_torque == 0.0
+
+
 def test_spread_is_that_of_the_runs():
     entry = friction_drift(("a", "b", "c"))
     constants = sample_signals().constants.joints[4]
@@ -57,6 +69,24 @@ def test_a_friction_law_of_another_form_is_no_drift():
     spec = replace(DRIFT, effects=(("viscous_power", 1, 1.0),))
     found = diagnosed(spec)
     assert "friction_drift" not in [f.effect.name for f in found.findings], said(found)
+
+
+@pytest.mark.slow
+def test_friction_that_changes_within_runs_is_no_drift():
+    """A hose that another joint pinches: runs differ by it, since their motions do."""
+    spec = replace(DRIFT, robot="big6", effects=(("neighbour_friction", 2, 0.1),), seed=112)
+    found = diagnosed(spec)
+    assert "friction_drift" not in [f.effect.name for f in found.findings], said(found)
+    assert found.verdict == "outside_catalogue"
+
+
+@pytest.mark.slow
+def test_a_small_drift_is_likelier_than_a_curve_over_time():
+    spec = replace(DRIFT, robot="big6", effects=(("friction_drift", 2, 0.1),), seed=104)
+    found = diagnosed(spec)
+    assert [(f.effect.name, f.joint) for f in found.findings] == [("friction_drift", 2)], said(
+        found
+    )
 
 
 @pytest.mark.slow

@@ -26,6 +26,8 @@ OF_RUN = "of "
 _TYPICAL = 0.2
 # Of the speed in the law of any friction, its rounding at standstill [rad/s], and that of the load.
 _POWERS, _SLOW, _LOAD_ROUNDING = (0.0, 0.5, 1.0, 2.0), 1e-2, 0.02
+# Of the curve over the time of a run that its friction may follow instead.
+_KNOTS = 5
 
 
 def _term(
@@ -93,6 +95,50 @@ ANY_FRICTION = Effect(
 )
 
 
+def _within_term(
+    runs: Sequence[str],
+    signals: JointSignals,
+    amplitudes: Sequence[Quantity],
+    shapes: Sequence[Quantity],
+) -> Term:
+    """Dry friction along a curve over the time of each run, straight between its knots."""
+    if signals.run not in runs:
+        return Term()
+    first = _KNOTS * runs.index(signals.run)
+    time = np.asarray(signals.time, dtype=float)
+    knots = np.linspace(time.min(), time.max(), _KNOTS)
+    levels = np.interp(time, knots, np.asarray(amplitudes[first : first + _KNOTS], dtype=float))
+    dry = dry_friction(signals.constants) * smooth_sign(signals.motor_velocity)
+    return Term(drive_torque=levels * dry)
+
+
+def friction_within_runs(runs: Sequence[str]) -> Effect:
+    """What drift is told from: friction that also changes while a run lasts.
+
+    That of a hose which another joint pinches, or of a brake that drags now and then, is another
+    one in every run as well, since runs have other motions.
+
+    Parameters
+    ----------
+    runs : sequence of str
+    """
+    return Effect(
+        name="friction_within_runs",
+        family="friction",
+        scope="joint",
+        equation="tau += a_run(t)*Fc*sg(w)",
+        signature="motor torque off against the motion by an amount that changes within runs",
+        needs=("torque", "moves", "reverses"),
+        reference="LairdWare1982",
+        term=partial(_within_term, tuple(runs)),
+        amplitudes=tuple(
+            Amplitude(name=f"{OF_RUN}{run} {k}", unit="", scale=_TYPICAL, lower=-50.0, upper=50.0)
+            for run in runs
+            for k in range(_KNOTS)
+        ),
+    )
+
+
 def friction_drift(runs: Sequence[str], *, seen: bool = True) -> Effect:
     """The effect with an amount for each of some runs.
 
@@ -114,6 +160,7 @@ def friction_drift(runs: Sequence[str], *, seen: bool = True) -> Effect:
         needs=("torque", "moves", "reverses", "three_runs"),
         confused_with=("thermal_friction",),
         beside=ANY_FRICTION,
+        likelier_than=friction_within_runs(runs),
         reference="LairdWare1982",
         term=partial(_term, tuple(runs) if seen else ()),
         amplitudes=tuple(

@@ -92,6 +92,7 @@ class Scorer:
         self.start = posterior(self._sums.own, self._prior, cross_validate=False)
         self._beside = Beside(self._sums.own, self._prior)
         self._freed: dict[tuple[object, ...], Scorer] = {}
+        self._freer: dict[tuple[object, ...], float] = {}
 
     @cached_property
     def _columns(self) -> np.ndarray:
@@ -181,16 +182,29 @@ class Scorer:
         return None, kept
 
     def _stands_out(self, located: LocatedEffect) -> bool:
-        """Whether it is still seen beside all that could stand in for it."""
-        free = located.effect.beside
+        """Whether it is still seen beside all that could stand in for it, and likelier there."""
+        free, freer = located.effect.beside, located.effect.likelier_than
         if free is None:
             return True
         law = replace(located, effect=free, shapes=())
         if law.key not in self._freed:
             self._freed[law.key] = Scorer(self.comparison, (*self.base, law))
-        alone = replace(located, effect=replace(located.effect, beside=None))
-        found = self._freed[law.key].score(alone)
-        return found is not None and found.evidence >= NAMED_EVIDENCE
+        scorer = self._freed[law.key]
+        alone = replace(located.effect, beside=None, likelier_than=None)
+        found = scorer.score(replace(located, effect=alone))
+        if found is None or found.evidence < NAMED_EVIDENCE:
+            return False
+        if freer is None:
+            return True
+        ahead = found.evidence - scorer.evidence_of(replace(located, effect=freer, shapes=()))
+        return ahead >= NAMED_EVIDENCE
+
+    def evidence_of(self, located: LocatedEffect) -> float:
+        """Evidence of what is only compared with, worked out once; -inf where it is nothing."""
+        if located.key not in self._freer:
+            found = self.score(located)
+            self._freer[located.key] = -math.inf if found is None else found.evidence
+        return self._freer[located.key]
 
     def _gained(self, sums: AddedSums, kept: np.ndarray) -> float:
         return self._beside.log_predictive(sums, kept) - float(np.sum(self.by_block))
