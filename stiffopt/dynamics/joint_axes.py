@@ -66,13 +66,29 @@ def clean(values: np.ndarray) -> np.ndarray:
 @functools.lru_cache(maxsize=16)
 def axis_joints(tree: BodyTree) -> tuple[AxisJoint, ...]:
     """Joints of an arm in its own order: entry i - 1 is joint i."""
+    frames, twists, turns = _frames(
+        tuple((body.parent, body.axis.tobytes(), body.rotation.tobytes()) for body in tree.bodies)
+    )
+    return tuple(
+        _axis_joint(body, frames[i], frames[body.parent], twists[i], turns[i])
+        for i, body in enumerate(tree.bodies, start=1)
+    )
+
+
+@functools.lru_cache(maxsize=16)
+def _frames(
+    joints: tuple[tuple[int, bytes, bytes], ...],
+) -> tuple[list[np.ndarray], list[np.ndarray], list[float]]:
+    """Axis frames of the base and all joints, constant turns before and about their axes.
+
+    Of a joint: parent, axis, rotation. Arms that differ in what they carry have the same.
+    """
     base = np.eye(3)
     frames, twists, turns = [base], [base], [0.0]
-    has_child = [False] * (tree.n + 1)
-    for body in tree.bodies:
-        parent = body.parent
-        frame = _frame_along(body.axis)
-        rotation = frames[parent].T @ body.rotation @ frame
+    has_child = [False] * (len(joints) + 1)
+    for parent, axis, turned in joints:
+        frame = _frame_along(np.frombuffer(axis))
+        rotation = frames[parent].T @ np.frombuffer(turned).reshape(3, 3) @ frame
         before, twist, after = _z_x_z(rotation)
         if parent == 0 or has_child[parent]:
             twist = _about_z(before) @ twist
@@ -83,10 +99,7 @@ def axis_joints(tree: BodyTree) -> tuple[AxisJoint, ...]:
         frames.append(frame)
         twists.append(twist)
         turns.append(after)
-    return tuple(
-        _axis_joint(body, frames[i], frames[body.parent], twists[i], turns[i])
-        for i, body in enumerate(tree.bodies, start=1)
-    )
+    return frames, twists, turns
 
 
 def _axis_joint(

@@ -121,6 +121,6 @@ def poses_within_limits(problem: TrajectoryProblem) -> np.ndarray:
 
 def _never_loaded_by_gravity(problem: TrajectoryProblem, joint: int) -> bool:
     """Whether a first joint's gravity torque is zero in all of many poses."""
-    poses = poses_within_limits(problem)
-    torques = [abs(gravity_torque(problem, pose)[joint - 1]) for pose in poses]
-    return bool(max(torques) < 1e-9 * float(problem.robot.torque_max[joint - 1]))
+    bodies, poses = problem.robot.bodies_in_motion(), poses_within_limits(problem)
+    torques = np.abs(bodies.gravity_torque(poses)[:, joint - 1])
+    return bool(torques.max() < 1e-9 * float(problem.robot.torque_max[joint - 1]))

@@ -157,11 +157,11 @@ class Trajectory:
         interval = np.clip(
             np.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 2
         )
-        coefficients = _differentiate(self._position, order)[interval]
+        coefficients = _differentiate(self._position, order)
         local = (np.clip(time, 0.0, self.duration) - self.times[interval])[..., None]
-        value = coefficients[..., -1, :]
-        for j in range(coefficients.shape[-2] - 2, -1, -1):
-            value = value * local + coefficients[..., j, :]
+        value = coefficients[:, -1][interval]
+        for j in range(coefficients.shape[1] - 2, -1, -1):
+            value = value * local + coefficients[:, j][interval]
         return np.array(value)
 
     def scaled_to(self, duration: float) -> Trajectory:
