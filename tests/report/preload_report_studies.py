@@ -13,7 +13,7 @@ from stiffopt.preload.study import preload_study
 from stiffopt.result.status import SolveStatus
 from stiffopt.robot.files import load_robot
 
-__all__ = ["cannot", "flange", "several", "stiff", "with_motion"]
+__all__ = ["cannot", "flange", "run", "several", "stiff", "with_motion"]
 
 ROBOT = load_robot("er3a_c60")
 
@@ -23,8 +23,8 @@ def case(name, *shares):
 
 
 def run(front_points=4, **fields):
-    fields = {"tightening": Tightening(scatter=1.6, embedding=3e-6)} | fields
-    return preload_study(PreloadProblem(robot=ROBOT, **fields), front_points=front_points)
+    fields = {"robot": ROBOT, "tightening": Tightening(scatter=1.6, embedding=3e-6)} | fields
+    return preload_study(PreloadProblem(**fields), front_points=front_points)
 
 
 def open_flange():

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from page_reader import Page
-from preload_report_studies import cannot, flange, open_flange, several, stiff, with_motion
+from preload_report_studies import cannot, flange, open_flange, run, several, stiff, with_motion
 
 from stiffopt.preload.bolt_sheet import bolt_sheets
 from stiffopt.preload.load_case import LoadCase
@@ -124,6 +124,23 @@ def test_flange_drawing_has_the_load_of_every_bolt():
     texts = [text.get_text() for text in axes.texts]
     for force in sheet.axial:
         assert f"{force:.3g}" in [t.replace("−", "-") for t in texts]
+
+
+def test_first_page_shows_the_slip_safety_under_the_whole_load_where_it_is_less(tmp_path):
+    wrench = np.zeros((6, 6))
+    wrench[1] = 0.0, 0.0, 200.0, 30.0, 20.0, 40.0
+    load = LoadCase(name="swing", torque=wrench[:, 5].copy(), wrench=wrench)
+    study = run(
+        front_points=0,
+        robot=open_flange(),
+        joints=(2,),
+        free=("flexspline_flange",),
+        load_cases=(load,),
+    )
+    rows = {row.kind: row.value for row in study.solution.rows}
+    whole = rows["slip under the whole load"]
+    assert whole < rows["slip safety"] - 0.1
+    assert f"least slip safety {whole:.2f}" in " ".join(page_of(study, tmp_path).text.split())
 
 
 def test_page_accounts_for_the_catalogue_search(flange_page):

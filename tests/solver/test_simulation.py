@@ -54,9 +54,24 @@ def test_headline_and_comparison_are_of_the_simulated_motion(solved):
     assert "both simulated" in comparison(problem, solution)
     plain = replace(solution, simulation=None)
     assert "simulated" not in headline_text(plain) + comparison(problem, plain)
-    assert difference_text(plain) == ""
-    said = difference_text(solution)
+    assert difference_text(problem, plain) == ""
+    said = difference_text(problem, solution)
     assert bool(said) is (abs(found.peak / solution.simulation.optimised.planned.peak - 1) > 0.1)
+
+
+def test_a_difference_from_the_plan_is_laid_to_what_the_plan_leaves_out(solved, tmp_path):
+    problem, solution = solved
+    simulation = solution.simulation
+    first = simulation.optimised
+    half = replace(first, planned=replace(first.planned, peak=first.simulated.peak / 2))
+    motions = (half, *simulation.motions[1:])
+    twice = replace(solution, simulation=replace(simulation, motions=motions))
+    links = load(tmp_path, minimise='objective = "tool_deviation"')
+    assert "quasi-static plan does not see" in difference_text(problem, twice)
+    said = difference_text(links, twice)
+    assert "quasi-static" not in said
+    assert "corners" in said
+    assert "limits.jerk" in said
 
 
 def test_only_the_motion_compared_with_is_said_to_be_excused(solved):

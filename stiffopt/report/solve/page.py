@@ -77,7 +77,9 @@ def write_solve_report(
         "title": problem.title or f"Motion of {problem.robot.name}",
         "headline": _headline(solution),
         "comparison": comparison(problem, solution),
-        "read_first": [text for text in (difference_text(solution), *solution.notes) if text],
+        "read_first": [
+            text for text in (difference_text(problem, solution), *solution.notes) if text
+        ],
         "swing": None if solution.simulation is None else simulation_table(solution.simulation),
         "swing_notes": (
             [] if solution.simulation is None else simulation_notes(solution.simulation)

@@ -33,7 +33,7 @@ def print_solution(problem: TrajectoryProblem, solution: Solution, folder: Path)
     lines = [f"{solution.status}: {solution.message}"]
     if solution.objective is not None and solution.status is not SolveStatus.INFEASIBLE:
         lines += [headline_text(solution), comparison(problem, solution)]
-        lines += [text for text in (difference_text(solution),) if text]
+        lines += [text for text in (difference_text(problem, solution),) if text]
     lines += [f"Note: {note}" for note in solution.notes]
     print_lines(lines)
     if solution.simulation is not None:

@@ -55,7 +55,7 @@ def headline_text(solution: Solution) -> str:
     return f"{text}, simulated (planned {si(solution.objective.value, 'm', 3)})"
 
 
-def difference_text(solution: Solution) -> str:
+def difference_text(problem: TrajectoryProblem, solution: Solution) -> str:
     """Warning where simulated and planned deflection differ; "" where they agree."""
     simulation = solution.simulation
     if simulation is None or not simulation.differs:
@@ -65,11 +65,17 @@ def difference_text(solution: Solution) -> str:
     assert change is not None
     part = motion.compared
     deviates = "deviates by" if part.name == "dynamic" else f"has a {part.name} deflection of"
+    why = (
+        "the motors take the corners of the joints' wind-up more gently than the plan, as sharply "
+        "as limits and mesh let them; a higher limits.jerk or a longer duration brings the two "
+        "together"
+        if problem.plans_links
+        else "the links swing, which the quasi-static plan does not see"
+    )
     text = (
         f"The elastic arm {deviates} up to {si(part.simulated.peak, 'm', 3)} in flight where "
         f"{si(part.planned.peak, 'm', 3)} was planned ({percent(abs(change), 2)} "
-        f"{'more' if change > 0 else 'less'}): the links swing, which the quasi-static plan does "
-        "not see."
+        f"{'more' if change > 0 else 'less'}): {why}."
     )
     if motion.simulated.settling_time is None and motion.simulated.peak_after is not None:
         return f"{text} It does not settle within {si(motion.simulated.band, 'm')} in a second."
