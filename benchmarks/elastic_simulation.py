@@ -4,7 +4,8 @@ Each joint is a nonlinear spring with 2 % damping between a motor that follows t
 the link. The links' motion comes from pinocchio's forward dynamics, the spring torque from the
 inverse of the exact wind-up by interpolation, the integration is Runge-Kutta of fourth order with
 steps of 0.1 ms, through the motion and 0.6 s of rest after it. What the quasi-static prediction of
-the optimiser misses is what its motion excites.
+the optimiser misses is what its motion excites. A joint without elements, such as a slide whose
+drive is not described, is where its motor is; the others then move by the rest of the mass matrix.
 
 The dynamic deflection is the tool's distance from where it would hang at rest at the same motor
 position, found by iteration, so that the sag's change with the pose is not counted as vibration.
@@ -64,13 +65,19 @@ class Simulated:
 
 
 class Springs:
-    """Torque of every joint's spring at a wind-up, on one uniform grid of wind-ups a joint."""
+    """Torque of every joint's spring at a wind-up, on one uniform grid of wind-ups a joint.
+
+    Joints without elements have none: they are `rigid`, (n,) of bool.
+    """
 
     def __init__(self, robot: Robot, points: int = 40001, reach: float = 1.5) -> None:
         largest, tables = [], []
         share = np.linspace(-1.0, 1.0, points)
         for chain, torque_max in zip(robot.chains, robot.torque_max, strict=True):
-            assert chain is not None
+            if chain is None or not chain.stages:
+                largest.append(np.inf)
+                tables.append(np.zeros(points))
+                continue
             # Cubed, so that the steep beginning of the contacts is well covered.
             torque = reach * torque_max * np.linspace(-1.0, 1.0, 4001) ** 3
             windup = exact_windup(chain, torque)
@@ -84,6 +91,7 @@ class Springs:
             largest.append(windup[-1])
             tables.append(np.interp(share * windup[-1], windup, torque))
         self.windup_max = np.array(largest)
+        self.rigid = np.isinf(self.windup_max)
         self.table = np.array(tables)
         self._joint = np.arange(len(largest))
         self._half = (points - 1) / 2
@@ -98,17 +106,17 @@ class Springs:
     def windup(self, torque: np.ndarray) -> np.ndarray:
         """Wind-ups (n,) [rad] at torques (n,) [N m]; the inverse of `torque`."""
         share = np.linspace(-1.0, 1.0, self.table.shape[1])
-        shares = [np.interp(t, table, share) for t, table in zip(torque, self.table, strict=True)]
-        return np.array(shares) * self.windup_max
+        found = np.zeros(len(torque))
+        for j in np.flatnonzero(~self.rigid):
+            found[j] = np.interp(torque[j], self.table[j], share) * self.windup_max[j]
+        return found
 
     def stiffness(self, torque: np.ndarray, robot: Robot) -> np.ndarray:
-        """Tangent stiffness (n,) [N m/rad] at torques (n,)."""
-        slopes = [
-            1.0 / exact_compliance(chain, np.array([t]))[0]
-            for chain, t in zip(robot.chains, torque, strict=True)
-            if chain is not None
-        ]
-        return np.array(slopes)
+        """Tangent stiffness (n,) [N m/rad] at torques (n,); zero where there is no spring."""
+        slopes = np.zeros(len(torque))
+        for j in np.flatnonzero(~self.rigid):
+            slopes[j] = 1.0 / exact_compliance(robot.chains[j], torque[j : j + 1])[0]
+        return slopes
 
 
 def simulate(
@@ -132,8 +140,10 @@ def simulate(
     steps = round((motion.duration + REST) / STEP)
     # Motor position and speed at every half step, at rest after arrival.
     times = np.minimum(STEP / 2 * np.arange(2 * steps + 1), motion.duration)
-    motor, speed = motion(times, 0), motion(times, 1)
-    speed[STEP / 2 * np.arange(2 * steps + 1) > motion.duration] = 0.0
+    motor, speed, push = (motion(times, order) for order in range(3))
+    arrived = STEP / 2 * np.arange(2 * steps + 1) > motion.duration
+    speed[arrived] = push[arrived] = 0.0
+    rigid, soft = np.flatnonzero(springs.rigid), np.flatnonzero(~springs.rigid)
 
     def hanging(at: np.ndarray) -> np.ndarray:
         """Link position at rest for a motor position."""
@@ -157,7 +167,21 @@ def simulate(
 
     def acceleration(q: np.ndarray, v: np.ndarray, half: int) -> np.ndarray:
         torque = springs.torque(motor[half] - q) + friction * (speed[half] - v)
-        return pin.aba(model, data, q, v, torque)
+        if not rigid.size:
+            return pin.aba(model, data, q, v, torque)
+        q, v = held_to(motor[half], q), held_to(speed[half], v)
+        upper = np.triu(pin.crba(model, data, q))
+        mass = upper + np.triu(upper, 1).T
+        found = held_to(push[half], np.zeros(robot.n))
+        free = torque - pin.nonLinearEffects(model, data, q, v) - mass @ found
+        found[soft] = np.linalg.solve(mass[np.ix_(soft, soft)], free[soft])
+        return found
+
+    def held_to(at: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Values of the links, those of joints without springs as the motors have them."""
+        values = values.copy()
+        values[rigid] = at[rigid]
+        return values
 
     def tool(q: np.ndarray) -> np.ndarray:
         pin.forwardKinematics(model, data, q)
@@ -179,8 +203,8 @@ def simulate(
         a3 = acceleration(q + h / 2 * v2, v3, 2 * k + 1)
         v4 = v + h * a3
         a4 = acceleration(q + h * v3, v4, 2 * k + 2)
-        q = q + h / 6 * (v + 2 * v2 + 2 * v3 + v4)
-        v = v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+        q = held_to(motor[2 * k + 2], q + h / 6 * (v + 2 * v2 + 2 * v3 + v4))
+        v = held_to(speed[2 * k + 2], v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4))
     size, when = np.array(distance), np.array(at)
     flight = when <= motion.duration
     return Simulated(
