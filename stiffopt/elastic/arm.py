@@ -27,6 +27,8 @@ _REVERSAL = 0.04
 FAST = 1200.0
 _SETTLED = 1e-12
 _ITERATIONS = 50
+# Up to which a damping is the critical one.
+_ROUNDING = 1e-12
 
 
 class ElasticArm:
@@ -105,7 +107,8 @@ class ElasticArm:
 
     def _check_departed(self, factor: float) -> None:
         damped = self.elastic & (self.damping > 0.0)
-        if not np.any(factor * self.damping[damped] > self._critical[damped]):
+        above = factor * self.damping[damped] > (1.0 + _ROUNDING) * self._critical[damped]
+        if not np.any(above):
             return
         ratio = np.where(damped, self._critical / np.where(damped, self.damping, 1.0), np.inf)
         j = int(np.argmin(ratio))
