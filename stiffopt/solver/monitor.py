@@ -137,20 +137,29 @@ class Monitor(ca.Callback):
     def at_rest(self, tolerance: float, lengths: Sequence[float]) -> bool:
         """Whether the last iterates are one, all rows kept: full steps that change nothing more.
 
+        Line searches that cut steps off afterwards, as rounding makes them, do not count where none
+        led away.
+
         Parameters
         ----------
         tolerance : float
         lengths : sequence of float
             Of the steps of all iterations, 1 where a line search cut nothing off.
         """
-        objectives = [each.objective for each in self.history[-_RESTING:]]
-        largest = max(np.abs(objectives), default=0.0)
+        still = 0
+        for step in reversed(self.steps):
+            if not step <= tolerance:
+                break
+            still += 1
+        full = [length >= _FULL for length in lengths[len(lengths) - still :]]
+        if not any(all(full[k : k + _RESTING]) for k in range(still - _RESTING + 1)):
+            return False
+        since = self.history[-still:]
+        objectives = [each.objective for each in since]
+        largest = max(np.abs(objectives))
         return bool(
-            len(self.steps) >= _RESTING
-            and min(lengths[-_RESTING:]) >= _FULL
-            and max(self.steps[-_RESTING:]) <= tolerance
-            and np.ptp(objectives) <= tolerance * largest
-            and max(each.violation for each in self.history[-_RESTING:]) <= tolerance
+            np.ptp(objectives) <= tolerance * largest
+            and max(each.violation for each in since) <= tolerance
         )
 
     def _near(self) -> bool:

@@ -34,3 +34,14 @@ def test_what_moves_or_changes_is_not_at_rest():
     monitor = _monitor(still, one)
     monitor.history[-1].violation = 1e-3
     assert not monitor.at_rest(1e-7, FULL)
+
+
+def test_a_cut_step_after_a_rest_does_not_end_it():
+    """As rounding makes the line search of a nearly vanishing vibration cut one."""
+    rested = _monitor([1e-2, 1e-2, *[1e-9] * 8], [3.0, 2.0, 1.0, *[1.0] * 8])
+    assert rested.at_rest(1e-7, [1.0] * 9 + [0.5, 1.0])
+    # Never five full steps in a row.
+    assert not rested.at_rest(1e-7, [1.0] * 6 + [0.5, 1.0, 1.0, 0.5, 1.0])
+    # Led away since.
+    away = _monitor([1e-2, *[1e-9] * 7, 1e-3, 1e-9], [3.0, 2.0, *[1.0] * 9])
+    assert not away.at_rest(1e-7, [1.0] * 11)
