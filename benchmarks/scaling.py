@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from common import Row, loaded_ur10, main, numbers, torque_squared_problem, ur10_problem
 
+from stiffopt import compiler
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.trajectory import Method, TrajectoryProblem
 from stiffopt.solver.ipopt import IpoptSolver
 from stiffopt.solver.solve import solve
-from stiffopt.transcription import compiled
 
 TITLE = "Growth with the number of intervals, UR10"
 KINDS = ("torque squared", "minimum time", "peak deflection")
@@ -56,7 +56,7 @@ def case(kind: str, intervals: int) -> dict[str, Any]:
             spent += time.process_time() - begin
 
     solve(problem_of(kind, 16), throw=False)
-    compiled.wait()
+    compiler.wait()
     IpoptSolver.solve = timed  # type: ignore[method-assign]
     begin = time.process_time()
     found = solve(problem_of(kind, intervals), throw=False)

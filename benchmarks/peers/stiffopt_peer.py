@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from stiffopt import compiler
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.objective import Objective
@@ -18,7 +19,6 @@ from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.robot.files import load_robot
 from stiffopt.solver.ipopt import IpoptSolver
 from stiffopt.solver.plan import solver_options
-from stiffopt.transcription import compiled
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import uniform_mesh
 from stiffopt.transcription.ocp import Guess
@@ -76,7 +76,7 @@ def main() -> None:
     ocp = formulate(problem, resolve(problem), Scales())
     # Compiled functions are kept between processes; what compiles them is not counted.
     transcribe(ocp, SCHEME, uniform_mesh(4))
-    compiled.wait()
+    compiler.wait()
     begin = time.process_time()
     ocp = formulate(problem, resolve(problem), Scales())
     made = transcribe(ocp, SCHEME, uniform_mesh(task["intervals"]))

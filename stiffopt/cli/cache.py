@@ -17,18 +17,18 @@ def cache(*, clear: bool = False) -> int:
     clear
         Remove them all.
     """
-    from stiffopt.transcription import compiled
+    from stiffopt import compiler
 
-    folder, found = compiled.cache_folder(), compiled.libraries()
+    folder, found = compiler.cache_folder(), compiler.libraries()
     size = sum(path.stat().st_size for path in found) / 1e6
     held = f"{len(found)} compiled functions, {size:.1f} MB, in {folder}"
     if clear:
-        compiled.clear()
+        compiler.clear()
         print(f"Removed {held}")
         return 0
     print(held)
-    if compiler := compiled.compiler():
-        print(f"C compiler: {compiler}")
+    if program := compiler.compiler():
+        print(f"C compiler: {program}")
     else:
         print("C compiler: none; solves take about three times as long (same results).")
     return 0

@@ -98,6 +98,11 @@ class EvenSprings:
         self._torque, self._rise = table.ravel(), np.diff(table, append=table[:, -1:]).ravel()
         self._offset = _POINTS * np.arange(len(reach))
 
+    def table(self) -> dict[str, np.ndarray | int]:
+        """Torques and their rises to the next point (n points,), points in a radian (n,)."""
+        numbers = {"torque": self._torque, "rise": self._rise, "scale": self._scale}
+        return {**numbers, "points": _POINTS}
+
     def at(self, windup: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Torques [N m] and tangent stiffnesses [N m/rad] at wind-ups, (B, n) each."""
         place = windup * self._scale + self._half

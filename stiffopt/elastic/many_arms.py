@@ -12,15 +12,20 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.elastic import native
 from stiffopt.elastic.along_plan import BodiesAlong, EvenSprings, WeightAlong
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.motor import MotorMotion, Servo
 from stiffopt.elastic.uncertainty import Departure
 from stiffopt.result.trajectory import JointMotion
+
+if TYPE_CHECKING:
+    from ctypes import CDLL
 
 # Of the integration [s], and its steps in a swing of the lowest mode: with a hundred of them it
 # falls behind by a thirtieth of a radian in fifteen swings.
@@ -123,7 +128,7 @@ class ManyArms:
         middle = 0.5 * (flight[:-1] + flight[1:])
         ends = [self._q[-1:], np.zeros_like(self._q[:1]), np.zeros_like(self._q[:1])]
         moving = [np.concatenate([plan(middle, k), end]) for k, end in enumerate(ends)]
-        self._steps = self._trapezoidal(BodiesAlong(arm, *moving))
+        self.steps = self._trapezoidal(BodiesAlong(arm, *moving))
         self.springs, self.damping = EvenSprings(arm), arm.damping
         self.rigid = np.flatnonzero(~arm.elastic)
         self._start = WeightAlong(arm, self._q[:1])
@@ -156,7 +161,7 @@ class ManyArms:
 
     def step_at(self, k: int) -> np.ndarray:
         """What the bodies are in the equation of step k, from 1 (2, n, 3 n + 1)."""
-        return self._steps[:, min(k, self._flight) - 1]
+        return self.steps[:, min(k, self._flight) - 1]
 
     def motors(self, commands: Sequence[MotorMotion]) -> tuple[np.ndarray, np.ndarray]:
         """Motions (K, C, 4, n) of the different commands, and which each member has (B,).
@@ -220,6 +225,12 @@ class Asked:
         """Numbers that their motion is made of."""
         return len(self.members) * len(self.many.time) * len(self.many.damping)
 
+    def swings(self, links: np.ndarray) -> Swings:
+        """Their deviations, from the positions of their links less those of the plan (K, B, n)."""
+        many = self.many
+        deviation = many.deviation(self.members, links[: len(many.time)])
+        return Swings(time=many.time, duration=many.duration, deviation=deviation)
+
 
 def swings_together(asked: Sequence[Asked]) -> list[Swings]:
     """Simulate the members of several plans of one arm, as many at once as memory allows.
@@ -228,19 +239,42 @@ def swings_together(asked: Sequence[Asked]) -> list[Swings]:
     ----------
     asked : sequence of Asked
     """
+    made = native.library(len(asked[0].many.damping)) if asked else None
+    if made is not None:
+        return [each.swings(_compiled(made, each)) for each in asked]
     found: list[Swings] = []
     while len(found) < len(asked):
         sizes = np.cumsum([each.size for each in asked[len(found) :]])
         now = asked[len(found) : len(found) + max(1, int(np.sum(sizes <= _AT_ONCE)))]
         links, first = _integrated(now), 0
         for each in now:
-            own = links[: len(each.many.time), first : first + len(each.members)]
-            deviation = each.many.deviation(each.members, own)
-            found.append(
-                Swings(time=each.many.time, duration=each.many.duration, deviation=deviation)
-            )
+            found.append(each.swings(links[:, first : first + len(each.members)]))
             first += len(each.members)
     return found
+
+
+def _compiled(made: CDLL, asked: Asked) -> np.ndarray:
+    """Positions of the links less those of their plan (K, B, n)."""
+    many = asked.many
+    arms = _Arms([member.departure for member in asked.members])
+    moved, of = many.motors([member.command for member in asked.members])
+    return native.swing(
+        made,
+        many.springs,
+        many.rigid,
+        many.begun(arms, moved[0, of, 0]),
+        count=len(many.time),
+        flight=many.steps.shape[1],
+        commands=moved.shape[1],
+        step=many.step,
+        bodies=many.steps,
+        commanded=moved,
+        of=of,
+        stiffness=arms.stiffness,
+        damping=arms.damping * many.damping,
+        payload=arms.payload,
+        servo=arms.servo,
+    )
 
 
 def _integrated(asked: Sequence[Asked]) -> np.ndarray:

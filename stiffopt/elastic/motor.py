@@ -81,6 +81,16 @@ class MotorMotion:
         both = np.dot(np.array((x * x * x, x * x, x, 1.0)), self._pieces[k])
         return both[: self._joints], both[self._joints :]
 
+    def table(self) -> dict[str, np.ndarray | int]:
+        """Break times (k + 1,), pieces (k, 4, 2 n) as in `at`, and the last position (n,)."""
+        pieces = np.array(self._pieces)
+        return {
+            "pieces": len(pieces),
+            "times": self.time,
+            "motion": pieces,
+            "last": self._last,
+        }
+
     def acceleration(self, t: float) -> np.ndarray:
         """Acceleration (n,) at one instant."""
         return self._still if t > self._end else np.asarray(self._spline(t, 2))

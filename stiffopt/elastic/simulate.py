@@ -12,6 +12,7 @@ import warnings
 import numpy as np
 from scipy.integrate import ODEintWarning, odeint, solve_ivp
 
+from stiffopt.elastic import native
 from stiffopt.elastic.arm import FAST, ElasticArm
 from stiffopt.elastic.modes import modes
 from stiffopt.elastic.motor import MotorMotion, Servo
@@ -137,7 +138,7 @@ def _integrated(
             # What it warns of ends the simulation.
             warnings.simplefilter("ignore", ODEintWarning)
             states, told = odeint(
-                equations,
+                equations.slope(),
                 state,
                 np.append(begin, times),
                 tfirst=True,
@@ -186,6 +187,13 @@ class _Equations:
         self.joints = arm.robot.n
         self.loops = self.joints if self._loops.size else 0
         self._pushed = bool(arm.process_force.any())
+
+    def slope(self) -> native.Slope:
+        """The slope at an instant of a state, compiled where that is possible."""
+        made = native.library(self.joints)
+        if made is None:
+            return self.__call__
+        return native.slope(made, self._arm, self._motor, self._friction, self.loops)
 
     def __call__(self, t: float, state: np.ndarray) -> np.ndarray:
         arm, n = self._arm, self.joints

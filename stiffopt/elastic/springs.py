@@ -69,6 +69,11 @@ class JointSpring:
         other._pieces = [tuple(piece) for piece in other._by_windup.tolist()]
         return other
 
+    @property
+    def by_windup(self) -> tuple[np.ndarray, np.ndarray]:
+        """Wind-ups (k,) and, from each on, the torque's coefficients (k, 4), lowest first."""
+        return np.array(self._windups), self._by_windup
+
     def torque_at(self, windup: float) -> tuple[float, float]:
         """Torque [N m] and tangent stiffness [N m/rad] at one wind-up [rad]."""
         size = windup if windup >= 0.0 else -windup

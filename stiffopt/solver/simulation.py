@@ -17,6 +17,7 @@ import numpy as np
 
 from stiffopt.baseline.baselines import slowed_quintic
 from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.elastic import native
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import check_reach, simulate, typical_hysteresis
@@ -225,6 +226,8 @@ def _part(
 def check_simulation(problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
     """Raise `RobotError` where damping or hysteresis is of no joint: before a long solve."""
     stated = (problem.robot.damping, problem.robot.hysteresis)
+    if problem.robot.yields:
+        native.prepare()
     # What is not stated cannot be wrong.
     if problem.robot.yields and any(
         np.any(np.nan_to_num(each)) for each in stated if each is not None

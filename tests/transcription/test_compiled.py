@@ -13,12 +13,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from stiffopt import compiler
 from stiffopt.transcription import compiled
 from stiffopt.transcription.node_derivatives import NAMES, numbered, with_derivatives
 from stiffopt.transcription.stage_function import StageFunction
 from stiffopt.transcription.wide_code import LANES
 
-pytestmark = pytest.mark.skipif(compiled.shutil.which("cc") is None, reason="needs a C compiler")
+pytestmark = pytest.mark.skipif(compiler.shutil.which("cc") is None, reason="needs a C compiler")
 
 
 def stage(payload: float) -> tuple[ca.Function, ca.Function]:
@@ -36,14 +37,14 @@ def stage(payload: float) -> tuple[ca.Function, ca.Function]:
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("STIFFOPT_CACHE", str(tmp_path / "cache"))
     monkeypatch.delenv("STIFFOPT_COMPILE", raising=False)
-    compiled._started.clear()
+    compiler._started.clear()
     return tmp_path / "cache"
 
 
 def made(function: ca.Function) -> Path:
     """The library, after waiting for it."""
     assert compiled.library(function) is None
-    compiled.wait()
+    compiler.wait()
     path = compiled.library(function)
     assert path is not None
     return path
@@ -146,15 +147,15 @@ def test_a_killed_compile_is_done_again(cache: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("CC", str(slow))
     function = numbered(*stage(2.3)).function
     assert compiled.library(function) is None
-    (process,) = compiled._started.values()
+    (process,) = compiler._started.values()
     deadline = time.monotonic() + 20.0
-    while not list(cache.glob("stage-*.parts-*/stage.c")) and time.monotonic() < deadline:
+    while not list(cache.glob("stage-*.parts-*/code.c")) and time.monotonic() < deadline:
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    assert compiled.libraries() == []
+    assert compiler.libraries() == []
     # Another process, or this one later, finds the lock free; what was left is swept away.
-    compiled._started.clear()
+    compiler._started.clear()
     slow.write_text('#!/bin/sh\nexec cc "$@"\n')
     made(function)
     assert list(cache.glob("stage-*.parts-*")) == []
@@ -163,23 +164,23 @@ def test_a_killed_compile_is_done_again(cache: Path, monkeypatch: pytest.MonkeyP
 def test_many_processes_may_ask_at_once(cache: Path) -> None:
     function = numbered(*stage(2.3)).function
     assert compiled.library(function) is None
-    (path,) = compiled._started
+    (path,) = compiler._started
     asking = [
         subprocess.Popen([sys.executable, "-m", compiled.__name__, str(path), "cc"])
         for _ in range(3)
     ]
     assert [each.wait() for each in asking] == [0, 0, 0]
-    compiled.wait()
+    compiler.wait()
     assert compiled.library(function) == path
-    assert compiled.clear() == 1
-    assert compiled.libraries() == []
+    assert compiler.clear() == 1
+    assert compiler.libraries() == []
 
 
 def test_a_programme_may_have_any_number_of_points(cache: Path) -> None:
     taken = numbered(*stage(2.3))
     count = LANES + 3
     slow = StageFunction(taken, count, 1)
-    compiled.wait()
+    compiler.wait()
     quick = StageFunction(taken, count, 1)
     rng = np.random.default_rng(5)
     variables, p = ca.MX.sym("w", 4, count), ca.MX.sym("p", 1 + len(taken.numbers))

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from stiffopt import compiler
 from stiffopt.transcription import compiled, wide_code
 from stiffopt.transcription.wide_code import LANES
 
@@ -19,7 +20,7 @@ pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C co
 def made(functions: list[ca.Function], folder: Path) -> Path:
     source, library = folder / "wide.c", folder / "wide.so"
     source.write_text(wide_code.wide_code(functions, (1,)))
-    compiled._compile("cc", source, library)
+    compiler.build("cc", source, library, compiled.OPTIMISE)
     return library
 
 
@@ -73,7 +74,7 @@ def test_a_compiler_that_knows_no_native_is_asked_without(tmp_path: Path) -> Non
     strict.chmod(0o755)
     source, library = tmp_path / "wide.c", tmp_path / "wide.so"
     source.write_text(wide_code.wide_code([every_operation()], (1,)))
-    compiled._compile(str(strict), source, library)
+    compiler.build(str(strict), source, library, compiled.OPTIMISE)
     assert library.exists()
     with pytest.raises(subprocess.CalledProcessError):
-        compiled._compile("false", source, library)
+        compiler.build("false", source, library, compiled.OPTIMISE)

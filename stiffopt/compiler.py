@@ -1,0 +1,190 @@
+"""The system's C compiler: libraries that it makes beside other work, kept for this user.
+
+A library is named by a hash of all that it depends on. It appears in the cache whole or not at all,
+and any number of processes may ask for it at once. Without a C compiler, or with
+STIFFOPT_COMPILE=never, everything works the same, slower.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import functools
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+# Of multiply and add in one the last digit would be another one than without a compiler.
+_FLAGS = ("-fPIC", "-shared", "-ffp-contract=off")
+# The widest registers there are; not every compiler knows the word.
+_NATIVE = ("-march=native",)
+_PACKAGES = Path(__file__).parents[1]
+# What names of libraries begin with, in a folder that may hold something else.
+_KINDS = ("stage", "swings")
+
+# Compilers at work for this process, by library; kept, or Python would complain of them.
+_started: dict[Path, subprocess.Popen[bytes]] = {}
+
+
+def cache_folder() -> Path:
+    """Folder of this user's compiled functions: STIFFOPT_CACHE, else where caches are kept."""
+    named = os.environ.get("STIFFOPT_CACHE")
+    if named:
+        return Path(named)
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "stiffopt"
+
+
+def compiler() -> str | None:
+    """The C compiler, CC of the environment or `cc`; None where there is none or it is unwanted."""
+    if os.environ.get("STIFFOPT_COMPILE") == "never":
+        return None
+    return shutil.which(os.environ.get("CC") or "cc")
+
+
+def library(
+    kind: str, given: str, made_by: Sequence[str] = (), module: str = __name__
+) -> Path | None:
+    """Find a library; where there is none yet, have it made beside other work.
+
+    Parameters
+    ----------
+    kind : str
+        What its name begins with, one of "stage" and "swings".
+    given : str
+        What it is made of; C code, if by this module.
+    made_by : sequence of str
+        What the library depends on besides.
+    module : str
+        Run as a script with the library's path and the compiler, to call `make`.
+
+    Returns
+    -------
+    Path or None
+        None until it is made, and where it cannot be.
+    """
+    program = compiler()
+    if program is None:
+        return None
+    depends = (given, *made_by, program, *_FLAGS, *_NATIVE, platform.platform(), _processor())
+    name = hashlib.sha256("\0".join(depends).encode()).hexdigest()[:32]
+    path = cache_folder() / f"{kind}-{name}.so"
+    # Without a place to keep it there is an answer all the same, only later.
+    with contextlib.suppress(OSError):
+        if path.exists():
+            return path
+        if path not in _started:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _start(path, given, program, module)
+    return None
+
+
+def wait() -> None:
+    """Wait for the compilers that this process has started."""
+    for process in _started.values():
+        process.wait()
+
+
+def libraries() -> list[Path]:
+    """All libraries of this user, the latest first."""
+    found = [path for kind in _KINDS for path in cache_folder().glob(f"{kind}-*.so")]
+    return sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)
+
+
+def clear() -> int:
+    """Remove all libraries of this user; their number."""
+    found, folder = libraries(), cache_folder()
+    for kind in _KINDS:
+        for path in [*found, *folder.glob(f"{kind}-*.lock")]:
+            path.unlink(missing_ok=True)
+        for path in folder.glob(f"{kind}-*.parts-*"):
+            shutil.rmtree(path, ignore_errors=True)
+    _started.clear()
+    return len(found)
+
+
+def make(path: Path, program: str, code: Callable[[str], str], optimise: str) -> None:
+    """Compile what lies beside the library to be made.
+
+    Parameters
+    ----------
+    path : Path
+        Of the library.
+    program : str
+        The C compiler.
+    code : callable
+        C code of what was given.
+    optimise : str
+        Option of the compiler, such as -O1.
+    """
+    with _held(path) as free:
+        if not free or path.exists():
+            return
+        for left in path.parent.glob(f"{path.stem}.parts-*"):
+            shutil.rmtree(left, ignore_errors=True)
+        given = path.with_suffix(".given")
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f"{path.stem}.parts-") as parts:
+            source, made = Path(parts) / "code.c", Path(parts) / "code.so"
+            source.write_text(code(given.read_text(encoding="ascii")), encoding="ascii")
+            build(program, source, made, optimise)
+            made.replace(path)
+        given.unlink(missing_ok=True)
+
+
+def build(program: str, source: Path, made: Path, optimise: str) -> None:
+    """Run the C compiler."""
+    command = [program, optimise, *_FLAGS, str(source), "-o", str(made), "-lm"]
+    native = [program, *_NATIVE, *command[1:]]
+    if subprocess.run(native, check=False, stdin=subprocess.DEVNULL).returncode:
+        subprocess.run(command, check=True, stdin=subprocess.DEVNULL)
+
+
+def _start(path: Path, given: str, program: str, module: str) -> None:
+    with _held(path) as free:
+        if not free:
+            return
+        path.with_suffix(".given").write_text(given, encoding="ascii")
+    packages = os.pathsep.join(filter(None, (str(_PACKAGES), os.environ.get("PYTHONPATH"))))
+    # -P: nothing that happens to lie in the working folder is run.
+    _started[path] = subprocess.Popen(
+        [sys.executable, "-P", "-m", module, str(path), program],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        # Ctrl-C ends the solve, not what later solves will use.
+        start_new_session=True,
+        env={**os.environ, "PYTHONPATH": packages},
+    )
+
+
+@contextlib.contextmanager
+def _held(path: Path) -> Iterator[bool]:
+    """Hold the lock of a library, if it is free; the system frees it when a process dies."""
+    with path.with_suffix(".lock").open("a") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield False
+        else:
+            yield True
+
+
+@functools.cache
+def _processor() -> str:
+    """What the processor can do: a cache may be shared by several."""
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="ascii", errors="ignore").splitlines():
+            if line.startswith(("flags", "Features")):
+                return line
+    return platform.processor()
+
+
+if __name__ == "__main__":
+    os.nice(5)
+    make(Path(sys.argv[1]), sys.argv[2], lambda code: code, "-O2")

@@ -1,0 +1,186 @@
+"""The loops over instants and arms, compiled (swings.c), where the library is there already.
+
+The formulas are those of `many_arms` and `simulate`, which do without it: the numbers are the same
+but for rounding.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stiffopt import compiler
+
+if TYPE_CHECKING:
+    from stiffopt.elastic.along_plan import EvenSprings
+    from stiffopt.elastic.arm import ElasticArm
+    from stiffopt.elastic.motor import MotorMotion
+
+_SOURCE = Path(__file__).with_name("swings.c")
+# Joints and lanes of arms that the C code has room for.
+_MOST = 32
+_WHOLE, _REAL, _ARRAY = ctypes.c_longlong, ctypes.c_double, ctypes.c_void_p
+
+Slope = Callable[[float, np.ndarray], np.ndarray]
+
+
+class _Struct(ctypes.Structure):
+    """A struct of the C code, which keeps the arrays that it points to."""
+
+    def set(self, **values: object) -> None:
+        """Set fields: numbers, and arrays to point to or, of fixed length, to copy."""
+        self.kept = [*getattr(self, "kept", ())]
+        kinds: dict[str, type] = {field[0]: field[1] for field in self._fields_}
+        for name, value in values.items():
+            if kinds[name] is _ARRAY:
+                array = np.ascontiguousarray(value)
+                if array.dtype != float:
+                    array = array.astype(np.int64)
+                self.kept.append(array)
+                value = array.ctypes.data
+            elif issubclass(kinds[name], ctypes.Array):
+                value = kinds[name](*np.asarray(value).tolist())
+            setattr(self, name, value)
+
+
+class _Springs(_Struct):
+    _fields_ = (("torque", _ARRAY), ("rise", _ARRAY), ("scale", _ARRAY), ("points", _WHOLE))
+
+
+class _Plan(_Struct):
+    _fields_ = (
+        *((name, _WHOLE) for name in ("count", "flight", "n", "arms", "commands")),
+        ("step", _REAL),
+        *((name, _ARRAY) for name in ("bodies", "commanded", "of", "stiffness", "damping")),
+        *((name, _ARRAY) for name in ("payload", "servo", "rigid")),
+        ("springs", _Springs),
+        ("links", _ARRAY),
+    )
+
+
+class _Arm(_Struct):
+    _fields_ = (
+        *((name, _WHOLE) for name in ("n", "loops")),
+        *((name, _ARRAY) for name in ("parent", "slides", "rigid", "axis", "rotation")),
+        *((name, _ARRAY) for name in ("translation", "mass", "centre", "inertia")),
+        *((name, 3 * _REAL) for name in ("gravity", "force", "tool")),
+        ("carries_tool", _WHOLE),
+        *((name, _ARRAY) for name in ("damping", "friction", "hysteresis")),
+        *((name, _ARRAY) for name in ("springs", "windups", "cubics")),
+        ("pieces", _WHOLE),
+        *((name, _ARRAY) for name in ("times", "motion", "last")),
+        ("state", 3 * _MOST * _REAL),
+        ("slope", 3 * _MOST * _REAL),
+    )
+
+
+def prepare() -> None:
+    """Have the library made beside other work, if there is none yet."""
+    compiler.library("swings", _SOURCE.read_text(encoding="ascii"))
+
+
+def library(joints: int) -> ctypes.CDLL | None:
+    """The library, None where there is none or an arm has too many joints for it."""
+    found = compiler.library("swings", _SOURCE.read_text(encoding="ascii"))
+    return None if found is None or joints > _MOST else _loaded(found)
+
+
+@functools.cache
+def _loaded(path: Path) -> ctypes.CDLL:
+    loaded = ctypes.CDLL(str(path))
+    loaded.swing.restype = loaded.slope.restype = None
+    loaded.slope.argtypes = (ctypes.c_void_p, ctypes.c_double)
+    return loaded
+
+
+def swing(
+    made: ctypes.CDLL, springs: EvenSprings, rigid: np.ndarray, begun: np.ndarray, **given: object
+) -> np.ndarray:
+    """Positions of the links (K, B, n) less those of their plan.
+
+    Parameters
+    ----------
+    made : CDLL
+        Of `library`.
+    springs : EvenSprings
+    rigid : array of int
+        Joints that do as their motors.
+    begun : array (B, n)
+        Where the links begin.
+    given : int, float or array
+        Fields of the C code's `Plan`.
+    """
+    arms, n = begun.shape
+    plan = _Plan()
+    plan.springs.set(**springs.table())
+    plan.set(n=n, arms=arms, rigid=np.isin(np.arange(n), rigid), **given)
+    links = np.empty((plan.count, arms, n))
+    links[0] = begun
+    plan.links = links.ctypes.data
+    made.swing(ctypes.byref(plan))
+    return links
+
+
+def slope(
+    made: ctypes.CDLL, arm: ElasticArm, motor: MotorMotion, friction: np.ndarray, loops: int
+) -> Slope:
+    """Slope of the state of an arm on a motion of its motors, as `odeint` asks for it.
+
+    Parameters
+    ----------
+    made : CDLL
+        Of `library`.
+    arm : ElasticArm
+    motor : MotorMotion
+    friction : array (n,)
+        Torque of each hysteresis [N m].
+    loops : int
+        Numbers of the state for them.
+    """
+    bodies, tables = (
+        arm.robot.tree.bodies,
+        [
+            (np.empty(0), np.empty((0, 4))) if spring is None else spring.by_windup
+            for spring in arm.springs
+        ],
+    )
+    own = _Arm()
+    own.set(
+        n=len(bodies),
+        loops=loops,
+        parent=[body.parent for body in bodies],
+        slides=[body.prismatic for body in bodies],
+        rigid=~arm.elastic,
+        **{
+            name: np.array([getattr(body, name) for body in bodies], dtype=float)
+            for name in ("axis", "rotation", "translation", "mass", "centre", "inertia")
+        },
+        gravity=arm.robot.tree.gravity,
+        force=arm.process_force,
+        tool=arm.robot.tool.offset,
+        carries_tool=arm.robot.tool.joint,
+        damping=arm.damping,
+        friction=friction,
+        hysteresis=arm.hysteresis,
+        springs=np.cumsum([0, *(len(windups) for windups, _ in tables)]),
+        windups=np.concatenate([windups for windups, _ in tables]),
+        cubics=np.concatenate([cubics for _, cubics in tables]),
+        **motor.table(),
+    )
+    size = 2 * len(bodies) + loops
+    # The same memory as arrays: reading and writing them is most of what a call costs.
+    state = np.ctypeslib.as_array(own.state)[:size]
+    found = np.ctypeslib.as_array(own.slope)[:size]
+    run, place = made.slope, ctypes.byref(own)
+
+    def at(t: float, values: np.ndarray) -> np.ndarray:
+        state[:] = values
+        run(place, t)
+        return found
+
+    return at

@@ -1,0 +1,104 @@
+"""The compiled loops against those without a compiler, and against pinocchio."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_arms import write_robot
+from swinging_arms import arm, bang, one_soft_joint, there_and_stop
+
+from stiffopt import compiler
+from stiffopt.elastic import native
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.many_arms import Asked, ManyArms, Member, swings_together
+from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.simulate import _Equations, simulate
+from stiffopt.elastic.uncertainty import Uncertainty, corners
+from stiffopt.robot.files import load_robot
+
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+
+
+@pytest.fixture
+def made(tmp_path_factory, monkeypatch):
+    """The library; without it again afterwards."""
+    monkeypatch.setenv("STIFFOPT_CACHE", str(tmp_path_factory.getbasetemp() / "libraries"))
+    monkeypatch.delenv("STIFFOPT_COMPILE", raising=False)
+    native.prepare()
+    compiler.wait()
+    yield native.library(2)
+    compiler._started.clear()
+
+
+def shaken(n):
+    """A motion of n motors that is like no other at any instant."""
+    time = np.linspace(0.0, 0.4, 41)
+    angle = np.outer(time, np.arange(1, n + 1) * 7.0)
+    return MotorMotion(time, 0.3 * np.sin(angle), 2.1 * np.arange(1, n + 1) * np.cos(angle))
+
+
+@pytest.mark.parametrize("name", ["er3a_c60", "ur10", "planar", "slide", "spatial"])
+@pytest.mark.parametrize("loops", [False, True])
+def test_slopes_are_those_without_a_compiler(made, tmp_path, name, loops):
+    robot = load_robot(name if name in ("er3a_c60", "ur10") else write_robot(tmp_path, name))
+    if loops:
+        robot = replace(robot, hysteresis=np.where(np.arange(robot.n) == 1, 0.0, 4e-5))
+    arm = ElasticArm(robot, np.zeros(robot.n), (30.0, -20.0, 50.0))
+    equations = _Equations(arm, shaken(robot.n))
+    compiled = equations.slope()
+    assert made is not None
+    assert compiled != equations.__call__
+    rng = np.random.default_rng(3)
+    for t in (0.0, 0.123, 0.4, 0.7):
+        state = np.concatenate(
+            [
+                equations._motor.at(t)[0] + 2e-4 * rng.normal(size=robot.n),
+                rng.normal(size=robot.n),
+                rng.uniform(-1.0, 1.0, equations.loops),
+            ]
+        )
+        slow = equations(t, state)
+        np.testing.assert_allclose(
+            compiled(t, state), slow, rtol=1e-9, atol=1e-10 * abs(slow).max()
+        )
+
+
+def test_rigid_joints_are_driven_as_without_a_compiler(made, tmp_path):
+    arm = one_soft_joint(tmp_path)
+    equations = _Equations(arm, shaken(2))
+    state = np.array([0.1, -0.2, 1.0, 2.0])
+    for t in (0.0, 0.2, 0.5):
+        np.testing.assert_allclose(equations.slope()(t, state), equations(t, state), rtol=1e-11)
+
+
+def test_a_simulation_is_that_without_a_compiler(made, tmp_path, monkeypatch):
+    swinging = arm(tmp_path, "planar", at=(0.3, 0.4))
+    command = bang((3.0, -4.0), 0.2, (0.3, 0.4))
+    quick = simulate(swinging, command)
+    monkeypatch.setenv("STIFFOPT_COMPILE", "never")
+    slow = simulate(swinging, command)
+    assert quick.peak == pytest.approx(slow.peak, rel=1e-6)
+    np.testing.assert_allclose(quick.position, slow.position, atol=1e-9)
+
+
+@pytest.mark.parametrize("soft", [1, 2])
+def test_many_arms_swing_as_without_a_compiler(made, tmp_path, monkeypatch, soft):
+    at = (0.3, 0.4)
+    swinging = one_soft_joint(tmp_path) if soft == 1 else arm(tmp_path, "planar", at=at)
+    unsure = Uncertainty(servo_feed_forward=0.98)
+    asked = []
+    for half in (0.2, 0.13):
+        command, plan = (make((3.0, -4.0), half, at) for make in (bang, there_and_stop))
+        members = [
+            Member(command=command, departure=each, reference=command)
+            for each in corners(unsure, 2, True)
+        ]
+        asked.append(Asked(ManyArms(swinging, plan, unsure.servo), members))
+    quick = swings_together(asked)
+    monkeypatch.setenv("STIFFOPT_COMPILE", "never")
+    for own, slow in zip(quick, swings_together(asked), strict=True):
+        scale = np.abs(slow.deviation).max()
+        np.testing.assert_allclose(own.deviation, slow.deviation, atol=1e-10 * scale)
