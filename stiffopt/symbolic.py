@@ -12,6 +12,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.sparse import csc_matrix
 
 ca.GlobalOptions.setNumpyMode(-1)
 
@@ -32,6 +33,42 @@ def array_of(matrix: ca.DM) -> np.ndarray:
     """
     dense = matrix if matrix.is_dense() else ca.densify(matrix)
     return np.array(dense.nonzeros(), dtype=float).reshape(matrix.shape, order="F")
+
+
+class InPlace:
+    """A function whose numbers lie in arrays of its own: no matrices are made at a call.
+
+    Parameters
+    ----------
+    function : casadi.Function
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self.function = function
+        self._buffer, self._evaluate = function.buffer()
+        self._given = [np.zeros(function.size_in(i)[0]) for i in range(function.n_in())]
+        self._found = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
+        # Sizes are told by the memory itself, which CasADi's annotations do not know.
+        set_given: Any = self._buffer.set_arg
+        set_found: Any = self._buffer.set_res
+        for i, given in enumerate(self._given):
+            set_given(i, memoryview(given.data))
+        for i, found in enumerate(self._found):
+            set_found(i, memoryview(found.data))
+        patterns = [function.sparsity_out(i) for i in range(function.n_out())]
+        self._patterns = [(np.array(p.row()), np.array(p.colind()), p.shape) for p in patterns]
+
+    def __call__(self, *given: np.ndarray | float) -> list[np.ndarray]:
+        """Non-zeros of all outputs, for dense columns; overwritten by the next call."""
+        for own, value in zip(self._given, given, strict=True):
+            own[:] = value
+        self._evaluate()
+        return self._found
+
+    def sparse(self, output: int) -> csc_matrix:
+        """An output of the last call as a matrix of its own."""
+        rows, starts, shape = self._patterns[output]
+        return csc_matrix((self._found[output].copy(), rows, starts), shape=shape)
 
 
 def softplus(x: Quantity) -> Quantity:

@@ -23,11 +23,19 @@ from stiffopt.problem.resolve import resolve
 from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.solution import Solution
+from stiffopt.solver.near_optimum import NearOptimum
 from stiffopt.solver.plan import SolveStage, solver_options
 from stiffopt.solver.refinement import refined
 from stiffopt.solver.solve import notes_before, solution_of, solve_keeping
 from stiffopt.solver.solve_run import ProgressCallback, SolveRun
-from stiffopt.solver.stages import Outcome, Programme, build_programme, outcome_of, solve_stage
+from stiffopt.solver.stages import (
+    Outcome,
+    Programme,
+    build_programme,
+    outcome_of,
+    solve_near,
+    solve_stage,
+)
 from stiffopt.solver.verdict import TRUE_OBJECTIVE
 from stiffopt.solver.way_around import collisions
 from stiffopt.transcription.build import adapted
@@ -188,7 +196,9 @@ class ProblemFamily:
             multipliers_x=warm.multipliers_x * of_x,
             multipliers_g=warm.multipliers_g * of_g,
         )
-        raw = solve_stage(run, made, stage, begin.x, begin, "warm", "adaptive")
+        raw = solve_near(run, made, stage, begin.x, begin)
+        if raw is None:
+            raw = solve_stage(run, made, stage, begin.x, begin, "warm", "adaptive")
         ended = raw.status == "interrupted"
         if not (raw.converged or ended):
             return run, None
@@ -222,8 +232,10 @@ class ProblemFamily:
             found = adapted(first, ocp)
             if found is not None:
                 made.solver.rebound(found.nlp)
-                return self._keep(Programme(found, made.solver))
-        return self._keep(build_programme(run, ocp, warm.mesh, scales=warm.block_scales))
+                near = made.near or NearOptimum(made.solver)
+                return self._keep(Programme(found, made.solver, near))
+        made = build_programme(run, ocp, warm.mesh, scales=warm.block_scales)
+        return self._keep(replace(made, near=NearOptimum(made.solver)))
 
     def _keep(self, made: Programme) -> Programme:
         key = (made.transcription.structure, BlockScales.of(made.transcription.nlp).tobytes())

@@ -171,6 +171,13 @@ class IpoptSolver:
         self._warm: dict[tuple[str, float], ca.Function] = {}
         self.build_s = time.perf_counter() - begin
 
+    @property
+    def derivatives(self) -> tuple[ca.Function, ca.Function, ca.Function]:
+        """Of the objective, of the rows and of the Lagrangian, as IPOPT is given them."""
+        names = ("nlp_grad_f", "nlp_jac_g", "nlp_hess_l")
+        gradient, jacobian, hessian = map(self._solver.get_function, names)
+        return gradient, jacobian, hessian
+
     def solve(
         self,
         x0: np.ndarray,
@@ -286,6 +293,7 @@ class IpoptSolver:
     def _warm_solver(self, barrier: str, push: float) -> ca.Function:
         # IPOPT reads these options when it is set up; the derivatives are shared with the other.
         if (barrier, push) not in self._warm:
+            gradient, jacobian, hessian = self.derivatives
             self._warm[barrier, push] = self._make(
                 {
                     "mu_strategy": barrier,
@@ -297,9 +305,9 @@ class IpoptSolver:
                     "warm_start_mult_bound_push": push,
                     "mu_init": 1e-6,
                 },
-                grad_f=self._solver.get_function("nlp_grad_f"),
-                jac_g=self._solver.get_function("nlp_jac_g"),
-                hess_lag=self._solver.get_function("nlp_hess_l"),
+                grad_f=gradient,
+                jac_g=jacobian,
+                hess_lag=hessian,
             )
         return self._warm[barrier, push]
 

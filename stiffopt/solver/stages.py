@@ -20,6 +20,7 @@ from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.ipopt import FEASIBLE, IpoptSolver, Multipliers, RawSolution
 from stiffopt.solver.monitor import Progress
+from stiffopt.solver.near_optimum import NearOptimum
 from stiffopt.solver.phase_one import least_excess
 from stiffopt.solver.plan import SolveStage, solver_options
 from stiffopt.solver.solve_run import SolveProgress, SolveRun
@@ -290,6 +291,19 @@ def solve_stage(
     return raw
 
 
+def solve_near(
+    run: SolveRun, made: Programme, stage: SolveStage, x: np.ndarray, warm: Multipliers
+) -> RawSolution | None:
+    """A stage from the optimum of a near problem by what binds there; None where that fails."""
+    if made.near is None:
+        return None
+    report = _reporter(run, f"near, {stage.intervals} intervals")
+    raw = made.near.solve(made.transcription, x, stage.smoothing.parameters, warm, report)
+    if raw is not None:
+        run.record(stage, raw)
+    return raw
+
+
 def outcome_of(run: SolveRun, made: Programme, raw: RawSolution, smoothing: Smoothing) -> Outcome:
     """The motion of a solved stage, with its certificate."""
     trajectory = _trajectory(run, made.transcription, raw.x, smoothing.law)
@@ -323,10 +337,13 @@ class Programme:
     ----------
     transcription : Transcription
     solver : IpoptSolver
+    near : NearOptimum, optional
+        For problems near one that is solved.
     """
 
     transcription: Transcription
     solver: IpoptSolver
+    near: NearOptimum | None = None
 
 
 def build_programme(

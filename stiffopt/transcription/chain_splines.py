@@ -17,7 +17,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 from scipy.interpolate import BSpline
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_matrix, csr_matrix, diags
 
 from stiffopt.transcription.mesh import Mesh
 from stiffopt.transcription.nlp import Places
@@ -32,6 +32,8 @@ class ChainSplines:
     mesh : list of array
     chains : tuple of (position index, velocity index, .., control index)
         Of states and controls that all belong to one.
+    control_degree : int
+        Of the controls, which are continuous.
 
     Notes
     -----
@@ -40,21 +42,28 @@ class ChainSplines:
 
     mesh: Mesh
     chains: tuple[tuple[int, ...], ...]
+    control_degree: int = 1
+
+    @property
+    def orders(self) -> int:
+        """Number of derivatives in a chain, from the position to the control."""
+        return len(self.chains[0])
 
     @property
     def degree(self) -> int:
         """Of the positions."""
-        return len(self.chains[0])
+        return self.orders - 1 + self.control_degree
 
     @property
     def values(self) -> int:
         """Number of states and controls at a point."""
-        return self.degree * len(self.chains)
+        return self.orders * len(self.chains)
 
     @cached_property
     def counts(self) -> np.ndarray:
         """Coefficients of a chain in each phase."""
-        return np.array([len(part) + self.degree for part in self.mesh])
+        inner = [self.control_degree * (len(part) - 1) for part in self.mesh]
+        return np.array(inner) + self.degree + 1
 
     @property
     def size(self) -> int:
@@ -117,6 +126,11 @@ class ChainSplines:
         found = matrix.tocsr() @ coefficients / durations[phases] ** powers
         return np.asarray(found.reshape(len(places), self.values))
 
+    def matrix(self, places: Places, durations: np.ndarray) -> csr_matrix:
+        """What `numeric` multiplies the coefficients with ((nx + nu) P, size), place by place."""
+        matrix, powers, phases = self._map(places)
+        return (diags(durations[phases] ** -powers) @ matrix).tocsr()
+
     def fitted(
         self, places: Places, values: np.ndarray, scales: np.ndarray, durations: np.ndarray
     ) -> np.ndarray:
@@ -139,7 +153,7 @@ class ChainSplines:
                 last = np.flatnonzero(places.phase == phase - 1)[-1]
                 fractions = np.append(0.0, fractions)
                 given = np.vstack([values[last], given])
-            orders = [self._basis(phase, fractions, k) for k in range(self.degree)]
+            orders = [self._basis(phase, fractions, k) for k in range(self.orders)]
             for j in range(n):
                 indices = self._indices(j)
                 rows = [
@@ -155,14 +169,15 @@ class ChainSplines:
     def _indices(self, chain: int) -> list[int]:
         """Where position to control of a chain stand among states and controls."""
         *states, control = self.chains[chain]
-        return [*states, (self.degree - 1) * len(self.chains) + control]
+        return [*states, (self.orders - 1) * len(self.chains) + control]
 
     def _basis(self, phase: int, fractions: np.ndarray, order: int) -> np.ndarray:
         """Derivatives of all splines (P, count) of a phase by its scaled time."""
         breaks = np.append(0.0, np.cumsum(self.mesh[phase]))
         breaks[-1] = 1.0
-        ends = np.ones(self.degree)
-        knots = np.concatenate([0.0 * ends, breaks, ends])
+        first, *inner, last = breaks
+        ends = np.ones(self.degree + 1)
+        knots = np.concatenate([first * ends, np.repeat(inner, self.control_degree), last * ends])
         spline = BSpline(knots, np.eye(self.counts[phase]), self.degree)
         return np.asarray((spline.derivative(order) if order else spline)(fractions))
 
@@ -181,7 +196,7 @@ class ChainSplines:
         begins = np.cumsum(self.counts) - self.counts
         for phase in np.unique(places.phase):
             own = np.flatnonzero(places.phase == phase)
-            for place, order in enumerate(orders or range(self.degree)):
+            for place, order in enumerate(orders or range(self.orders)):
                 basis = self._basis(int(phase), places.fraction[own], order)
                 point, coefficient = np.nonzero(np.abs(basis) > 1e-14 * np.abs(basis).max())
                 for j in range(n):

@@ -188,6 +188,20 @@ class Scheme(abc.ABC):
         """The splines whose coefficients are the variables; None where states are."""
         return None
 
+    def motion_splines(self, ocp: OptimalControlProblem, mesh: Mesh) -> ChainSplines | None:
+        """The splines that all motions are which obey the equations between the states.
+
+        None where there are others, as where dynamics integrate a state or controls jump, and where
+        the coefficients are the variables anyway.
+        """
+        if not ocp.chains or self.splines(ocp, mesh) is not None:
+            return None
+        same = np.array_equal(self.state_nodes, self.control_nodes)
+        states = sum(len(chain) - 1 for chain in ocp.chains)
+        if not same or states != len(ocp.states) or len(ocp.chains) != len(ocp.controls):
+            return None
+        return ChainSplines(mesh, ocp.chains, len(self.control_nodes) - 1)
+
     @abc.abstractmethod
     def defects(self, s: Symbols) -> Iterator[Defect]:
         """Equations between the states, all zero on a motion that obeys the dynamics."""

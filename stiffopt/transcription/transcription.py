@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 from numpy.polynomial import polynomial
+from scipy.sparse import csr_matrix, diags
 
 from stiffopt.errors import ProblemError
 from stiffopt.symbolic import array_of
@@ -219,6 +220,24 @@ class Transcription:
             duration=total,
             phase_fractions=durations / total,
         )
+
+    def motion_basis(self) -> csr_matrix | None:
+        """Matrix (variables, k) from splines' coefficients to the motions that obey all equations.
+
+        None where these are not linear, as with a duration that is free, where variables are such
+        coefficients already, or where there are others beside states and controls.
+        """
+        splines = self.scheme.motion_splines(self.ocp, self.mesh)
+        if splines is None or self.durations is not None or self.statics.size:
+            return None
+        places = self.scheme.state_places(self.intervals)
+        values = splines.matrix(places, np.array([self.ocp.duration[0]]))
+        # Point by point, states above controls; the variables have all states first.
+        order = np.arange(values.shape[0]).reshape(len(places), -1)
+        states, controls = np.split(order, [len(self.ocp.states)], axis=1)
+        scales = np.concatenate([self.states.scales, self.controls.scales])
+        variables = values[np.append(states, controls)]
+        return (diags(1.0 / scales) @ variables).tocsr()
 
     def node_states(self, x: np.ndarray) -> np.ndarray:
         """States (NX, nx) at the nodes."""

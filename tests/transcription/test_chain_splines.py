@@ -4,8 +4,14 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.polynomial import Polynomial
+from small_arms import ROOT
 
+from stiffopt.problem.files import load_problem
+from stiffopt.problem.formulation import Scales, formulate
+from stiffopt.problem.resolve import resolve
+from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.chain_splines import ChainSplines
+from stiffopt.transcription.mesh import uniform_mesh
 from stiffopt.transcription.nlp import Places
 
 # Two joints, states up to snap joint by joint, two phases of unequal intervals.
@@ -13,6 +19,7 @@ CHAINS = tuple((*(2 * k + j for k in range(5)), j) for j in range(2))
 MESH = [np.array([0.5, 0.3, 0.2]), np.array([0.4, 0.6])]
 DURATIONS = np.array([0.8, 0.3])
 PLACES = Places(np.array([0, 0, 0, 0, 1, 1]), np.array([0.0, 0.5, 0.8, 1.0, 0.4, 1.0]))
+FREE = 'motion.duration={ lower = "0.5 s", upper = "2 s" }'
 POLYNOMIALS = (Polynomial([1, -2, 0.5, 3, 1, -4, 2]), Polynomial([0, 1, 1, -1, 2, 0, 5]))
 
 
@@ -58,3 +65,26 @@ def test_one_duration_stands_for_all_of_one_phase():
     # All coefficients alike: at rest there.
     assert np.array(ca.evalf(ends))[:2] == pytest.approx(1.0)
     assert np.array(ca.evalf(ends))[2:] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("method", ["piecewise_linear_acceleration", "hermite_simpson"])
+def test_a_basis_of_motions_spans_all_that_equations_allow(method):
+    changes = [f'method.transcription="{method}"', "method.intervals=7"]
+    problem = load_problem(ROOT / "problems" / "two_link.toml", changes).problem
+    ocp = formulate(problem, resolve(problem), Scales())
+    made = transcribe(ocp, method, [np.linspace(1.0, 2.0, 7) / 10.5])
+    basis = made.motion_basis()
+    own = np.concatenate([np.full(b.size, b.structural) for b in made.nlp.rows.items])
+    slopes = ca.Function("slopes", [made.nlp.x, made.nlp.p], [ca.jacobian(made.nlp.g, made.nlp.x)])
+    point = np.zeros(made.nlp.x.numel())
+    equations = np.array(slopes(point, made.nlp.parameters(ocp.parameters)))[own]
+    assert np.abs(equations @ basis).max() < 1e-10 * np.abs(equations).max() * abs(basis).max()
+    assert basis.shape == (len(point), len(point) - np.linalg.matrix_rank(equations))
+    assert np.linalg.matrix_rank(basis.toarray()) == basis.shape[1]
+
+
+@pytest.mark.parametrize("change", ['method.transcription="radau"', FREE])
+def test_there_is_no_basis_where_equations_are_not_linear_or_controls_jump(change):
+    problem = load_problem(ROOT / "problems" / "two_link.toml", [change]).problem
+    ocp = formulate(problem, resolve(problem), Scales())
+    assert transcribe(ocp, problem.method.transcription, uniform_mesh(5)).motion_basis() is None

@@ -1,0 +1,173 @@
+"""Optima near a known one: those of IPOPT, proved by their conditions; or nothing is said."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_matrix
+from small_arms import ROOT
+
+from stiffopt.problem.files import load_problem
+from stiffopt.solver import near_optimum
+from stiffopt.solver.family import ProblemFamily
+from stiffopt.solver.near_optimum import NearOptimum
+
+# Torque limits bind over a third of the motion.
+TIGHT = ("motion.duration=0.65 s", "limits.scale={ torque = 0.85 }", "method.intervals=40")
+
+
+def problem(*changes):
+    return load_problem(ROOT / "problems" / "two_link.toml", [*TIGHT, *changes]).problem
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What `NearOptimum` was asked and answered."""
+    calls = []
+    own = NearOptimum.solve
+
+    def noted(self, transcription, x0, parameters, near, report=None):
+        raw = own(self, transcription, x0, parameters, near, report)
+        calls.append((transcription, x0, parameters, near, raw))
+        return raw
+
+    monkeypatch.setattr(NearOptimum, "solve", noted)
+    return calls
+
+
+@pytest.fixture(scope="module")
+def first():
+    family = ProblemFamily()
+    return family, family.solve(problem("payload.mass=0.3"))[1]
+
+
+def drawn(count):
+    draw = np.random.default_rng(20)
+    for _ in range(count):
+        yield (
+            f"payload.mass={draw.uniform(0.2, 0.4):.4f}",
+            f"motion.duration={draw.uniform(0.63, 0.68):.4f}",
+            f"motion.end.joints=[{draw.uniform(0.95, 1.02):.4f}, {draw.uniform(0.45, 0.55):.4f}]",
+            f"limits.scale={{ torque = {draw.uniform(0.84, 0.95):.4f} }}",
+        )
+
+
+@pytest.mark.parametrize("changes", list(drawn(12)))
+def test_near_optima_are_those_of_ipopt(first, asked, changes):
+    family, end = first
+    solution, _ = family.solve(problem(*changes), end, compare=False)
+    transcription, x0, parameters, near, raw = asked[0]
+    solver = solver_of(family, transcription)
+    other = solver.solve(x0, parameters, warm=near, barrier="adaptive")
+    if raw is None:
+        # Where it is not near, IPOPT has answered.
+        assert str(solution.status) in ("optimal", "infeasible")
+        return
+    assert str(solution.status) == "optimal"
+    assert solution.solver.iterations <= 8
+    assert raw.objective == pytest.approx(other.objective, rel=1e-6)
+    # IPOPT moves bounds by a hundred-millionth.
+    assert raw.objective <= other.objective * (1.0 + 3e-8)
+    assert conditions(transcription.nlp, solver, raw, parameters) < 1e-7
+
+
+@pytest.mark.parametrize("change", ["payload.mass=5.5", "payload.mass=4.4", "motion.duration=1.55"])
+def test_six_joints_with_their_dynamics(asked, change):
+    path = ROOT / "problems" / "ur10_torque_squared.toml"
+    family, same = ProblemFamily(), ("method.intervals=40", "payload.mass=5.0")
+    _, end = family.solve(load_problem(path, same).problem)
+    near = load_problem(path, [*same, change]).problem
+    solution, _ = family.solve(near, end, compare=False)
+    transcription, x0, parameters, before, raw = asked[0]
+    assert raw is not None
+    assert str(solution.status) == "optimal"
+    solver = solver_of(family, transcription)
+    other = solver.solve(x0, parameters, warm=before, barrier="adaptive")
+    assert raw.objective == pytest.approx(other.objective, rel=1e-5)
+    assert raw.objective <= other.objective * (1.0 + 3e-8)
+    assert conditions(transcription.nlp, solver, raw, parameters) < 1e-7
+
+
+def solver_of(family, transcription):
+    kept = family._programmes.values()
+    return next(made.solver for made in kept if made.transcription is transcription)
+
+
+def conditions(nlp, solver, raw, parameters):
+    """Largest residual of the conditions of Karush, Kuhn and Tucker."""
+    p = nlp.parameters(parameters)
+    gradient, jacobian, _ = solver.derivatives
+    slope = np.asarray(gradient(raw.x, p)[1]).ravel()
+    g, matrix = (np.asarray(each) for each in jacobian(raw.x, p))
+    g = g.ravel()
+    worst = [np.abs(slope + raw.multipliers_x + matrix.T @ raw.multipliers_g)]
+    for value, lower, upper, force in (
+        (raw.x, nlp.lower_x, nlp.upper_x, raw.multipliers_x),
+        (g, nlp.lower_g, nlp.upper_g, raw.multipliers_g),
+    ):
+        slack = np.where(force > 0.0, upper - value, value - lower)
+        worst += [
+            np.maximum(lower - value, value - upper),
+            np.abs(force * np.where(force, slack, 0.0)),
+        ]
+    return max(each.max(initial=0.0) for each in worst)
+
+
+def test_most_near_problems_are_answered(first, asked):
+    family, end = first
+    for changes in drawn(12):
+        family.solve(problem(*changes), end, compare=False)
+    assert sum(call[-1] is not None for call in asked) >= 9
+
+
+def test_wrong_multipliers_end_where_they_should_or_nowhere(first, asked):
+    family, end = first
+    heavier = problem("payload.mass=0.33")
+    right, _ = family.solve(heavier, end, compare=False)
+    draw = np.random.default_rng(3)
+    for _ in range(3):
+        wrong = replace(end, multipliers_g=draw.normal(size=len(end.multipliers_g)))
+        solution, _ = family.solve(heavier, wrong, compare=False)
+        assert solution.objective.value == pytest.approx(right.objective.value, rel=1e-6)
+
+
+def test_what_is_no_such_programme_is_left_to_ipopt(asked):
+    family = ProblemFamily()
+    shortest = (
+        'minimise=[{ objective = "duration" }]',
+        'motion.duration={ lower = "0.3 s", upper = "2 s" }',
+    )
+    changes = (*shortest, 'motion.boundary_acceleration="free"')
+    _, end = family.solve(problem("payload.mass=0.3", *changes))
+    solution, _ = family.solve(problem("payload.mass=0.33", *changes), end, compare=False)
+    assert solution.status.usable
+    assert [call[-1] for call in asked] == [None]
+
+
+def test_a_point_that_curves_down_is_no_minimum():
+    curved, slope = csr_matrix(np.diag([1.0, -0.5, 2.0])), np.zeros(3)
+    matrix, bounds = csr_matrix([[0.0, 1.0, 0.0]]), (np.array([-1.0]), np.array([1.0]))
+    free, held = np.array([0]), np.array([1])
+    assert near_optimum._quadratic(curved, slope, matrix, bounds, np.zeros(1), free) is None
+    step, forces, _ = near_optimum._quadratic(curved, slope, matrix, bounds, np.zeros(1), held)
+    assert step == pytest.approx([0.0, 1.0, 0.0], abs=1e-9)
+    assert forces == pytest.approx([0.5])
+
+
+def test_rows_that_depend_on_each_other_do_no_harm():
+    curved, slope = csr_matrix(np.diag([1.0, 4.0])), np.array([-3.0, -2.0])
+    matrix = csr_matrix([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    bounds = np.full(3, -np.inf), np.array([1.0, 1.0, 9.0])
+    step, forces, side = near_optimum._quadratic(
+        curved, slope, matrix, bounds, np.zeros(3), np.array([1, 1, 0])
+    )
+    assert step == pytest.approx([1.0, 0.5], abs=1e-8)
+    assert forces.sum() == pytest.approx(2.0)
+    assert side.tolist() == [1, 1, 0]
+
+
+def test_what_has_no_solution_is_told():
+    curved, slope = csr_matrix(np.diag([1.0])), np.array([1.0])
+    matrix = csr_matrix([[1.0], [1.0]])
+    bounds = np.array([2.0, -np.inf]), np.array([np.inf, 1.0])
+    assert near_optimum._quadratic(curved, slope, matrix, bounds, np.zeros(2), np.zeros(2)) is None
