@@ -29,3 +29,8 @@ def test_command_line_is_light():
 def test_the_command_needs_nothing_heavy_for_a_wrong_command_line():
     code = "from stiffopt.cli import run\nassert run(['slove']) == 2"
     assert not loaded(code) & (HEAVY - {"numpy", "pydantic"})
+
+
+def test_cases_of_a_sweep_are_read_while_workers_load_what_is_heavy():
+    code = "import stiffopt.report.sweep.terminal\nfrom stiffopt.sweep.cases import load_sweep"
+    assert not loaded(code) & (HEAVY - {"numpy", "pydantic"})

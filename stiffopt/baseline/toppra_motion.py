@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.util import find_spec
 from itertools import pairwise
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -234,14 +235,23 @@ class _Later(ModuleType):
 
 @contextmanager
 def _figures_later() -> Iterator[None]:
-    """Toppra without what draws its figures, which takes as long to load as the rest of it."""
-    name = "matplotlib.pyplot"
+    """Toppra without what draws its figures, which takes longer to load than the rest of it."""
+    package, name = "matplotlib", "matplotlib.pyplot"
     # Once toppra is there nothing is imported, and nobody else is to meet what stands there.
     if name in sys.modules or "toppra.algorithm" in sys.modules:
         yield
         return
-    later = sys.modules[name] = _Later(name)
+    later = [_Later(name)]
+    found = None if package in sys.modules else find_spec(package)
+    if found is not None:
+        whole = _Later(package)
+        # Whoever else asks for a part of it meanwhile finds it.
+        whole.__path__ = list(found.submodule_search_locations or ())
+        vars(whole)["pyplot"] = later[0]
+        later.append(whole)
+    sys.modules.update({each.__name__: each for each in later})
     try:
         yield
     finally:
-        later.leave()
+        for each in later:
+            each.leave()

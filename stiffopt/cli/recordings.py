@@ -95,7 +95,7 @@ def diagnose(
     from stiffopt.discovery.experiment.design import EXPERIMENT_FILE
     from stiffopt.discovery.store import write_diagnosis
     from stiffopt.recording.recording_set import load_recordings
-    from stiffopt.report.common.progress import StepDisplay
+    from stiffopt.report.common.status_line import StepDisplay
     from stiffopt.report.diagnosis.terminal import print_diagnosis
 
     loaded = load_recordings(recordings, changes)

@@ -113,3 +113,5 @@ def _load() -> None:
     # What fails is told where it is needed.
     with suppress(ImportError):
         import_module("pyarrow.parquet")
+        # Its first array loads pandas, where that is installed.
+        import_module("pyarrow").array([])

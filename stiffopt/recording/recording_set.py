@@ -27,13 +27,10 @@ from stiffopt.recording.readers.read import read_columns
 from stiffopt.recording.recorded_arm import RecordedArm, joint_order
 from stiffopt.recording.run import RecordedRun, Role
 from stiffopt.recording.schema import NominalSection, RecordingsFile, RunSection
+from stiffopt.recording.set_file import described_by
 from stiffopt.recording.signals import Signals, as_signals
 from stiffopt.robot.robot import Robot
 from stiffopt.validation import validate
-
-FILE = "recordings.toml"
-# Endings of recordings as they come from a logger.
-_RUNS = (".csv", ".txt", ".tsv", ".npz", ".parquet", ".mcap", ".db3", ".dat", ".log")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -230,29 +227,6 @@ def require_usable(recordings: RecordingSet, usable: Set[str]) -> None:
                 f'no run of the role "{role}" can be used: in {", ".join(files)} a joint has no'
                 " position that can be trusted. Record anew, or give other runs that role.",
             )
-
-
-def described_by(path: Path) -> Path:
-    """The recordings.toml of a set, given by its folder or itself.
-
-    Raises
-    ------
-    InputFileError
-        For recordings that have none yet, with what to do.
-    """
-    file = path / FILE if path.is_dir() else path
-    if path.is_file() and path.suffix.lower() in _RUNS:
-        raise InputFileError(
-            path, "", "is a recording, not a recording set, which says what its columns are:"
-            f" `stiffopt init recording {path} --urdf ROBOT.urdf` writes one."
-        )  # fmt: skip
-    bare = path.is_dir() and not file.exists()
-    if bare and any(each.suffix.lower() in _RUNS for each in path.iterdir()):
-        raise InputFileError(
-            path, "", f"holds recordings, but no {FILE} that says what their columns are:"
-            f" `stiffopt init recording {path} --urdf ROBOT.urdf` writes one."
-        )  # fmt: skip
-    return file
 
 
 def _entry(section: RunSection, n: int, number: int, path: Path) -> RunEntry:

@@ -16,14 +16,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from stiffopt import __version__
 from stiffopt.errors import InputError, InputFileError, shortened
 from stiffopt.files import check_file, load_toml, read_document, with_changes
 from stiffopt.recording.readers.read import files_of
-from stiffopt.recording.recording_set import FILE as RECORDINGS
-from stiffopt.recording.recording_set import described_by
+from stiffopt.recording.set_file import FILE as RECORDINGS
+from stiffopt.recording.set_file import described_by
+from stiffopt.robot.mesh_files import mesh_files
 from stiffopt.sweep.schema import MOST_CASES, RangeSection, SweepFile
 from stiffopt.units import number_and_unit
 
@@ -248,12 +248,25 @@ def _axes(document: SweepFile, path: Path) -> Iterator[list[tuple[Change, ...]]]
             raise InputFileError(
                 path, "latin_hypercube", "has no range. Add KEY = { lower, upper }."
             )
-        shares = qmc.LatinHypercube(len(cube.ranges), rng=cube.seed).random(cube.count)
+        shares = latin_hypercube(cube.count, len(cube.ranges), cube.seed)
         columns = [
             _values(each, own, path, f"latin_hypercube.{place}")
             for (place, each), own in zip(cube.ranges.items(), shares.T, strict=True)
         ]
         yield [tuple(zip(cube.ranges, row, strict=True)) for row in zip(*columns, strict=True)]
+
+
+def latin_hypercube(count: int, ranges: int, seed: int) -> np.ndarray:
+    """Points (count, ranges) from 0 to 1, one in each of `count` equal parts of every range.
+
+    Those of `scipy.stats.qmc.LatinHypercube`, which takes longer to load than many a case to solve.
+    """
+    (random,) = np.random.default_rng(seed).spawn(1)
+    within = random.uniform(size=(count, ranges))
+    parts = np.tile(np.arange(1, count + 1), (ranges, 1))
+    for row in parts:
+        random.shuffle(row)
+    return np.asarray((parts.T - within) / count)
 
 
 def _values(bounds: RangeSection, shares: np.ndarray, path: Path, where: str) -> list[Any]:
@@ -302,9 +315,6 @@ def _digest(path: Path, seen: frozenset[Path] = frozenset()) -> str:
     except OSError as error:
         return f"{path}: {error.strerror}"
     if path.suffix == ".urdf":
-        # Pinocchio comes with it, which sweeps of other things do not need.
-        from stiffopt.robot.link_shapes import mesh_files
-
         for mesh in mesh_files(path):
             found.update(_digest(mesh).encode())
     if path.suffix == ".toml" and path not in seen:

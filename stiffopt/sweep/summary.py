@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,7 @@ class SweepSummary:
     results: Sequence[dict[str, Any] | None]
     interrupted: bool
 
-    @property
+    @cached_property
     def units(self) -> dict[str, str]:
         """Names of the values and their units, as they first come up."""
         found: dict[str, str] = {}

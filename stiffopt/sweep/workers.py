@@ -107,7 +107,8 @@ class Processes:
             if now:
                 for process in multiprocessing.active_children():
                     process.terminate()
-            self._pool.shutdown(wait=not now, cancel_futures=True)
+            # They leave while the answer is written.
+            self._pool.shutdown(wait=False, cancel_futures=True)
             self._pool = None
 
 

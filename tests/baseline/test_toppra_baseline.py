@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import logging
+import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -228,6 +229,26 @@ def test_what_stands_for_the_figures_is_asked_like_any_module(monkeypatch: Any) 
         assert getattr(standing, "__file__", None) is None
         assert not hasattr(standing, "__path__")
     assert "matplotlib.pyplot" not in sys.modules
+
+
+def test_toppra_comes_without_what_draws_its_figures() -> None:
+    """Nor does anybody who asks for figures afterwards, or meanwhile, miss a part of them."""
+    program = """
+import sys
+from stiffopt.baseline.toppra_motion import _figures_later
+with _figures_later():
+    import toppra.algorithm
+assert not [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]
+for name in [name for name in sys.modules if name.partition(".")[0] == "toppra"]:
+    del sys.modules[name]
+with _figures_later():
+    from matplotlib.figure import Figure
+    import toppra.algorithm
+import matplotlib.pyplot
+assert matplotlib.figure.Figure is Figure
+assert toppra.algorithm.algorithm.plt.figure is matplotlib.pyplot.figure
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
 
 
 def test_what_stands_for_a_module_makes_room_for_it(monkeypatch: Any) -> None:

@@ -5,7 +5,7 @@ import pytest
 from small_arms import CONSTANT, ROOT, joint, write_problem, write_robot
 
 from stiffopt.errors import InputFileError
-from stiffopt.sweep.cases import load_sweep
+from stiffopt.sweep.cases import latin_hypercube, load_sweep
 from stiffopt.sweep.order import ordered, predecessors
 from stiffopt.sweep.solve_case import solve_case
 
@@ -59,6 +59,14 @@ seed = 3
     assert [int((float(value.split()[0]) - 1.0) / 0.1) for value in times] == list(range(10))
     assert changes(load_sweep(path)) == changes(sweep)
     assert changes(load_sweep(path, ["latin_hypercube.seed=4"])) != changes(sweep)
+
+
+@pytest.mark.parametrize(("count", "ranges", "seed"), [(1, 1, 0), (7, 3, 1), (200, 2, 42)])
+def test_a_latin_hypercube_is_that_of_scipy(count, ranges, seed):
+    from scipy.stats import qmc
+
+    known = qmc.LatinHypercube(ranges, rng=seed).random(count)
+    np.testing.assert_array_equal(latin_hypercube(count, ranges, seed), known)
 
 
 def test_a_case_is_named_by_all_that_its_result_depends_on(tmp_path):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from stiffopt.report.common.progress import StatusLine
+from stiffopt.report.common.status_line import StatusLine
 from stiffopt.report.common.terminal import print_lines
-from stiffopt.report.sweep.page import headline, knee_sentence, spread_sentence
+from stiffopt.report.sweep.sentences import headline, knee_sentence, spread_sentence
 from stiffopt.sweep.run import SweepProgress
 from stiffopt.sweep.store import TABLE_FILE
 from stiffopt.sweep.summary import SweepSummary
