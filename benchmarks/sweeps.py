@@ -19,6 +19,7 @@ from unittest import mock
 
 from common import HERE, Row, loaded_ur10, main, torque_squared_problem
 
+from stiffopt import compiler
 from stiffopt.problem.trajectory import Method
 from stiffopt.solver.family import ProblemFamily
 from stiffopt.solver.ipopt import IpoptSolver
@@ -26,7 +27,6 @@ from stiffopt.solver.near_optimum import NearOptimum
 from stiffopt.sweep.cases import Case, load_sweep
 from stiffopt.sweep.order import ordered, predecessors
 from stiffopt.sweep.solve_case import solve_case
-from stiffopt.transcription import compiled
 
 TITLE = "Sweeps"
 PROBLEMS = HERE.parent / "problems"
@@ -48,7 +48,7 @@ def heavier() -> list[Row]:
     more = replace(problem, robot=problem.robot.with_payload_times(1.1))
     family = ProblemFamily()
     family.solve(problem)
-    compiled.wait()
+    compiler.wait()
     shares: dict[bool, list[float]] = {True: [], False: []}
     for _ in range(ROUNDS):
         for compare, found in shares.items():

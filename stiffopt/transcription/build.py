@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.errors import ProblemError, nearest
+from stiffopt.transcription import compiled
 from stiffopt.transcription.hermite_simpson import HermiteSimpson
 from stiffopt.transcription.integrator_chain import IntegratorChain
 from stiffopt.transcription.mesh import Mesh, checked_mesh
@@ -81,10 +82,12 @@ def transcribe(
 def adapted(first: Transcription, ocp: OptimalControlProblem) -> Transcription | None:
     """The same programme with the bounds and numbers of another problem; None where more differs.
 
-    Mesh and scales stay.
+    Also where its stage has been compiled since. Mesh and scales stay.
     """
     stage = ocp.numbered_stage
     if structure_of(ocp, stage, first.scheme, first.mesh) != first.structure:
+        return None
+    if not first.is_compiled and compiled.library(stage.function) is not None:
         return None
     own = scaled_like(ocp, first.ocp)
     if same_bounds(own, first.ocp):
@@ -254,6 +257,7 @@ class _Builder:
             path_blocks=tuple(self.path_blocks),
             outputs=self._outputs(integrals, objective),
             structure=structure_of(self.ocp, self.own_stage, self.scheme, self.mesh),
+            is_compiled=self.stage.is_compiled,
         )
 
     def _outputs(self, integrals: ca.MX, objective: ca.MX) -> ca.Function:

@@ -26,6 +26,7 @@ class StageFunction:
 
     def __init__(self, stage: NumberedStage, count: int, parameters: int) -> None:
         library = compiled.library(stage.function)
+        self.is_compiled = library is not None
         functions = (
             with_derivatives(stage.function)
             if library is None

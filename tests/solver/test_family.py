@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from small_arms import ROOT
 
-from stiffopt import solve
+from stiffopt import compiler, solve
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
@@ -138,3 +138,22 @@ def test_bounds_are_taken_over_only_where_they_are_the_same(monkeypatch, change,
         assert np.array_equal(getattr(taken.nlp, name), getattr(built.nlp, name)), name
     # Torque is bounded relative to its limit, which is a number of the stage.
     assert np.array_equal(made.nlp.numbers, built.nlp.numbers) is not quick or "duration" in change
+
+
+@pytest.mark.skipif(compiler.shutil.which("cc") is None, reason="needs a C compiler")
+def test_what_was_begun_before_its_stage_was_compiled_goes_on_compiled(tmp_path, monkeypatch):
+    monkeypatch.setenv("STIFFOPT_CACHE", str(tmp_path))
+    monkeypatch.setattr(compiler, "_started", {})
+    family = ProblemFamily()
+    _, end = family.solve(problem("payload.mass=0.3"))
+    monkeypatch.delenv("STIFFOPT_COMPILE")
+    near, further = problem("payload.mass=0.32"), problem("payload.mass=0.34")
+    kept, _ = family.solve(near, end, compare=False)
+    assert kept.solver.build_s == 0.0
+    compiler.wait()
+    anew, end = family.solve(near, end, compare=False)
+    assert anew.solver.build_s > 0.0
+    assert anew.objective.value == pytest.approx(kept.objective.value, rel=1e-9)
+    built = family._programmes
+    assert [made.transcription.is_compiled for made in built.values()][-1]
+    assert family.solve(further, end, compare=False)[0].solver.build_s == 0.0

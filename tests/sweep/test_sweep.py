@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 from concurrent.futures import Future
-from concurrent.futures.process import BrokenProcessPool
 
 import numpy as np
 import pytest
@@ -15,10 +14,12 @@ from small_arms import ROOT
 from test_cases import sweep_file
 
 from stiffopt.cli import run
+from stiffopt.errors import InputError
 from stiffopt.sweep.cases import load_sweep
+from stiffopt.sweep.processes import Processes, WorkerLost
 from stiffopt.sweep.run import SweepProgress, run_sweep
 from stiffopt.sweep.summary import SweepSummary, knee
-from stiffopt.sweep.workers import InProcess, Processes, workers
+from stiffopt.sweep.workers import InProcess, workers
 
 GRID = '[grid]\n"motion.duration" = ["1 s", "1.2 s", "1.5 s"]\n"payload.mass" = [0.0, 0.5]'
 
@@ -87,7 +88,7 @@ def test_a_case_that_cannot_be_stated_costs_no_other(tmp_path):
 class Dying:
     """Workers of which the one with a certain case dies, a number of times."""
 
-    lost = (BrokenProcessPool,)
+    lost = (WorkerLost,)
     slots = 2
 
     def __init__(self, number, times):
@@ -97,7 +98,7 @@ class Dying:
         self.calls.append(case.number)
         future = Future()
         if case.number == self.number and self.calls.count(case.number) <= self.times:
-            future.set_exception(BrokenProcessPool("gone"))
+            future.set_exception(WorkerLost("gone"))
         else:
             future.set_result(function(case, warm))
         return future
@@ -123,10 +124,47 @@ def test_a_worker_that_dies_costs_a_retry(tmp_path, times, status):
 def test_processes_are_replaced_when_one_dies():
     pool = Processes(2)
     assert pool.submit(abs, -1).result() == 1
-    with pytest.raises(BrokenProcessPool):
+    with pytest.raises(WorkerLost):
         pool.submit(os._exit, 1).result()
     assert pool.submit(abs, -2).result() == 2
     pool.close(now=False)
+
+
+@pytest.mark.slow
+def test_killed_processes_leave_nothing_to_complain_of(tmp_path):
+    """Nor do workers outlive who employed them."""
+    program = """
+import os, time
+from stiffopt.sweep.processes import Processes
+if __name__ == "__main__":
+    pool = Processes(2)
+    print(pool.submit(os.getpid).result(), pool.submit(os.getpid).result(), flush=True)
+    pool.submit(time.sleep, 600)
+    time.sleep(600)
+"""
+    path = tmp_path / "employer.py"
+    path.write_text(program)
+    process = subprocess.Popen(
+        [sys.executable, str(path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    numbers = [int(number) for number in process.stdout.readline().split()]
+    process.kill()
+    # Its end comes when all have closed what they inherited.
+    assert process.communicate(timeout=60) == ("", "")
+    for number in numbers:
+        with pytest.raises(ProcessLookupError):
+            os.kill(number, 0)
+
+
+@pytest.mark.slow
+def test_processes_that_cannot_begin_are_told(monkeypatch):
+    monkeypatch.setattr("stiffopt.sweep.processes._work", os.abort)
+    pool = Processes(2)
+    with pytest.raises(WorkerLost):
+        pool.submit(abs, -1).result()
+    with pytest.raises(InputError, match="--workers 1"):
+        pool.submit(abs, -1)
+    pool.close(now=True)
 
 
 def test_one_worker_is_this_process():
