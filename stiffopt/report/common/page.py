@@ -13,7 +13,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from stiffopt.files import atomic_write
-from stiffopt.report.common.svg import extent_of, to_png, to_svg
+from stiffopt.report.common.svg import to_png, to_svg
 from stiffopt.report.common.text import FILTERS
 
 Filters = dict[str, Callable[..., Any]]
@@ -42,14 +42,14 @@ class PageFigures(dict[str, Markup]):
 
     def draw(self, name: str, figure: Figure, description: str) -> None:
         """Add a figure; the description is for readers that cannot see it."""
-        full, extent = f"{self._prefix}_{name}", extent_of(figure)
-        svg = to_svg(figure, full, description, extent)
+        full = f"{self._prefix}_{name}"
+        svg = to_svg(figure, full, description)
         # Made by this package, so that it may enter the page unescaped.
         self[name] = Markup(svg)
         if self._svg:
             self.files[f"{full}.svg"] = svg
         if self._png:
-            self.files[f"{full}.png"] = to_png(figure, extent)
+            self.files[f"{full}.png"] = to_png(figure)
 
 
 def with_contents(page: str) -> str:

@@ -13,9 +13,14 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis, Tick
+from matplotlib.backends.backend_svg import RendererSVG
 from matplotlib.figure import Figure
-from matplotlib.transforms import Bbox
+from matplotlib.path import Path
+from matplotlib.text import Text
+from matplotlib.transforms import Affine2D, Bbox
 
 # Okabe and Ito's colours: told apart by colour-blind readers and, by lightness, in grey print.
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -25,10 +30,12 @@ DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5
 GREY, PALE, INK = "#6b7280", "#d4d8de", "#1f2933"
 FONTS = "'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif"
 POINTS = 600
-# Matplotlib's own name for laying out the ticks of an axis.
-_TICKS = "_update_ticks"
-# Of every figure, in inches: the text column of a page.
-WIDTH = 10.4
+# Matplotlib's own names for laying out the ticks of an axis and a text.
+_TICKS, _LAYOUT = "_update_ticks", "_get_layout"
+# Of every figure, in inches: the text column of a page, and what is left free around it.
+WIDTH, _MARGIN = 10.4, 0.06
+# Of an SVG in an inch.
+_DOTS = 72.0
 
 _STYLE: Any = {
     "svg.fonttype": "none",
@@ -38,6 +45,8 @@ _STYLE: Any = {
     "axes.titlesize": 9.5,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
+    # Else it is looked for what else is up there.
+    "axes.titley": 1.0,
     "axes.labelsize": 9.0,
     "axes.edgecolor": GREY,
     "axes.linewidth": 0.7,
@@ -151,8 +160,8 @@ def shade_beyond(axes: Axes, lower: float, upper: float) -> None:
     axes.set_ylim(min(shown), max(shown))
 
 
-def to_svg(figure: Figure, name: str, description: str, extent: Bbox | None = None) -> str:
-    """Figure as inline SVG.
+def to_svg(figure: Figure, name: str, description: str) -> str:
+    """Figure as inline SVG, cut to what it covers.
 
     Parameters
     ----------
@@ -161,18 +170,74 @@ def to_svg(figure: Figure, name: str, description: str, extent: Bbox | None = No
         Unique on its page; prefixes the ids, which would else clash between figures.
     description : str
         What the figure shows, for readers that cannot see it.
-    extent : Bbox, optional
-        Of `extent_of`, where it is known.
     """
     with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
         buffer = io.StringIO()
-        box = extent or extent_of(figure)
+        drawn = _Measured(figure, buffer)
         with _ticks_once(figure):
-            figure.savefig(buffer, format="svg", bbox_inches=box)
-    text = _compact(buffer.getvalue(), name, description)
+            figure.draw(drawn)
+        drawn.finalize()
+    box = drawn.extent(figure)
+    text = _compact(_cut(buffer.getvalue(), box, figure), name, description)
     times = time_axes(figure, box)
     mark = f' data-times="{json.dumps(times, separators=(",", ":"))}"' if times else ""
     return text.replace("<svg", f"<svg{mark}", 1)
+
+
+# Matplotlib does not say its types.
+_Renderer: Any = RendererSVG
+
+
+class _Measured(_Renderer):  # type: ignore[misc]
+    """Draws a figure and keeps the places of its texts: what it covers is known then.
+
+    Asked for that beforehand, or for a figure cut to it, matplotlib lays all of it out once more.
+    """
+
+    def __init__(self, figure: Figure, file: io.StringIO) -> None:
+        dots = figure.dpi
+        figure.dpi = _DOTS
+        width, height = figure.get_size_inches()
+        super().__init__(_DOTS * width, _DOTS * height, file, image_dpi=dots)
+        self._texts: list[Bbox] = []
+
+    def _convert_path(self, path: Path, transform: Any = None, *_: Any, **more: Any) -> str:
+        # Matplotlib leaves lines beside the figure out, such as those of a legend below it.
+        return str(super()._convert_path(path, transform, **{**more, "clip": None}))
+
+    def draw_text(self, *given: Any, mtext: Text | None = None, ismath: Any = False) -> None:
+        super().draw_text(*given, ismath=ismath, mtext=mtext)
+        if mtext is not None:
+            self._texts.append(mtext.get_window_extent(self))
+            return
+        # A line of several.
+        _, x, y, line, font, angle, *_ = given
+        width, height, descent = self.get_text_width_height_descent(line, font, False)
+        corners = np.array([[0.0, -descent], [width, height - descent]])
+        turn = Affine2D().rotate_deg(angle).translate(x, self.height - y)
+        self._texts.append(Bbox(corners).transformed(turn))
+
+    def extent(self, figure: Figure) -> Bbox:
+        """Texts, axes and legends, with a margin [inch]."""
+        axes = [each for each in figure.axes if each.get_visible()]
+        legends = [*figure.legends, *(each.get_legend() for each in axes)]
+        boxes = [*self._texts, *(each.bbox for each in axes)]
+        boxes += [each.get_window_extent(self) for each in legends if each is not None]
+        covered = Bbox.union([box for box in boxes if box.width or box.height])
+        return covered.transformed(Affine2D().scale(1.0 / _DOTS)).padded(_MARGIN)
+
+
+def _cut(text: str, box: Bbox, figure: Figure) -> str:
+    """SVG of a whole figure moved and cut to a box [inch]."""
+    width, height = (f"{_DOTS * size:.6g}" for size in (box.width, box.height))
+    left = -_DOTS * box.x0
+    top = _DOTS * (box.y1 - figure.get_figheight())
+    head, rest = text[text.index("<svg") :].split(">", 1)
+    for side, size in (("width", width), ("height", height)):
+        head = re.sub(rf'(?<= {side}=")[^"]*', f"{size}pt", head, count=1)
+    head = re.sub(r'(?<= viewBox=")[^"]*', f"0 0 {width} {height}", head, count=1)
+    body = rest.rstrip().removesuffix("</svg>")
+    return f'{head}>\n<g transform="translate({left:.2f} {top:.2f})">{body}</g>\n</svg>'
 
 
 def time_axes(figure: Figure, extent: Bbox) -> list[list[float]]:
@@ -200,46 +265,49 @@ def time_axes(figure: Figure, extent: Bbox) -> list[list[float]]:
     return found
 
 
-def to_png(figure: Figure, extent: Bbox | None = None) -> bytes:
-    """Figure as PNG, 150 dots per inch on white; `extent` as of `extent_of`, where it is known."""
+def to_png(figure: Figure) -> bytes:
+    """Figure as PNG, 150 dots per inch on white."""
     with mpl.rc_context(_STYLE):
         buffer = io.BytesIO()
-        box = extent or extent_of(figure)
         with _ticks_once(figure):
+            # `bbox_inches="tight"` draws every figure once more only to know this.
+            box = figure.get_tightbbox().padded(_MARGIN)
             figure.savefig(buffer, format="png", bbox_inches=box, facecolor="white")
     return buffer.getvalue()
 
 
-def extent_of(figure: Figure) -> Bbox:
-    """What a figure covers, with a margin [inch].
-
-    Told without drawing: `bbox_inches="tight"` draws every figure once more only to know this.
-    """
-    with _ticks_once(figure):
-        return figure.get_tightbbox().padded(0.06)
-
-
 @contextmanager
 def _ticks_once(figure: Figure) -> Iterator[None]:
-    """Context in which the ticks of an axis are laid out once.
+    """Context in which the ticks of an axis are laid out once, their labels too.
 
-    Matplotlib does so for each of its labels, spines and lines: a third of what a figure costs.
-    Where it moves the axes meanwhile, to make room, ticks follow them.
+    Matplotlib does so for each of its labels, spines and lines: half of what a figure costs. Where
+    it moves the axes meanwhile, to make room, ticks follow them.
     """
     moves = figure.get_layout_engine() is not None
     flat = [] if moves else [axes for axes in figure.axes if axes.name != "3d"]
-    every = [axis for axes in flat for axis in (axes.xaxis, axes.yaxis)]
-    for axis in every:
-        vars(axis)[_TICKS] = functools.cache(getattr(axis, _TICKS))
+    changed: list[tuple[Artist, str]] = []
+
+    def once(artist: Artist, method: str) -> None:
+        vars(artist)[method] = functools.cache(getattr(artist, method))
+        changed.append((artist, method))
+
+    def laid_out(axis: Axis) -> list[Tick]:
+        ticks: list[Tick] = getattr(type(axis), _TICKS)(axis)
+        for tick in ticks:
+            once(tick.label1, _LAYOUT)
+        return ticks
+
+    for axis in [axis for axes in flat for axis in (axes.xaxis, axes.yaxis)]:
+        vars(axis)[_TICKS] = functools.partial(laid_out, axis)
+        once(axis, _TICKS)
     try:
         yield
     finally:
-        for axis in every:
-            del vars(axis)[_TICKS]
+        for artist, method in changed:
+            vars(artist).pop(method, None)
 
 
 def _compact(text: str, name: str, description: str) -> str:
-    text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     used = set(re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', text))
     referenced = {first or second for first, second in used}
