@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stiffopt.certificate.rigid_body import link_torques, rigid_body_history
 from stiffopt.errors import is_factor, times
 from stiffopt.problem.limits.velocity_by_position import velocity_at
 from stiffopt.result.joint_path import JointPath
@@ -122,16 +123,12 @@ def _torque_rows(
     robot: Robot, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray, process_force: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Torque coefficients a, b, c (N, n) without friction, and |d tool/ds| (N,)."""
-    bodies, rest = robot.rigid_bodies(), np.zeros(robot.n)
-    a, b, c = np.empty_like(q), np.empty_like(q), np.empty_like(q)
-    speed = np.empty(len(q))
-    for k in range(len(q)):
-        hold = bodies.gravity_torque(q[k])
-        a[k] = bodies.torque(q[k], rest, dq[k]) - hold
-        b[k] = bodies.torque(q[k], dq[k], ddq[k]) - hold
-        jacobian = bodies.jacobian(robot.tool, q[k])[:3]
-        c[k] = hold - jacobian.T @ process_force
-        speed[k] = np.linalg.norm(jacobian @ dq[k])
+    body = rigid_body_history(robot, q, dq, ddq)
+    hold = body.gravity_torque
+    a = link_torques(robot, q, np.zeros_like(q), dq) - hold
+    b = body.link_torque - hold
+    c = hold - np.einsum("kij,i->kj", body.jacobian, process_force)
+    speed = np.linalg.norm(np.einsum("kij,kj->ki", body.jacobian, dq), axis=1)
     return a + robot.rotor_inertia * dq, b + robot.rotor_inertia * ddq, c, speed
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.certificate.assess import assess, joint_windup
+from stiffopt.certificate.assess import assess, drive_history, joint_windup
 from stiffopt.errors import relative
 from stiffopt.result.believed import Believed
 
@@ -86,11 +86,11 @@ def differences(
 def _compared(
     problem: TrajectoryProblem, motion: JointMotion, believed: Believed
 ) -> Iterator[Disagreement]:
-    robot = problem.robot
-    true, time = assess(problem, motion, times=believed.time), believed.time
+    robot, time = problem.robot, believed.time
+    true, carried = drive_history(problem, motion, time)
     idle = _IDLE * np.asarray(robot.torque_max)
-    size = np.maximum(np.max(np.abs(true.spring_torque), axis=0), idle)
-    spring = believed.spring_torque - true.spring_torque
+    size = np.maximum(np.max(np.abs(carried), axis=0), idle)
+    spring = believed.spring_torque - carried
     yield from _joints("spring torque", spring / size, time, TORQUE)
     if believed.torque is not None:
         # About standstill the sharp law of dry friction jumps; the smooth one lacks this much.
@@ -99,14 +99,17 @@ def _compared(
         drive = np.sign(drive) * np.maximum(np.abs(drive) - 2.0 * lacking, 0.0)
         size = np.maximum(np.max(np.abs(true.torque), axis=0), idle)
         yield from _joints("drive torque", drive / size, time, TORQUE)
+    if believed.windup is None and not believed.deflection:
+        return
+    whole = assess(problem, motion, times=time)
     if believed.windup is not None:
         slight = joint_windup(robot, _IDLE_WINDUP * np.asarray(robot.torque_max)[None])[0]
-        size = np.maximum(np.max(np.abs(true.windup), axis=0), slight)
-        shares = _shares(believed.windup - true.windup, size)
+        size = np.maximum(np.max(np.abs(whole.windup), axis=0), slight)
+        shares = _shares(believed.windup - whole.windup, size)
         yield from _joints("wind-up", shares, time, WINDUP)
-    largest = max(part.peak for part in true.deflection_summary().values())
+    largest = max(part.peak for part in whole.deflection_summary().values())
     for part, vectors in believed.deflection.items():
-        away = np.linalg.norm(vectors - true.deflection[part], axis=1)
+        away = np.linalg.norm(vectors - whole.deflection[part], axis=1)
         shares = _shares(away, largest)
         k = int(np.argmax(shares))
         yield Disagreement(f"{part} deflection", None, float(time[k]), float(shares[k]), DEFLECTION)

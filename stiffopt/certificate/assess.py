@@ -122,12 +122,21 @@ def drive_violations(
 
     Parameters as of `assess`.
     """
+    return find_drive_violations(problem, drive_history(problem, motion, times)[0])
+
+
+def drive_history(
+    problem: TrajectoryProblem, motion: JointMotion, times: np.ndarray | None = None
+) -> tuple[DriveHistory, np.ndarray]:
+    """What the drives do, and the torques in the joints' springs (K, n) [N m], as of `assess`."""
     robot = problem.robot
     if times is None:
         times = fine_grid(motion)
     position, velocity, acceleration, jerk = (np.asarray(motion(times, k)) for k in range(4))
-    link = getattr(motion, "link", None) or motion
-    moved = (np.asarray(link(times)), np.asarray(link(times, 1)), np.asarray(link(times, 2)))
+    moved = (position, velocity, acceleration)
+    link = getattr(motion, "link", None)
+    if link is not None:
+        moved = (np.asarray(link(times)), np.asarray(link(times, 1)), np.asarray(link(times, 2)))
     if np.any(problem.process_force):
         body = rigid_body_history(robot, *moved)
         force = np.asarray(problem.process_force, dtype=float)
@@ -135,8 +144,7 @@ def drive_violations(
     else:
         spring_torque = link_torques(robot, *moved)
     torque = _drive_torque(robot, spring_torque, velocity, acceleration)
-    drives = DriveHistory(times, position, velocity, acceleration, jerk, torque)
-    return find_drive_violations(problem, drives)
+    return DriveHistory(times, position, velocity, acceleration, jerk, torque), spring_torque
 
 
 def _drive_torque(

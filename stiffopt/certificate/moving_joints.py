@@ -150,9 +150,9 @@ def holding_torques(joints: list[MovingJoint], gravity: np.ndarray) -> np.ndarra
 def _frame_along(axis: np.ndarray) -> np.ndarray:
     """A rotation whose third column is `axis`."""
     least = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    x = np.cross(least, axis)
+    x = _cross(least, axis)
     x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(axis, x), axis])
+    return np.column_stack([x, _cross(axis, x), axis])
 
 
 def _turned(frame: np.ndarray, vector: np.ndarray) -> np.ndarray:

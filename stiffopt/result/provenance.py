@@ -7,10 +7,13 @@ import functools
 import hashlib
 import json
 import platform
+from collections import OrderedDict
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
+
+from stiffopt.drivetrain.chain import Chain
 
 
 def versions() -> dict[str, str]:
@@ -30,6 +33,12 @@ def inputs_hash(problem: object) -> str:
     return hashlib.sha256(document.encode()).hexdigest()
 
 
+# Drivetrains by what they are, not by what they equal: 1 and 1.0 are not written alike. Robots with
+# other payloads share them.
+_chains: OrderedDict[int, tuple[Chain, object]] = OrderedDict()
+_KEPT = 64
+
+
 @functools.cache
 def _compared(kind: Any) -> tuple[str, ...]:
     """Fields of a dataclass; what takes no part in comparisons, as a path, is no input."""
@@ -38,14 +47,16 @@ def _compared(kind: Any) -> tuple[str, ...]:
 
 def _plain(value: object) -> object:
     """Nested plain data of dataclasses, arrays and rigid-body models."""
+    if isinstance(value, Chain):
+        if id(value) not in _chains:
+            _chains[id(value)] = value, _fields(value)
+        while len(_chains) > _KEPT:
+            _chains.popitem(last=False)
+        return _chains[id(value)][1]
     if isinstance(value, float):
         return repr(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        kind = type(value)
-        return {
-            "class": kind.__name__,
-            **{name: _plain(getattr(value, name)) for name in _compared(kind)},
-        }
+        return _fields(value)
     if isinstance(value, np.ndarray):
         return [repr(x) for x in value.ravel().tolist()]
     if isinstance(value, dict):
@@ -55,6 +66,12 @@ def _plain(value: object) -> object:
     if type(value).__module__.startswith("pinocchio"):
         return _model(value)
     return str(value)
+
+
+def _fields(value: object) -> dict[str, object]:
+    kind: Any = type(value)
+    own = {name: _plain(getattr(value, name)) for name in _compared(kind)}
+    return {"class": kind.__name__, **own}
 
 
 def _model(model: Any) -> object:

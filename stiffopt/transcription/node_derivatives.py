@@ -11,6 +11,7 @@ Two devices make it fast:
 
 from __future__ import annotations
 
+import hashlib
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -35,10 +36,13 @@ class NumberedStage:
         integrands and the path rows; y is the intermediate.
     numbers : array
         Values of the last input.
+    formula : str
+        Hash of the function.
     """
 
     function: ca.Function
     numbers: np.ndarray
+    formula: str
 
 
 def numbered(stage: ca.Function, intermediate: ca.Function | None = None) -> NumberedStage:
@@ -59,12 +63,14 @@ def numbered(stage: ca.Function, intermediate: ca.Function | None = None) -> Num
     plain = ca.Function("stage", inputs, outputs)
     read = _read(plain)
     if read.formula not in _taken:
-        _taken[read.formula] = _without_numbers(plain, inputs)
+        function, uses = _without_numbers(plain, inputs)
+        formula = hashlib.sha256(function.serialize().encode()).hexdigest()
+        _taken[read.formula] = function, uses, formula
     _taken.move_to_end(read.formula)
     while len(_taken) > _KEPT:
         _taken.popitem(last=False)
-    function, uses = _taken[read.formula]
-    return NumberedStage(function, np.array([read.constants[k] for k in uses]))
+    function, uses, formula = _taken[read.formula]
+    return NumberedStage(function, np.array([read.constants[k] for k in uses]), formula)
 
 
 @dataclass(frozen=True)
@@ -77,7 +83,7 @@ class _Read:
 
 # Formulas without their numbers, and which instructions hold these: those used last. Most problems
 # of a sweep have one.
-_taken: OrderedDict[tuple[object, ...], tuple[ca.Function, list[int]]] = OrderedDict()
+_taken: OrderedDict[tuple[object, ...], tuple[ca.Function, list[int], str]] = OrderedDict()
 _KEPT = 8
 
 

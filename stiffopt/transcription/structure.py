@@ -27,12 +27,13 @@ def structure_of(
     Not in it: bounds (as far as the same exist), scales (those of the first programme stay), a
     fixed duration and the numbers of the stage, among them payload, tool, force and drivetrain.
     """
-    functions = [stage.function, ocp.dynamics, ocp.objective]
+    functions = [ocp.dynamics, ocp.objective]
     functions += [] if ocp.integral_function is None else [ocp.integral_function]
     points = [ocp.start, *ocp.vias, ocp.end]
     functions += [point.function for point in points if point is not None]
     blocks = [*ocp.path_rows, *ocp.integral_rows, *(r for w in points if w for r in w.rows)]
     facts: list[object] = [
+        stage.formula,
         (scheme.name, scheme.state_nodes.tolist(), scheme.control_nodes.tolist()),
         [share.tolist() for share in mesh],
         (ocp.states, ocp.controls, ocp.statics, ocp.chains, ocp.objective_scale),
