@@ -14,11 +14,13 @@ import numpy as np
 from stiffopt.certificate.assess import assess, drive_violations
 from stiffopt.certificate.objective_value import improvement, is_maximised, objective_value
 from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.errors import NotSimulatedError
 from stiffopt.problem.formulation import exact_path_rows
 from stiffopt.problem.limit import LIMITS
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.solution import Baseline
+from stiffopt.solver.calming import calmed
 from stiffopt.solver.corners import CORNERS_TAKE, narrowest
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.plan import SolveStage
@@ -66,10 +68,6 @@ _SHARPER = (0.5, 0.6, 0.7, 0.8, 0.9)
 _CORNER = 0.25
 # Beyond what any correction takes: the corners get wider before the first.
 _SPIKE = 4.0
-# Corners at least so wide are tried narrower again when all limits hold, by this.
-_WIDE, _NARROWER = 3.0, 0.7
-# Corrections that narrower corners are given to keep every limit, and iterations of each.
-_TRIES, _MANY = 4, 100
 
 
 def refined(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> Outcome:
@@ -78,7 +76,7 @@ def refined(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> Outcome:
     Also where only between the nodes a feasible baseline, the `rival`, is better.
     """
     if run.problem.plans_links:
-        return _corrected(run, outcome)
+        return _calmed(run, _corrected(run, outcome))
     return _on_finer_mesh(run, outcome, rival)
 
 
@@ -157,7 +155,7 @@ def rank(problem: TrajectoryProblem, outcome: Outcome) -> tuple[bool, float]:
 def _corrected(run: SolveRun, outcome: Outcome) -> Outcome:
     """The same mesh, rows drawn in where the exact ones, or the simulated arm, exceed them."""
     nlp = outcome.transcription.nlp
-    outcome, nlp = _narrowed(run, *_within_rows(run, outcome, nlp))
+    outcome, nlp = _within_rows(run, outcome, nlp)
     for _ in range(_REFINEMENTS):
         found = _sharpened(run, outcome) if outcome.raw.converged else outcome
         late = _after_arrival(run.problem, found.assessment)
@@ -174,35 +172,11 @@ def _corrected(run: SolveRun, outcome: Outcome) -> Outcome:
     return _sharpened(run, outcome) if outcome.raw.converged else outcome
 
 
-def _narrowed(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nlp]:
-    """Corners of the motors' law narrower again, as long as every limit holds.
-
-    Wide ones let the corrections come to rest; what they leave in flight and after arrival goes
-    with their width.
-    """
-    while outcome.raw.converged and not _excess(outcome.assessment):
-        corners = _NARROWER * outcome.smoothing.corners
-        if corners < _WIDE:
-            break
-        try:
-            again = solve_again(run, outcome, nlp, replace(outcome.smoothing, corners=corners))
-        except KeyboardInterrupt:
-            return stopped(outcome), nlp
-        found, narrow = _within_rows(run, again, nlp, narrowing=True)
-        if not found.raw.converged or _excess(found.assessment):
-            outcome.solver.rebound(nlp)
-            return (stopped(outcome) if found.raw.status == "interrupted" else outcome), nlp
-        outcome, nlp = found, narrow
-    return outcome, nlp
-
-
-def _within_rows(
-    run: SolveRun, outcome: Outcome, nlp: Nlp, *, narrowing: bool = False
-) -> tuple[Outcome, Nlp]:
+def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nlp]:
     """Path rows drawn in until the exact ones are kept; the programme with their bounds.
 
     While the exact rows themselves show an excess, nothing else is asked of the motion. Corners of
-    the motors' law get wider where an excess stays; `narrowing`, it ends there.
+    the motors' law get wider where an excess stays.
     """
     made = Programme(outcome.transcription, outcome.solver)
     rows, smoothing, raw = None, outcome.smoothing, outcome.raw
@@ -213,10 +187,9 @@ def _within_rows(
             if rows is None or known is None:
                 excess = _excess(outcome.assessment)
                 worst = max(excess.values(), default=0.0)
-                stays = attempt > (_TRIES if narrowing else 1) and worst > _CORNER
-                if not _to_mend(outcome, excess) or (stays and narrowing):
+                if not _to_mend(outcome, excess):
                     break
-                if stays or (worst > _SPIKE and not narrowing):
+                if worst > (_CORNER if attempt > 1 else _SPIKE):
                     smoothing = replace(smoothing, corners=_passable(run, outcome))
                 rows = rows or exact_path_rows(run.problem, run.motion, run.scales)
                 bends = _BENDS if outcome.objective_gap > TRUE_OBJECTIVE else 1.0
@@ -229,7 +202,7 @@ def _within_rows(
                 break
             nlp = found
             again = corrected(run, made, raw, nlp, smoothing)
-            if _failed(again) or (narrowing and again.iterations > _MANY):
+            if _failed(again):
                 break
             raw, known = again, None
             if raw.converged and not unseen:
@@ -316,6 +289,23 @@ def _sharpened(run: SolveRun, outcome: Outcome) -> Outcome:
         else:
             found, share, last = tried, _SHARPER[middle], middle
     return _with_motors(run, outcome, share, sagged=True) or found
+
+
+def _calmed(run: SolveRun, outcome: Outcome) -> Outcome:
+    """The same links with motors that keep them from swinging, where their law is a wide one."""
+    wide = outcome.smoothing.corners > 1.0 and run.lag is not None
+    if not (wide and outcome.raw.converged and outcome.assessment.feasible(CERTIFIED)):
+        return outcome
+    try:
+        arm = run.arm.with_fast_joints_following(run.motion.start)
+        found = calmed(run.problem, arm, outcome.trajectory, CERTIFIED)
+    except NotSimulatedError:
+        return outcome
+    except KeyboardInterrupt:
+        return stopped(outcome)
+    if found is None:
+        return outcome
+    return replace(outcome, trajectory=found.motors, assessment=found.assessment)
 
 
 def _with_motors(run: SolveRun, outcome: Outcome, share: float, *, sagged: bool) -> Outcome | None:

@@ -83,7 +83,7 @@ def excess_of(
             excess = np.nan_to_num(excess, nan=0.0, posinf=0.0)
             name = block.rows.name
             largest[name] = max(largest.get(name, 0.0), float(excess.max(initial=0.0)))
-            both.append(_about(times, places[order], excess))
+            both.append(largest_beside(times, places[order], excess))
         near.append((block, index, both[0], both[1]))
     return Excess(largest, tuple(near))
 
@@ -133,7 +133,7 @@ def drawn_in(nlp: Nlp, excess: Mapping[str, float]) -> Nlp:
     return replace(nlp, lower_g=lower, upper_g=upper)
 
 
-def _about(times: np.ndarray, places: np.ndarray, excess: np.ndarray) -> np.ndarray:
+def largest_beside(times: np.ndarray, places: np.ndarray, excess: np.ndarray) -> np.ndarray:
     """Largest excess (K, m) between each place and the ones beside it (k, m)."""
     after = np.clip(np.searchsorted(places, times - 1e-12), 0, len(places) - 1)
     before = np.clip(np.searchsorted(places, times + 1e-12, side="right") - 1, 0, None)

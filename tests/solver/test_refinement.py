@@ -7,14 +7,11 @@ from small_arms import joint, load, problem_text, reducer, write_robot
 
 from stiffopt.certificate.objective_value import objective_value
 from stiffopt.certificate.violations import CERTIFIED
-from stiffopt.elastic.motor import MotorMotion
-from stiffopt.elastic.simulate import simulate
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.smoothing import Smoothing
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver import refinement
-from stiffopt.solver.simulation import elastic_arm
 from stiffopt.solver.solve import solve, solve_keeping
 
 PEAK = 'objective = "dynamic_deflection"\nmeasure = "peak"'
@@ -136,25 +133,3 @@ def test_corners_get_wider_before_the_first_correction_of_a_spike(
     before = outcome.smoothing.corners
     assert len(tried) == 1
     assert (tried[0] > 1.3 * before) == wider
-
-
-def test_corners_get_narrower_again_where_every_limit_holds(tmp_path, monkeypatch):
-    soft = joint("swivel", reducer(k1=100.0, k2=300.0, k3=500.0, t1=0.3, t2=0.9))
-    write_robot(tmp_path, "swivel", [soft])
-    path = tmp_path / "problem.toml"
-    goal = {"duration": "0.45", "minimise": 'objective = "tool_deviation"'}
-    path.write_text(problem_text("swivel", limits="jerk = [1500.0]", **goal))
-    stated = load_problem(path).problem
-    found, (run, outcome) = solve_keeping(stated)
-    assert outcome.smoothing.corners < 0.6 * run.corners
-    monkeypatch.setattr(refinement, "_narrowed", lambda run, outcome, nlp: (outcome, nlp))
-    wide, (_, kept) = solve_keeping(stated)
-    assert kept.smoothing.corners >= run.corners
-    for each in (found, wide):
-        assert each.status is SolveStatus.OPTIMAL
-    arm = elastic_arm(stated, found.assessment.position[0])
-    after = [
-        simulate(arm, MotorMotion(each.time, each.position, each.velocity)).peak_after
-        for each in (found.assessment, wide.assessment)
-    ]
-    assert after[0] < 0.8 * after[1]

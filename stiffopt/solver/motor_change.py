@@ -1,0 +1,267 @@
+"""The small change of the motors' motion that brings swinging links nearest to their plan.
+
+The links' answer to it is linear along the simulated motion, and so is what it asks of the drives:
+a convex quadratic programme in the coefficients of splines, one after another for every joint.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.sparse import block_diag, csc_matrix, diags, vstack
+
+from stiffopt.elastic.along_plan import EvenSprings
+from stiffopt.elastic.modes import modes
+from stiffopt.elastic.response import SwingResponse
+from stiffopt.elastic.simulate import REST
+from stiffopt.result.trajectory import Trajectory
+from stiffopt.symbolic import array_of
+from stiffopt.transcription.between import largest_beside
+
+if TYPE_CHECKING:
+    from stiffopt.elastic.arm import ElasticArm
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.assessment import Assessment
+    from stiffopt.result.simulation import SimulatedMotion
+
+# Distance of the splines' knots [s], as far as their number stays within these.
+_SPACING, _FEWEST, _MOST = 0.02, 40, 150
+# Degree of the splines, of which so many at either end are left out: position to jerk stay.
+_DEGREE, _KEPT = 5, 4
+# Knots nearer to a break of the motion are none of the changed one [s].
+_APART = 2e-4
+# Between instants of the links' answer [s], and of those at which the tool is compared.
+_STEP, _EVERY = 1e-3, 3
+# Swings of the lowest mode that are looked at after arrival, and what they count for more.
+_SWINGS, _AFTER = 3.0, 5.0
+# What all of a joint's jerk costs, beside a motion that is just not near, squared.
+_EFFORT = 0.1
+# Rows a knot at which the drives' limits hold.
+_ROWS = 4
+# The answer is simulated anyway. No step depends on a clock, as OSQP's own choice of rho does.
+_OSQP = {
+    "verbose": False,
+    "max_iter": 3000,
+    "eps_abs": 1e-4,
+    "eps_rel": 1e-4,
+    "adaptive_rho_interval": 50,
+}
+
+
+def changed_motors(
+    problem: TrajectoryProblem,
+    arm: ElasticArm,
+    motors: Trajectory,
+    assessment: Assessment,
+    simulated: SimulatedMotion,
+    near: float,
+) -> Trajectory:
+    """The motors with the change that brings tool and deviation nearest to the plan.
+
+    Parameters
+    ----------
+    problem : TrajectoryProblem
+    arm : ElasticArm
+    motors : Trajectory
+        Of planned links.
+    assessment : Assessment
+        Of these motors.
+    simulated : SimulatedMotion
+        What the arm does with them.
+    near : float
+        Deviation from the plan that is near enough [m].
+    """
+    joints = np.flatnonzero(arm.elastic)
+    splines = _Splines(motors.duration)
+    answer, wanted = _answer(arm, motors, assessment, simulated, splines)
+    rows, lower, upper = _rows(problem, assessment, splines, joints)
+    used = np.max(np.abs(assessment.jerk), axis=0)
+    allowed = np.asarray(problem.active_limits.jerk, dtype=float)
+    jerk = np.where(np.isfinite(allowed), allowed, used)[joints]
+    # Of one size: what takes a joint's jerk.
+    unit = np.repeat(np.maximum(jerk, 1e-9) * splines.spacing**3, splines.count)
+    bent = splines.sparse(splines.instants, 3)
+    effort = block_diag([bent / max(own, 1e-9) for own in jerk]) @ diags(unit)
+    answer = answer * unit / near
+    hessian = answer.T @ answer / len(answer)
+    hessian += _EFFORT * (effort.T @ effort).toarray() / effort.shape[0]
+    towards = -answer.T @ (wanted / near) / len(answer)
+    found = unit * _least(hessian, towards, csc_matrix(rows @ diags(unit)), lower, upper)
+    return _moved(motors, splines, joints, np.reshape(found, (len(joints), -1)).T)
+
+
+class _Splines:
+    """Splines over the time of a motion that leave position to jerk at its ends as they are.
+
+    Parameters
+    ----------
+    duration : float
+        [s].
+    """
+
+    def __init__(self, duration: float) -> None:
+        pieces = int(np.clip(np.ceil(duration / _SPACING), _FEWEST, _MOST))
+        self.duration, self.spacing = duration, duration / pieces
+        self.breaks = np.linspace(0.0, duration, pieces + 1)
+        self.instants = np.linspace(0.0, duration, _ROWS * pieces + 1)
+        self.count = pieces + _DEGREE - 2 * _KEPT
+        knots = np.pad(self.breaks, _DEGREE, mode="edge")
+        self._all = BSpline(knots, np.eye(pieces + _DEGREE), _DEGREE)
+
+    def __call__(self, times: np.ndarray, order: int = 0) -> np.ndarray:
+        """Derivatives (K, m) at times (K,); zero after arrival."""
+        spline = self._all.derivative(order) if order else self._all
+        values = np.asarray(spline(np.minimum(times, self.duration)))[:, _KEPT:-_KEPT]
+        values[times > self.duration] = 0.0
+        return values
+
+    def sparse(self, times: np.ndarray, order: int) -> csc_matrix:
+        """The same without the zeros."""
+        values = self(times, order)
+        values[np.abs(values) < 1e-12 * np.max(np.abs(values))] = 0.0
+        return csc_matrix(values)
+
+
+def _moved(
+    motors: Trajectory, splines: _Splines, joints: np.ndarray, change: np.ndarray
+) -> Trajectory:
+    """Motors with a change of some joints, coefficients (m, k)."""
+    link = motors.link
+    assert link is not None
+    # Over a knot that is left out the change is as good as of degree 7; in steps much shorter than
+    # others its jerk would be all rounding.
+    nearest = np.min(np.abs(motors.times[:, None] - splines.breaks), axis=0)
+    times = np.union1d(motors.times, splines.breaks[nearest > _APART])
+    rates = np.stack([motors(times, k) for k in range(4)])
+    for k in range(4):
+        rates[k][:, joints] += splines(times, k) @ change
+    return Trajectory.through(times, rates, link)
+
+
+def _answer(
+    arm: ElasticArm,
+    motors: Trajectory,
+    assessment: Assessment,
+    simulated: SimulatedMotion,
+    splines: _Splines,
+) -> tuple[np.ndarray, np.ndarray]:
+    """What the tool and its deviation do by every coefficient (K, m k), and should do (K,) [m].
+
+    The tool in flight and after arrival, its deviation in flight: that is told from where the tool
+    hangs at the motors' position, which corners that are rounded off move as well.
+    """
+    joints, duration = np.flatnonzero(arm.elastic), motors.duration
+    dt = duration / np.ceil(duration / _STEP)
+    lowest = min(mode.frequency for mode in modes(arm, motors(duration)))
+    end = duration + min(_SWINGS / lowest, REST - dt)
+    times = dt * np.arange(round(end / dt))
+    q, v, windup = (
+        _at(times, simulated.time, each)
+        for each in (simulated.position, simulated.velocity, simulated.windup)
+    )
+    springs = EvenSprings(arm).at(windup)[1][:, joints]
+    response = _response(arm, q, v, springs, dt)
+    moved, rate = splines(times), splines(times, 1)
+    # Instants at which the tool is compared.
+    at = slice(None, None, _EVERY)
+    jacobian = np.stack([arm.bodies.jacobian(arm.robot.tool, row)[:3, joints] for row in q[at]])
+    flying = times[at] <= duration
+    weight = np.where(flying, 1.0, _AFTER)[:, None]
+    columns = []
+    for k, joint in enumerate(joints):
+        push = springs[:, k, None] * moved + arm.damping[joint] * rate
+        swing, _ = response.pushed(k, np.ascontiguousarray(push.T))
+        tool = np.einsum("kij,mkj->kim", jacobian, swing[:, at])
+        away = tool - jacobian[:, :, k, None] * moved[at, None]
+        both = np.concatenate([weight[..., None] * tool, away[flying]])
+        columns.append(both.reshape(-1, splines.count))
+    link = motors.link
+    assert link is not None
+    behind = arm.hanging(link(np.minimum(times[at], link.duration))) - q[at]
+    tool_behind = weight * np.einsum("kij,kj->ki", jacobian, behind[:, joints])
+    planned = _at(times[at], assessment.time, assessment.deflection["dynamic"])
+    lacking = (planned - _at(times[at], simulated.time, simulated.deviation))[flying]
+    return np.concatenate(columns, axis=1), np.concatenate([tool_behind, lacking]).ravel()
+
+
+def _at(times: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values (k, n) at other times (K, n)."""
+    return np.stack([np.interp(times, known, each) for each in values.T], axis=1)
+
+
+def _response(
+    arm: ElasticArm, q: np.ndarray, v: np.ndarray, springs: np.ndarray, dt: float
+) -> SwingResponse:
+    """Links of joints that yield, about a motion (K, n), on springs (K, k) [N m/rad]."""
+    joints = np.flatnonzero(arm.elastic)
+    acceleration = np.gradient(v, dt, axis=0)
+    by_q, by_v, inertia = (
+        each[:, joints[:, None], joints]
+        for each in arm.robot.bodies_in_motion().torque_slopes(q, v, acceleration)
+    )
+    diagonal = np.arange(len(joints))
+    by_q[:, diagonal, diagonal] += springs
+    by_v[:, diagonal, diagonal] += arm.damping[joints]
+    return SwingResponse(inertia, by_v, by_q, dt)
+
+
+def _rows(
+    problem: TrajectoryProblem, now: Assessment, splines: _Splines, joints: np.ndarray
+) -> tuple[csc_matrix, np.ndarray, np.ndarray]:
+    """What coefficients add to the drives of joints, over the limits, the least and the most of it.
+
+    The links' torque is that of their plan.
+    """
+    limits, robot = problem.active_limits, problem.robot
+    ones, at = np.ones(robot.n), splines.instants
+    rates = {order: splines.sparse(at, order) for order in (1, 2, 3)}
+    rows, lower, upper = [], [], []
+    for value, limit, parts in (
+        (now.velocity, limits.velocity, {1: ones}),
+        (now.acceleration, limits.acceleration, {2: ones}),
+        (now.jerk, limits.jerk, {3: ones}),
+        (now.torque, limits.torque, {2: robot.rotor_inertia, 1: robot.viscous}),
+    ):
+        most = np.broadcast_to(np.asarray(limit, dtype=float), (robot.n,))
+        rows.append(
+            block_diag(
+                [sum(rates[k] * part[j] for k, part in parts.items()) / most[j] for j in joints]
+            )
+        )
+        share = (value / most)[:, joints]
+        above, below = (
+            largest_beside(now.time, at, np.maximum(each, 0.0)) for each in (share, -share)
+        )
+        upper.append((1.0 - above).T.ravel())
+        lower.append((below - 1.0).T.ravel())
+    highest = np.concatenate(upper)
+    # A limit that is exceeded both ways within a cell leaves no room.
+    return csc_matrix(vstack(rows)), np.minimum(np.concatenate(lower), highest), highest
+
+
+def _least(
+    hessian: np.ndarray,
+    towards: np.ndarray,
+    rows: csc_matrix,
+    lower: np.ndarray,
+    upper: np.ndarray,
+) -> np.ndarray:
+    """Argument x (m,) of the least x' H x / 2 + g' x, rows within their bounds; or else zero."""
+    rows.sort_indices()
+    places = ca.Sparsity(
+        int(rows.shape[0]),
+        int(rows.shape[1]),
+        [int(k) for k in rows.indptr],
+        [int(k) for k in rows.indices],
+    )
+    dense = ca.DM(hessian)
+    shapes: dict[str, Any] = {"h": dense.sparsity(), "a": places}
+    options: dict[str, Any] = {"osqp": _OSQP, "error_on_fail": False}
+    programme = ca.conic("change", "osqp", shapes, options)
+    answer = programme(h=dense, g=towards, a=ca.DM(places, rows.data), lba=lower, uba=upper)
+    found = array_of(answer["x"]).ravel()
+    # One that is infeasible has numbers beyond all limits.
+    return found if np.all(np.abs(found) < 1e3) else np.zeros_like(found)

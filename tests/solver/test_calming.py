@@ -1,0 +1,98 @@
+"""Motors whose law has wide corners, changed so that the links do what is planned."""
+
+import numpy as np
+import pytest
+from small_arms import joint, problem_text, reducer, write_robot
+
+from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.simulate import simulate
+from stiffopt.errors import NotSimulatedError
+from stiffopt.problem.files import load_problem
+from stiffopt.solver import calming, refinement
+from stiffopt.solver.simulation import elastic_arm
+from stiffopt.solver.solve import solve_keeping
+
+SOFT = reducer(k1=100.0, k2=300.0, k3=500.0, t1=0.3, t2=0.9)
+SOFTER = reducer(k1=400.0, k2=4e3, k3=6e3, t1=1.5, t2=9.0)
+ARMS = {
+    "swivel": ([joint("swivel", SOFT, jerk_max=1500.0)], "0.45"),
+    "planar": ([joint(name, SOFTER, jerk_max=250.0) for name in ("shoulder", "elbow")], "0.8"),
+    "half rigid": ([joint("shoulder", ""), joint("elbow", SOFTER, jerk_max=500.0)], "0.6"),
+}
+
+
+@pytest.fixture(scope="module", params=ARMS)
+def solved(request, tmp_path_factory):
+    """A problem, its outcome without the change, and with it."""
+    folder = tmp_path_factory.mktemp(request.param)
+    joints, duration = ARMS[request.param]
+    arm = request.param if request.param == "swivel" else "planar"
+    write_robot(folder, arm, joints)
+    path = folder / "problem.toml"
+    goal = {"duration": duration, "minimise": 'objective = "tool_deviation"'}
+    path.write_text(problem_text(arm, **goal))
+    problem = load_problem(path).problem
+    with pytest.MonkeyPatch.context() as plain:
+        plain.setattr(refinement, "_calmed", lambda run, outcome: outcome)
+        before, (_, outcome) = solve_keeping(problem)
+    after, _ = solve_keeping(problem)
+    assert outcome.smoothing.corners > 1.0
+    return problem, before, after
+
+
+def swing(problem, solution):
+    motion = solution.assessment
+    arm = elastic_arm(problem, motion.position[0])
+    return simulate(arm, MotorMotion(motion.time, motion.position, motion.velocity))
+
+
+def test_links_are_nearer_to_their_plan_and_every_limit_holds(solved):
+    problem, before, after = solved
+    assert after.status is before.status
+    assert after.status.usable
+    assert after.assessment.feasible(CERTIFIED)
+    # The plan of the links is the same.
+    assert after.objective.value == pytest.approx(before.objective.value, rel=1e-9)
+    plain, found, planned = swing(problem, before), swing(problem, after), after.objective.value
+    assert found.peak_after < 0.3 * plain.peak_after
+    assert abs(found.peak - planned) <= abs(plain.peak - planned)
+
+
+def test_the_motion_begins_and_ends_as_before(solved):
+    _, before, after = solved
+    for order in range(4):
+        ends = [
+            each.trajectory(np.array([0.0, each.trajectory.duration]), order)
+            for each in (before, after)
+        ]
+        scale = np.max(np.abs(before.trajectory(before.assessment.time, order)))
+        np.testing.assert_allclose(ends[1], ends[0], atol=1e-6 * scale)
+    assert after.trajectory.link is not None
+
+
+def test_motors_that_are_near_enough_stay(solved, monkeypatch):
+    problem, _, after = solved
+    arm = elastic_arm(problem, after.assessment.position[0])
+    monkeypatch.setattr(calming, "_NEAR", 1.0)
+    assert calming.calmed(problem, arm, after.trajectory, CERTIFIED) is None
+
+
+def test_joints_that_are_rigid_are_not_moved(solved):
+    problem, before, after = solved
+    times = np.linspace(0.0, after.trajectory.duration, 501)
+    moved = np.max(np.abs(after.trajectory(times) - before.trajectory(times)), axis=0)
+    rigid = [chain is None or not chain.stages for chain in problem.robot.chains]
+    np.testing.assert_array_equal(moved < 1e-12, rigid)
+
+
+def test_an_arm_that_cannot_be_simulated_keeps_its_motors(solved, monkeypatch):
+    problem, before, _ = solved
+
+    def refused(*_):
+        raise NotSimulatedError("too fast")
+
+    monkeypatch.setattr(refinement, "calmed", refused)
+    found, _ = solve_keeping(problem)
+    assert found.objective.value == before.objective.value
+    np.testing.assert_array_equal(found.assessment.position, before.assessment.position)
