@@ -126,23 +126,34 @@ def drive_violations(
 
 
 def drive_history(
-    problem: TrajectoryProblem, motion: JointMotion, times: np.ndarray | None = None
+    problem: TrajectoryProblem,
+    motion: JointMotion,
+    times: np.ndarray | None = None,
+    spring_torque: np.ndarray | None = None,
 ) -> tuple[DriveHistory, np.ndarray]:
-    """What the drives do, and the torques in the joints' springs (K, n) [N m], as of `assess`."""
+    """What the drives do, and the torques in the joints' springs (K, n) [N m], as of `assess`.
+
+    The torques are those of what the links do: they may be given where they are known.
+    """
     robot = problem.robot
     if times is None:
         times = fine_grid(motion)
     position, velocity, acceleration, jerk = (np.asarray(motion(times, k)) for k in range(4))
-    moved = (position, velocity, acceleration)
-    link = getattr(motion, "link", None)
-    if link is not None:
-        moved = (np.asarray(link(times)), np.asarray(link(times, 1)), np.asarray(link(times, 2)))
-    if np.any(problem.process_force):
-        body = rigid_body_history(robot, *moved)
-        force = np.asarray(problem.process_force, dtype=float)
-        spring_torque = body.link_torque - np.einsum("kij,i->kj", body.jacobian, force)
-    else:
-        spring_torque = link_torques(robot, *moved)
+    if spring_torque is None:
+        moved = (position, velocity, acceleration)
+        link = getattr(motion, "link", None)
+        if link is not None:
+            moved = (
+                np.asarray(link(times)),
+                np.asarray(link(times, 1)),
+                np.asarray(link(times, 2)),
+            )
+        if np.any(problem.process_force):
+            body = rigid_body_history(robot, *moved)
+            force = np.asarray(problem.process_force, dtype=float)
+            spring_torque = body.link_torque - np.einsum("kij,i->kj", body.jacobian, force)
+        else:
+            spring_torque = link_torques(robot, *moved)
     torque = _drive_torque(robot, spring_torque, velocity, acceleration)
     return DriveHistory(times, position, velocity, acceleration, jerk, torque), spring_torque
 

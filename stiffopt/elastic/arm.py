@@ -12,6 +12,7 @@ import numpy as np
 
 from stiffopt.elastic.springs import joint_springs
 from stiffopt.errors import NotSimulatedError, RobotError
+from stiffopt.robot.along_motion import places_along
 
 if TYPE_CHECKING:
     from stiffopt.elastic.uncertainty import Departure
@@ -204,6 +205,13 @@ class ElasticArm:
         weight = self.bodies.gravity_torque(q)
         return weight - self.force_torque(q) if self.process_force.any() else weight
 
+    def _held_torques(self, q: np.ndarray) -> np.ndarray:
+        """The same in many positions (K, n)."""
+        weight = self.robot.bodies_in_motion().gravity_torque(q)
+        if self.process_force.any():
+            weight -= [self.force_torque(row) for row in q]
+        return weight
+
     def force_torque(self, q: np.ndarray) -> np.ndarray:
         """Joint torque (n,) [N m] of the process force."""
         return np.asarray(self.bodies.jacobian(self.robot.tool, q)[:3].T @ self.process_force)
@@ -213,8 +221,7 @@ class ElasticArm:
         q = np.array(motor, dtype=float)
         moving = np.arange(len(q))
         for _ in range(_ITERATIONS):
-            held = np.array([self.held_torque(row) for row in q[moving]])
-            new = motor[moving] - self.windup(held)
+            new = motor[moving] - self.windup(self._held_torques(q[moving]))
             change = np.max(np.abs(new - q[moving]), axis=1)
             q[moving] = new
             moving = moving[change > _SETTLED]
@@ -227,7 +234,7 @@ class ElasticArm:
 
     def tool(self, q: np.ndarray) -> np.ndarray:
         """Tool positions (K, 3) [m] of link positions (K, n)."""
-        return np.array([self.bodies.pose(self.robot.tool, row)[0] for row in q])
+        return places_along(self.robot.tree, self.robot.tool, q)
 
     def _critical_damping(self, at: np.ndarray) -> np.ndarray:
         """Critical damping (n,) of each joint swinging alone, at rest with the motors at `at`."""

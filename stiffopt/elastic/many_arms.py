@@ -198,8 +198,9 @@ class ManyArms:
         )
         own = [places[id(each.reference), id(each.departure)] for each in members]
         # One matrix product for all members: einsum would take them one by one.
-        away = (links - hanging[own].swapaxes(0, 1)).swapaxes(1, 2)
-        return np.asarray(np.matmul(self._jacobian, away).transpose(2, 0, 1))
+        along = self._jacobian.swapaxes(1, 2)
+        away = links @ along - (hanging.swapaxes(0, 1) @ along)[:, own]
+        return np.asarray(away.swapaxes(0, 1))
 
     def _hanging(self, arms: _Arms, references: Sequence[MotorMotion]) -> np.ndarray:
         """Links at rest at the positions of the references, less those of the plan (B, K, n)."""

@@ -73,6 +73,19 @@ def tool_along(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> tuple[np.ndar
     return position.T, np.moveaxis(jacobian, 2, 0)
 
 
+def places_along(tree: BodyTree, frame: LinkFrame, q: np.ndarray) -> np.ndarray:
+    """Positions (K, 3) [m] of a frame in the base at joint positions (K, n)."""
+    position = np.zeros((3, len(q)))
+    for part in _parts(len(q)):
+        place, own = frame.offset[:, None], np.ascontiguousarray(q[part].T)
+        # From the frame towards the base: one vector is turned, no rotation.
+        for joint in reversed(_carriers(tree, frame.joint - 1)):
+            rotation, origin = _frame_in_parent(tree.bodies[joint], own[joint])
+            place = np.sum(rotation * place, axis=1) + origin
+        position[:, part] = place
+    return position.T
+
+
 @dataclass(frozen=True, eq=False)
 class _Carried:
     """What the joints that carry a body do with it, in its own frame.

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from stiffopt.certificate.assess import assess, drive_violations
-from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.certificate.assess import assess, drive_history
+from stiffopt.certificate.violations import CERTIFIED, find_drive_violations
 from stiffopt.elastic.many_arms import Asked, ManyArms, Member, Swings, swings_together
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import REST, simulate
@@ -262,6 +262,7 @@ class _Compensator:
         self._servo = problem.uncertainty.servo if servo is None else servo
         self._many = ManyArms(arm, self._plan, self._servo)
         self._carries = arm.robot.payload is not None
+        self._loads: dict[tuple[JointMotion, int], np.ndarray] = {}
         (self._nominal,) = self._driven([Departure.none(arm.robot.n)])
         self._corners = self._driven(corners(self._unsure, arm.robot.n, self._carries))
 
@@ -423,8 +424,16 @@ class _Compensator:
 
         The others are of the plan, which the links keep.
         """
-        times = None if points is None else np.linspace(0.0, motors.duration, points)
-        found = drive_violations(self._problem, motors, times)
+        # What the links do loads the springs alike, whatever share and corners the motors have.
+        link = getattr(motors, "link", None) or motors
+        times = torque = None
+        if points is not None:
+            times = np.linspace(0.0, motors.duration, points)
+            torque = self._loads.get((link, points))
+        drives, loads = drive_history(self._problem, motors, times, torque)
+        if points is not None:
+            self._loads[link, points] = loads
+        found = find_drive_violations(self._problem, drives)
         return tuple(each for each in found if each.value > CERTIFIED)
 
     def _simulated(self, command: MotorMotion, departure: Departure) -> SimulatedMotion:

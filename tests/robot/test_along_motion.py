@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from gantry_arm import gantry
 
-from stiffopt.robot.along_motion import body_torques, tool_along
+from stiffopt.robot.along_motion import body_torques, places_along, tool_along
 from stiffopt.robot.bodies_in_motion import BodiesInMotion
 from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.files import load_robot
@@ -70,6 +70,9 @@ def test_tool_and_its_jacobian(model, motion) -> None:
     for joint in (1, model.nv):
         frame = LinkFrame(joint, np.array([0.1, -0.2, 0.3]), np.eye(3))
         position, jacobian = tool_along(body_tree(model), frame, motion[0])
+        np.testing.assert_allclose(
+            places_along(body_tree(model), frame, motion[0]), position, atol=1e-14
+        )
         for k in (0, COUNT - 1):
             q = motion[0, k]
             np.testing.assert_allclose(position[k], exact.pose(frame, q)[0], atol=1e-13)
