@@ -19,6 +19,10 @@ def main() -> None:
     gc.set_threshold(*_SELDOM)
     try:
         with beginning() if sys.argv[1:2] == ["solve"] else nullcontext():
+            if sys.argv[1:2] == ["sweep"]:
+                from stiffopt.sweep.processes import load_ahead
+
+                load_ahead(sys.argv[2:])
             from stiffopt.cli import run
 
             code = run()

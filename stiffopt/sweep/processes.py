@@ -11,13 +11,15 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from importlib import import_module
+from itertools import pairwise
 from multiprocessing import connection, forkserver, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
@@ -80,6 +82,28 @@ class Processes:
             for hand in self._hands:
                 hand.end()
         self._hands = []
+
+
+def load_ahead(arguments: Sequence[str]) -> None:
+    """Begin to load what workers need before the command line itself is, where it asks for some.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        Of `stiffopt sweep`. What is wrong with them is not told here.
+    """
+    words = [word for each in arguments for word in each.split("=", 1)]
+    alone = cores() == 1 if "--workers" not in words else ("--workers", "1") in pairwise(words)
+    if alone or "--scheduler" in words or not any(Path(word).is_file() for word in words):
+        return
+    with _environment():
+        _load_once()
+
+
+def cores() -> int:
+    """Cores that this process may use; macOS tells only how many there are."""
+    allowed = getattr(os, "sched_getaffinity", None)
+    return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
 
 
 class _Hand(threading.Thread):

@@ -5,14 +5,13 @@ All take a call and give a `concurrent.futures.Future`; `Workers.lost` is what t
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import Future
 from importlib import import_module
 from typing import Any, Protocol
 
 from stiffopt.errors import InputError
-from stiffopt.sweep.processes import Processes
+from stiffopt.sweep.processes import Processes, cores
 
 Call = Callable[..., Any]
 
@@ -98,11 +97,5 @@ def workers(count: int | None, scheduler: str | None) -> Workers:
     """Workers as the command line asks for them: None counts the cores."""
     if scheduler is not None:
         return Cluster(scheduler)
-    count = _cores() if count is None else count
+    count = cores() if count is None else count
     return InProcess() if count == 1 else Processes(count)
-
-
-def _cores() -> int:
-    """Cores that this process may use; macOS tells only how many there are."""
-    allowed = getattr(os, "sched_getaffinity", None)
-    return len(allowed(0)) if allowed is not None else os.cpu_count() or 1

@@ -16,7 +16,7 @@ from test_cases import sweep_file
 from stiffopt.cli import run
 from stiffopt.errors import InputError
 from stiffopt.sweep.cases import load_sweep
-from stiffopt.sweep.processes import Processes, WorkerLost
+from stiffopt.sweep.processes import Processes, WorkerLost, load_ahead
 from stiffopt.sweep.run import SweepProgress, run_sweep
 from stiffopt.sweep.summary import SweepSummary, knee
 from stiffopt.sweep.workers import InProcess, workers
@@ -165,6 +165,32 @@ def test_processes_that_cannot_begin_are_told(monkeypatch):
     with pytest.raises(InputError, match="--workers 1"):
         pool.submit(abs, -1)
     pool.close(now=True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "ahead"),
+    [
+        (["FILE"], True),
+        (["FILE", "--workers", "2"], True),
+        (["--workers=2", "FILE"], True),
+        (["FILE", "--workers", "1"], False),
+        (["FILE", "--workers=1"], False),
+        (["FILE", "--scheduler", "tcp://127.0.0.1:1"], False),
+        (["--help"], False),
+        (["missing.toml"], False),
+    ],
+)
+def test_workers_load_ahead_where_there_will_be_some(tmp_path, monkeypatch, arguments, ahead):
+    begun = []
+    monkeypatch.setattr("stiffopt.sweep.processes._load_once", lambda: begun.append(True))
+    monkeypatch.setattr("stiffopt.sweep.processes.cores", lambda: 4)
+    file = str(sweep_file(tmp_path, GRID))
+    load_ahead([file if each == "FILE" else each for each in arguments])
+    assert bool(begun) == ahead
+    begun.clear()
+    monkeypatch.setattr("stiffopt.sweep.processes.cores", lambda: 1)
+    load_ahead([file])
+    assert not begun
 
 
 def test_one_worker_is_this_process():
