@@ -76,7 +76,7 @@ def refined(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> Outcome:
     Also where only between the nodes a feasible baseline, the `rival`, is better.
     """
     if run.problem.plans_links:
-        return _calmed(run, _corrected(run, outcome))
+        return _corrected(run, outcome)
     return _on_finer_mesh(run, outcome, rival)
 
 
@@ -157,7 +157,7 @@ def _corrected(run: SolveRun, outcome: Outcome) -> Outcome:
     nlp = outcome.transcription.nlp
     outcome, nlp = _within_rows(run, outcome, nlp)
     for _ in range(_REFINEMENTS):
-        found = _sharpened(run, outcome) if outcome.raw.converged else outcome
+        found = _calmed(run, outcome)
         late = _after_arrival(run.problem, found.assessment)
         if not (late and outcome.raw.converged):
             return found
@@ -169,7 +169,7 @@ def _corrected(run: SolveRun, outcome: Outcome) -> Outcome:
         if _failed(again.raw):
             return found
         outcome, nlp = _within_rows(run, again, nlp)
-    return _sharpened(run, outcome) if outcome.raw.converged else outcome
+    return _calmed(run, outcome)
 
 
 def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nlp]:
@@ -292,9 +292,15 @@ def _sharpened(run: SolveRun, outcome: Outcome) -> Outcome:
 
 
 def _calmed(run: SolveRun, outcome: Outcome) -> Outcome:
-    """The same links with motors that keep them from swinging, where their law is a wide one."""
+    """The same links with motors that let them swing least: by a sharper law, then as they answer.
+
+    The second only where the law is a wide one, and every limit holds in flight.
+    """
+    if not outcome.raw.converged:
+        return outcome
+    outcome = _sharpened(run, outcome)
     wide = outcome.smoothing.corners > 1.0 and run.lag is not None
-    if not (wide and outcome.raw.converged and outcome.assessment.feasible(CERTIFIED)):
+    if not wide or _worst_in_flight(outcome.assessment) > CERTIFIED:
         return outcome
     try:
         arm = run.arm.with_fast_joints_following(run.motion.start)

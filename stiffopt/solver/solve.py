@@ -38,6 +38,7 @@ from stiffopt.solver.plan import stages
 from stiffopt.solver.refinement import rank, refined, stopped
 from stiffopt.solver.shaping import solve_shaped
 from stiffopt.solver.simulation import check_simulation, with_simulation
+from stiffopt.solver.slower import slower_advice
 from stiffopt.solver.solve_run import ProgressCallback, SolveRun
 from stiffopt.solver.stages import Outcome, run_stages
 from stiffopt.solver.unsolved import (
@@ -264,6 +265,9 @@ def solution_of(
     problem, assessment = run.problem, with_collisions(run.problem, outcome.assessment)
     found = verdict(problem, outcome, assessment, beside)
     end = beyond_limits(problem, assessment, found, run.unavoided)
+    if end.status in (SolveStatus.CERTIFICATE_FAILED, SolveStatus.INFEASIBLE):
+        advice = slower_advice(run, outcome)
+        end = replace(end, message=f"{end.message} {advice}".rstrip())
     value = objective_value(problem, assessment)
     rival = better_baseline(problem, beside)
     ratio = None

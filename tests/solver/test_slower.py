@@ -1,0 +1,42 @@
+"""What is said of a duration in which no motion was found."""
+
+import re
+from dataclasses import replace
+
+import pytest
+from small_arms import joint, problem_text, reducer, write_robot
+
+from stiffopt.problem.files import load_problem
+from stiffopt.result.status import SolveStatus
+from stiffopt.solver.slower import slower_advice
+from stiffopt.solver.solve import solve, solve_keeping
+
+DEVIATION = 'objective = "tool_deviation"'
+
+
+@pytest.fixture(scope="module")
+def hurried(tmp_path_factory):
+    """A motion of the shoulder in a time that its jerk does not allow."""
+    folder = tmp_path_factory.mktemp("hurried")
+    joints = [joint("swivel", reducer(), jerk_max=400.0)]
+    write_robot(folder, "swivel", joints)
+    path = folder / "problem.toml"
+    path.write_text(problem_text("swivel", duration="0.45", minimise=DEVIATION))
+    return load_problem(path).problem
+
+
+def test_the_duration_that_is_named_is_possible(hurried):
+    found = solve(hurried, throw=False)
+    assert found.status in (SolveStatus.INFEASIBLE, SolveStatus.CERTIFICATE_FAILED)
+    named = re.search(r'motion\.duration = "([0-9.]+) s"', found.message)
+    assert named is not None, found.message
+    longer = float(named[1])
+    assert 0.45 < longer < 0.9
+    assert solve(replace(hurried, duration=(longer, longer)), throw=False).status.usable
+
+
+def test_nothing_is_said_where_the_duration_is_free(hurried):
+    free = replace(hurried, duration=(0.45, 2.0))
+    _, kept = solve_keeping(free)
+    assert kept is not None
+    assert slower_advice(*kept) == ""
