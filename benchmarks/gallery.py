@@ -16,7 +16,7 @@ from typing import Any
 
 from benchmarks.reliability.commands import ROOT
 from stiffopt.problem.files import load_problem
-from stiffopt.report.common.svg import extent_of, to_svg
+from stiffopt.report.common.svg import to_svg
 from stiffopt.report.scene.poses import poses_along
 from stiffopt.report.scene.still import still_figure
 from stiffopt.solver.solve import solve
@@ -66,7 +66,7 @@ def motion_picture(path: Path) -> str:
     part = "dynamic" if "dynamic" in poses.bend else next(iter(poses.bend), "")
     robot = problem.robot
     figure = still_figure(robot.tree, robot.tool, [poses], part, 200.0, problem.cell)
-    return to_svg(figure, f"gallery_{path.stem}", f"The arm of {path.stem}", extent_of(figure))
+    return to_svg(figure, f"gallery_{path.stem}", f"The arm of {path.stem}")
 
 
 def on_white(svg: str) -> str:
