@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
     from stiffopt.robot.robot import Robot
 
+_Moved = tuple[np.ndarray, np.ndarray, np.ndarray]
+
 POINTS = 6001
 _STANDSTILL = 1e-9
 
@@ -57,11 +59,8 @@ def assess(
     if times is None:
         times = fine_grid(motion)
     position, velocity, acceleration, jerk = (np.asarray(motion(times, k)) for k in range(4))
-    # Where the links' own motion is planned, it loads the springs; limits are the motors'.
     link = getattr(motion, "link", None)
-    moved = (position, velocity, acceleration)
-    if link is not None:
-        moved = (np.asarray(link(times)), np.asarray(link(times, 1)), np.asarray(link(times, 2)))
+    moved = _of_links(motion, times, (position, velocity, acceleration))
     body = rigid_body_history(robot, *moved)
     process = np.einsum("kij,i->kj", body.jacobian, np.asarray(problem.process_force, dtype=float))
     spring_torque = body.link_torque - process
@@ -140,14 +139,7 @@ def drive_history(
         times = fine_grid(motion)
     position, velocity, acceleration, jerk = (np.asarray(motion(times, k)) for k in range(4))
     if spring_torque is None:
-        moved = (position, velocity, acceleration)
-        link = getattr(motion, "link", None)
-        if link is not None:
-            moved = (
-                np.asarray(link(times)),
-                np.asarray(link(times, 1)),
-                np.asarray(link(times, 2)),
-            )
+        moved = _of_links(motion, times, (position, velocity, acceleration))
         if np.any(problem.process_force):
             body = rigid_body_history(robot, *moved)
             force = np.asarray(problem.process_force, dtype=float)
@@ -156,6 +148,17 @@ def drive_history(
             spring_torque = link_torques(robot, *moved)
     torque = _drive_torque(robot, spring_torque, velocity, acceleration)
     return DriveHistory(times, position, velocity, acceleration, jerk, torque), spring_torque
+
+
+def _of_links(motion: JointMotion, times: np.ndarray, own: _Moved) -> _Moved:
+    """Position, velocity and acceleration of what loads the springs; `own` are the motors'.
+
+    Where the links' own motion is planned, it does; limits are the motors'.
+    """
+    link = getattr(motion, "link", None)
+    if link is None:
+        return own
+    return np.asarray(link(times)), np.asarray(link(times, 1)), np.asarray(link(times, 2))
 
 
 def _drive_torque(

@@ -81,13 +81,18 @@ class _Arm(_Struct):
 
 def prepare() -> None:
     """Have the library made beside other work, if there is none yet."""
-    compiler.library("swings", _SOURCE.read_text(encoding="ascii"))
+    compiler.library("swings", _source())
 
 
 def library(joints: int) -> ctypes.CDLL | None:
     """The library, None where there is none or an arm has too many joints for it."""
-    found = compiler.library("swings", _SOURCE.read_text(encoding="ascii"))
+    found = compiler.library("swings", _source())
     return None if found is None or joints > _MOST else _loaded(found)
+
+
+@functools.cache
+def _source() -> str:
+    return _SOURCE.read_text(encoding="ascii")
 
 
 @functools.cache

@@ -426,11 +426,9 @@ class _Compensator:
         """
         # What the links do loads the springs alike, whatever share and corners the motors have.
         link = getattr(motors, "link", None) or motors
-        times = torque = None
-        if points is not None:
-            times = np.linspace(0.0, motors.duration, points)
-            torque = self._loads.get((link, points))
-        drives, loads = drive_history(self._problem, motors, times, torque)
+        times = None if points is None else np.linspace(0.0, motors.duration, points)
+        known = None if points is None else self._loads.get((link, points))
+        drives, loads = drive_history(self._problem, motors, times, known)
         if points is not None:
             self._loads[link, points] = loads
         found = find_drive_violations(self._problem, drives)

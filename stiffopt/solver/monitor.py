@@ -172,16 +172,13 @@ class Monitor(ca.Callback):
         x, g = (np.frombuffer(arg[k]).copy() for k in (0, 2))
         objective = float(np.frombuffer(arg[1])[0])
         objective *= nlp.objective_scale
-        excess = nlp.violations(g)
-        worst = int(np.argmax(excess)) if excess.size else -1
-        violation = float(excess[worst]) if excess.size else 0.0
+        violation, row = nlp.worst_excess(g)
         number = len(self.history)
         if self.last is not None:
             self.steps.append(float(np.abs(x - self.last.x).max(initial=0.0)))
         self.last = Iterate(number, x, g, objective, violation)
         if np.isfinite(objective) and np.isfinite(violation) and self.last.better_than(self.best):
             self.best = self.last
-        row = str(nlp.rows.entry(worst)) if violation > 0.0 else ""
         elapsed = time.perf_counter() - self.started
         progress = Progress(number, objective, violation, row, elapsed)
         self.history.append(progress)

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
@@ -153,7 +152,6 @@ class _Motions:
         return found
 
 
-@dataclass(frozen=True, eq=False)
 class _Constraints:
     """Bounds of variables above rows, without equations that motions of splines obey anyway.
 
@@ -161,24 +159,12 @@ class _Constraints:
     lower; a side is 1, -1, 0 where it does not bind and 2 where both are one.
     """
 
-    nlp: Nlp
-    bounds: np.ndarray = field(init=False)
-    rows: np.ndarray = field(init=False)
-    lower: np.ndarray = field(init=False)
-    upper: np.ndarray = field(init=False)
-
-    def __post_init__(self) -> None:
-        nlp = self.nlp
-        chosen = [np.full(block.size, not block.structural) for block in nlp.rows.items]
-        bounds = np.flatnonzero(np.isfinite(nlp.lower_x) | np.isfinite(nlp.upper_x))
-        rows = np.flatnonzero(np.concatenate([np.zeros(0, dtype=bool), *chosen]))
-        for name, value in (
-            ("bounds", bounds),
-            ("rows", rows),
-            ("lower", np.append(nlp.lower_x[bounds], nlp.lower_g[rows])),
-            ("upper", np.append(nlp.upper_x[bounds], nlp.upper_g[rows])),
-        ):
-            object.__setattr__(self, name, value)
+    def __init__(self, nlp: Nlp) -> None:
+        self.nlp = nlp
+        self.bounds = np.flatnonzero(np.isfinite(nlp.lower_x) | np.isfinite(nlp.upper_x))
+        self.rows = np.flatnonzero(~nlp.structural)
+        self.lower = np.append(nlp.lower_x[self.bounds], nlp.lower_g[self.rows])
+        self.upper = np.append(nlp.upper_x[self.bounds], nlp.upper_g[self.rows])
 
     def values(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
         """Of all constraints (c,)."""
@@ -288,9 +274,8 @@ def _with_equations(
     nlp: Nlp, slope: np.ndarray, jacobian: csr_matrix, multipliers: np.ndarray
 ) -> np.ndarray:
     """Multipliers of all rows, with those of the equations that splines stand in for."""
-    left_out = [np.full(block.size, block.structural) for block in nlp.rows.items]
-    own = np.flatnonzero(np.concatenate([np.zeros(0, dtype=bool), *left_out]))
-    if not own.size:
+    own = nlp.structural
+    if not own.any():
         return multipliers
     equations = jacobian[own]
     missing = equations @ (slope + jacobian.T @ multipliers)
@@ -300,11 +285,7 @@ def _with_equations(
 
 
 def _progress(nlp: Nlp, step: int, objective: float, g: np.ndarray, elapsed: float) -> Progress:
-    excess = nlp.violations(g)
-    worst = int(np.argmax(excess)) if excess.size else -1
-    violation = float(excess[worst]) if excess.size else 0.0
-    row = str(nlp.rows.entry(worst)) if violation > 0.0 else ""
-    return Progress(step, float(objective) * nlp.objective_scale, violation, row, elapsed)
+    return Progress(step, float(objective) * nlp.objective_scale, *nlp.worst_excess(g), elapsed)
 
 
 def _solution(

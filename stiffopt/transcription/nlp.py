@@ -254,6 +254,18 @@ class Nlp:
         g = np.asarray(g, dtype=float).ravel()
         return np.asarray(np.maximum(np.maximum(self.lower_g - g, g - self.upper_g), 0.0))
 
+    def worst_excess(self, g: np.ndarray) -> tuple[float, str]:
+        """Largest scaled excess of a row, and that row's name; "" where none is exceeded."""
+        excess = self.violations(g)
+        worst = float(excess.max(initial=0.0))
+        return worst, str(self.rows.entry(int(np.argmax(excess)))) if worst > 0.0 else ""
+
+    @property
+    def structural(self) -> np.ndarray:
+        """Which rows are equations that any motion obeys (m,)."""
+        each = [np.full(block.size, block.structural) for block in self.rows.items]
+        return np.concatenate([np.zeros(0, dtype=bool), *each])
+
     def worst_rows(self, g: np.ndarray, n: int = 5, tolerance: float = 0.0) -> list[RowViolation]:
         """Find the n most violated rows, each name and label once, at its worst point.
 
