@@ -153,8 +153,10 @@ class _Hand(threading.Thread):
         pipe, other = ends
         with _beginning, _environment():
             _load_once()
-            self._process = context.Process(target=_work, args=(other,))
-            self._process.start()
+            process = context.Process(target=_work, args=(other,))
+            process.start()
+        # Only what has begun can be ended.
+        self._process = process
         other.close()
         try:
             pipe.recv()

@@ -151,9 +151,21 @@ if __name__ == "__main__":
     process.kill()
     # Its end comes when all have closed what they inherited.
     assert process.communicate(timeout=60) == ("", "")
+    # One that has ended is known until the system's first process has taken notice.
+    until = time.monotonic() + 60.0
+    while time.monotonic() < until and any(map(is_known, numbers)):
+        time.sleep(0.1)
     for number in numbers:
         with pytest.raises(ProcessLookupError):
             os.kill(number, 0)
+
+
+def is_known(number):
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    return True
 
 
 @pytest.mark.slow
