@@ -121,7 +121,7 @@ def make(path: Path, program: str, code: Callable[[str], str], optimise: str) ->
     code : callable
         C code of what was given.
     optimise : str
-        Option of the compiler, such as -O1.
+        Option of the compiler, such as -Og.
     """
     with _held(path) as free:
         if not free or path.exists():

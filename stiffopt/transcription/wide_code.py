@@ -8,13 +8,15 @@ does what the function of one point does, operation by operation, so the numbers
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 
 # Points at once: two or four registers where a processor has smaller ones.
 LANES = 8
-# Lines of a generated function that are compiled as one.
-_LONGEST = 1000
+# Values that are compiled as one: of more the compiler takes longer, of fewer more are kept.
+_LONGEST = 250
 
 _INFIX = {
     ca.OP_ADD: "+",
@@ -101,8 +103,9 @@ def wide_code(functions: Sequence[ca.Function], shared: Sequence[int]) -> str:
     shared : sequence of int
         Inputs that are the same at all points.
     """
-    code = [line for function in functions for line in _definition(function, shared)]
-    used = {function.instruction_id(k) for function in functions for k in _instructions(function)}
+    read = [_operations(function) for function in functions]
+    code = [line for each in read for line in _definition(each, shared)]
+    used = {operation for each in read for operation, _ in each.operations}
     head = [_HEAD.format(bytes=8 * LANES)]
     for names, arguments, lane in (
         (_UNARY, "wide a", "a[k]"),
@@ -115,23 +118,59 @@ def wide_code(functions: Sequence[ca.Function], shared: Sequence[int]) -> str:
     return "\n".join([*head, *code])
 
 
-def _instructions(function: ca.Function) -> range:
-    return range(function.n_instructions())
+@dataclass(frozen=True)
+class _Operations:
+    """A function as values that are computed one after another, none of them twice.
+
+    `operations` holds what each value is: (operation, numbers of the values that it reads), or
+    (input, place), or (constant,). `results` are (output, place, value).
+    """
+
+    function: ca.Function
+    operations: list[tuple[int, tuple[Any, ...]]]
+    results: list[tuple[int, int, int]]
+
+    def read_by(self, value: int) -> tuple[int, ...]:
+        operation, read = self.operations[value]
+        return () if operation in (ca.OP_INPUT, ca.OP_CONST) else read
 
 
-def _definition(function: ca.Function, shared: Sequence[int]) -> Iterator[str]:
-    name, work = function.name(), LANES * function.sz_w()
-    inputs, outputs = function.n_in(), function.n_out()
+def _operations(function: ca.Function) -> _Operations:
+    numbers: dict[tuple[int, tuple[Any, ...]], int] = {}
+    results: list[tuple[int, int, int]] = []
+    held: dict[int, int] = {}  # value in each place of the work vector
+    for k in range(function.n_instructions()):
+        operation = function.instruction_id(k)
+        read, written = function.instruction_input(k), function.instruction_output(k)
+        if operation == ca.OP_OUTPUT:
+            out, place = written
+            results.append((out, place, held[read[0]]))
+            continue
+        what: tuple[Any, ...]
+        if operation == ca.OP_INPUT:
+            what = tuple(read)
+        elif operation == ca.OP_CONST:
+            what = (float(function.instruction_constant(k)).hex(),)
+        else:
+            what = tuple(held[place] for place in read)
+            if operation in (ca.OP_ADD, ca.OP_MUL):
+                what = tuple(sorted(what))
+        held[written[0]] = numbers.setdefault((operation, what), len(numbers))
+    return _Operations(function, list(numbers), results)
+
+
+def _definition(read: _Operations, shared: Sequence[int]) -> Iterator[str]:
+    function = read.function
+    name, inputs, outputs = function.name(), function.n_in(), function.n_out()
     sparsity = {
         "in": [_wide(function.sparsity_in(i), i in shared) for i in range(inputs)],
         "out": [_wide(function.sparsity_out(i), False) for i in range(outputs)],
     }
-    body = [_line(function, k, shared) for k in _instructions(function)]
+    parts, kept = _parts(read, shared)
     arguments = "const double** arg, double** res, wide* w"
-    parts = range(0, len(body), _LONGEST)
-    for k in parts:
+    for k, part in enumerate(parts):
         yield f"static __attribute__((noinline)) void {name}_{k}({arguments}) {{"
-        yield from body[k : k + _LONGEST]
+        yield from part
         yield "}"
     yield f"int {name}(const double** arg, double** res, long long* iw, double* w, int mem) {{"
     most = max(1, *(each.nnz() for each in sparsity["in"]))
@@ -139,45 +178,74 @@ def _definition(function: ca.Function, shared: Sequence[int]) -> Iterator[str]:
     yield f"  for (int k = 0; k < {outputs}; k++) if (!res[k]) return 0;"
     yield f"  const double* given[{inputs}];"
     yield f"  for (int k = 0; k < {inputs}; k++) given[k] = arg[k] ? arg[k] : none;"
-    yield from (f"  {name}_{k}(given, res, (wide*)w);" for k in parts)
+    yield from (f"  {name}_{k}(given, res, (wide*)w);" for k in range(len(parts)))
     yield "  LEAVE;\n  return 0;\n}"
     for side, patterns in sparsity.items():
         yield f"long long {name}_n_{side}(void) {{ return {len(patterns)}; }}"
         yield f"const long long* {name}_sparsity_{side}(long long i) {{"
         for i, pattern in enumerate(patterns):
-            numbers = ", ".join(map(str, pattern.compress()))
-            yield f"  static const long long s{i}[] = {{{numbers}}};"
+            entries = ", ".join(map(str, pattern.compress()))
+            yield f"  static const long long s{i}[] = {{{entries}}};"
         chosen = "".join(f"i == {i} ? s{i} : " for i in range(len(patterns)))
         yield f"  return {chosen}0;\n}}"
     yield f"int {name}_work(long long* a, long long* r, long long* iw, long long* w) {{"
-    yield f"  *a = {inputs}; *r = {outputs}; *iw = 0; *w = {work};\n  return 0;\n}}"
+    yield f"  *a = {inputs}; *r = {outputs}; *iw = 0; *w = {LANES * kept};\n  return 0;\n}}"
 
 
 def _wide(sparsity: ca.Sparsity, same: bool) -> ca.Sparsity:
     return sparsity if same else ca.repmat(sparsity, 1, LANES)
 
 
-def _line(function: ca.Function, k: int, shared: Sequence[int]) -> str:
-    """C code of one operation on all lanes."""
-    operation = function.instruction_id(k)
-    read, written = function.instruction_input(k), function.instruction_output(k)
-    if operation == ca.OP_OUTPUT:
-        out, place = written
-        size = function.nnz_out(out)
-        lanes = (
-            f"res[{out}][{place + lane * size}] = w[{read[0]}][{lane}];" for lane in range(LANES)
-        )
-        return "  " + " ".join(lanes)
+def _parts(read: _Operations, shared: Sequence[int]) -> tuple[list[list[str]], int]:
+    """Lines of the values part by part, and how many values are kept from part to part.
+
+    Within a part values are variables: of an array the compiler would have to follow every place.
+    """
+    count = len(read.operations)
+    last = [value // _LONGEST for value in range(count)]  # part that needs a value last
+    results: dict[int, list[tuple[int, int, int]]] = {}
+    for value in range(count):
+        for each in read.read_by(value):
+            last[each] = value // _LONGEST
+    for result in read.results:
+        results.setdefault(result[2] // _LONGEST, []).append(result)
+    parts: list[list[str]] = []
+    places: dict[int, int] = {}
+    free: list[int] = []
+    kept = 0
+    for part, start in enumerate(range(0, count, _LONGEST)):
+        names = {value: f"w[{place}]" for value, place in places.items()}
+        lines = []
+        for value in range(start, min(start + _LONGEST, count)):
+            lines.append(f"  const wide v{value} = {_value(read, value, names, shared)};")
+            names[value] = f"v{value}"
+        for out, place, value in results.get(part, []):
+            size = read.function.nnz_out(out)
+            lanes = (
+                f"res[{out}][{place + lane * size}] = v{value}[{lane}];" for lane in range(LANES)
+            )
+            lines.append("  " + " ".join(lanes))
+        free += [places.pop(value) for value in list(places) if last[value] <= part]
+        for value in range(start, min(start + _LONGEST, count)):
+            if last[value] > part:
+                places[value] = free.pop() if free else kept
+                kept = max(kept, places[value] + 1)
+                lines.append(f"  w[{places[value]}] = v{value};")
+        parts.append(lines)
+    return parts, kept
+
+
+def _value(read: _Operations, value: int, names: dict[int, str], shared: Sequence[int]) -> str:
+    """C expression of a value on all lanes."""
+    operation, what = read.operations[value]
     if operation == ca.OP_INPUT:
-        given, place = read
-        size = 0 if given in shared else function.nnz_in(given)
+        given, place = what
+        size = 0 if given in shared else read.function.nnz_in(given)
         lanes = (f"arg[{given}][{place + lane * size}]" for lane in range(LANES))
-        return f"  w[{written[0]}] = (wide){{{', '.join(lanes)}}};"
+        return f"(wide){{{', '.join(lanes)}}}"
     if operation == ca.OP_CONST:
-        number = float(function.instruction_constant(k)).hex()
-        return f"  w[{written[0]}] = (wide){{0}} + {number};"
-    values = [f"w[{place}]" for place in read]
-    return f"  w[{written[0]}] = {_computed(operation, values)};"
+        return f"(wide){{0}} + {what[0]}"
+    return _computed(operation, [names[each] for each in what])
 
 
 def _computed(operation: int, values: list[str]) -> str:
