@@ -12,6 +12,7 @@ import numpy as np
 
 from stiffopt.errors import InputError
 from stiffopt.interrupts import handled
+from stiffopt.solver import frontal
 from stiffopt.solver.monitor import Iterate, Monitor, Progress
 from stiffopt.symbolic import array_of
 from stiffopt.transcription.nlp import Nlp, NlpEntry, RowViolation
@@ -34,7 +35,9 @@ FEASIBLE = 1e-6
 # Times the tolerance, by which an iterate that rests moves at most.
 _RESTS = 10.0
 
-_OPTIONS_HINT = "Check IpoptOptions.extra and linear_solver; allowed linear solvers: mumps, spral."
+_OPTIONS_HINT = (
+    "Check IpoptOptions.extra and linear_solver; allowed linear solvers: auto, mumps, spral."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +54,8 @@ class IpoptOptions:
     max_seconds : float
         Wall clock for one solve [s].
     linear_solver : str
-        "mumps", or "spral" with its environment variables set.
+        "auto" for the package's own (see `frontal`), MUMPS until that is compiled; "mumps", or
+        "spral" with its environment variables set.
     print_level : int
         0 (silent) to 12.
     patience : int
@@ -65,18 +69,20 @@ class IpoptOptions:
     acceptable_tol: float = 1e-6
     max_iterations: int = 500
     max_seconds: float = float("inf")
-    linear_solver: str = "mumps"
+    linear_solver: str = "auto"
     print_level: int = 0
     patience: int = 0
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def for_ipopt(self) -> dict[str, Any]:
         """Return the options by IPOPT's names."""
+        own = frontal.library() if self.linear_solver == "auto" else None
+        named = "mumps" if self.linear_solver == "auto" else self.linear_solver
         return {
             "tol": self.tol,
             "acceptable_tol": self.acceptable_tol,
             "max_iter": self.max_iterations,
-            "linear_solver": self.linear_solver,
+            **({"linear_solver": named} if own is None else frontal.options(own)),
             "print_level": self.print_level,
             "sb": "yes",
             # The multipliers of fixed variables would cost a second gradient in each iteration.

@@ -157,3 +157,4 @@ def test_what_was_begun_before_its_stage_was_compiled_goes_on_compiled(tmp_path,
     built = family._programmes
     assert [made.transcription.is_compiled for made in built.values()][-1]
     assert family.solve(further, end, compare=False)[0].solver.build_s == 0.0
+    compiler.wait()
