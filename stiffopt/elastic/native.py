@@ -1,4 +1,4 @@
-"""The loops over instants and arms, compiled (swings.c), where the library is there already.
+"""The loops over instants and arms, compiled (*.c), where the library is there already.
 
 The formulas are those of `many_arms` and `simulate`, which do without it: the numbers are the same
 but for rounding.
@@ -21,15 +21,16 @@ if TYPE_CHECKING:
     from stiffopt.elastic.arm import ElasticArm
     from stiffopt.elastic.motor import MotorMotion
 
-_SOURCE = Path(__file__).with_name("swings.c")
+# One library: the second has the lanes of the first.
+_SOURCES = ("swings.c", "response.c")
 # Joints and lanes of arms that the C code has room for.
 _MOST = 32
-_WHOLE, _REAL, _ARRAY = ctypes.c_longlong, ctypes.c_double, ctypes.c_void_p
+WHOLE, REAL, ARRAY = ctypes.c_longlong, ctypes.c_double, ctypes.c_void_p
 
 Slope = Callable[[float, np.ndarray], np.ndarray]
 
 
-class _Struct(ctypes.Structure):
+class Struct(ctypes.Structure):
     """A struct of the C code, which keeps the arrays that it points to."""
 
     def set(self, **values: object) -> None:
@@ -37,7 +38,7 @@ class _Struct(ctypes.Structure):
         self.kept = [*getattr(self, "kept", ())]
         kinds: dict[str, type] = {field[0]: field[1] for field in self._fields_}
         for name, value in values.items():
-            if kinds[name] is _ARRAY:
+            if kinds[name] is ARRAY:
                 array = np.ascontiguousarray(value)
                 if array.dtype != float:
                     array = array.astype(np.int64)
@@ -48,34 +49,34 @@ class _Struct(ctypes.Structure):
             setattr(self, name, value)
 
 
-class _Springs(_Struct):
-    _fields_ = (("torque", _ARRAY), ("rise", _ARRAY), ("scale", _ARRAY), ("points", _WHOLE))
+class _Springs(Struct):
+    _fields_ = (("torque", ARRAY), ("rise", ARRAY), ("scale", ARRAY), ("points", WHOLE))
 
 
-class _Plan(_Struct):
+class _Plan(Struct):
     _fields_ = (
-        *((name, _WHOLE) for name in ("count", "flight", "n", "arms", "commands")),
-        ("step", _REAL),
-        *((name, _ARRAY) for name in ("bodies", "commanded", "of", "stiffness", "damping")),
-        *((name, _ARRAY) for name in ("payload", "servo", "rigid")),
+        *((name, WHOLE) for name in ("count", "flight", "n", "arms", "commands")),
+        ("step", REAL),
+        *((name, ARRAY) for name in ("bodies", "commanded", "of", "stiffness", "damping")),
+        *((name, ARRAY) for name in ("payload", "servo", "rigid")),
         ("springs", _Springs),
-        ("links", _ARRAY),
+        ("links", ARRAY),
     )
 
 
-class _Arm(_Struct):
+class _Arm(Struct):
     _fields_ = (
-        *((name, _WHOLE) for name in ("n", "loops")),
-        *((name, _ARRAY) for name in ("parent", "slides", "rigid", "axis", "rotation")),
-        *((name, _ARRAY) for name in ("translation", "mass", "centre", "inertia")),
-        *((name, 3 * _REAL) for name in ("gravity", "force", "tool")),
-        ("carries_tool", _WHOLE),
-        *((name, _ARRAY) for name in ("damping", "friction", "hysteresis")),
-        *((name, _ARRAY) for name in ("springs", "windups", "cubics")),
-        ("pieces", _WHOLE),
-        *((name, _ARRAY) for name in ("times", "motion", "last")),
-        ("state", 3 * _MOST * _REAL),
-        ("slope", 3 * _MOST * _REAL),
+        *((name, WHOLE) for name in ("n", "loops")),
+        *((name, ARRAY) for name in ("parent", "slides", "rigid", "axis", "rotation")),
+        *((name, ARRAY) for name in ("translation", "mass", "centre", "inertia")),
+        *((name, 3 * REAL) for name in ("gravity", "force", "tool")),
+        ("carries_tool", WHOLE),
+        *((name, ARRAY) for name in ("damping", "friction", "hysteresis")),
+        *((name, ARRAY) for name in ("springs", "windups", "cubics")),
+        ("pieces", WHOLE),
+        *((name, ARRAY) for name in ("times", "motion", "last")),
+        ("state", 3 * _MOST * REAL),
+        ("slope", 3 * _MOST * REAL),
     )
 
 
@@ -92,13 +93,15 @@ def library(joints: int) -> ctypes.CDLL | None:
 
 @functools.cache
 def _source() -> str:
-    return _SOURCE.read_text(encoding="ascii")
+    folder = Path(__file__).parent
+    return "\n".join((folder / name).read_text(encoding="ascii") for name in _SOURCES)
 
 
 @functools.cache
 def _loaded(path: Path) -> ctypes.CDLL:
     loaded = ctypes.CDLL(str(path))
-    loaded.swing.restype = loaded.slope.restype = None
+    for loop in (loaded.swing, loaded.slope, loaded.take, loaded.march):
+        loop.restype = None
     loaded.slope.argtypes = (ctypes.c_void_p, ctypes.c_double)
     return loaded
 

@@ -15,6 +15,7 @@ from stiffopt.elastic import native
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.many_arms import Asked, ManyArms, Member, swings_together
 from stiffopt.elastic.motor import MotorMotion
+from stiffopt.elastic.response import SwingResponse
 from stiffopt.elastic.simulate import _Equations, simulate
 from stiffopt.elastic.uncertainty import Uncertainty, corners
 from stiffopt.robot.files import load_robot
@@ -102,3 +103,36 @@ def test_many_arms_swing_as_without_a_compiler(made, tmp_path, monkeypatch, soft
     for own, slow in zip(quick, swings_together(asked), strict=True):
         scale = np.abs(slow.deviation).max()
         np.testing.assert_allclose(own.deviation, slow.deviation, atol=1e-10 * scale)
+
+
+@pytest.mark.parametrize("n", [1, 2, 6, 7])
+def test_swings_about_a_motion_are_those_without_a_compiler(made, monkeypatch, n):
+    random = np.random.default_rng(n)
+    time = 0.002 * np.arange(403)
+    grown = 1.0 + 0.3 * np.sin(9.0 * time)[:, None, None]
+    root = random.normal(size=(n, n))
+    inertia = grown * (root @ root.T + np.eye(n))
+    rate = grown * (random.normal(size=(n, n)) + 5.0 * np.eye(n))
+    stiffness = grown * (random.normal(size=(n, n)) + 2e4 * np.diag(1.0 + np.arange(n)))
+    torque = random.normal(size=(len(time), n, 3))
+    torque[:50] = torque[300:, 0] = 0.0
+
+    def answers():
+        response = SwingResponse(inertia, rate, stiffness, 0.002)
+        changed = response.copy()
+        changed.change_springs(slice(100, 217), 0.3 * stiffness[100:217])
+        return [
+            *response(torque),
+            *changed(torque[..., 0]),
+            *response.moved(torque[..., 1]),
+            *changed.pushed(n - 1, torque[:, 0].T),
+            *response.free(random.normal(size=(2 * n, 2 * n))),
+        ]
+
+    assert made is not None
+    random = np.random.default_rng(0)
+    quick = answers()
+    monkeypatch.setenv("STIFFOPT_COMPILE", "never")
+    random = np.random.default_rng(0)
+    for one, other in zip(quick, answers(), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-11 * np.max(np.abs(other)))

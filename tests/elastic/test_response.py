@@ -5,7 +5,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh, expm
 
-from stiffopt.elastic.response import SwingResponse, exponentials
+from stiffopt.elastic.response import SwingResponse
+from stiffopt.elastic.steps import exponentials
 
 STEP, COUNT = 0.004, 500
 TIME = STEP * np.arange(COUNT)
