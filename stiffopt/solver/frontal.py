@@ -20,11 +20,13 @@ def library() -> Path | None:
     return compiler.library(KIND, _source())
 
 
-def options(made: Path) -> dict[str, str | float]:
+def options(made: Path) -> dict[str, str | int | float]:
     """What IPOPT is told to use it: it has the interface of HSL_MA97, which IPOPT loads by name."""
     return {
         "linear_solver": "ma97",
         "hsllib": str(made),
+        # Its residuals are small as they are: refined where IPOPT finds one that is not.
+        "min_refinement_steps": 0,
         # Pivots as small, relative to what they meet, as MUMPS is asked to take.
         "ma97_u": 1e-6,
         # What MA97 would do before it begins.
