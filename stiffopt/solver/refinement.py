@@ -38,6 +38,7 @@ from stiffopt.solver.standstill import at_rest
 from stiffopt.solver.verdict import TRUE_OBJECTIVE
 from stiffopt.transcription.between import Excess, drawn_in, excess_of, tightened
 from stiffopt.transcription.nlp import Nlp
+from stiffopt.transcription.point_function import PointFunction
 from stiffopt.transcription.refine import refine_mesh
 
 # Motions are tightened until the excess is below this, so that the certificate's tolerance is never
@@ -191,7 +192,7 @@ def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nl
                     break
                 if worst > (_CORNER if attempt > 1 else _SPIKE):
                     smoothing = replace(smoothing, corners=_passable(run, outcome))
-                rows = rows or exact_path_rows(run.problem, run.motion, run.scales)
+                rows = rows or PointFunction(exact_path_rows(run.problem, run.motion, run.scales))
                 bends = _BENDS if outcome.objective_gap > TRUE_OBJECTIVE else 1.0
                 known = excess_of(made.transcription, raw.x, smoothing.bent(bends).parameters, rows)
                 unseen = _unseen(known, excess)

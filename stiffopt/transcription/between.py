@@ -11,11 +11,10 @@ from __future__ import annotations
 from collections.abc import Container, Mapping
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 
-from stiffopt.symbolic import array_of
 from stiffopt.transcription.nlp import Block, Nlp
+from stiffopt.transcription.point_function import PointFunction
 from stiffopt.transcription.transcription import Transcription
 
 # Points in every interval at which rows are looked at.
@@ -41,7 +40,7 @@ class Excess:
 
 
 def excess_of(
-    transcription: Transcription, x: np.ndarray, parameters: np.ndarray, rows: ca.Function
+    transcription: Transcription, x: np.ndarray, parameters: np.ndarray, rows: PointFunction
 ) -> Excess:
     """Excess of the exact path rows of a motion, at the points of the programme and between them.
 
@@ -51,8 +50,8 @@ def excess_of(
     x : array
         The NLP vector that was found.
     parameters : array (np,)
-    rows : casadi.Function
-        Exact path rows (x, u, z, p) -> (m,).
+    rows : PointFunction
+        Exact path rows.
     """
     motion = transcription.guess_from(x)
     steps = transcription.intervals.shares @ transcription.phase_durations(x)
@@ -60,14 +59,9 @@ def excess_of(
     inside = np.linspace(0.0, 1.0, _POINTS, endpoint=False)
     times = np.append((breaks[:-1, None] + steps[:, None] * inside).ravel(), breaks[-1])
     share = times / breaks[-1]
-    values = array_of(
-        rows.map(len(times))(
-            motion.states(share).T,
-            motion.controls(share).T,
-            ca.repmat(ca.DM(motion.statics), 1, len(times)),
-            ca.repmat(ca.DM(parameters), 1, len(times)),
-        )
-    ).T
+    statics = np.tile(motion.statics, (len(times), 1))
+    points = np.hstack([motion.states(share), motion.controls(share), statics])
+    values = rows(points.T, parameters).T
     largest: dict[str, float] = {}
     near = []
     for block, entries in transcription.path_blocks:

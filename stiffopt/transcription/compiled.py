@@ -16,6 +16,8 @@ from stiffopt.transcription import node_derivatives, wide_code
 
 # -O1 compiles one and a half times as long for no faster evaluation, -O2 more than twice.
 OPTIMISE = "-Og"
+# Name of what is compiled without derivatives.
+VALUES = "values"
 # Inputs of a numbered stage that are the same at all points: parameters and numbers.
 SHARED = (1, 2)
 
@@ -26,7 +28,7 @@ def library(function: ca.Function) -> Path | None:
     Parameters
     ----------
     function : casadi.Function
-        Of a `NumberedStage`.
+        Of a `NumberedStage`; or of its inputs and of this name, to be compiled by itself: `VALUES`.
 
     Returns
     -------
@@ -42,7 +44,9 @@ def library(function: ca.Function) -> Path | None:
 
 def _code(formula: str) -> str:
     function = ca.Function.deserialize(formula)
-    return wide_code.wide_code(node_derivatives.with_derivatives(function), SHARED)
+    alone = function.name() == VALUES
+    functions = (function,) if alone else node_derivatives.with_derivatives(function)
+    return wide_code.wide_code(functions, SHARED)
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ from stiffopt.solver.solve import solve
 from stiffopt.transcription.between import excess_of, tightened
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import uniform_mesh
+from stiffopt.transcription.point_function import PointFunction
 
 GOAL = 'objective = "tool_deviation"'
 SMOOTHING = 0.25
@@ -225,7 +226,7 @@ def test_bounds_are_drawn_in_about_what_exceeds_them(planar):
     ocp = formulate(planar, motion, Scales())
     transcription = transcribe(ocp, mesh=uniform_mesh(8))
     x = transcription.pack(initial_guess(planar, motion, baselines(planar, motion)))
-    rows = exact_path_rows(planar, motion, Scales())
+    rows = PointFunction(exact_path_rows(planar, motion, Scales()))
     excess = excess_of(transcription, x, Smoothing(SMOOTHING).parameters, rows)
     nlp = tightened(transcription.nlp, excess, most=0.1)
     change = transcription.nlp.upper_g - nlp.upper_g
