@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import Constants, winds_up, working_compliance
-from stiffopt.discovery.catalogue.history import remember
+from stiffopt.discovery.catalogue.history import lagged
 from stiffopt.discovery.catalogue.robot_change import (
     SHARES,
     chain_of,
@@ -27,16 +27,8 @@ def belt_creep_term(
     """Wind-up C_now s + C_creep y, dy/dt = (s - y)/tau_r."""
     s = signals.spring_torque
     # A belt has settled under the load that the run begins with.
-    slow = remember(creep, [s], [s[0]], [np.exp(-signals.dt / shapes[0])])
+    slow = lagged(s, np.exp(-signals.dt / shapes[0]))
     return Term(deflection=amplitudes[0] * s + amplitudes[1] * slow)
-
-
-def creep(
-    state: Quantity, inputs: Sequence[Quantity], parameters: Sequence[Quantity]
-) -> tuple[Quantity, Quantity]:
-    """First-order lag whose step keeps the share `parameters[0]` of the distance."""
-    now = inputs[0] + (state[0] - inputs[0]) * parameters[0]
-    return now, now
 
 
 def _belt(

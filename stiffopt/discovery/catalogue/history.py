@@ -8,6 +8,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.linalg.lapack import dtbtrs
 
 from stiffopt.symbolic import Quantity, array_of, is_symbolic
 
@@ -41,6 +42,24 @@ def remember(
         return _written_out(step, inputs, state, parameters)
     output = scan(step, inputs, [float(x) for x in state], parameters)
     return output.T if is_symbolic(output) else output
+
+
+def lagged(values: Quantity, kept: Quantity) -> Quantity:
+    """First-order lag of a signal (K,) whose step keeps a share of the distance, from its begin."""
+    if is_symbolic(values) or is_symbolic(kept):
+        return remember(_lag, [values], [values[0]], [kept])
+    # A recurrence in one call: bidiagonal equations, of unit diagonal.
+    right = (1.0 - kept) * values
+    right[0] = values[0]
+    band = np.broadcast_to([[1.0], [-float(kept)]], (2, len(right)))
+    return np.asarray(dtbtrs(band, right, uplo="L", diag="U", overwrite_b=True)[0])
+
+
+def _lag(
+    state: Quantity, inputs: Sequence[Quantity], parameters: Sequence[Quantity]
+) -> tuple[Quantity, Quantity]:
+    now = inputs[0] + (state[0] - inputs[0]) * parameters[0]
+    return now, now
 
 
 def _written_out(
