@@ -38,6 +38,10 @@ class GivenArm:
     body_regressor: Quantity
     tilt: Quantity
 
+    def until(self, count: int) -> GivenArm:
+        """The first samples."""
+        return GivenArm(**{name: value[:count] for name, value in vars(self).items()})
+
     def thinned(self, every: int) -> GivenArm:
         """Every so many samples."""
         return GivenArm(**{name: value[::every] for name, value in vars(self).items()})

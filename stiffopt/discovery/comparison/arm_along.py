@@ -110,6 +110,10 @@ class ArmAlong:
         """Change of the torques for a turn of the base about x and y (K, n, 2) [N m/rad]."""
         return self._robot.tilt(self._motion[0])
 
+    def until(self, count: int) -> ArmAlong:
+        """The first samples, of what is worked out for all of them."""
+        return _ArmUntil(self, count)
+
     def thinned(self, every: int) -> ArmAlong:
         """Every so many samples."""
         return ArmAlong(self._robot, *(x[::every] for x in self._motion))
@@ -119,3 +123,31 @@ class ArmAlong:
         other = copy(self)
         other.body_regressor = BodyRegressor(self._robot, q, v, a)
         return other
+
+
+class _RegressorUntil(BodyRegressor):
+    def __init__(self, whole: BodyRegressor, count: int) -> None:
+        super().__init__(whole._robot, *(x[:count] for x in whole._motion))
+        self._whole, self._count = whole, count
+
+    def of(self, body: int) -> np.ndarray:
+        return self._whole.of(body)[: self._count]
+
+    def torque(self, change: np.ndarray) -> np.ndarray:
+        return self._whole.torque(change)[: self._count]
+
+
+class _ArmUntil(ArmAlong):
+    def __init__(self, whole: ArmAlong, count: int) -> None:
+        super().__init__(whole._robot, *(x[:count] for x in whole._motion))
+        self._whole, self._count = whole, count
+        self.body_regressor = _RegressorUntil(whole.body_regressor, count)
+
+    @cached_property
+    def _tool(self) -> tuple[np.ndarray, np.ndarray]:
+        position, jacobian = self._whole._tool
+        return position[: self._count], jacobian[: self._count]
+
+    @cached_property
+    def tilt(self) -> np.ndarray:
+        return self._whole.tilt[: self._count]

@@ -23,6 +23,8 @@ OF_SPRINGS = ("stiffness", "T1", "T2", "rounding")
 OF_BODIES = ("mass", "com", "body")
 MOVES_LINKS = (*OF_SPRINGS, "joint_damping", *OF_BODIES)
 
+# Relative values that act on the drive torque.
+_OF_DRIVES = ("rotor_inertia", "coulomb", "viscous", "torque_constant")
 # Values that act in proportion to all that a drive does.
 OF_LOAD = "torque_constant"
 
@@ -89,16 +91,9 @@ def nuisance_columns(
         return np.asarray(column)
 
     for j in range(robot.n):
-        speed = signals.motor_velocity[:, j]
-        relative = (
-            ("rotor_inertia", robot.rotor_inertia[j] * signals.motor_acceleration[:, j]),
-            ("coulomb", robot.coulomb[j] * smooth_sign(speed)),
-            ("viscous", robot.viscous[j] * speed),
-            ("torque_constant", signals.drive_torque[:, j]),
-        )
-        for name, values in relative:
+        for name in _OF_DRIVES:
             sd = getattr(tolerance, name)
-            if sd and asked(f"{name} {j + 1}") and np.any(values):
+            if sd and asked(f"{name} {j + 1}") and np.any(values := _of_drive(run, robot, name, j)):
                 yield NuisanceColumn(f"{name} {j + 1}", sd, Contribution(single(j, values)))
         if tolerance.stiffness:
             yield from _of_spring(run, j, tolerance.stiffness, asked)
@@ -116,8 +111,24 @@ def nuisance_columns(
             yield NuisanceColumn(name, tolerance.encoder_zero, added)
 
 
+def _of_drive(run: PreparedRun, robot: RobotModel, name: str, j: int) -> np.ndarray:
+    """Drive torque (K,) of one joint for a unit of a relative value."""
+    signals = run.signals
+    if name == "torque_constant":
+        return np.asarray(signals.drive_torque[:, j])
+    if name == "rotor_inertia":
+        return np.asarray(robot.rotor_inertia[j] * signals.motor_acceleration[:, j])
+    speed = signals.motor_velocity[:, j]
+    return np.asarray(
+        robot.viscous[j] * speed if name == "viscous" else robot.coulomb[j] * smooth_sign(speed)
+    )
+
+
 def _of_spring(run: PreparedRun, j: int, sd: float, asked: Asked) -> Iterator[NuisanceColumn]:
     signals = run.signals
+    names = [f"{kind}{knee} {j + 1}" for knee in ("T1", "T2") for kind in ("", "rounding ")]
+    if not any(asked(name) for name in (f"stiffness {j + 1}", *names)):
+        return
     if not np.any(signals.windup[:, j]):
         return
     # Relative to the joint as it is: of all its deflection where the links swing.

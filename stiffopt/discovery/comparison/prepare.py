@@ -95,6 +95,20 @@ class PreparedRun:
             self._compliance[index] = np.asarray(robot.constants.joints[index].compliance(torque))
         return self._compliance[index]
 
+    def until(self, count: int) -> PreparedRun:
+        """Its first samples, for what is asked of the signals of each."""
+        return replace(
+            self,
+            time=self.time[:count],
+            signals=self.signals.until(count),
+            torque=self.torque[:count],
+            deflection=self.deflection[:count],
+            torque_used=self.torque_used[:count],
+            deflection_used=self.deflection_used[:count],
+            moving=self.moving[:count],
+            beside=self.beside[:count] if isinstance(self.beside, np.ndarray) else self.beside,
+        )
+
     def springs(self, robot: RobotModel, damping: np.ndarray | None = None) -> Springs:
         """Springs between the motors and the links of this run, as damped as given or nominal."""
         s = self.signals

@@ -247,6 +247,9 @@ class ArmSignals(Protocol):
     def tilt(self) -> Quantity:
         """Change of the spring torques for a turn of the base about x and y (K, n, 2) [N m/rad]."""
 
+    def until(self, count: int) -> ArmSignals:
+        """The first samples."""
+
     def thinned(self, every: int) -> ArmSignals:
         """Every so many samples."""
 
@@ -297,11 +300,18 @@ class RobotSignals(MotionSignals):
         """As of the arm."""
         return self.arm.tilt
 
+    def until(self, count: int) -> RobotSignals:
+        """The first samples."""
+        return self._of_samples(slice(count), self.arm.until(count))
+
     def thinned(self, every: int) -> RobotSignals:
         """Every so many samples; the clock stays."""
+        return self._of_samples(slice(None, None, every), self.arm.thinned(every))
+
+    def _of_samples(self, samples: slice, arm: ArmSignals) -> RobotSignals:
         fields = {name: value for name, value in vars(self).items() if np.ndim(value) > 0}
-        kept: dict[str, Any] = {name: value[::every] for name, value in fields.items()}
-        return replace(self, arm=self.arm.thinned(every), **kept)
+        kept: dict[str, Any] = {name: value[samples] for name, value in fields.items()}
+        return replace(self, arm=arm, **kept)
 
     def of_joint(self, index: int) -> JointSignals:
         """Signals of one joint (0-based)."""

@@ -76,6 +76,10 @@ class LinkMotion:
     torque: np.ndarray
     spring: np.ndarray
 
+    def until(self, count: int) -> LinkMotion:
+        """Its first samples."""
+        return LinkMotion(*(part[:count] for part in vars(self).values()))
+
     def moved(self, z: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> LinkMotion:
         """The motion with a change; torques stay."""
         return replace(
@@ -222,9 +226,10 @@ class Swing:
         return -self.stiffness[..., None] * z - self.damping[:, None] * velocity, -z
 
 
-# From link motion to what is added: torque on the links, displacement of the springs' ends.
+# From link motion, or its first samples, to what is added: torque on the links, displacement of the
+# springs' ends.
 Added = Callable[[LinkMotion], tuple[np.ndarray, np.ndarray]]
-# From link motion to the compliance of the springs (K, n) over the nominal one.
+# From the same to the compliance of the springs (K, n) over the nominal one.
 Softer = Callable[[LinkMotion], np.ndarray]
 
 
@@ -257,9 +262,10 @@ class Springs:
     def motion(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, link_torque: np.ndarray | float = 0.0
     ) -> LinkMotion:
-        """The torques that belong to a motion of the links."""
+        """The torques that belong to a motion of the links, or to the first samples of one."""
         torque = self.robot.spring_torque(q, v, a) + link_torque
-        return LinkMotion(q, v, a, torque, torque - self.damping * (self.speed - v))
+        spring = torque - self.damping * (self.speed[: len(v)] - v)
+        return LinkMotion(q, v, a, torque, spring)
 
     def swing(
         self,
@@ -352,24 +358,22 @@ class Springs:
         softer : callable, optional
             What it makes of the springs.
         """
-        before, end, growing, given = np.inf, len(self.motor), 0, swing
+        before, growing, given = np.inf, 0, swing
+        count = end = len(self.motor)
         reached = [0]
-        torque: np.ndarray | float = 0.0
-        displaced: np.ndarray | float = 0.0
+        torque = np.zeros_like(self.motor)
         for _ in range(_ROUNDS):
             # None of it counts where it runs away.
             if not np.all(np.abs(links.acceleration) < _ABSURD):
                 return None
-            links = self.motion(links.position, links.velocity, links.acceleration, torque)
-            if added is not None:
-                before_it = torque
-                torque, displaced = added(links)
-                change = torque - before_it
-                links = replace(links, torque=links.torque + change, spring=links.spring + change)
-            gaps = self.motor - links.position - self.robot.windup(links.spring) - displaced
-            sizes = np.max(np.abs(gaps), axis=1)
+            for known in (min(end + _FEWEST, count), count):
+                # What comes much later is not asked for before all until then is settled.
+                own, gaps = self._gaps(links.until(known), torque[:known], added)
+                sizes = np.max(np.abs(gaps), axis=1)
+                if known == count or np.any(sizes[:end] >= _SETTLED):
+                    break
             if np.all(sizes < _SETTLED):
-                return links
+                return own
             first = int(np.argmax(sizes >= _SETTLED))
             reached.append(first)
             if len(reached) > _PATIENCE and first < reached[-_PATIENCE] + _FURTHER:
@@ -380,10 +384,11 @@ class Springs:
             if worst > _SLOW * before:
                 # Springs bend where the motion was taken to be: anew about where it is, as far as
                 # it is followed.
-                ratio = swing.softer if softer is None else softer(links)
+                whole = np.broadcast_to(swing.softer, self.motor.shape)
+                ratio = whole[:known] if softer is None else softer(own)
                 if swing is given:
                     swing = given.copy()
-                swing.change_springs(slice(first, end), self._stiffness(links, ratio))
+                swing.change_springs(slice(first, end), self._stiffness(own, ratio))
             if worst > before:
                 growing += end - first <= _FEWEST
                 if growing > _GROWING:
@@ -391,9 +396,33 @@ class Springs:
                 # What comes late hangs on all before it: so far, then further.
                 end = first + max(_FEWEST, (end - first) // 4)
             before = worst
-            gaps[end:] = 0.0
-            links = links.moved(*swing.response(swing.stiffness * gaps))
+            pull = np.zeros_like(self.motor)
+            pull[:end] = swing.stiffness[:end] * gaps[:end]
+            links = links.moved(*swing.response(pull))
         return None
+
+    def _gaps(
+        self, links: LinkMotion, torque: np.ndarray, added: Added | None
+    ) -> tuple[LinkMotion, np.ndarray]:
+        """The first samples of a motion with its torques, and what springs and motors lack to it.
+
+        Parameters
+        ----------
+        links : LinkMotion
+        torque : array (k, n)
+            That is added on the links, as known before; as of now afterwards [N m].
+        added : callable or None
+        """
+        k = len(links.position)
+        links = self.motion(links.position, links.velocity, links.acceleration, torque)
+        displaced: np.ndarray | float = 0.0
+        if added is not None:
+            now, displaced = added(links)
+            change = now - torque
+            torque[:] = now
+            links = replace(links, torque=links.torque + change, spring=links.spring + change)
+        wound = self.robot.windup(links.spring)
+        return links, self.motor[:k] - links.position - wound - displaced
 
 
 def damping_of(robot: RobotModel) -> np.ndarray:

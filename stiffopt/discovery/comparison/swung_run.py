@@ -110,16 +110,17 @@ def _followed(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prep
 
         def softer(links: LinkMotion, moved: PreparedRun = moved) -> np.ndarray:
             now = softer_by(_with_links(moved, robot, links), robot, effects)
-            return np.asarray(nominal * now)
+            return np.asarray(nominal[: len(now)] * now)
 
         def added(
             links: LinkMotion, moved: PreparedRun = moved, weight: np.ndarray = weight
         ) -> tuple[np.ndarray, np.ndarray]:
             change = change_of(_with_links(moved, robot, links), robot, sprung)
+            known = len(links.position)
             if isinstance(heavier, np.ndarray):
-                away = (links.acceleration - moved.signals.link_acceleration)[..., None]
-                change.link_torque[:] += (heavier @ away)[..., 0]
-            return change.link_torque + weight, change.deflection
+                away = links.acceleration - moved.signals.link_acceleration[:known]
+                change.link_torque[:] += (heavier[:known] @ away[..., None])[..., 0]
+            return change.link_torque + weight[:known], change.deflection
 
         links = (
             springs.follow(moved.links, swing, added, softer)
@@ -169,7 +170,9 @@ def _with_regressor(run: PreparedRun, robot: RobotModel) -> PreparedRun:
 
 
 def _with_links(run: PreparedRun, robot: RobotModel, links: LinkMotion) -> PreparedRun:
-    """The run with another motion of its links."""
+    """The run, or its first samples, with another motion of its links."""
+    if len(links.position) < len(run.time):
+        run = run.until(len(links.position))
     signals = run.signals
     return replace(
         run,
