@@ -101,7 +101,7 @@ class NativeSteps:
         self._made.march(
             ctypes.byref(self._own),
             native.WHOLE(many),
-            native.WHOLE(len(links)),
+            native.WHOLE(links.shape[1]),
             *(native.ARRAY(None if each is None else each.ctypes.data) for each in arrays),
         )
         return z, velocity, acceleration

@@ -177,8 +177,8 @@ static void accelerated(const Response *r, long long k, const double *z, const d
   }
 }
 
-/* m swings (m, steps + 1, n) under torques (m, steps + 1, links) on some links, from states (m, 2 n):
-   displacements, velocities and, where asked for, accelerations. */
+/* m swings (m, steps + 1, n) under torques (m, steps + 1, links), each on links of its own (m, links),
+   from states (m, 2 n): displacements, velocities and, where asked for, accelerations. */
 void march(const Response *r, long long m, long long links, const long long *link,
            const double *torque, const double *begin, double *z, double *velocity,
            double *acceleration) {
@@ -198,12 +198,13 @@ void march(const Response *r, long long m, long long links, const long long *lin
       for (int c = 0; c < many; c++) {
         double *state = states[c], shifted[STATE], end[STATE] = {0.0};
         const double *own = torque + ((first + c) * count + k) * links;
+        const long long *on = link + (first + c) * links;
         long long at = ((first + c) * count + k) * n;
         for (int i = 0; i < n; i++) z[at + i] = state[i], velocity[at + i] = r->unit * state[n + i];
         if (acceleration) {
           double left[MOST_SWINGING] = {0.0};
           int none = still[c];
-          for (long long q = 0; q < links; q++) left[link[q]] = own[q], none &= own[q] == 0.0;
+          for (long long q = 0; q < links; q++) left[on[q]] = own[q], none &= own[q] == 0.0;
           if (none)
             for (int i = 0; i < n; i++) acceleration[at + i] = 0.0;
           else accelerated(r, k, z + at, velocity + at, left, acceleration + at);
@@ -213,8 +214,8 @@ void march(const Response *r, long long m, long long links, const long long *lin
         for (long long q = 0; q < links; q++) {
           double now = own[q], next = own[links + q], ramp = (next - now) / r->dt;
           if (now == 0.0 && next == 0.0) continue;
-          const double *soft = r->soft + (k * n + link[q]) * n;
-          const double *lag = r->lag + (k * n + link[q]) * n;
+          const double *soft = r->soft + (k * n + on[q]) * n;
+          const double *lag = r->lag + (k * n + on[q]) * n;
           double over = ramp / r->unit;
           still[c] = 0;
           for (int i = 0; i < n; i++) {

@@ -75,7 +75,7 @@ class SwingResponse:
             [rad], [rad/s], [rad/s^2].
         """
         many = np.moveaxis(torque, 2, 0) if torque.ndim == 3 else torque[None]
-        z, velocity, acceleration = self._marched(np.arange(self.n), many)
+        z, velocity, acceleration = self._marched(np.tile(np.arange(self.n), (len(many), 1)), many)
         if torque.ndim == 2:
             return z[0], velocity[0], acceleration[0]
         return np.moveaxis(z, 0, 2), np.moveaxis(velocity, 0, 2), np.moveaxis(acceleration, 0, 2)
@@ -86,13 +86,15 @@ class SwingResponse:
         The same as a call gives; what a step does with a torque is kept from call to call.
         """
         links = np.flatnonzero(torque.any(axis=0))
-        z, velocity, _ = self._steps.march(links, torque[None][..., links], None, accelerated=False)
+        z, velocity, _ = self._steps.march(
+            links[None], torque[None][..., links], None, accelerated=False
+        )
         return z[0], velocity[0]
 
-    def pushed(self, link: int, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Swing and its velocity (m, K, n) under each of m torques (m, K) on one link."""
+    def pushed(self, links: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Swing and its velocity (m, K, n) under m torques (m, K), each on one link (m,)."""
         z, velocity, _ = self._steps.march(
-            np.array([link]), torque[..., None], None, accelerated=False
+            links[:, None], torque[..., None], None, accelerated=False
         )
         return z, velocity
 
@@ -106,7 +108,7 @@ class SwingResponse:
         """
         begin = state.T / np.repeat([1.0, self._unit], self.n)
         nothing = np.zeros((len(begin), len(self._stiffness), 0))
-        found = self._marched(np.arange(0), nothing, begin)
+        found = self._marched(np.zeros((len(begin), 0), dtype=int), nothing, begin)
         z, velocity, acceleration = (np.moveaxis(each, 0, 2) for each in found)
         return z, velocity, acceleration
 

@@ -34,9 +34,9 @@ class Steps(Protocol):
 
         Parameters
         ----------
-        links : array (l,) of int
+        links : array (m, l) of int
         torque : array (m, K, l)
-            On these links [N m].
+            Each on links of its own [N m].
         begin : array (m, 2 n) or None
             Displacements [rad], then velocities over `unit`; None is at rest.
         """
@@ -116,21 +116,21 @@ class ArraySteps:
         added = np.zeros((*torque.shape[:2], 2 * self._n))
         if begin is not None:
             added[:, 0] = begin
-        if len(links) == self._n:
-            # One after another: that is faster than all together.
-            for own, each in zip(added, torque, strict=True):
-                own += self._forced(each)
-        else:
-            for link, own in zip(links.tolist(), np.moveaxis(torque, 2, 0), strict=True):
-                at_begin, at_end = self._gains
-                added[:, 1:] += at_begin[link] * own[:, :-1, None]
-                added[:, 1:] += at_end[link] * own[:, 1:, None]
+        # One after another: that is faster than all together.
+        for state, on, each in zip(added, links, torque, strict=True):
+            if len(on) == self._n:
+                state += self._forced(each)
+                continue
+            for link, own in zip(on.tolist(), each.T, strict=True):
+                begin_of, end_of = self._gains
+                state[1:] += begin_of[link] * own[:-1, None] + end_of[link] * own[1:, None]
         state = self._solved(added)
         z, velocity = state[..., : self._n], self._unit * state[..., self._n :]
         if not accelerated:
             return z, velocity, None
         left = -(self._rate @ velocity[..., None] + self._stiffness @ z[..., None])[..., 0]
-        left[..., links] += torque
+        for each, on, own in zip(left, links, torque, strict=True):
+            each[:, on] += own
         return z, velocity, (self._mobility @ left[..., None])[..., 0]
 
     def _forced(self, torque: np.ndarray) -> np.ndarray:

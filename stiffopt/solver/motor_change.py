@@ -173,7 +173,7 @@ def _answer(
     columns = []
     for k, joint in enumerate(joints):
         push = springs[:, k, None] * moved + arm.damping[joint] * rate
-        swing, _ = response.pushed(k, np.ascontiguousarray(push.T))
+        swing, _ = response.pushed(np.full(push.shape[1], k), push.T)
         tool = np.einsum("kij,mkj->kim", jacobian, swing[:, at])
         away = tool - jacobian[:, :, k, None] * moved[at, None]
         both = np.concatenate([weight[..., None] * tool, away[flying]])

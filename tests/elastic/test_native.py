@@ -125,7 +125,7 @@ def test_swings_about_a_motion_are_those_without_a_compiler(made, monkeypatch, n
             *response(torque),
             *changed(torque[..., 0]),
             *response.moved(torque[..., 1]),
-            *changed.pushed(n - 1, torque[:, 0].T),
+            *changed.pushed(np.array([n - 1, 0, 0]), torque[:, 0].T),
             *response.free(random.normal(size=(2 * n, 2 * n))),
         ]
 

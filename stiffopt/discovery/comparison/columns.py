@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,7 +12,7 @@ import numpy as np
 from stiffopt.discovery.comparison.extended_run import around
 from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.extension_change import moves_links
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import LocatedEffect, channels
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import MOVES_LINKS, OF_LOAD, nuisance_columns
 from stiffopt.discovery.comparison.pieces import PieceColumns, PieceProducts, Pieces, PieceSums
@@ -26,6 +27,8 @@ _MOST_BLOCKS = 8
 # Columns that are kept for the next time they are asked for: those of shapes that every search
 # starts from as far as memory goes [bytes], and the latest of others.
 _KEPT_BYTES, _KEPT_LATEST = 2**27, 64
+# Motions of all links that are worked out beside each other [bytes].
+_TOGETHER_BYTES = 2**22
 # Of modes that a run may begin to swing in, over the filter's cutoff.
 _BEYOND_CUTOFF = 1.5
 # Earlier extensions that columns are kept about.
@@ -259,13 +262,33 @@ class Columns:
         for kept in (self._kept, self._latest):
             if key in kept:
                 return kept[key]
-        constants = self.runs[0].signals.constants
-        sizes = located.sizes(constants)
-        columns = self._made_of(located, sizes)
+        if located.joint is None:
+            return self._keep(located, self._of_robot(located))
+        return self._keep(located, self._of_joints([located])[0])
+
+    def make(self, effects: Sequence[LocatedEffect]) -> None:
+        """Make columns that will be asked for next; together that is less where links swing."""
+        if any(run.swing is None for run in self.runs):
+            return
+        asked = [
+            each
+            for each in effects
+            if each.joint is not None and each.key not in self._kept.keys() | self._latest.keys()
+        ]
+        longest = max(run.signals.spring_torque.nbytes for run in self.runs)
+        many = min(_KEPT_LATEST // 2, max(1, _TOGETHER_BYTES // longest))
+        for begin in range(0, min(len(asked), _KEPT_LATEST // 2), many):
+            part = asked[begin : begin + many]
+            for each, columns in zip(part, self._of_joints(part), strict=True):
+                self._keep(each, columns)
+
+    def _keep(self, located: LocatedEffect, columns: PieceColumns) -> PieceColumns:
+        """Keep columns for the next time they are asked for."""
+        key = located.key
         self._bytes += columns.nbytes
         place = located.key[:-1]
         if place not in self._starts:
-            self._starts[place] = located.starts(constants)
+            self._starts[place] = located.starts(self.runs[0].signals.constants)
         grids = zip(located.shapes, self._starts[place], strict=True)
         if self._bytes < _KEPT_BYTES and all(value in grid for value, grid in grids):
             self._kept[key] = columns
@@ -276,20 +299,32 @@ class Columns:
             self._latest.pop(next(iter(self._latest)))
         return columns
 
-    def _made_of(self, located: LocatedEffect, sizes: np.ndarray) -> PieceColumns:
-        """Columns for such sizes of the amplitudes."""
-        count = len(sizes)
-        if located.joint is None:
-            per_run = [list(located.columns(run, self.robot)) for run in self.runs]
-            rows = [
-                self.rows.flatten([c[0] for c in each], [c[1] for c in each])
-                for each in zip(*per_run, strict=True)
-            ]
-            return self.pieces.split(np.column_stack(rows) * sizes)
+    def _of_robot(self, located: LocatedEffect) -> PieceColumns:
+        """Columns of an effect that is of no single joint."""
+        per_run = [list(located.columns(run, self.robot)) for run in self.runs]
+        rows = [
+            self.rows.flatten([c[0] for c in each], [c[1] for c in each])
+            for each in zip(*per_run, strict=True)
+        ]
+        return self.pieces.split(np.column_stack(rows) * self._sizes(located))
+
+    def _of_joints(self, effects: Sequence[LocatedEffect]) -> list[PieceColumns]:
+        """Columns of effects of joints, made together."""
+        sizes = [self._sizes(each) for each in effects]
+        parts: list[list[tuple[int, np.ndarray]]] = [[] for _ in effects]
         # One run after another: where links swing, all channels of it are moved.
-        added = (list(located.channels(run, self.robot)) for run in self.runs)
-        parts = ((begin, part * sizes) for begin, part in self.rows.of_channels(added, count))
-        return self.pieces.from_stretches(parts, count)
+        for number, run in enumerate(self.runs):
+            for own, size, of_run in zip(
+                parts, sizes, channels(effects, run, self.robot), strict=True
+            ):
+                stretches = self.rows.of_channels(number, of_run, len(size))
+                own.extend((begin, part * size) for begin, part in stretches)
+        both = zip(parts, sizes, strict=True)
+        return [self.pieces.from_stretches(own, len(size)) for own, size in both]
+
+    def _sizes(self, located: LocatedEffect) -> np.ndarray:
+        """Typical size of every amplitude (k,)."""
+        return located.sizes(self.runs[0].signals.constants)
 
     def _distance(self, found: Extension, inflation: np.ndarray | None) -> float:
         """Rms over the noise that is left of what links would do otherwise than here."""
@@ -298,8 +333,8 @@ class Columns:
         values = np.array([change.calibration.get(name, 0.0) for name in names])
         rows = matrix @ values
         for each in change.effects:
-            sizes = each.located.sizes(self.runs[0].signals.constants)
-            rows = rows + self.of_effect(each.located) @ (np.array(each.amplitudes) / sizes)
+            amplitudes = np.array(each.amplitudes) / self._sizes(each.located)
+            rows = rows + self.of_effect(each.located) @ amplitudes
         if inflation is not None:
             rows = rows / inflation[self.rows.channel]
         return float(np.sqrt(np.mean(rows**2)))

@@ -16,6 +16,10 @@ from stiffopt.discovery.effect import Effect
 from stiffopt.units import joint_unit
 
 Kind = Literal["torque", "deflection"]
+# Kind of channel, joint and amplitude (from 0), and the change (K,) for a unit of it.
+ChannelChange = tuple[Kind, int, int, np.ndarray]
+# Amplitude (from 0), torque on the joint's link, and displacement of its spring's end.
+Push = tuple[int, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,18 +165,16 @@ class LocatedEffect:
             _column(term.reading, like, self.joint),
         )
 
-    def channels(
+    def directly(
         self, run: PreparedRun, robot: RobotModel
-    ) -> Iterator[tuple[Kind, int, int, np.ndarray]]:
-        """Changes (K,) of single channels for a unit of each amplitude, where anything changes.
-
-        Of an effect of a joint: kind, joint and amplitude (from 0), and the change; several of one
-        channel add up.
-        """
+    ) -> tuple[list[ChannelChange], list[Push]]:
+        """Changes for a unit of each amplitude, and what sets links going where these swing."""
         assert self.joint is not None
         if self.run is not None and run.name != self.run:
-            return
-        signals, count, pushes = run.of_joint(self.joint), len(self.effect.amplitudes), {}
+            return [], []
+        signals, count = run.of_joint(self.joint), len(self.effect.amplitudes)
+        changes: list[ChannelChange] = []
+        pushes: list[Push] = []
         for i in range(count):
             unit = [1.0 if k == i else 0.0 for k in range(count)]
             term = self.effect.term(signals, unit, self.shapes)
@@ -186,7 +188,7 @@ class LocatedEffect:
                 if loaded:
                     deflection = deflection + run.compliance(robot, self.joint) * link
             elif loaded or wound.any():
-                pushes[i] = link, wound
+                pushes.append((i, link, wound))
             added: tuple[tuple[Kind, int, np.ndarray], ...] = (
                 ("torque", self.joint, torque),
                 ("deflection", self.joint, deflection),
@@ -194,17 +196,8 @@ class LocatedEffect:
             )
             for kind, joint, values in added:
                 if joint >= 0 and values.any():
-                    yield kind, joint, i, np.broadcast_to(values, run.time.shape)
-        if run.swing is not None and pushes:
-            links, wounds = (
-                np.stack([np.broadcast_to(x, run.time.shape) for x in each])
-                for each in zip(*pushes.values(), strict=True)
-            )
-            answers = run.swing.pushed(self.joint, links, wounds)
-            for i, torques, deflections in zip(pushes, *answers, strict=True):
-                for joint in range(robot.n):
-                    yield "torque", joint, i, torques[:, joint]
-                    yield "deflection", joint, i, deflections[:, joint]
+                    changes.append((kind, joint, i, np.broadcast_to(values, run.time.shape)))
+        return changes, pushes
 
     def columns(
         self, run: PreparedRun, robot: RobotModel
@@ -214,6 +207,31 @@ class LocatedEffect:
         for i in range(count):
             unit = [1.0 if k == i else 0.0 for k in range(count)]
             yield self.contribution(run, unit).channels(run, robot)
+
+
+def channels(
+    effects: Sequence[LocatedEffect], run: PreparedRun, robot: RobotModel
+) -> list[list[ChannelChange]]:
+    """Changes of single channels for a unit of each amplitude, of effects of joints.
+
+    Several of one channel add up. Links are set going by all of them beside each other.
+    """
+    both = [each.directly(run, robot) for each in effects]
+    found, swing = [changes for changes, _ in both], run.swing
+    pushed = [(k, *push) for k, (_, pushes) in enumerate(both) for push in pushes]
+    if swing is None or not pushed:
+        return found
+    owners, amplitudes, links, wounds = zip(*pushed, strict=True)
+    joints = np.array([effects[k].joint for k in owners])
+    answers = swing.pushed(
+        joints,
+        *(np.stack([np.broadcast_to(x, run.time.shape) for x in each]) for each in (links, wounds)),
+    )
+    for k, i, torques, deflections in zip(owners, amplitudes, *answers, strict=True):
+        for joint in range(robot.n):
+            found[k].append(("torque", joint, i, torques[:, joint]))
+            found[k].append(("deflection", joint, i, deflections[:, joint]))
+    return found
 
 
 def places(effect: Effect, robot: RobotConstants, runs: Sequence[str]) -> Iterator[LocatedEffect]:

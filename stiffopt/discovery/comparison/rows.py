@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -129,38 +129,36 @@ class ChannelRows:
                 )
 
     def of_channels(
-        self, added: Iterable[Sequence[tuple[str, int, int, np.ndarray]]], count: int
+        self, number: int, own: Sequence[tuple[str, int, int, np.ndarray]], count: int
     ) -> Iterator[tuple[int, np.ndarray]]:
-        """Columns of rows from what they add to single channels of every run.
+        """Columns of rows from what they add to single channels of one run (from 0).
 
         Parameters
         ----------
-        added : iterable of sequence of (kind, joint, column, array (K,)), one a run
+        number : int
+        own : sequence of (kind, joint, column, array (K,))
             "torque" or "deflection", and the joint from 0.
         count : int
 
         Yields
         ------
         (int, array (rows, count))
-            First row, and the columns from there on, of each channel of a run that anything is
-            added to.
+            First row, and the columns from there on, of each channel that anything is added to.
         """
-        for run, places, begins, own in zip(
-            self.runs, self._places, self._begins, added, strict=True
-        ):
-            if not own:
-                continue
-            passed = run.low_pass.thinned(np.stack([values for *_, values in own], axis=1))
-            found: dict[int, np.ndarray] = {}
-            for (kind, joint, column, _), values in zip(own, passed.T, strict=True):
-                of_kind = kind == "deflection"
-                scale = self.noise.deflection if of_kind else self.noise.torque
-                channel = of_kind * self.n + joint
-                where = places.rows[channel]
-                columns = found.setdefault(channel, np.zeros((len(where), count)))
-                columns[:, column] += values[where] / (scale[joint] * run.low_pass.noise_gain)
-            for channel, columns in found.items():
-                yield int(begins[channel]), columns
+        if not own:
+            return
+        run, places, begins = self.runs[number], self._places[number], self._begins[number]
+        passed = run.low_pass.thinned(np.stack([values for *_, values in own], axis=1))
+        found: dict[int, np.ndarray] = {}
+        for (kind, joint, column, _), values in zip(own, passed.T, strict=True):
+            of_kind = kind == "deflection"
+            scale = self.noise.deflection if of_kind else self.noise.torque
+            channel = of_kind * self.n + joint
+            where = places.rows[channel]
+            columns = found.setdefault(channel, np.zeros((len(where), count)))
+            columns[:, column] += values[where] / (scale[joint] * run.low_pass.noise_gain)
+        for channel, columns in found.items():
+            yield int(begins[channel]), columns
 
     def sampled(self, signal: Callable[[PreparedRun], np.ndarray]) -> np.ndarray:
         """Values of a signal (K, ...) of each run at every row (m, ...)."""

@@ -147,13 +147,13 @@ class Swing:
         return -self.stiffness * z - pushed - self.damping * velocity, -z
 
     def pushed(
-        self, joint: int, link_torque: np.ndarray, deflection: np.ndarray
+        self, joints: np.ndarray, link_torque: np.ndarray, deflection: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Changes as `answer` gives them, (m, K, n) each, of m pushes (m, K) at one joint."""
-        wound = self.stiffness[:, joint] * deflection
-        z, velocity = self.response.pushed(joint, -(wound + link_torque))
+        """Changes as `answer` gives them, (m, K, n) each, of m pushes (m, K), each at one joint."""
+        wound = self.stiffness.T[joints] * deflection
+        z, velocity = self.response.pushed(joints, -(wound + link_torque))
         torque = -self.stiffness * z - self.damping * velocity
-        torque[..., joint] -= wound
+        torque[np.arange(len(joints)), :, joints] -= wound
         return torque, -z
 
     def begun_near(self, links: LinkMotion, near: LinkMotion, window: slice) -> LinkMotion:

@@ -317,6 +317,7 @@ def scan(
             if any(tried[0].same_place(other) for other in scorer.base):
                 continue
             price = float(np.log(len(tried)))
+            scorer.comparison.columns.make([e for e in tried if e.possible(constants)])
             found = []
             for each in tried:
                 tell(f"try {each.label}{place} ({pace.words(number)})")
