@@ -58,6 +58,8 @@ _LARGEST_STEP = 0.15
 _HASTE = 8.0
 # Share of an excess that the exact rows have to show where it is theirs.
 _SEEN = 0.5
+# Shares of these limits that are left to motors which have to calm their links, doubled each time.
+_OF_DRIVES, _ROOM = ("velocity", "acceleration", "jerk", "torque"), 0.04
 # Of the widths of the joints' stiffness, by which exact rows are looked at where the objective is
 # worse than believed: what is passed over a bend of it shows.
 _BENDS = 0.1
@@ -157,19 +159,22 @@ def _corrected(run: SolveRun, outcome: Outcome) -> Outcome:
     """The same mesh, rows drawn in where the exact ones, or the simulated arm, exceed them."""
     nlp = outcome.transcription.nlp
     outcome, nlp = _within_rows(run, outcome, nlp)
-    for _ in range(_REFINEMENTS):
+    for again in range(_REFINEMENTS):
         found = _calmed(run, outcome)
         late = _after_arrival(run.problem, found.assessment)
         if not (late and outcome.raw.converged):
             return found
+        if not any(block.rows.name in late for block in nlp.rows.items):
+            # The plan is at rest then, the arm is not: its motors lack the room to calm it.
+            late = dict.fromkeys(_OF_DRIVES, _ROOM * 2.0**again)
         try:
             nlp = drawn_in(nlp, late)
-            again = solve_again(run, outcome, nlp, outcome.smoothing)
+            other = solve_again(run, outcome, nlp, outcome.smoothing)
         except KeyboardInterrupt:
             return stopped(found)
-        if _failed(again.raw):
+        if _failed(other.raw):
             return found
-        outcome, nlp = _within_rows(run, again, nlp)
+        outcome, nlp = _within_rows(run, other, nlp)
     return _calmed(run, outcome)
 
 

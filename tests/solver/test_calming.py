@@ -96,3 +96,20 @@ def test_an_arm_that_cannot_be_simulated_keeps_its_motors(solved, monkeypatch):
     found, _ = solve_keeping(problem)
     assert found.objective.value == before.objective.value
     np.testing.assert_array_equal(found.assessment.position, before.assessment.position)
+
+
+def test_a_least_duration_leaves_motors_the_room_to_calm_their_links(tmp_path):
+    write_robot(tmp_path, "planar", ARMS["planar"][0])
+    path = tmp_path / "problem.toml"
+    goal = {
+        "duration": '{ lower = "0.3 s", upper = "3 s" }',
+        "minimise": 'objective = "duration"',
+        "limits": 'settling_time = "40 ms"\nsettling_band = "20 um"',
+    }
+    path.write_text(problem_text("planar", **goal))
+    problem = load_problem(path).problem
+    solution, _ = solve_keeping(problem, compare=False)
+    assert solution.status.usable
+    found = swing(problem, solution)
+    late = found.time > solution.trajectory.duration + 0.04
+    assert np.linalg.norm(found.deviation[late], axis=1).max() < 20e-6
