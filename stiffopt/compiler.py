@@ -26,7 +26,7 @@ _FLAGS = ("-fPIC", "-shared", "-ffp-contract=off")
 _NATIVE = ("-march=native",)
 _PACKAGES = Path(__file__).parents[1]
 # What names of libraries begin with, in a folder that may hold something else.
-_KINDS = ("stage", "swings", "frontal")
+_KINDS = ("stage", "swings", "frontal", "bodies")
 
 # Compilers at work for this process, by library; kept, or Python would complain of them.
 _started: dict[Path, subprocess.Popen[bytes]] = {}
@@ -56,7 +56,7 @@ def library(
     Parameters
     ----------
     kind : str
-        What its name begins with, one of "stage", "swings" and "frontal".
+        What its name begins with, one of "stage", "swings", "frontal" and "bodies".
     given : str
         What it is made of; C code, if by this module.
     made_by : sequence of str

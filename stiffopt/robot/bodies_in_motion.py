@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from stiffopt.robot.body_tree import body_tree
+from stiffopt.robot.native_bodies import NativeBodies
 from stiffopt.robot.rigid_body import without_rotors
 
 
@@ -47,6 +50,10 @@ class BodiesInMotion:
         self._model = without_rotors(model)
         self._data = self._model.createData()
 
+    @cached_property
+    def _native(self) -> NativeBodies:
+        return NativeBodies(body_tree(self._model))
+
     def with_gravity(self, gravity: np.ndarray) -> BodiesInMotion:
         """The same bodies under another gravity (3,) [m/s^2], base axes."""
         changed = BodiesInMotion(self._model)
@@ -55,7 +62,8 @@ class BodiesInMotion:
 
     def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Inverse dynamics: position, velocity, acceleration (K, n) -> torque (K, n)."""
-        return torques_along(self._model, q, v, a)
+        found = self._native.torque(q, v, a)
+        return torques_along(self._model, q, v, a) if found is None else found
 
     def gravity_torque(self, q: np.ndarray) -> np.ndarray:
         """Torque (K, n) that holds the weight at rest."""
@@ -86,6 +94,9 @@ class BodiesInMotion:
             In the order of `Body.inertial_parameters`; of bodies that need not exist by themselves.
         q, v, a : array (K, n)
         """
+        found = self._native.with_parameters(change).torque(q, v, a)
+        if found is not None:
+            return found
         torques = []
         for times in (1.0, 0.0):
             model = self._model.copy()

@@ -1,0 +1,110 @@
+"""Inverse dynamics along a motion, compiled (bodies.c), where the library is there already."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from pathlib import Path
+
+import numpy as np
+
+from stiffopt import compiler
+from stiffopt.robot.body_tree import BodyTree
+
+_SOURCE = Path(__file__).with_name("bodies.c")
+# Joints that the C code has room for.
+_MOST = 32
+# Instants from which it is worth while.
+_MANY = 16
+
+
+class _Bodies(ctypes.Structure):
+    _fields_ = (
+        ("n", ctypes.c_longlong),
+        *(
+            (name, ctypes.c_void_p)
+            for name in ("parent", "slides", "axis", "rotation", "translation", "inertial")
+        ),
+        ("gravity", ctypes.c_void_p),
+    )
+
+
+class NativeBodies:
+    """An arm's bodies as the compiled loop takes them.
+
+    Parameters
+    ----------
+    tree : BodyTree
+    inertial : array (n, 10), optional
+        In place of the bodies' own, in the order of `Body.inertial_parameters`; of bodies that need
+        not exist by themselves.
+    """
+
+    def __init__(self, tree: BodyTree, inertial: np.ndarray | None = None) -> None:
+        self._tree, self._n = tree, tree.n
+        if inertial is None:
+            inertial = np.array([body.inertial_parameters for body in tree.bodies])
+        self._kept: dict[str, np.ndarray] = {
+            "parent": np.array([body.parent for body in tree.bodies], dtype=np.int64),
+            "slides": np.array([body.prismatic for body in tree.bodies], dtype=np.int64),
+            "inertial": np.ascontiguousarray(inertial, dtype=float),
+            "gravity": np.ascontiguousarray(tree.gravity, dtype=float),
+            **{
+                name: np.array([getattr(body, name) for body in tree.bodies], dtype=float)
+                for name in ("axis", "rotation", "translation")
+            },
+        }
+        self._own = _Bodies(
+            n=self._n, **{name: array.ctypes.data for name, array in self._kept.items()}
+        )
+
+    def with_parameters(self, inertial: np.ndarray) -> NativeBodies:
+        """The same joints with other inertial parameters (n, 10)."""
+        return NativeBodies(self._tree, inertial)
+
+    def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray | None:
+        """Torques (K, n) along a motion (K, n) each; None where the library was not prepared."""
+        if len(q) < _MANY or self._n > _MOST or (made := _LIBRARY.loaded()) is None:
+            return None
+        motion = [np.ascontiguousarray(x, dtype=float) for x in (q, v, a)]
+        torque = np.empty(motion[0].shape)
+        made.inverse(
+            ctypes.byref(self._own),
+            ctypes.c_longlong(len(torque)),
+            *(ctypes.c_void_p(x.ctypes.data) for x in (*motion, torque)),
+        )
+        return torque
+
+
+class _Library:
+    """The library, looked for once it was asked for and until it is there."""
+
+    def __init__(self) -> None:
+        self.wanted = False
+        self._loaded: ctypes.CDLL | None = None
+
+    def loaded(self) -> ctypes.CDLL | None:
+        """It, if it is there."""
+        if self.wanted and self._loaded is None:
+            path = compiler.library("bodies", _source())
+            if path is not None:
+                self._loaded = ctypes.CDLL(str(path))
+                self._loaded.inverse.restype = None
+        return self._loaded
+
+
+_LIBRARY = _Library()
+
+
+def prepare() -> None:
+    """Have the library made beside other work, if there is none yet; torques use it from then on.
+
+    For many long motions: one by one pinocchio is as good.
+    """
+    _LIBRARY.wanted = True
+    _LIBRARY.loaded()
+
+
+@functools.cache
+def _source() -> str:
+    return _SOURCE.read_text(encoding="ascii")

@@ -1,0 +1,61 @@
+"""Compiled inverse dynamics against pinocchio's."""
+
+import shutil
+
+import numpy as np
+import pytest
+from small_arms import write_robot
+
+from stiffopt import compiler
+from stiffopt.robot import native_bodies
+from stiffopt.robot.bodies_in_motion import torques_along
+from stiffopt.robot.body_tree import body_tree
+from stiffopt.robot.files import load_robot
+from stiffopt.robot.native_bodies import NativeBodies
+from stiffopt.robot.rigid_body import without_rotors
+
+
+@pytest.fixture
+def made(tmp_path_factory, monkeypatch):
+    """The library, and as it was again afterwards."""
+    monkeypatch.setenv("STIFFOPT_CACHE", str(tmp_path_factory.getbasetemp() / "libraries"))
+    monkeypatch.delenv("STIFFOPT_COMPILE", raising=False)
+    monkeypatch.setattr(native_bodies, "_LIBRARY", native_bodies._Library())
+    native_bodies.prepare()
+    compiler.wait()
+    yield native_bodies._LIBRARY.loaded()
+    compiler._started.clear()
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+@pytest.mark.parametrize("name", ["er3a_c60", "ur10", "planar", "slide", "spatial"])
+@pytest.mark.parametrize("count", [16, 403])
+def test_torques_are_those_of_pinocchio(made, tmp_path, name, count):
+    assert made is not None
+    robot = load_robot(name if name in ("er3a_c60", "ur10") else write_robot(tmp_path, name))
+    model = without_rotors(robot.model)
+    random = np.random.default_rng(count)
+    q, v, a = (size * random.normal(size=(count, robot.n)) for size in (3.0, 2.0, 30.0))
+    # Far angles, and what is no number at all.
+    q[3, 0], q[5, -1] = -3e6, 2e4
+    expected = torques_along(model, q, v, a)
+    found = NativeBodies(body_tree(model)).torque(q, v, a)
+    assert found is not None
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12 * np.max(np.abs(expected)))
+    v[7, 0] = np.nan
+    found = NativeBodies(body_tree(model)).torque(q, v, a)
+    assert found is not None
+    assert not np.isfinite(found[7]).all()
+    assert np.isfinite(np.delete(found, 7, axis=0)).all()
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+def test_torques_of_changed_bodies_are_what_they_add(made, monkeypatch):
+    robot = load_robot("ur10")
+    random = np.random.default_rng(1)
+    change = random.normal(size=(robot.n, 10))
+    q, v, a = random.normal(size=(3, 60, robot.n))
+    bodies = robot.bodies_in_motion()
+    quick = bodies.changed_torque(change, q, v, a)
+    monkeypatch.setattr(native_bodies, "_MANY", 61)
+    np.testing.assert_allclose(quick, bodies.changed_torque(change, q, v, a), rtol=0.0, atol=1e-10)
