@@ -12,10 +12,10 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import carried_share, winds_up
-from stiffopt.discovery.catalogue.history import remember
+from stiffopt.discovery.catalogue.history import following, remember
 from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
-from stiffopt.symbolic import Quantity
+from stiffopt.symbolic import Quantity, is_symbolic
 
 # Exponents nearer to one than this are taken as a series; of the limit, what counts as reached.
 _NEAR_ONE, _LEAST_LEFT = 1e-3, 1e-9
@@ -37,7 +37,10 @@ def hysteresis_term(
 ) -> Term:
     """Wind-up -D'(s) h y: inner friction h y carries part of the torque and lags the wind-up."""
     d = signals.windup
-    side = remember(dahl, [d], [0.0, d[0]], [shapes[0], shapes[1]])
+    if is_symbolic(d) or is_symbolic(shapes[0]) or shapes[1] != 1.0:
+        side = remember(dahl, [d], [0.0, d[0]], [shapes[0], shapes[1]])
+    else:
+        side = _evenly(d, shapes[0])
     slope = signals.constants.compliance(signals.spring_torque)
     return Term(deflection=-amplitudes[0] * slope * side)
 
@@ -55,6 +58,13 @@ def dahl(
     left = ca.fmax(_inverse_power(fallen, 1.0 - exponent), 0.0)
     now = ca.if_else(side == 0.0, state[0], side * (1.0 - left))
     return ca.vertcat(now, inputs[0]), now
+
+
+def _evenly(windup: np.ndarray, reach: float) -> np.ndarray:
+    """What `dahl` gives with the exponent one: what is left to the limit falls by a factor."""
+    travel = np.diff(windup, prepend=windup[:1])
+    kept = np.exp(-np.abs(travel) / reach)
+    return following(kept, np.sign(travel) * (1.0 - kept))
 
 
 def _power(logarithm: Quantity, rest: Quantity) -> Quantity:

@@ -48,11 +48,16 @@ def lagged(values: Quantity, kept: Quantity) -> Quantity:
     """First-order lag of a signal (K,) whose step keeps a share of the distance, from its begin."""
     if is_symbolic(values) or is_symbolic(kept):
         return remember(_lag, [values], [values[0]], [kept])
-    # A recurrence in one call: bidiagonal equations, of unit diagonal.
-    right = (1.0 - kept) * values
-    right[0] = values[0]
-    band = np.broadcast_to([[1.0], [-float(kept)]], (2, len(right)))
-    return np.asarray(dtbtrs(band, right, uplo="L", diag="U", overwrite_b=True)[0])
+    added = (1.0 - kept) * values
+    added[0] = values[0]
+    return following(np.full(len(added), float(kept)), added)
+
+
+def following(kept: np.ndarray, added: np.ndarray) -> np.ndarray:
+    """Values (K,) of x_k = kept_k x_k-1 + added_k from added_0 on: bidiagonal equations."""
+    band = np.ones((2, len(kept)))
+    band[1, :-1] = -kept[1:]
+    return np.asarray(dtbtrs(band, added, uplo="L", diag="U")[0])
 
 
 def _lag(
