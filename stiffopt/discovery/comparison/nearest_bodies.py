@@ -8,7 +8,7 @@ as well scaled as any.
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import block_diag, cho_factor, cho_solve
+from scipy.linalg.lapack import dposv
 
 from stiffopt.discovery.comparison.bodies import (
     A_BODY,
@@ -76,17 +76,16 @@ def nearest_bodies(
         own = inertial_parameters(moved * outer[:, None])
         above, below = 1.0 / (box - x[boxed]), 1.0 / (box + x[boxed])
         size[boxed] = 1.0 / np.hypot(above, below)
-        # From steps in the point's own coordinates to steps of the values.
-        turned = np.diag(size)
-        turned[place, place] = block_diag(*own.swapaxes(1, 2))
-        slope = turned.T @ (gram @ x - moment)
+        slope = _to_local(own, size, place, (gram @ x - moment)[:, None])[:, 0]
         slope[place] -= weight * np.tile(_TRACES, len(nominal))
         slope[boxed] += weight * (above - below) * size[boxed]
-        curved = turned.T @ gram @ turned
+        half = _to_local(own, size, place, gram)
+        curved = _to_local(own, size, place, np.ascontiguousarray(half.T))
         curved[place, place] += weight * np.eye(own.shape[0] * A_BODY)
         curved[boxed, boxed] += weight
         local = _solved(curved, -slope)
-        step = turned @ local
+        step = size * local
+        step[place] = np.einsum("bji,bj->bi", own, local[place].reshape(nominal.shape)).ravel()
         change = np.tensordot(local[place].reshape(nominal.shape), _SYMMETRIC, 1)
         nearing = np.append(step[boxed] * above, -step[boxed] * below)
         border = max(float(np.max(nearing, initial=0.0)), -float(np.linalg.eigvalsh(change).min()))
@@ -98,7 +97,29 @@ def nearest_bodies(
     return x
 
 
+def _to_local(own: np.ndarray, size: np.ndarray, place: slice, rows: np.ndarray) -> np.ndarray:
+    """Slopes (p, c) by steps in the point's own coordinates, from those by the values.
+
+    Parameters
+    ----------
+    own : array (n, 10, 10)
+        Values of each body for a unit of its own coordinates, by rows.
+    size : array (p,)
+        Of the other values.
+    place : slice
+        Of the bodies' values.
+    rows : array (p, c)
+    """
+    out = size[:, None] * rows
+    bodies = rows[place].reshape(len(own), A_BODY, -1)
+    out[place] = (own @ bodies).reshape(-1, rows.shape[1])
+    return np.asarray(out)
+
+
 def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solution with a positive definite matrix, in units that make its diagonal one."""
     unit = 1.0 / np.sqrt(np.diag(matrix))
-    return np.asarray(unit * cho_solve(cho_factor(matrix * np.outer(unit, unit)), unit * right))
+    _, found, failed = dposv(matrix * (unit[:, None] * unit), unit * right)
+    if failed:
+        raise np.linalg.LinAlgError("matrix is not positive definite")
+    return np.asarray(unit * found)
