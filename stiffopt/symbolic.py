@@ -8,6 +8,7 @@ symbols.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -46,7 +47,7 @@ class InPlace:
     def __init__(self, function: ca.Function) -> None:
         self.function = function
         self._buffer, self._evaluate = function.buffer()
-        self._given = [np.zeros(function.size_in(i)[0]) for i in range(function.n_in())]
+        self._given = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
         self._found = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
         # Sizes are told by the memory itself, which CasADi's annotations do not know.
         set_given: Any = self._buffer.set_arg
@@ -55,11 +56,14 @@ class InPlace:
             set_given(i, memoryview(given.data))
         for i, found in enumerate(self._found):
             set_found(i, memoryview(found.data))
-        patterns = [function.sparsity_out(i) for i in range(function.n_out())]
-        self._patterns = [(np.array(p.row()), np.array(p.colind()), p.shape) for p in patterns]
+
+    @cached_property
+    def _patterns(self) -> list[tuple[np.ndarray, np.ndarray, tuple[int, int]]]:
+        patterns = [self.function.sparsity_out(i) for i in range(self.function.n_out())]
+        return [(np.array(p.row()), np.array(p.colind()), p.shape) for p in patterns]
 
     def __call__(self, *given: np.ndarray | float) -> list[np.ndarray]:
-        """Non-zeros of all outputs, for dense columns; overwritten by the next call."""
+        """Non-zeros of all outputs, for those of dense inputs; overwritten by the next call."""
         for own, value in zip(self._given, given, strict=True):
             own[:] = value
         self._evaluate()

@@ -19,6 +19,7 @@ two nodes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -29,7 +30,8 @@ from stiffopt.dynamics.deflection import Deflection
 from stiffopt.problem.stage_model import StageModel
 from stiffopt.problem.stage_terms import WINDUP_SMOOTHING
 from stiffopt.result.trajectory import Trajectory
-from stiffopt.symbolic import Quantity, array_of
+from stiffopt.symbolic import Quantity
+from stiffopt.transcription.point_function import PointFunction
 
 if TYPE_CHECKING:
     from stiffopt.problem.trajectory import TrajectoryProblem
@@ -112,16 +114,6 @@ class MotorModel(StageModel):
         """Wind-up under weight and process force (n,) [rad]."""
         return self.windup_of_motors(self.torques.held)
 
-    def rates(self, value: Quantity, orders: int, count: int = 3) -> list[Quantity]:
-        """A value and its first derivatives by time, so many.
-
-        `orders` counts the derivatives of the links, position included, that the value depends on.
-        """
-        found = [value]
-        for further in range(count):
-            found.append(self._rate(found[-1], orders + further))
-        return found
-
     @cached_property
     def velocity(self) -> Quantity:
         """Of the motors (n,) [rad/s]."""
@@ -162,9 +154,7 @@ class MotorModel(StageModel):
         return ca.vertcat(*angles)
 
     def _rate(self, value: Quantity, orders: int) -> Quantity:
-        """Derivative by time of a value that depends on so many derivatives of the links."""
-        along = self._derivatives
-        return ca.jtimes(value, ca.vertcat(*along[:orders]), ca.vertcat(*along[1 : orders + 1]))
+        return _rate(value, self._derivatives, orders)
 
 
 class NearMotorModel(MotorModel):
@@ -245,17 +235,15 @@ class MotorLaw:
     """
 
     def __init__(self, robot: Robot, process_force: object = (0.0, 0.0, 0.0)) -> None:
-        motion = [ca.SX.sym(f"d{k}", robot.n) for k in range(6)]
+        n = robot.n
+        motion, torque = [ca.SX.sym(f"d{k}", n) for k in range(3)], ca.SX.sym("torque", n)
         smoothing = ca.SX.sym("smoothing")
-        model = MotorModel(robot, motion, smoothing, np.zeros(robot.n), process_force, 1.0)
+        model = MotorModel(robot, motion, smoothing, np.zeros(n), process_force, 1.0)
         # What acts on the springs does not depend on how wide corners are: most of the cost, once.
-        self._spring = _law(motion, model.rates(model.torques.spring, 3))
+        self._spring = _law(motion, model.torques.spring)
         # All that motors need of it; each further rate costs twice the one before.
-        self._held = _law(motion[:4], model.rates(model.torques.held, 1))
-        torques = [ca.SX.sym(f"t{k}", robot.n) for k in range(6)]
-        windup = model.windup_of_motors(torques[0])
-        along = MotorModel(robot, torques, smoothing, np.zeros(robot.n), process_force, 1.0)
-        self._windup = _law([*torques[:4], smoothing], along.rates(windup, 1))
+        self._held = _law(motion[:1], model.torques.held)
+        self._windup = _law([torque], model.windup_of_motors(torque), smoothing)
         self._last: tuple[Trajectory, np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def motion(
@@ -335,16 +323,35 @@ class MotorLaw:
         return np.concatenate([place, plan[4:] - np.stack([along(moves, k) for k in (4, 5)])])
 
 
-def _law(given: list[Quantity], values: list[Quantity]) -> ca.Function:
-    """A formula for many instants, in which nothing is computed twice."""
-    return ca.Function("law", given, [ca.densify(each) for each in ca.cse(values)])
+def _rate(value: Quantity, along: Sequence[Quantity], orders: int) -> Quantity:
+    """Derivative by time of a value that depends on so many of a motion's derivatives."""
+    return ca.jtimes(value, ca.vertcat(*along[:orders]), ca.vertcat(*along[1 : orders + 1]))
 
 
-def _of(law: ca.Function, rates: np.ndarray, *numbers: float) -> np.ndarray:
+def _law(given: list[Quantity], value: Quantity, *numbers: Quantity) -> PointFunction:
+    """A value and its first three rates, for many instants and of numbers alike at all of them.
+
+    Given is what it depends on: something that moves, its first derivative and so on.
+    """
+    n, orders, empty = value.numel(), len(given), ca.SX(0, 1)
+    inputs: list[Quantity] = [ca.vertcat(*given), empty, empty, ca.vertcat(empty, *numbers)]
+
+    def rates(known: Quantity, found: Quantity) -> tuple[Quantity, Quantity]:
+        along = [*ca.vertsplit(known, n), *(ca.SX.sym(f"r{k}", n) for k in range(3))]
+        values = [found]
+        for k in range(3):
+            values.append(_rate(values[-1], along, orders + k))
+        # Nothing is computed twice.
+        return ca.vertcat(*along), ca.vertcat(*ca.cse(values))
+
+    return PointFunction(ca.Function("law", inputs, [value]), rates)
+
+
+def _of(law: PointFunction, rates: np.ndarray, *numbers: float) -> np.ndarray:
     """A law's values (m, K, n) along what has so many rates (k, K, n), and of further numbers."""
-    count = rates.shape[1]
-    given = (*(each.T for each in rates), *(np.full((1, count), each) for each in numbers))
-    return np.stack([array_of(each).T for each in law.map(count)(*given)])
+    orders, count, n = rates.shape
+    values = law(rates.swapaxes(0, 1).reshape(count, orders * n).T, np.array(numbers))
+    return values.reshape(-1, n, count).swapaxes(1, 2)
 
 
 def _sampled(motion: Trajectory) -> np.ndarray:

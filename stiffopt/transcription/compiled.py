@@ -35,11 +35,16 @@ def library(function: ca.Function) -> Path | None:
     Path or None
         None until it is made, which takes some seconds, and where it cannot be.
     """
+    return library_of(function.serialize())
+
+
+def library_of(formula: str) -> Path | None:
+    """The same for a function's serialised form, which takes longest to make."""
     if compiler.compiler() is None:
         return None
     made_by = [Path(str(each.__file__)).read_text() for each in (node_derivatives, wide_code)]
     made_by += [ca.CasadiMeta.version(), OPTIMISE]
-    return compiler.library("stage", function.serialize(), made_by, __name__)
+    return compiler.library("stage", formula, made_by, __name__)
 
 
 def _code(formula: str) -> str:

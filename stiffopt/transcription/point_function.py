@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import casadi as ca
 import numpy as np
 
-from stiffopt.symbolic import array_of
+from stiffopt.symbolic import InPlace
 from stiffopt.transcription import compiled
 from stiffopt.transcription.node_derivatives import numbered
 
@@ -17,16 +19,28 @@ class PointFunction:
     ----------
     function : casadi.Function
         (x, u, z, p) -> (m,), of SX.
+    extended : callable, optional
+        What is wanted in place of the values, and of which variables: of the variables and values,
+        with numbers of the function as symbols. Numbers of a short function are taken out sooner
+        than those of its derivatives.
     """
 
-    def __init__(self, function: ca.Function) -> None:
+    def __init__(
+        self,
+        function: ca.Function,
+        extended: Callable[[ca.SX, ca.SX], tuple[ca.SX, ca.SX]] | None = None,
+    ) -> None:
         own = numbered(function)
-        inputs = own.function.sx_in()
+        variables, *same = own.function.sx_in()
+        values = own.function.call([variables, *same])[1]
+        if extended is not None:
+            variables, values = extended(variables, values)
         # By itself: a stage would be compiled with its derivatives.
-        self._values = ca.Function(compiled.VALUES, inputs, own.function.call(inputs)[1:])
+        self._values = ca.Function(compiled.VALUES, [variables, *same], [ca.densify(values)])
         self._numbers = own.numbers
         # Made while the first points are looked at without it.
-        self._library = compiled.library(self._values)
+        self._formula = self._values.serialize()
+        self._library = compiled.library_of(self._formula)
 
     def __call__(self, variables: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Values (m, k).
@@ -39,11 +53,13 @@ class PointFunction:
             The same at all points.
         """
         if self._library is None:
-            self._library = compiled.library(self._values)
+            self._library = compiled.library_of(self._formula)
         library, count = self._library, variables.shape[1]
         one = self._values if library is None else ca.external(compiled.VALUES, str(library))
         lanes = int(one.size2_in(0))
         calls = -(-count // lanes)
-        filled = np.pad(variables, ((0, 0), (0, calls * lanes - count)), mode="edge")
-        same = (ca.repmat(ca.DM(each), 1, calls) for each in (parameters, self._numbers))
-        return array_of(one.map(calls)(filled, *same))[:, :count]
+        # Columns of matrices are rows of arrays.
+        filled = np.pad(variables.T, ((0, calls * lanes - count), (0, 0)), mode="edge")
+        same = (np.tile(each, calls) for each in (parameters, self._numbers))
+        (values,) = InPlace(one.map(calls))(filled.ravel(), *same)
+        return np.asarray(values.reshape(len(filled), -1)[:count].T)

@@ -26,3 +26,15 @@ def test_the_same_numbers_compiled(tmp_path, monkeypatch, count):
     compiler.wait()
     np.testing.assert_allclose(quick(points, parameters), plain, rtol=1e-15, atol=0)
     assert quick._library is not None
+
+
+def test_rates_in_place_of_values():
+    q, p, none = ca.SX.sym("q"), ca.SX.sym("p"), ca.SX(0, 1)
+    speed = ca.SX.sym("speed")
+    found = PointFunction(
+        ca.Function("rows", [q, none, none, p], [ca.sin(0.7 * q) * p]),
+        lambda x, y: (ca.vertcat(x, speed), ca.vertcat(y, ca.jtimes(y, x, speed))),
+    )
+    points = np.array([[0.1, 1.1, -2.0], [3.0, 0.0, 0.4]])
+    expected = [2.5 * np.sin(0.7 * points[0]), 2.5 * 0.7 * np.cos(0.7 * points[0]) * points[1]]
+    np.testing.assert_allclose(found(points, np.array([2.5])), expected, rtol=1e-14, atol=1e-15)
