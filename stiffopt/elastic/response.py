@@ -25,6 +25,12 @@ class SwingResponse:
         M [kg m^2], C [N m s/rad] and K [N m/rad] at every sample.
     dt : float
         Between samples [s].
+    mobility : array (K, n, n), optional
+        Inverse of the inertia, where it is known.
+
+    Attributes
+    ----------
+    mobility : array (K, n, n)
 
     Notes
     -----
@@ -32,15 +38,20 @@ class SwingResponse:
     """
 
     def __init__(
-        self, inertia: np.ndarray, rate: np.ndarray, stiffness: np.ndarray, dt: float
+        self,
+        inertia: np.ndarray,
+        rate: np.ndarray,
+        stiffness: np.ndarray,
+        dt: float,
+        mobility: np.ndarray | None = None,
     ) -> None:
         self.dt, self.n = dt, inertia.shape[1]
-        self._mobility = np.linalg.inv(inertia)
+        self.mobility = np.linalg.inv(inertia) if mobility is None else mobility
         self._stiffness = np.array(stiffness, dtype=float, order="C")
         # Velocities over a typical rate, so that all states are of one size.
-        self._unit = float(np.sqrt(np.max(np.abs(self._mobility @ self._stiffness))))
+        self._unit = float(np.sqrt(np.max(np.abs(self.mobility @ self._stiffness))))
         given = (
-            self._mobility,
+            self.mobility,
             np.ascontiguousarray(rate, dtype=float),
             self._stiffness,
             dt,
@@ -119,7 +130,7 @@ class SwingResponse:
         on its way may have masses that cannot be: what then does not swing has 0 Hz and no shape.
         """
         mobility, stiffness = (
-            0.5 * (m[sample] + m[sample].T) for m in (self._mobility, self._stiffness)
+            0.5 * (m[sample] + m[sample].T) for m in (self.mobility, self._stiffness)
         )
         root = np.linalg.cholesky(stiffness)
         squares, turned = eigh(root.T @ mobility @ root)

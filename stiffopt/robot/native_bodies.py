@@ -14,8 +14,8 @@ from stiffopt.robot.body_tree import BodyTree
 _SOURCE = Path(__file__).with_name("bodies.c")
 # Joints that the C code has room for.
 _MOST = 32
-# Instants from which it is worth while.
-_MANY = 16
+# Instants from which it is worth while, and of which copies are made at once.
+_MANY, _AT_ONCE = 16, 2**14
 
 
 class _Bodies(ctypes.Structure):
@@ -66,13 +66,17 @@ class NativeBodies:
         """Torques (K, n) along a motion (K, n) each; None where the library was not prepared."""
         if len(q) < _MANY or self._n > _MOST or (made := _LIBRARY.loaded()) is None:
             return None
-        motion = [np.ascontiguousarray(x, dtype=float) for x in (q, v, a)]
-        torque = np.empty(motion[0].shape)
-        made.inverse(
-            ctypes.byref(self._own),
-            ctypes.c_longlong(len(torque)),
-            *(ctypes.c_void_p(x.ctypes.data) for x in (*motion, torque)),
-        )
+        torque = np.empty(q.shape)
+        for begin in range(0, len(q), _AT_ONCE):
+            part = torque[begin : begin + _AT_ONCE]
+            motion = [
+                np.ascontiguousarray(x[begin : begin + _AT_ONCE], dtype=float) for x in (q, v, a)
+            ]
+            made.inverse(
+                ctypes.byref(self._own),
+                ctypes.c_longlong(len(part)),
+                *(ctypes.c_void_p(x.ctypes.data) for x in (*motion, part)),
+            )
         return torque
 
 

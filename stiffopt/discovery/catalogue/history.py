@@ -103,8 +103,12 @@ def scan(
     mapped = _mapped(step, len(state), len(inputs), len(parameters), count)
     samples = np.vstack([np.asarray(u, dtype=float).ravel() for u in inputs])
     symbolic = any(is_symbolic(p) for p in parameters)
-    own = ca.vertcat(*parameters) if parameters else ca.DM.zeros(0, 1)
-    _, output = mapped(ca.DM(list(state)), samples, ca.repmat(own, 1, count))
+    own: Any
+    if symbolic:
+        own = ca.repmat(ca.vertcat(*parameters), 1, count)
+    else:
+        own = np.tile(np.array(parameters, dtype=float)[:, None], count)
+    _, output = mapped(ca.DM(list(state)), samples, own)
     return output if symbolic else array_of(output).ravel()
 
 

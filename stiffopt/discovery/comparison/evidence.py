@@ -225,12 +225,13 @@ class _Factored:
         precision = inner - half.T @ half
         precision.flat[:: len(moment) + 1] += 1.0
         goal = moment - self._half[0] @ half
-        covariance = np.linalg.inv(precision)
-        mean = covariance @ goal
         if len(moment) == 1:
+            covariance = 1.0 / precision
             log_size = math.log(precision[0, 0])
         else:
+            covariance = np.linalg.inv(precision)
             log_size = float(np.linalg.slogdet(precision)[1])
+        mean = covariance @ goal
         evidence = float(self._evidence[0]) + 0.5 * float(goal @ mean) - 0.5 * log_size
 
         def base() -> np.ndarray:

@@ -294,11 +294,15 @@ class Springs:
         weight, rate, inertia = bodies
         stiffness = self._stiffness(links, softer)
         own = np.eye(self.robot.n)
+        mobility = None
+        if near is not None and not np.any(heavier) and not np.any(near.heavier):
+            mobility = near.response.mobility
         response = SwingResponse(
             inertia + heavier,
             rate + self.damping * own,
             weight + stiffness[..., None] * own,
             self.dt,
+            mobility,
         )
         return Swing(response, stiffness, self.damping, bodies, links, softer, heavier)
 
