@@ -11,6 +11,7 @@ import numpy as np
 
 from stiffopt.errors import ProblemError, nearest
 from stiffopt.transcription import compiled
+from stiffopt.transcription.along_splines import AlongSplines
 from stiffopt.transcription.hermite_simpson import HermiteSimpson
 from stiffopt.transcription.integrator_chain import IntegratorChain
 from stiffopt.transcription.mesh import Mesh, checked_mesh
@@ -72,7 +73,7 @@ def transcribe(
     """
     integrators = len(ocp.chains[0]) - 1 if ocp.chains else 2
     scheme = scheme_of(method, degree, integrators)
-    stage = ocp.numbered_stage
+    stage = _stage_of(ocp, scheme)
     if scales is not None:
         states, controls, statics = scales.variables[:3]
         ocp = replace(ocp, state_scale=states, control_scale=controls, static_scale=statics)
@@ -84,10 +85,10 @@ def adapted(first: Transcription, ocp: OptimalControlProblem) -> Transcription |
 
     Also where its stage has been compiled since. Mesh and scales stay.
     """
-    stage = ocp.numbered_stage
+    stage = _stage_of(ocp, first.scheme)
     if structure_of(ocp, stage, first.scheme, first.mesh) != first.structure:
         return None
-    if not first.is_compiled and compiled.library(stage.function) is not None:
+    if not first.is_compiled and compiled.library(stage.function, stage.along) is not None:
         return None
     own = scaled_like(ocp, first.ocp)
     if same_bounds(own, first.ocp):
@@ -96,6 +97,16 @@ def adapted(first: Transcription, ocp: OptimalControlProblem) -> Transcription |
         nlp = replace(first.nlp, numbers=np.append(fixed, stage.numbers))
         return replace(first, ocp=own, nlp=nlp)
     return _Builder(own, first.scheme, first.mesh, stage, first).build()
+
+
+def _stage_of(ocp: OptimalControlProblem, scheme: Scheme) -> NumberedStage:
+    """The stage, along splines where their coefficients are the variables."""
+    stage, splines = ocp.numbered_stage, scheme.splines(ocp, [np.ones(1)])
+    if splines is None:
+        return stage
+    free = ocp.phases > 1 or not ocp.fixed_duration
+    along = AlongSplines(splines.places, splines.degree, len(ocp.statics), free)
+    return replace(stage, formula=f"{stage.formula} {along}", along=along)
 
 
 class _Builder:
@@ -392,22 +403,29 @@ class _Builder:
             rows = Rows.make("continuity", [*ocp.states, *ocp.controls], 0.0, 0.0, scales)
             self._row(rows, enter - leave, ends[0], structural=True)
 
-    def _slope_of_variables(self, points: StagePoints, durations: ca.MX) -> ca.MX | None:
-        """Derivatives of the stage's variables of all points by those of the programme."""
-        if self.splines is None:
-            return None
-        values = ca.vertcat(points.states, points.controls)
-        count, height, statics = len(points.places), values.shape[0], self.statics.size
-        moved, lasting = self.splines.slopes(points.places, values, durations)
-        width = 0 if self.durations is None else self.durations.size
-        upper = ca.horzcat(moved, ca.MX(moved.shape[0], statics), lasting[:, :width])
-        own = ca.diag(ca.DM(self.statics.scales)) if statics else ca.DM(0, 0)
-        lower = ca.horzcat(ca.DM(statics, self.splines.size), own, ca.DM(statics, width))
-        stacked = ca.vertcat(upper, *[lower] * count)
-        # Point by point: states, controls, static variables.
-        first = np.arange(count)[:, None] * height + np.arange(height)
-        second = moved.shape[0] + np.arange(count)[:, None] * statics + np.arange(statics)
-        return stacked[np.hstack([first, second]).ravel().tolist(), :]
+    def _along_splines(self, points: StagePoints, durations: ca.MX) -> tuple[ca.MX, ca.DM]:
+        """Bases of the splines at all points, and which of the programme's variables each takes."""
+        along, splines, coefficients = self.own_stage.along, self.splines, self.coefficients
+        assert along is not None
+        assert splines is not None
+        assert coefficients is not None
+        count, n = len(points.places), len(along.chains)
+        rows, basis = splines.about(points.places)
+        own = [(rows[:, :, None] * n + np.arange(n)).reshape(count, -1) + coefficients.offset]
+        own.append(np.tile(self.statics.offset + np.arange(self.statics.size), (count, 1)))
+        values: ca.MX = ca.MX(ca.DM(basis.reshape(count, -1).T))
+        if self.durations is None:
+            powers = np.repeat(np.arange(along.orders), along.degree + 1)
+            values = values * ca.repmat(durations ** ca.DM(-powers), 1, count)
+        else:
+            own.append(self.durations.offset + points.places.phase[:, None])
+        columns = np.hstack(own).ravel()
+        scales = np.concatenate([block.scales for block in self.variables.items])
+        pattern = ca.Sparsity.triplet(
+            len(columns), self.variables.size, list(range(len(columns))), columns.tolist()
+        )
+        # Entries of a pattern stand column by column.
+        return values, ca.DM(pattern, scales[np.sort(columns)])
 
     def _symbol(self, block: Block) -> ca.MX:
         part = self.x[block.offset : block.offset + block.size]
@@ -457,12 +475,17 @@ class _Builder:
     def _stage(self, s: Symbols, points: StagePoints, statics: ca.MX) -> ca.MX:
         count = len(points.places)
         values = self.own_stage.function.size1_out(1)
+        if self.splines is None:
+            basis = self.slope_of_variables = None
+            self.variables_of_stage = ca.vertcat(
+                points.states, points.controls, ca.repmat(statics, 1, count)
+            )
+        else:
+            basis, chosen = self._along_splines(points, s.durations)
+            self.slope_of_variables = ca.MX(chosen)
+            self.variables_of_stage = ca.reshape(ca.mtimes(chosen, self.x), -1, count)
         if self.like is None:
-            self.stage = StageFunction(self.own_stage, count, len(self.ocp.parameters))
-        self.variables_of_stage = ca.vertcat(
-            points.states, points.controls, ca.repmat(statics, 1, count)
-        )
-        self.slope_of_variables = self._slope_of_variables(points, s.durations)
+            self.stage = StageFunction(self.own_stage, count, len(self.ocp.parameters), basis)
         # Stand for the stage's values, so that derivatives can be put together from its own.
         self.values = ca.MX.sym("values", values, count)
         first = self.ocp.stage.size1_out(0)

@@ -59,6 +59,11 @@ class ChainSplines:
         """Number of states and controls at a point."""
         return self.orders * len(self.chains)
 
+    @property
+    def places(self) -> tuple[tuple[int, ...], ...]:
+        """Where position to control of each chain stand among states above controls."""
+        return tuple(tuple(self._indices(j)) for j in range(len(self.chains)))
+
     @cached_property
     def counts(self) -> np.ndarray:
         """Coefficients of a chain in each phase."""
@@ -95,28 +100,34 @@ class ChainSplines:
         own.resize((own.shape[0], columns))
         return ca.DM(own.tocsc())
 
-    def slopes(self, places: Places, values: ca.MX, durations: ca.MX) -> tuple[ca.MX, ca.MX]:
-        """Derivatives of `at` by the coefficients and by the durations.
+    def about(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
+        """What is not zero at places.
 
         Parameters
         ----------
         places : Places
-        values : MX (nx + nu, P)
-            What `at` gives there.
-        durations : MX (phases,)
 
         Returns
         -------
-        MX ((nx + nu) P, size), MX ((nx + nu) P, phases)
+        coefficients : array (P, degree + 1) of int
+            Rows of the coefficients (size / n, n).
+        basis : array (P, orders, degree + 1)
+            Derivatives by shares of the phase's duration.
         """
-        matrix, powers, phases = self._map(places)
-        lasting = _lasting(durations, phases)
-        by_coefficients = ca.mtimes(ca.diag(lasting ** ca.DM(-powers)), _sparse(matrix))
-        rate = -ca.DM(powers) * ca.vec(values) / lasting
-        rows = np.arange(len(powers))
-        pattern = ca.Sparsity.triplet(len(rows), len(self.mesh), rows.tolist(), phases.tolist())
-        # Entries of a pattern stand column by column.
-        return by_coefficients, ca.MX(pattern, rate[np.lexsort((rows, phases)).tolist()])
+        begins = np.cumsum(self.counts) - self.counts
+        splines = np.arange(self.degree + 1)
+        rows = np.zeros((len(places), len(splines)), dtype=int)
+        basis = np.zeros((len(places), self.orders, len(splines)))
+        for phase in np.unique(places.phase):
+            own, fractions = places.phase == phase, places.fraction[places.phase == phase]
+            borders = np.cumsum(self.mesh[phase])[:-1]
+            interval = np.searchsorted(borders, fractions, side="right")
+            first = (self.control_degree * interval)[:, None] + splines
+            rows[own] = begins[phase] + first
+            for order in range(self.orders):
+                values = self._basis(int(phase), fractions, order)
+                basis[own, order] = np.take_along_axis(values, first, axis=1)
+        return rows, basis
 
     def numeric(
         self, places: Places, coefficients: np.ndarray, durations: np.ndarray

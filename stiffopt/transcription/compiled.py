@@ -5,14 +5,17 @@ A library depends on formula, derivatives and CasADi, besides what `stiffopt.com
 
 from __future__ import annotations
 
+import json
 import os
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import casadi as ca
 
 from stiffopt import compiler
-from stiffopt.transcription import node_derivatives, wide_code
+from stiffopt.transcription import along_splines, node_derivatives, wide_code
+from stiffopt.transcription.along_splines import AlongSplines
 
 # -O1 compiles one and a half times as long for no faster evaluation, -O2 more than twice.
 OPTIMISE = "-Og"
@@ -22,35 +25,48 @@ VALUES = "values"
 SHARED = (1, 2)
 
 
-def library(function: ca.Function) -> Path | None:
+def library(function: ca.Function, along: AlongSplines | None = None) -> Path | None:
     """Find the compiled form of a numbered stage; where there is none yet, have it made.
 
     Parameters
     ----------
     function : casadi.Function
         Of a `NumberedStage`; or of its inputs and of this name, to be compiled by itself: `VALUES`.
+    along : AlongSplines, optional
+        Of the `NumberedStage`.
 
     Returns
     -------
     Path or None
         None until it is made, which takes some seconds, and where it cannot be.
     """
-    return library_of(function.serialize())
+    return library_of(text_of(function, along))
 
 
-def library_of(formula: str) -> Path | None:
-    """The same for a function's serialised form, which takes longest to make."""
+def text_of(function: ca.Function, along: AlongSplines | None = None) -> str:
+    """All that a library is made of, which takes longest to tell."""
+    known = None if along is None else asdict(along)
+    return f"{json.dumps(known)}\n{function.serialize()}"
+
+
+def library_of(text: str) -> Path | None:
+    """As `library`, of what `text_of` has told."""
     if compiler.compiler() is None:
         return None
-    made_by = [Path(str(each.__file__)).read_text() for each in (node_derivatives, wide_code)]
+    makers = (node_derivatives, along_splines, wide_code)
+    made_by = [Path(str(each.__file__)).read_text() for each in makers]
     made_by += [ca.CasadiMeta.version(), OPTIMISE]
-    return compiler.library("stage", formula, made_by, __name__)
+    return compiler.library("stage", text, made_by, __name__)
 
 
-def _code(formula: str) -> str:
-    function = ca.Function.deserialize(formula)
-    alone = function.name() == VALUES
-    functions = (function,) if alone else node_derivatives.with_derivatives(function)
+def _code(given: str) -> str:
+    known, formula = given.split("\n", 1)
+    along, function = json.loads(known), ca.Function.deserialize(formula)
+    functions: tuple[ca.Function, ...] = (function,)
+    if function.name() != VALUES:
+        functions = node_derivatives.with_derivatives(function)
+    if along is not None:
+        functions = AlongSplines(**along).of_stage(functions)
     return wide_code.wide_code(functions, SHARED)
 
 

@@ -19,6 +19,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from stiffopt.transcription.along_splines import AlongSplines
+
 # Numbers that shape a formula rather than fill it.
 _STRUCTURAL = (-2.0, -1.0, 0.0, 0.5, 1.0, 2.0)
 
@@ -38,11 +40,20 @@ class NumberedStage:
         Values of the last input.
     formula : str
         Hash of the function.
+    along : AlongSplines, optional
+        Where w follows from coefficients of splines, by which derivatives are then.
     """
 
     function: ca.Function
     numbers: np.ndarray
     formula: str
+    along: AlongSplines | None = None
+
+    @property
+    def derivatives(self) -> tuple[ca.Function, ...]:
+        """The stage and its derivatives by `NAMES`, of w or of the local variables."""
+        found = with_derivatives(self.function)
+        return found if self.along is None else self.along.of_stage(found)
 
 
 def numbered(stage: ca.Function, intermediate: ca.Function | None = None) -> NumberedStage:

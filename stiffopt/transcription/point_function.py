@@ -39,8 +39,8 @@ class PointFunction:
         self._values = ca.Function(compiled.VALUES, [variables, *same], [ca.densify(values)])
         self._numbers = own.numbers
         # Made while the first points are looked at without it.
-        self._formula = self._values.serialize()
-        self._library = compiled.library_of(self._formula)
+        self._text = compiled.text_of(self._values)
+        self._library = compiled.library_of(self._text)
 
     def __call__(self, variables: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Values (m, k).
@@ -53,7 +53,7 @@ class PointFunction:
             The same at all points.
         """
         if self._library is None:
-            self._library = compiled.library_of(self._formula)
+            self._library = compiled.library_of(self._text)
         library, count = self._library, variables.shape[1]
         one = self._values if library is None else ca.external(compiled.VALUES, str(library))
         lanes = int(one.size2_in(0))

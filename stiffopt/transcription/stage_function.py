@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from stiffopt.transcription import compiled
-from stiffopt.transcription.node_derivatives import NAMES, NumberedStage, with_derivatives
+from stiffopt.transcription.node_derivatives import NAMES, NumberedStage
 
 
 class StageFunction:
@@ -17,6 +17,8 @@ class StageFunction:
     count : int
     parameters : int
         How many of the programme's parameters are the stage's own; its numbers are the last.
+    basis : MX (k, count), optional
+        Of a stage along splines, at every point.
 
     Notes
     -----
@@ -24,11 +26,13 @@ class StageFunction:
     their columns follow one another. `parameters` of the methods are all of the programme's.
     """
 
-    def __init__(self, stage: NumberedStage, count: int, parameters: int) -> None:
-        library = compiled.library(stage.function)
+    def __init__(
+        self, stage: NumberedStage, count: int, parameters: int, basis: ca.MX | None = None
+    ) -> None:
+        library = compiled.library(stage.function, stage.along)
         self.is_compiled = library is not None
         functions = (
-            with_derivatives(stage.function)
+            stage.derivatives
             if library is None
             else tuple(ca.external(name, str(library)) for name in NAMES)
         )
@@ -38,33 +42,37 @@ class StageFunction:
         self._values, self._jacobian, self._hessian = (each.map(self._calls) for each in functions)
         self._own, self._numbers = parameters, len(stage.numbers)
         self._count = count
+        self._basis = () if basis is None else (self._filled(basis),)
         self.size = int(functions[0].size1_out(0))
         self._jacobian_pattern = self._block_diagonal(functions[1])
         self._hessian_pattern = self._block_diagonal(functions[2])
 
     def values(self, variables: ca.MX, parameters: ca.MX) -> ca.MX:
         """Integrands and path rows (m, count)."""
-        return self._values(self._filled(variables), *self._same(parameters))[:, : self._count]
+        return self._values(*self._given(variables, parameters))[:, : self._count]
 
     def jacobian(self, variables: ca.MX, parameters: ca.MX) -> ca.MX:
         """All values by all variables (m count, n count), block-diagonal."""
-        found = self._jacobian(self._filled(variables), *self._same(parameters))
+        found = self._jacobian(*self._given(variables, parameters))
         return self._along_diagonal(found, variables.size1(), self._jacobian_pattern)
 
     def hessian(self, variables: ca.MX, parameters: ca.MX, weights: ca.MX) -> ca.MX:
         """Second derivatives of the values' weighted sum (n count, n count), block-diagonal.
+
+        Of a stage along splines their upper half.
 
         Parameters
         ----------
         variables, parameters : MX (n, count), (np,)
         weights : MX (m, count)
         """
-        given = (self._filled(variables), *self._same(parameters), self._filled(weights))
-        return self._along_diagonal(self._hessian(*given), variables.size1(), self._hessian_pattern)
+        found = self._hessian(*self._given(variables, parameters), self._filled(weights))
+        return self._along_diagonal(found, variables.size1(), self._hessian_pattern)
 
-    def _same(self, parameters: ca.MX) -> tuple[ca.MX, ca.MX]:
+    def _given(self, variables: ca.MX, parameters: ca.MX) -> tuple[ca.MX, ...]:
         own, numbers = parameters[: self._own], parameters[parameters.numel() - self._numbers :]
-        return ca.repmat(own, 1, self._calls), ca.repmat(numbers, 1, self._calls)
+        same = (ca.repmat(each, 1, self._calls) for each in (own, numbers))
+        return self._filled(variables), *same, *self._basis
 
     def _filled(self, columns: ca.MX) -> ca.MX:
         """As many columns as are computed; the last one again where there are fewer points."""
