@@ -351,10 +351,10 @@ class _Arms:
 def _hung(springs: EvenSprings, weight: WeightAlong, arms: _Arms, turn: np.ndarray) -> np.ndarray:
     """Links at rest (B, K, n) with the motors `turn` ahead of the poses of the weight."""
     held = weight.held[0] + arms.payload[..., None] * weight.held[1]
-    slope = weight.by_q[0] + arms.payload[..., None, None] * weight.by_q[1]
     stiffness = arms.stiffness[:, None]
     e = turn - springs.windup(held / stiffness)
     for _ in range(_SAG_ITERATIONS - 1):
-        more = np.einsum("bkij,bkj->bki", slope, e)
-        e = turn - springs.windup((held + more) / stiffness)
+        # One matrix product a pose for all arms, whatever they carry.
+        own, more = ((e.swapaxes(0, 1) @ by.swapaxes(1, 2)).swapaxes(0, 1) for by in weight.by_q)
+        e = turn - springs.windup((held + own + arms.payload[..., None] * more) / stiffness)
     return np.asarray(e)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Literal
 
 import numpy as np
@@ -81,12 +81,16 @@ def _powers(series: np.ndarray) -> np.ndarray:
     Those are evaluated four times as fast. What they lose of the higher terms is nothing, since
     series that have converged hardly have any.
     """
-    count = series.shape[1]
-    columns = [legendre.leg2poly(row) for row in np.eye(count)]
-    basis = np.array([np.pad(column, (0, count - len(column))) for column in columns])
-    powers = basis[1:].T @ series[:, 1:].T
+    powers = _in_powers(series.shape[1])[1:].T @ series[:, 1:].T
     powers[0] += series[:, 0]
     return np.asarray(powers)
+
+
+@cache
+def _in_powers(count: int) -> np.ndarray:
+    """The first Legendre polynomials as power series (m, k), one a row."""
+    columns = [legendre.leg2poly(row) for row in np.eye(count)]
+    return np.array([np.pad(column, (0, count - len(column))) for column in columns])
 
 
 def _series(powers: np.ndarray, panel: np.ndarray, local: np.ndarray) -> np.ndarray:

@@ -157,12 +157,14 @@ class Trajectory:
         interval = np.clip(
             np.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 2
         )
-        coefficients = _differentiate(self._position, order)
+        # Power by power in memory of its own: read in half of the time.
+        powers = np.ascontiguousarray(_differentiate(self._position, order).swapaxes(0, 1))
         local = (np.clip(time, 0.0, self.duration) - self.times[interval])[..., None]
-        value = coefficients[:, -1][interval]
-        for j in range(coefficients.shape[1] - 2, -1, -1):
-            value = value * local + coefficients[:, j][interval]
-        return np.array(value)
+        value = np.take(powers[-1], interval, axis=0)
+        for each in powers[-2::-1]:
+            value *= local
+            value += np.take(each, interval, axis=0)
+        return value
 
     def scaled_to(self, duration: float) -> Trajectory:
         """Follow the same path at a uniformly changed speed.

@@ -35,6 +35,7 @@ from stiffopt.result.simulation import (
     Simulation,
 )
 from stiffopt.result.status import SolveStatus
+from stiffopt.robot import native_bodies
 from stiffopt.solver.compensation import compensate
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
@@ -228,6 +229,7 @@ def check_simulation(problem: TrajectoryProblem, motion: ResolvedMotion) -> None
     stated = (problem.robot.damping, problem.robot.hysteresis)
     if problem.robot.yields:
         native.prepare()
+        native_bodies.prepare()
     # What is not stated cannot be wrong.
     if problem.robot.yields and any(
         np.any(np.nan_to_num(each)) for each in stated if each is not None

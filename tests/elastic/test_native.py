@@ -31,6 +31,7 @@ def made(tmp_path_factory, monkeypatch):
     native.prepare()
     compiler.wait()
     yield native.library(2)
+    compiler.wait()
     compiler._started.clear()
 
 
