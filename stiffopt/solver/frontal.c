@@ -1,9 +1,11 @@
 /* Linear systems of an interior-point method whose unknowns follow one another in time.
 
-IPOPT loads the functions at the end under the names of HSL_MA97. A matrix is analysed once:
+IPOPT loads the functions at the end under the names of HSL_MA97. A matrix is analysed once, with its
+first values:
 
 - A slack and its row are eliminated as a pair: [a b; b c] with b = -1 is a good pivot whatever its
-  diagonal is. What is left is the variables' own matrix K and the equations.
+  diagonal is. (Of a variable in one row only, b may be as small as it likes: it is no such pair.)
+  What is left is the variables' own matrix K and the equations.
 - What is left is put in an order in which only near ones meet, but for a border of those that meet
   most of the others: a peak, a duration.
 
@@ -204,21 +206,22 @@ static void forget(Analysis *a) {
   free(a);
 }
 
-static int analyse(int n, const int *ptr, const int *index, Analysis *a) {
-  int count = ptr[n] - 1, failed = NO_MEMORY;
+static int analyse(const int *ptr, const int *index, const double *value, Analysis *a) {
+  int n = a->n, count = ptr[n] - 1, failed = NO_MEMORY;
   int *degree = room(n, sizeof(int)), *mate = room(n, sizeof(int)), *meets = room(n, sizeof(int));
   int *kept_of = room(n, sizeof(int)), *order = room(n, sizeof(int)), *pair_of = room(n, sizeof(int));
   Keyed *by = room(n, sizeof(Keyed));
   int *place_of = room(n, sizeof(int));
+  char *slack = room(n, 1);     /* if it meets one only */
   Meeting m = {0};
-  if (!degree || !mate || !meets || !kept_of || !order || !pair_of || !by || !place_of) goto end;
-  a->n = n;
+  if (!degree || !mate || !meets || !kept_of || !order || !pair_of || !by || !place_of || !slack) goto end;
   for (int j = 0; j < n; j++)
     for (int k = ptr[j] - 1; k < ptr[j + 1] - 1; k++) {
       int i = index[k] - 1;
       if (i == j) continue;
       degree[i]++, degree[j]++;
       meets[i] = j, meets[j] = i;
+      slack[i] = slack[j] = value[k] == -1.0;
     }
   int rows = 0;
   for (int v = 0; v < n; v++) {
@@ -230,7 +233,7 @@ static int analyse(int n, const int *ptr, const int *index, Analysis *a) {
   double long_row = rows ? 4.0 * by[rows / 2].key + 32.0 : 0.0;
   for (int v = 0; v < n; v++) {
     int row = meets[v];
-    if (degree[v] != 1 || mate[v] >= 0 || mate[row] >= 0 || degree[row] > long_row) continue;
+    if (degree[v] != 1 || !slack[v] || mate[v] >= 0 || mate[row] >= 0 || degree[row] > long_row) continue;
     mate[v] = row, mate[row] = v;
   }
   /* Rows of two pairs that meet could not be eliminated by themselves. */
@@ -346,7 +349,7 @@ static int analyse(int n, const int *ptr, const int *index, Analysis *a) {
   failed = 0;
 end:
   free(degree); free(mate); free(meets); free(kept_of); free(order); free(pair_of); free(by); free(place_of);
-  free(m.seen); free(m.reach); free(m.out); free(m.groups.start); free(m.groups.item);
+  free(slack); free(m.seen); free(m.reach); free(m.out); free(m.groups.start); free(m.groups.item);
   free(m.of.start); free(m.of.item);
   return failed;
 }
@@ -652,20 +655,20 @@ void ma97_finalise_d(void **akeep, void **fkeep) {
 
 void ma97_analyse_d(int check, int n, const int *ptr, const int *row, double *val, void **akeep,
                     const struct control *c, struct info *info, int *order) {
-  (void)check, (void)val, (void)c, (void)order;
+  (void)check, (void)ptr, (void)row, (void)val, (void)c, (void)order;
   memset(info, 0, sizeof *info);
   Analysis *a = room(1, sizeof(Analysis));
-  info->flag = a ? analyse(n, ptr, row, a) : NO_MEMORY;
-  if (info->flag) forget(a), a = NULL;
-  else info->maxfront = a->width + a->border;
+  if (a) a->n = n;
+  else info->flag = NO_MEMORY;
   *akeep = a;
 }
 
 void ma97_factor_d(int type, const int *ptr, const int *row, const double *val, void **akeep, void **fkeep,
                    const struct control *c, struct info *info, double *scale) {
-  (void)type, (void)ptr, (void)row, (void)scale;
+  (void)type, (void)scale;
   memset(info, 0, sizeof *info);
-  const Analysis *a = *akeep;
+  Analysis *a = *akeep;
+  if (!a->unknown && (info->flag = analyse(ptr, row, val, a))) return;
   Factors *f = *fkeep ? *fkeep : prepared(a);
   *fkeep = f;
   if (!f) {

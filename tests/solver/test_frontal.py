@@ -95,6 +95,25 @@ def test_systems_are_solved_and_their_negative_eigenvalues_counted(made, seed):
     assert np.abs(matrix @ x - right).max() < 1e-12 * np.abs(matrix).max() * np.abs(x).max()
 
 
+def test_variables_of_one_row_only_are_no_slacks(made):
+    # Their coefficients may be small, and their own entries large.
+    random = np.random.default_rng(5)
+    hessian, rows = random.normal(size=(20, 20)), random.normal(size=(8, 20))
+    own, coefficients = np.diag(np.full(8, 10.0)), np.diag(10.0 ** np.linspace(-7, 0, 8))
+    nothing = np.zeros((8, 20))
+    matrix = np.block(
+        [
+            [hessian @ hessian.T, nothing.T, rows.T],
+            [nothing, own, coefficients],
+            [rows, coefficients, np.zeros((8, 8))],
+        ]
+    )
+    right = random.normal(size=len(matrix))
+    flag, x, negative = solved(made, matrix, right)
+    assert (flag, negative) == (0, 8)
+    assert np.abs(matrix @ x - right).max() < 1e-12 * np.abs(matrix).max() * np.abs(x).max()
+
+
 def test_a_singular_system_is_told(made):
     random = np.random.default_rng(1)
     matrix = system(random, 20, 4, 30, 5)
