@@ -112,7 +112,8 @@ class Predictor:
         for band, joints in self._others.items():
             self._take_band(band, joints, [drive for drive, _ in channels], several)
         time = self.nominal.time
-        for drive, deflection in channels:
+        while channels:
+            drive, deflection = channels.pop(0)
             yield Prediction(
                 stamps=stamps,
                 torque=_at_stamps(time, drive, stamps),
