@@ -8,6 +8,7 @@ STIFFOPT_COMPILE=never, everything works the same, slower.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import fcntl
 import functools
 import hashlib
@@ -78,7 +79,7 @@ def library(
     # Without a place to keep it there is an answer all the same, only later.
     with contextlib.suppress(OSError):
         if path.exists():
-            return path
+            return path if _loads(path) else None
         if path not in _started:
             path.parent.mkdir(parents=True, exist_ok=True)
             _start(path, given, program, module)
@@ -173,6 +174,15 @@ def _held(path: Path) -> Iterator[bool]:
             yield False
         else:
             yield True
+
+
+@functools.cache
+def _loads(path: Path) -> bool:
+    """Whether the system takes it: not a damaged one, nor from a disk that may run nothing."""
+    with contextlib.suppress(OSError):
+        ctypes.CDLL(str(path))
+        return True
+    return False
 
 
 @functools.cache

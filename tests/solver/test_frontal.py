@@ -160,3 +160,14 @@ def test_what_cannot_hold_is_told_as_with_mumps(made, monkeypatch):
 def test_without_a_compiler_it_is_mumps(monkeypatch):
     monkeypatch.setenv("STIFFOPT_COMPILE", "never")
     assert IpoptOptions().for_ipopt()["linear_solver"] == "mumps"
+
+
+def test_a_library_that_cannot_be_loaded_is_as_none(tmp_path, monkeypatch):
+    monkeypatch.setenv("STIFFOPT_CACHE", str(tmp_path))
+    monkeypatch.delenv("STIFFOPT_COMPILE", raising=False)
+    monkeypatch.setattr(compiler, "_started", {})
+    frontal.library()
+    compiler.wait()
+    (damaged,) = tmp_path.glob("frontal-*.so")
+    damaged.write_bytes(b"damaged")
+    assert IpoptOptions().for_ipopt()["linear_solver"] == "mumps"
