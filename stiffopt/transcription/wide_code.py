@@ -7,6 +7,7 @@ does what the function of one point does, operation by operation, so the numbers
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -150,13 +151,20 @@ def _operations(function: ca.Function) -> _Operations:
         if operation == ca.OP_INPUT:
             what = tuple(read)
         elif operation == ca.OP_CONST:
-            what = (float(function.instruction_constant(k)).hex(),)
+            what = (_in_c(float(function.instruction_constant(k))),)
         else:
             what = tuple(held[place] for place in read)
             if operation in (ca.OP_ADD, ca.OP_MUL):
                 what = tuple(sorted(what))
         held[written[0]] = numbers.setdefault((operation, what), len(numbers))
     return _Operations(function, list(numbers), results)
+
+
+def _in_c(number: float) -> str:
+    """All its digits; what has none by the names of math.h."""
+    if math.isnan(number):
+        return "NAN"
+    return number.hex().replace("inf", "INFINITY")
 
 
 def _definition(read: _Operations, shared: Sequence[int]) -> Iterator[str]:

@@ -78,3 +78,11 @@ def test_a_compiler_that_knows_no_native_is_asked_without(tmp_path: Path) -> Non
     assert library.exists()
     with pytest.raises(subprocess.CalledProcessError):
         compiler.build("false", source, library, compiled.OPTIMISE)
+
+
+def test_what_has_no_digits_is_named(tmp_path: Path) -> None:
+    x, shared = ca.SX.sym("x"), ca.SX.sym("shared")
+    bounds = ca.vertcat(x + ca.inf, x - ca.inf, x + np.nan)
+    library = made([ca.Function("bounds", [x, shared], [bounds])], tmp_path)
+    found = ca.external("bounds", str(library))(np.ones((1, LANES)), 0.0).full()
+    np.testing.assert_array_equal(found, np.repeat([[np.inf], [-np.inf], [np.nan]], LANES, 1))
