@@ -11,7 +11,7 @@ from pathlib import Path
 
 from stiffopt import compiler
 
-_SOURCE = Path(__file__).with_name("frontal.c")
+_SOURCES = ("frontal_analysis.c", "frontal.c")
 KIND = "frontal"
 
 
@@ -38,4 +38,5 @@ def options(made: Path) -> dict[str, str | int | float]:
 
 @functools.cache
 def _source() -> str:
-    return _SOURCE.read_text(encoding="ascii")
+    each = (Path(__file__).with_name(name) for name in _SOURCES)
+    return "\n".join(path.read_text(encoding="ascii") for path in each)
