@@ -90,7 +90,7 @@ def deflection_problem(robot: Robot, method: Method | None = None) -> Trajectory
     """Minimum peak dynamic deflection from rest to rest, acceleration limited, no jerk limit."""
     return ur10_problem(
         robot,
-        Objective(),
+        Objective(name="dynamic_deflection"),
         acceleration=np.array(numbers()["dynamic_deflection"]["acceleration_max"]),
         method=method or Method(),
     )

@@ -23,6 +23,7 @@ from stiffopt.certificate.assess import assess
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
+from stiffopt.problem.smoothing import Smoothing
 from stiffopt.problem.trajectory import Method, TrajectoryProblem
 from stiffopt.result.solution import Solution
 from stiffopt.result.trajectory import Trajectory
@@ -84,7 +85,7 @@ def on_equal_intervals(problem: TrajectoryProblem, guess: Guess, midpoints: bool
     solver = IpoptSolver(made.nlp)
     x, raw = made.pack(guess), None
     for width in (4.0, 1.0, 0.25):
-        raw = solver.solve(x, np.array([width]), warm=raw)
+        raw = solver.solve(x, Smoothing(width).parameters, warm=raw)
         x = raw.x
     motion = assess(problem, Trajectory.from_acceleration(*made.acceleration_polynomials(x)))
     return 1e3 * motion.deflection_summary()["dynamic"].peak
