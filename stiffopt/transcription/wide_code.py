@@ -86,6 +86,10 @@ typedef long long mask __attribute__((vector_size({bytes}), aligned(8), may_alia
 #endif
 #define TRUE(a) ((wide)((mask)(a) & (mask)((wide){{0}} + 1.0)))
 """
+_PUT = """static __attribute__((noinline)) void put(double* to, long step, wide v) {{
+  for (int k = 0; k < {lanes}; k++) to[k * step] = v[k];
+}}
+"""
 _EACH = """static __attribute__((noinline)) wide each_{name}({arguments}) {{
   wide r;
   for (int k = 0; k < {lanes}; k++) r[k] = {name}({lane});
@@ -107,7 +111,7 @@ def wide_code(functions: Sequence[ca.Function], shared: Sequence[int]) -> str:
     read = [_operations(function) for function in functions]
     code = [line for each in read for line in _definition(each, shared)]
     used = {operation for each in read for operation, _ in each.operations}
-    head = [_HEAD.format(bytes=8 * LANES)]
+    head = [_HEAD.format(bytes=8 * LANES), _PUT.format(lanes=LANES)]
     for names, arguments, lane in (
         (_UNARY, "wide a", "a[k]"),
         (_BINARY, "wide a, wide b", "a[k], b[k]"),
@@ -229,10 +233,7 @@ def _parts(read: _Operations, shared: Sequence[int]) -> tuple[list[list[str]], i
             names[value] = f"v{value}"
         for out, place, value in results.get(part, []):
             size = read.function.nnz_out(out)
-            lanes = (
-                f"res[{out}][{place + lane * size}] = v{value}[{lane}];" for lane in range(LANES)
-            )
-            lines.append("  " + " ".join(lanes))
+            lines.append(f"  put(res[{out}] + {place}, {size}, v{value});")
         free += [places.pop(value) for value in list(places) if last[value] <= part]
         for value in range(start, min(start + _LONGEST, count)):
             if last[value] > part:
