@@ -15,38 +15,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stiffopt import compiler
+from stiffopt.c_code import ARRAY, REAL, WHOLE, Struct, source
 
 if TYPE_CHECKING:
     from stiffopt.elastic.along_plan import EvenSprings
     from stiffopt.elastic.arm import ElasticArm
     from stiffopt.elastic.motor import MotorMotion
 
-# One library: the second has the lanes of the first.
-_SOURCES = ("swings.c", "response.c")
+_SOURCES = tuple(Path(__file__).with_name(name) for name in ("swings.c", "response.c"))
 # Joints and lanes of arms that the C code has room for.
 _MOST = 32
-WHOLE, REAL, ARRAY = ctypes.c_longlong, ctypes.c_double, ctypes.c_void_p
 
 Slope = Callable[[float, np.ndarray], np.ndarray]
-
-
-class Struct(ctypes.Structure):
-    """A struct of the C code, which keeps the arrays that it points to."""
-
-    def set(self, **values: object) -> None:
-        """Set fields: numbers, and arrays to point to or, of fixed length, to copy."""
-        self.kept = [*getattr(self, "kept", ())]
-        kinds: dict[str, type] = {field[0]: field[1] for field in self._fields_}
-        for name, value in values.items():
-            if kinds[name] is ARRAY:
-                array = np.ascontiguousarray(value)
-                if array.dtype != float:
-                    array = array.astype(np.int64)
-                self.kept.append(array)
-                value = array.ctypes.data
-            elif issubclass(kinds[name], ctypes.Array):
-                value = kinds[name](*np.asarray(value).tolist())
-            setattr(self, name, value)
 
 
 class _Springs(Struct):
@@ -82,19 +62,13 @@ class _Arm(Struct):
 
 def prepare() -> None:
     """Have the library made beside other work, if there is none yet."""
-    compiler.library("swings", _source())
+    compiler.library("swings", source(*_SOURCES))
 
 
 def library(joints: int) -> ctypes.CDLL | None:
     """The library, None where there is none or an arm has too many joints for it."""
-    found = compiler.library("swings", _source())
+    found = compiler.library("swings", source(*_SOURCES))
     return None if found is None or joints > _MOST else _loaded(found)
-
-
-@functools.cache
-def _source() -> str:
-    folder = Path(__file__).parent
-    return "\n".join((folder / name).read_text(encoding="ascii") for name in _SOURCES)
 
 
 @functools.cache

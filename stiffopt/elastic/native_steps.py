@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ctypes
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
+from stiffopt.c_code import ARRAY, REAL, WHOLE, Struct
 from stiffopt.elastic import native
-from stiffopt.elastic.steps import Swung
+from stiffopt.elastic.steps import Matrices, Swung
 
 # Joints that the C code has room for.
 _MOST = 16
@@ -16,24 +18,21 @@ _MOST = 16
 _REGISTER = 4
 
 
-class _Response(native.Struct):
+class _Response(Struct):
     _fields_ = (
-        *((name, native.WHOLE) for name in ("steps", "n", "rows")),
-        *((name, native.REAL) for name in ("dt", "unit")),
-        *((name, native.ARRAY) for name in ("mobility", "rate", "stiffness")),
-        *((name, native.ARRAY) for name in ("step", "soft", "lag")),
+        *((name, WHOLE) for name in ("steps", "n", "rows")),
+        *((name, REAL) for name in ("dt", "unit")),
+        *((name, ARRAY) for name in ("mobility", "rate", "stiffness")),
+        *((name, ARRAY) for name in ("step", "soft", "lag")),
     )
 
 
-def steps(
-    mobility: np.ndarray, rate: np.ndarray, stiffness: np.ndarray, dt: float, unit: float
-) -> NativeSteps | None:
+def steps(matrices: Matrices) -> NativeSteps | None:
     """Steps as of `ArraySteps`; None without the library, or for too many joints."""
-    joints = mobility.shape[1]
-    made = native.library(joints)
-    if made is None or joints > _MOST:
+    made = native.library(matrices.joints)
+    if made is None or matrices.joints > _MOST:
         return None
-    return NativeSteps(made, mobility, rate, stiffness, dt, unit)
+    return NativeSteps(made, matrices)
 
 
 class NativeSteps:
@@ -42,46 +41,34 @@ class NativeSteps:
     Parameters
     ----------
     made : CDLL
-    mobility, rate, stiffness, dt, unit
-        As of `ArraySteps`.
+    matrices : Matrices
     """
 
-    def __init__(
-        self,
-        made: ctypes.CDLL,
-        mobility: np.ndarray,
-        rate: np.ndarray,
-        stiffness: np.ndarray,
-        dt: float,
-        unit: float,
-    ) -> None:
-        self._made, self._n, count = made, mobility.shape[1], len(mobility) - 1
-        self._given = {"mobility": mobility, "rate": rate, "dt": dt, "unit": unit}
+    def __init__(self, made: ctypes.CDLL, matrices: Matrices) -> None:
+        self._made, self._n, count = made, matrices.joints, len(matrices.mobility) - 1
         rows = -(-2 * self._n // _REGISTER) * _REGISTER
         self._taken = {
             "step": np.zeros((count, 2 * self._n, rows)),
             "soft": np.empty((count, self._n, self._n)),
             "lag": np.empty((count, self._n, self._n)),
         }
-        self._point_to(stiffness)
+        self._point_to(matrices)
         self.take(0, count)
 
-    def _point_to(self, stiffness: np.ndarray) -> None:
+    def _point_to(self, matrices: Matrices) -> None:
         count, _, rows = self._taken["step"].shape
-        self._own = _Response()
-        self._own.set(
-            steps=count, n=self._n, rows=rows, stiffness=stiffness, **self._given, **self._taken
-        )
+        self._of, self._own = matrices, _Response()
+        self._own.set(steps=count, n=self._n, rows=rows, **vars(matrices), **self._taken)
 
     def take(self, first: int, last: int) -> None:
         """See `Steps`."""
-        self._made.take(ctypes.byref(self._own), native.WHOLE(first), native.WHOLE(last))
+        self._made.take(ctypes.byref(self._own), WHOLE(first), WHOLE(last))
 
     def copy(self, stiffness: np.ndarray) -> NativeSteps:
         """See `Steps`."""
         new = copy(self)
         new._taken = {name: array.copy() for name, array in self._taken.items()}
-        new._point_to(stiffness)
+        new._point_to(replace(self._of, stiffness=stiffness))
         return new
 
     def march(
@@ -100,8 +87,8 @@ class NativeSteps:
         )
         self._made.march(
             ctypes.byref(self._own),
-            native.WHOLE(many),
-            native.WHOLE(links.shape[1]),
-            *(native.ARRAY(None if each is None else each.ctypes.data) for each in arrays),
+            WHOLE(many),
+            WHOLE(links.shape[1]),
+            *(ARRAY(None if each is None else each.ctypes.data) for each in arrays),
         )
         return z, velocity, acceleration

@@ -75,8 +75,8 @@ static void exponential(int s, wide *once, wide *found) {
     double c2 = 1.0 / factorial[first + 2];
     if (first < 9) multiply(s, found, thrice, other);
     for (int i = 0; i < s * s; i++) {
-      wide terms = c1 * once[i] + c2 * twice[i] + (i % (s + 1) ? 0.0 : c0);
-      found[i] = first < 9 ? other[i] + terms : terms;
+      found[i] = c1 * once[i] + c2 * twice[i] + (i % (s + 1) ? 0.0 : c0);
+      if (first < 9) found[i] += other[i];
     }
   }
   for (int h = 0; h < halvings; h++) {

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from stiffopt.elastic import native_steps
-from stiffopt.elastic.steps import ArraySteps, Steps
+from stiffopt.elastic.steps import ArraySteps, Matrices, Steps
 
 
 class SwingResponse:
@@ -50,14 +50,9 @@ class SwingResponse:
         self._stiffness = np.array(stiffness, dtype=float, order="C")
         # Velocities over a typical rate, so that all states are of one size.
         self._unit = float(np.sqrt(np.max(np.abs(self.mobility @ self._stiffness))))
-        given = (
-            self.mobility,
-            np.ascontiguousarray(rate, dtype=float),
-            self._stiffness,
-            dt,
-            self._unit,
-        )
-        self._steps: Steps = native_steps.steps(*given) or ArraySteps(*given)
+        damping = np.ascontiguousarray(rate, dtype=float)
+        given = Matrices(self.mobility, damping, self._stiffness, dt, self._unit)
+        self._steps: Steps = native_steps.steps(given) or ArraySteps(given)
 
     def copy(self) -> SwingResponse:
         """One whose springs may be changed."""

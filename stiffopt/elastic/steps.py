@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import factorial
 from typing import Protocol
@@ -16,6 +17,32 @@ _AT_ONCE = 96
 _TERMS, _SMALL = 12, 0.5
 
 Swung = tuple[np.ndarray, np.ndarray, np.ndarray | None]
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """Of the swings along a motion.
+
+    Attributes
+    ----------
+    mobility, rate, stiffness : array (K, n, n)
+        Of which the stiffness may change in place before steps are taken anew.
+    dt : float
+        Between samples [s].
+    unit : float
+        Typical rate [1/s]: velocities over it are of the size of displacements.
+    """
+
+    mobility: np.ndarray
+    rate: np.ndarray
+    stiffness: np.ndarray
+    dt: float
+    unit: float
+
+    @property
+    def joints(self) -> int:
+        """Their number n."""
+        return int(self.mobility.shape[1])
 
 
 class Steps(Protocol):
@@ -43,29 +70,11 @@ class Steps(Protocol):
 
 
 class ArraySteps:
-    """Steps with the mean matrices of both ends.
+    """Steps with the mean matrices of both ends."""
 
-    Parameters
-    ----------
-    mobility, rate, stiffness : array (K, n, n)
-        Of which the stiffness may change in place before steps are taken anew.
-    dt : float
-        [s]
-    unit : float
-        Typical rate [1/s]: velocities over it are of the size of displacements.
-    """
-
-    def __init__(
-        self,
-        mobility: np.ndarray,
-        rate: np.ndarray,
-        stiffness: np.ndarray,
-        dt: float,
-        unit: float,
-    ) -> None:
-        self._mobility, self._rate, self._stiffness = mobility, rate, stiffness
-        self._dt, self._unit, self._n = dt, unit, mobility.shape[1]
-        count, size = len(mobility) - 1, 2 * self._n
+    def __init__(self, matrices: Matrices) -> None:
+        self._of, self._n = matrices, matrices.joints
+        count, size = len(matrices.mobility) - 1, 2 * self._n
         self._step = np.empty((count, size, size))
         self._soft, self._lag = np.empty((2, count, self._n, self._n))
         # x_k+1 - step_k x_k = added_k+1 as a lower banded matrix of unit diagonal. By column: of a
@@ -76,7 +85,7 @@ class ArraySteps:
 
     def take(self, first: int, last: int) -> None:
         """See `Steps`."""
-        n, size = self._n, 2 * self._n
+        n, size, unit = self._n, 2 * self._n, self._of.unit
         self.__dict__.pop("_gains", None)
         along = self._by_column.strides[0]
         below = np.ndarray(
@@ -89,13 +98,14 @@ class ArraySteps:
             steps = slice(begin, min(begin + _AT_ONCE, last))
             ends = slice(begin + 1, steps.stop + 1)
             mobility, damping, springs = (
-                0.5 * (m[ends] + m[steps]) for m in (self._mobility, self._rate, self._stiffness)
+                0.5 * (m[ends] + m[steps])
+                for m in (self._of.mobility, self._of.rate, self._of.stiffness)
             )
             slope = np.zeros((len(springs), size, size))
-            slope[:, :n, n:] = self._unit * np.eye(n)
-            slope[:, n:, :n] = -mobility @ springs / self._unit
+            slope[:, :n, n:] = unit * np.eye(n)
+            slope[:, n:, :n] = -mobility @ springs / unit
             slope[:, n:, n:] = -mobility @ damping
-            self._step[steps] = exponentials(self._dt * slope)
+            self._step[steps] = exponentials(self._of.dt * slope)
             below[steps] = -self._step[steps].swapaxes(1, 2)
             self._soft[steps] = soft = np.linalg.inv(springs)
             self._lag[steps] = soft @ damping @ soft
@@ -104,7 +114,7 @@ class ArraySteps:
         """See `Steps`."""
         new = copy(self)
         new.__dict__.pop("_gains", None)
-        new._stiffness = stiffness
+        new._of = replace(self._of, stiffness=stiffness)
         for name in ("_step", "_soft", "_lag", "_by_column"):
             setattr(new, name, getattr(self, name).copy())
         return new
@@ -125,23 +135,24 @@ class ArraySteps:
                 begin_of, end_of = self._gains
                 state[1:] += begin_of[link] * own[:-1, None] + end_of[link] * own[1:, None]
         state = self._solved(added)
-        z, velocity = state[..., : self._n], self._unit * state[..., self._n :]
+        of, n = self._of, self._n
+        z, velocity = state[..., :n], of.unit * state[..., n:]
         if not accelerated:
             return z, velocity, None
-        left = -(self._rate @ velocity[..., None] + self._stiffness @ z[..., None])[..., 0]
+        left = -(of.rate @ velocity[..., None] + of.stiffness @ z[..., None])[..., 0]
         for each, on, own in zip(left, links, torque, strict=True):
             each[:, on] += own
-        return z, velocity, (self._mobility @ left[..., None])[..., 0]
+        return z, velocity, (of.mobility @ left[..., None])[..., 0]
 
     def _forced(self, torque: np.ndarray) -> np.ndarray:
         """What each step adds to the state (K, 2 n): a torque (K, n) that is linear within it."""
-        many = torque[..., None]
-        ramp = (many[1:] - many[:-1]) / self._dt
+        many, dt, unit = torque[..., None], self._of.dt, self._of.unit
+        ramp = (many[1:] - many[:-1]) / dt
         held, late = self._soft @ many[:-1], self._lag @ ramp
         moving = self._soft @ ramp
-        speed = moving / self._unit
+        speed = moving / unit
         begin = np.concatenate([held - late, speed], axis=1)
-        end = np.concatenate([held + self._dt * moving - late, speed], axis=1)
+        end = np.concatenate([held + dt * moving - late, speed], axis=1)
         added = np.zeros((len(torque), 2 * self._n))
         added[1:] = (end - self._step @ begin)[..., 0]
         return added
@@ -152,8 +163,9 @@ class ArraySteps:
 
         (n, K - 1, 2 n) each: of a torque on every link.
         """
+        dt, unit = self._of.dt, self._of.unit
         held = np.concatenate([self._soft, np.zeros_like(self._soft)], axis=1)
-        ramp = np.concatenate([-self._lag, self._soft / self._unit], axis=1) / self._dt
+        ramp = np.concatenate([-self._lag, self._soft / unit], axis=1) / dt
         late = ramp - self._step @ ramp
         begin, end = -late - self._step @ held, late + held
         of_link = [np.ascontiguousarray(np.moveaxis(x, 2, 0)) for x in (begin, end)]

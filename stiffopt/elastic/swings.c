@@ -1,12 +1,6 @@
 /* The loops of many_arms.py and simulate.py in C: the same formulas, one of them for eight arms at
    once. All matrices lie by rows. */
-#include <math.h>
-#include <string.h>
-
-#define LANES 8
 #define MOST 32 /* joints */
-
-typedef double wide __attribute__((vector_size(8 * LANES), aligned(8)));
 
 /* Springs on even grids of wind-ups (EvenSprings): tables (n, points), of joints without a spring
    zero. */
@@ -27,13 +21,6 @@ typedef struct {
   Springs springs;
   double *links; /* (count, arms, n), the first row given */
 } Plan;
-
-/* What is left in wide registers slows code that knows narrow ones only. */
-#ifdef __AVX__
-#define LEAVE __builtin_ia32_vzeroupper()
-#else
-#define LEAVE
-#endif
 
 static inline void spring(const Springs *s, int j, wide windup, wide *torque, wide *stiffness) {
   const double *value = s->torque + j * s->points, *rise = s->rise + j * s->points;

@@ -1,12 +1,7 @@
 /* Inverse dynamics of an arm along a motion, eight instants at once: recursion over the bodies about
    the origin of each joint in its own axes (Featherstone 2008, chapter 5). Rotations lie by rows. */
-#include <math.h>
-#include <string.h>
-
-#define LANES 8
 #define MOST 32 /* joints */
 
-typedef double wide __attribute__((vector_size(8 * LANES), aligned(8)));
 typedef long long whole __attribute__((vector_size(8 * LANES), aligned(8)));
 
 /* Beyond this angle [rad] three parts of pi/2 are too few. */

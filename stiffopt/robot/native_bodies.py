@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import ctypes
-import functools
 from pathlib import Path
 
 import numpy as np
 
 from stiffopt import compiler
+from stiffopt.c_code import ARRAY, WHOLE, Struct, source
 from stiffopt.robot.body_tree import BodyTree
 
 _SOURCE = Path(__file__).with_name("bodies.c")
@@ -18,14 +18,11 @@ _MOST = 32
 _MANY, _AT_ONCE = 16, 2**14
 
 
-class _Bodies(ctypes.Structure):
+class _Bodies(Struct):
     _fields_ = (
-        ("n", ctypes.c_longlong),
-        *(
-            (name, ctypes.c_void_p)
-            for name in ("parent", "slides", "axis", "rotation", "translation", "inertial")
-        ),
-        ("gravity", ctypes.c_void_p),
+        ("n", WHOLE),
+        *((name, ARRAY) for name in ("parent", "slides", "axis", "rotation", "translation")),
+        *((name, ARRAY) for name in ("inertial", "gravity")),
     )
 
 
@@ -44,18 +41,17 @@ class NativeBodies:
         self._tree, self._n = tree, tree.n
         if inertial is None:
             inertial = np.array([body.inertial_parameters for body in tree.bodies])
-        self._kept: dict[str, np.ndarray] = {
-            "parent": np.array([body.parent for body in tree.bodies], dtype=np.int64),
-            "slides": np.array([body.prismatic for body in tree.bodies], dtype=np.int64),
-            "inertial": np.ascontiguousarray(inertial, dtype=float),
-            "gravity": np.ascontiguousarray(tree.gravity, dtype=float),
+        self._own = _Bodies()
+        self._own.set(
+            n=self._n,
+            parent=[body.parent for body in tree.bodies],
+            slides=[body.prismatic for body in tree.bodies],
+            inertial=np.asarray(inertial, dtype=float),
+            gravity=np.asarray(tree.gravity, dtype=float),
             **{
                 name: np.array([getattr(body, name) for body in tree.bodies], dtype=float)
                 for name in ("axis", "rotation", "translation")
             },
-        }
-        self._own = _Bodies(
-            n=self._n, **{name: array.ctypes.data for name, array in self._kept.items()}
         )
 
     def with_parameters(self, inertial: np.ndarray) -> NativeBodies:
@@ -74,8 +70,8 @@ class NativeBodies:
             ]
             made.inverse(
                 ctypes.byref(self._own),
-                ctypes.c_longlong(len(part)),
-                *(ctypes.c_void_p(x.ctypes.data) for x in (*motion, part)),
+                WHOLE(len(part)),
+                *(ARRAY(x.ctypes.data) for x in (*motion, part)),
             )
         return torque
 
@@ -90,7 +86,7 @@ class _Library:
     def loaded(self) -> ctypes.CDLL | None:
         """It, if it is there."""
         if self.wanted and self._loaded is None:
-            path = compiler.library("bodies", _source())
+            path = compiler.library("bodies", source(_SOURCE))
             if path is not None:
                 self._loaded = ctypes.CDLL(str(path))
                 self._loaded.inverse.restype = None
@@ -107,8 +103,3 @@ def prepare() -> None:
     """
     _LIBRARY.wanted = True
     _LIBRARY.loaded()
-
-
-@functools.cache
-def _source() -> str:
-    return _SOURCE.read_text(encoding="ascii")

@@ -5,9 +5,6 @@ first values (`frontal_analysis.c`, which stands before this), and factorised fr
 L D L^T with pivots of one or two, which wait where they are too small (Duff and Reid 1983): a front
 is the unknowns that what is eliminated meets. */
 
-#define LANES 8
-typedef double wide __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
-
 /* ------------------------------------------------------------------ what IPOPT hands over */
 
 struct control {

@@ -6,22 +6,24 @@ MUMPS, which knows nothing of that, takes five to ten times as long.
 
 from __future__ import annotations
 
-import functools
 from pathlib import Path
 
 from stiffopt import compiler
+from stiffopt.c_code import source
 
-_SOURCES = ("frontal_analysis.c", "frontal.c")
-KIND = "frontal"
+_SOURCES = tuple(Path(__file__).with_name(name) for name in ("frontal_analysis.c", "frontal.c"))
 
 
 def library() -> Path | None:
     """The library; None until it is made beside other work, and where it cannot be."""
-    return compiler.library(KIND, _source())
+    return compiler.library("frontal", source(*_SOURCES))
 
 
-def options(made: Path) -> dict[str, str | int | float]:
-    """What IPOPT is told to use it: it has the interface of HSL_MA97, which IPOPT loads by name."""
+def options() -> dict[str, str | int | float]:
+    """What IPOPT is told: the library has the interface of HSL_MA97; without it, MUMPS."""
+    made = library()
+    if made is None:
+        return {"linear_solver": "mumps"}
     return {
         "linear_solver": "ma97",
         "hsllib": str(made),
@@ -34,9 +36,3 @@ def options(made: Path) -> dict[str, str | int | float]:
         "ma97_scaling": "none",
         "linear_system_scaling": "none",
     }
-
-
-@functools.cache
-def _source() -> str:
-    each = (Path(__file__).with_name(name) for name in _SOURCES)
-    return "\n".join(path.read_text(encoding="ascii") for path in each)

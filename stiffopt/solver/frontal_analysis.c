@@ -8,10 +8,6 @@
 
 #pragma GCC optimize("O3")
 
-#include <math.h>
-#include <stdlib.h>
-#include <string.h>
-
 typedef struct {
   int n, pairs, kept, bulk, border, width, direct;
   int *leaf, *row;            /* of each pair */

@@ -76,13 +76,12 @@ class IpoptOptions:
 
     def for_ipopt(self) -> dict[str, Any]:
         """Return the options by IPOPT's names."""
-        own = frontal.library() if self.linear_solver == "auto" else None
-        named = "mumps" if self.linear_solver == "auto" else self.linear_solver
+        named = {"linear_solver": self.linear_solver}
         return {
             "tol": self.tol,
             "acceptable_tol": self.acceptable_tol,
             "max_iter": self.max_iterations,
-            **({"linear_solver": named} if own is None else frontal.options(own)),
+            **(frontal.options() if self.linear_solver == "auto" else named),
             "print_level": self.print_level,
             "sb": "yes",
             # The multipliers of fixed variables would cost a second gradient in each iteration.

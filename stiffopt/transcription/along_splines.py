@@ -51,7 +51,7 @@ class AlongSplines:
         return len(self.chains) * (self.degree + 1) + self.statics + self.free
 
     def variables(self, local: ca.SX, basis: ca.SX) -> ca.SX:
-        """W (n,) of local variables and the basis."""
+        """The stage's variables w (n,) of local ones and the basis."""
         n, splines = len(self.chains), self.degree + 1
         moved = ca.mtimes(
             ca.reshape(local[: n * splines], n, splines),

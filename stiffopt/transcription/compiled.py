@@ -5,6 +5,7 @@ A library depends on formula, derivatives and CasADi, besides what `stiffopt.com
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import sys
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from stiffopt import compiler
+from stiffopt import c_code, compiler
 from stiffopt.transcription import along_splines, node_derivatives, wide_code
 from stiffopt.transcription.along_splines import AlongSplines
 
@@ -53,10 +54,14 @@ def library_of(text: str) -> Path | None:
     """As `library`, of what `text_of` has told."""
     if compiler.compiler() is None:
         return None
-    makers = (node_derivatives, along_splines, wide_code)
-    made_by = [Path(str(each.__file__)).read_text() for each in makers]
-    made_by += [ca.CasadiMeta.version(), OPTIMISE]
-    return compiler.library("stage", text, made_by, __name__)
+    return compiler.library("stage", text, _made_by(), __name__)
+
+
+@functools.cache
+def _made_by() -> tuple[str, ...]:
+    makers = (node_derivatives, along_splines, wide_code, c_code)
+    texts = (Path(str(each.__file__)).read_text() for each in makers)
+    return (*texts, ca.CasadiMeta.version(), OPTIMISE)
 
 
 def _code(given: str) -> str:

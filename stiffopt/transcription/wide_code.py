@@ -14,8 +14,8 @@ from typing import Any
 
 import casadi as ca
 
-# Points at once: two or four registers where a processor has smaller ones.
-LANES = 8
+from stiffopt.c_code import HEAD, LANES
+
 # Values that are compiled as one: of more the compiler takes longer, of fewer more are kept.
 _LONGEST = 250
 
@@ -74,25 +74,15 @@ _BINARY = {
     ca.OP_COPYSIGN: "copysign",
 }
 
-_HEAD = """#include <math.h>
-/* Neither aligned as a whole nor of a type of its own: they lie in arrays of double. */
-typedef double wide __attribute__((vector_size({bytes}), aligned(8), may_alias));
-typedef long long mask __attribute__((vector_size({bytes}), aligned(8), may_alias));
-/* What is left in wide registers slows all code that knows narrow ones only, such as MUMPS. */
-#ifdef __AVX__
-#define LEAVE __builtin_ia32_vzeroupper()
-#else
-#define LEAVE
-#endif
-#define TRUE(a) ((wide)((mask)(a) & (mask)((wide){{0}} + 1.0)))
-"""
-_PUT = """static __attribute__((noinline)) void put(double* to, long step, wide v) {{
-  for (int k = 0; k < {lanes}; k++) to[k * step] = v[k];
-}}
+_HEAD = """typedef long long mask __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
+#define TRUE(a) ((wide)((mask)(a) & (mask)((wide){0} + 1.0)))
+static __attribute__((noinline)) void put(double* to, long step, wide v) {
+  for (int k = 0; k < LANES; k++) to[k * step] = v[k];
+}
 """
 _EACH = """static __attribute__((noinline)) wide each_{name}({arguments}) {{
   wide r;
-  for (int k = 0; k < {lanes}; k++) r[k] = {name}({lane});
+  for (int k = 0; k < LANES; k++) r[k] = {name}({lane});
   return r;
 }}
 """
@@ -111,13 +101,13 @@ def wide_code(functions: Sequence[ca.Function], shared: Sequence[int]) -> str:
     read = [_operations(function) for function in functions]
     code = [line for each in read for line in _definition(each, shared)]
     used = {operation for each in read for operation, _ in each.operations}
-    head = [_HEAD.format(bytes=8 * LANES), _PUT.format(lanes=LANES)]
+    head = [HEAD, _HEAD]
     for names, arguments, lane in (
         (_UNARY, "wide a", "a[k]"),
         (_BINARY, "wide a, wide b", "a[k], b[k]"),
     ):
         head += [
-            _EACH.format(name=name, arguments=arguments, lane=lane, lanes=LANES)
+            _EACH.format(name=name, arguments=arguments, lane=lane)
             for name in sorted({name for operation, name in names.items() if operation in used})
         ]
     return "\n".join([*head, *code])
