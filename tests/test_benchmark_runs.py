@@ -38,6 +38,15 @@ def test_why_a_peer_gave_no_answer_is_told(source, limits, why):
     assert python("print('{}')") == "{}\n"
 
 
+def test_the_limit_leaves_a_process_a_fine_clock():
+    source = """
+import statistics, time
+seen = [time.process_time() for _ in range(2000)]
+print(statistics.median(b - a for a, b in zip(seen, seen[1:])) > 0.0)
+"""
+    assert python(source) == "True\n"
+
+
 @pytest.mark.parametrize(("fails", "number"), [("stiffopt", 1), ("toppra", 2)])
 def test_a_peer_that_fails_has_no_numbers_and_leaves_the_others_theirs(monkeypatch, fails, number):
     asked = {"stiffopt": 0, "toppra": 0}
