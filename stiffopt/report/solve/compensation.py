@@ -120,7 +120,8 @@ def compensation_notes(compensation: Compensation) -> list[str]:
         *([f"Every arm's motors follow by position loops of {loop}."] if loop else []),
         f"Uncertain: {listed(compensation.uncertainty)}. The worst arm has each at a bound, or the "
         f"joints' stiffness such that their errors add up; {compensation.draws} arms are drawn "
-        "evenly between the bounds.",
+        "evenly between the bounds. The problem's limits, settling included, are judged on the arm "
+        "as modelled only.",
         f"{made}; the motors lead by {100 * own.share:.0f} % of the nominal wind-up, "
         f"{'as chosen by the solve' if compensation.file else 'which is best for the worst arm'}.",
     ]
