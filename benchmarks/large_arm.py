@@ -1,6 +1,7 @@
 """Diagnosis of an arm that swings within its own motion: `big6` with 5 to 15 kg, seen blind.
 
     python -m benchmarks.large_arm --none 100 --single 150 --work out/large_arm
+    python -m benchmarks.large_arm --robot arm7 --none 20 --single 30 --work out/large_arm
 
 Cases with nothing missing count false alarms and what is left of runs never fitted to, over what
 the exact signals leave; cases with one effect count names, places and intervals. A run that was
@@ -29,29 +30,29 @@ from benchmarks.blind.tool import TIMEOUT, answer
 from benchmarks.blind.wilson import wilson
 from benchmarks.simulator import EFFECTS, ROBOTS, CaseSpec, simulate, truth_text, write_case
 
-ROBOT = "big6"
-PAYLOADS = (5.0, 15.0)  # [kg]
+# Payloads of the robots [kg].
+PAYLOADS = {"big6": (5.0, 15.0), "arm7": (2.0, 8.0), "pallet4": (5.0, 40.0)}
 SMOOTHINGS = (0.42, 0.3, 0.2)  # of the corners of the motion, in turn [s]: the last excite swing
 
 
-def base_spec(key: Key, name: str) -> CaseSpec:
+def base_spec(key: Key, robot: str, name: str) -> CaseSpec:
     """Motions, tolerances and payload of a case."""
     draw = key.draw(name)
     return CaseSpec(
-        robot=ROBOT,
+        robot=robot,
         seed=int(draw.integers(2**62)),
         seconds=SECONDS,
         rate=RATE,
         substeps=SUBSTEPS,
-        payload=round(float(draw.uniform(*PAYLOADS)), 2),
+        payload=round(float(draw.uniform(*PAYLOADS[robot])), 2),
         smoothing=SMOOTHINGS[int(name.partition("_")[2]) % len(SMOOTHINGS)],
         name=name,
     )
 
 
-def drawn(key: Key, name: str) -> tuple[CaseSpec, dict[str, Any]]:
+def drawn(key: Key, robot: str, name: str) -> tuple[CaseSpec, dict[str, Any]]:
     """Specification of a case, with what is said about it in its truth."""
-    spec = base_spec(key, name)
+    spec = base_spec(key, robot, name)
     kind, _, number = name.partition("_")
     known: dict[str, Any] = {"suite": "large", "kind": kind, "severity": 0.0}
     if kind == "none":
@@ -62,7 +63,7 @@ def drawn(key: Key, name: str) -> tuple[CaseSpec, dict[str, Any]]:
     severities = key.shuffled(SEVERITIES, "severity", index // len(SEVERITIES))
     severity = severities[index % len(SEVERITIES)]
     for effect in (order[place], *key.shuffled(CATALOGUE, name, "next")):
-        for joint in _joints(key, name, effect):
+        for joint in _joints(key, robot, name, effect):
             found = sized(spec, effect, joint, START[effect])
             if found is not None:
                 chosen = ((effect, joint, found.size * severity),)
@@ -70,8 +71,8 @@ def drawn(key: Key, name: str) -> tuple[CaseSpec, dict[str, Any]]:
     raise RuntimeError(f"no effect can be seen in {name}")
 
 
-def _joints(key: Key, name: str, effect: str) -> list[int | None]:
-    robot = ROBOTS[ROBOT]
+def _joints(key: Key, name_of_robot: str, name: str, effect: str) -> list[int | None]:
+    robot = ROBOTS[name_of_robot]
     if EFFECTS[effect].where == "robot":
         return [None]
     places: list[int | None] = list(range(1, robot.joints + 1))
@@ -84,11 +85,11 @@ def _joints(key: Key, name: str, effect: str) -> list[int | None]:
     return key.shuffled(places, name, "joint", effect)[:2]
 
 
-def make(key: Key, name: str, store: Store) -> None:
+def make(key: Key, robot: str, name: str, store: Store) -> None:
     """Make and seal a case that is not there yet."""
     if store.made(name):
         return
-    spec, known = drawn(key, name)
+    spec, known = drawn(key, robot, name)
     case = simulate(spec)
     case.truth.update(id=name, link_encoders=True, spec=asdict(spec), **known)
     write_text(store.truth(name), truth_text(case))
@@ -105,18 +106,19 @@ def _share(hits: int, total: int) -> str:
     return f"{hits} of {total} ({100 * low:.1f} to {100 * high:.1f} %)"
 
 
-def page(key: str, asked: int, scores: list[CaseScore]) -> str:
+def page(key: str, robot: str, asked: int, scores: list[CaseScore]) -> str:
     """Results of the cases that were answered."""
     none = [s for s in scores if s.kind == "none"]
     single = [s for s in scores if s.kind == "single"]
     fits = [s.fit["test"] for s in none if "test" in s.fit]
     values = [p for s in single if s.exact for p in s.parameters]
     ratios = np.array([f.after / f.oracle for f in fits])
+    least, most = PAYLOADS[robot]
     lines = [
         "# A large arm that swings within its own motion",
         "",
-        f"Key `{key}`: {len(scores)} of {asked} cases were run, `big6` with {PAYLOADS[0]:g} to"
-        f" {PAYLOADS[1]:g} kg; motions with corners rounded over"
+        f"Key `{key}`: {len(scores)} of {asked} cases were run, `{robot}` with {least:g} to"
+        f" {most:g} kg; motions with corners rounded over"
         f" {', '.join(f'{s:g}' for s in SMOOTHINGS)} s in turn. Intervals are Wilson's, 95 %.",
         "",
         "| | asked | measured |",
@@ -153,6 +155,7 @@ def _line(score: CaseScore) -> str:
 def main() -> None:
     """Make, diagnose and score."""
     parser = argparse.ArgumentParser(description="Diagnosis of an arm that swings.")
+    parser.add_argument("--robot", choices=PAYLOADS, default="big6")
     parser.add_argument("--none", type=int, default=100, help="cases with nothing missing")
     parser.add_argument("--single", type=int, default=150, help="cases with one effect")
     parser.add_argument("--work", type=Path, default=Path("out/large_arm"))
@@ -161,18 +164,19 @@ def main() -> None:
     given = parser.parse_args()
     for library in ("OMP", "OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-    key, store = Key(given.key, ""), Store(given.work.resolve() / given.key)
+    folder = given.key if given.robot == "big6" else f"{given.key}_{given.robot}"
+    key, store = Key(given.key, ""), Store(given.work.resolve() / folder)
     names = [f"none_{k:03d}" for k in range(given.none)]
     names += [f"single_{k:03d}" for k in range(given.single)]
     # Mixed, so that a part of a run is a fair part.
     names.sort(key=lambda name: int(name[-3:]) / (given.none if "none" in name else given.single))
     if not given.score:
         for name in names:
-            make(key, name, store)
+            make(key, given.robot, name, store)
             print(name, answer(name, store, TIMEOUT, threading.Event()), flush=True)
     answered = [name for name in names if store.answered(name)]
     scores = [score_case(store.folder, name, residuals=True) for name in sorted(answered)]
-    text = page(given.key, len(names), scores)
+    text = page(given.key, given.robot, len(names), scores)
     write_text(store.folder / "RESULTS.md", text)
     print(text)
 

@@ -6,7 +6,7 @@ encoders, and a true robot that differs from the nominal one by its tolerances i
 
 from .case import build_world, simulate
 from .effects import EFFECTS
-from .machines import ROBOTS
+from .other_machines import ROBOTS
 from .spec import Case, CaseSpec, RunRecord, Trace
 from .writing import truth_text, write_case, write_truth
 

@@ -15,8 +15,8 @@ from . import (  # noqa: F401
 )
 from .effects import apply
 from .integrator import integrate
-from .machines import ROBOTS
 from .motion import nominal_torque, references, run_plans
+from .other_machines import ROBOTS
 from .robots import Robot
 from .spec import Case, CaseSpec, RunRecord, Trace
 from .world import Signals, World, true_world
