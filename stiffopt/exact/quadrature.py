@@ -49,7 +49,11 @@ class Antiderivative:
         """Integral from 0 to `x` (any shape); |x| must not exceed the last edge."""
         x = np.asarray(x, dtype=float)
         value = _series(self._integral, *self._place(np.abs(x).ravel(), "left"))
-        return np.asarray(np.sign(x) * value.reshape(x.shape))
+        # Nothing at 0, also of a function that has no end there.
+        moved = x != 0.0
+        out = np.zeros(x.shape)
+        np.multiply(np.sign(x), value.reshape(x.shape), out=out, where=moved)
+        return out
 
     def slope(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The function at `x` (any shape), right of a jump, and where that is sharp."""

@@ -20,6 +20,7 @@ from stiffopt.certificate.objective_value import (
     improvement,
     objective_value,
 )
+from stiffopt.certificate.slipping import slip_text, slips
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.interrupts import delivered
@@ -268,7 +269,10 @@ def solution_of(
     problem, assessment = run.problem, with_collisions(run.problem, outcome.assessment)
     found = verdict(problem, outcome, assessment, beside)
     end = beyond_limits(problem, assessment, found, run.unavoided)
-    if end.status in (SolveStatus.CERTIFICATE_FAILED, SolveStatus.INFEASIBLE):
+    slipping = slips(problem.robot, assessment)
+    if slipping and slip_text(slipping) not in end.message:
+        notes = (*notes, f"In this motion {slip_text(slipping)}")
+    if not slipping and end.status in (SolveStatus.CERTIFICATE_FAILED, SolveStatus.INFEASIBLE):
         advice = slower_advice(run, outcome)
         end = replace(end, message=f"{end.message} {advice}".rstrip())
     value = objective_value(problem, assessment)

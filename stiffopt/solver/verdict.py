@@ -10,10 +10,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from stiffopt.certificate.agreement import Disagreement, differences
 from stiffopt.certificate.collisions import LIMIT as COLLISION
 from stiffopt.certificate.collisions import scope
 from stiffopt.certificate.objective_value import is_maximised, objective_value
+from stiffopt.certificate.slipping import slip_text, slips
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.problem.belief import believed_of
 from stiffopt.problem.formulation import smoothing_stages
@@ -113,6 +116,10 @@ def _by_belief(
     if not doubts:
         return found
     listed = "; ".join(d.describe() for d in doubts[:3])
+    slipping = slips(problem.robot, motion)
+    if slipping and any(np.isinf(d.value) for d in doubts):
+        held = "Every limit holds on the fine grid." if found.status.usable else found.message
+        return Verdict(SolveStatus.CERTIFICATE_FAILED, f"{held} But {slip_text(slipping)}")
     if not found.status.usable:
         differs = f"{found.message} And the optimiser believed otherwise: {listed}."
         return Verdict(found.status, differs)

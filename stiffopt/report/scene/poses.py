@@ -65,7 +65,10 @@ def poses_along(problem: TrajectoryProblem, motion: Assessment, frames: int = FR
     total = motion.windup[at]
     static = joint_windup(robot, np.array([bodies.gravity_torque(q) for q in position]))
     link = joint_windup(robot, motion.spring_torque[at] + process) if process.any() else total
-    bends = {"total": total, "static": static, "process": total - link, "dynamic": link - static}
+    # Where a connection slips its parts are infinite less infinite, and left out below.
+    with np.errstate(invalid="ignore"):
+        process_bend, dynamic = total - link, link - static
+    bends = {"total": total, "static": static, "process": process_bend, "dynamic": dynamic}
     return Poses(
         time=motion.time[at],
         position=position,

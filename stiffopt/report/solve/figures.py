@@ -68,6 +68,11 @@ class ComparedMotion:
         """Magnitude of a part of the deflection, (K,) [m]."""
         return np.asarray(np.linalg.norm(self.assessment.deflection[part], axis=1))
 
+    def peak(self, part: str) -> float:
+        """Largest magnitude that is finite [m]; where a connection slips, it is not."""
+        magnitude = self.magnitude(part)
+        return float(np.max(magnitude, where=np.isfinite(magnitude), initial=0.0))
+
 
 def compared_motions(solution: Solution) -> list[ComparedMotion]:
     """List the optimised motion first, then the baselines that exist."""
@@ -106,14 +111,13 @@ def deflection_figure(motions: Sequence[ComparedMotion], part: str = "dynamic") 
     with house_style():
         figure = Figure(figsize=(WIDTH, 3.7))
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))
-        factor, unit = scale(max(float(m.magnitude(part).max()) for m in motions), "m")
+        factor, unit = scale(max(m.peak(part) for m in motions), "m")
         for index, motion in enumerate(motions):
             _peak_curve(left, motion, part, factor, unit, motion.label, motion_style(index))
         left.set_title(f"{part.capitalize()} deflection of the tool, magnitude")
         first = motions[0]
         parts = [p for p in reversed(PARTS) if np.any(first.magnitude(p) > 0)]
-        largest = max((float(first.magnitude(p).max()) for p in parts), default=0.0)
-        factor_all, unit_all = scale(largest, "m")
+        factor_all, unit_all = scale(max(map(first.peak, parts), default=0.0), "m")
         for name in parts:
             _peak_curve(right, first, name, factor_all, unit_all, name, dict(_PART_STYLES[name]))
         right.set_title(f"Parts of the deflection, {first.name} motion")
@@ -139,7 +143,10 @@ def _peak_curve(
 ) -> None:
     time, values = motion.assessment.time, motion.magnitude(part) * factor
     at = int(np.argmax(values))
-    text = f"{label}: peak {significant(values[at], 3)} {unit} at {time[at]:.3f} s"
+    if np.isfinite(values[at]):
+        text = f"{label}: peak {significant(values[at], 3)} {unit} at {time[at]:.3f} s"
+    else:
+        text = f"{label}: slips from {time[at]:.3f} s on"
     axes.plot(*thin(time, values), label=text, **style)
     axes.plot(time[at], values[at], "o", color=style["color"], markersize=4.5)
 

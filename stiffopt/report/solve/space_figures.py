@@ -44,7 +44,7 @@ def path_figure(problem: TrajectoryProblem, motions: Sequence[ComparedMotion], p
     first = motions[0].assessment
     spans = np.ptp(first.tool, axis=0)
     widest, middle, least = (int(axis) for axis in np.argsort(-spans, kind="stable"))
-    largest = max(float(motion.magnitude(part).max()) for motion in motions)
+    largest = max(motion.peak(part) for motion in motions)
     factor = exaggeration(max(float(spans.max()), 1e-3), largest)
     with house_style():
         figure = Figure()
@@ -127,7 +127,8 @@ def exaggeration(extent: float, largest: float) -> float:
 def windup_figure(problem: TrajectoryProblem, motion: Assessment, part: str) -> Figure:
     """Wind-up of every joint at the instant of the largest deflection, split by element.
 
-    The split needs the robot's chains; without them a bar is of one colour.
+    The split needs the robot's chains; without them a bar is of one colour. A joint that slips has
+    no bar.
     """
     magnitude = np.linalg.norm(motion.deflection[part], axis=1)
     at = int(np.argmax(magnitude))
@@ -137,17 +138,21 @@ def windup_figure(problem: TrajectoryProblem, motion: Assessment, part: str) -> 
         axes = figure.subplots()
         shown: set[str] = set()
         windups = 1e3 * np.abs(motion.windup[at])
+        slips = ~np.isfinite(windups)
+        windups[slips] = 0.0
         for j, unit in enumerate(units):
             torque = float(motion.spring_torque[at, j])
             left = 0.0
-            for kind, share in windup_by_kind(problem.robot.chains[j], torque).items():
+            shares = {} if slips[j] else windup_by_kind(problem.robot.chains[j], torque)
+            for kind, share in shares.items():
                 label = None if kind in shown else kind.replace("_", " ")
                 shown.add(kind)
                 width = share * windups[j]
                 colour = element_colour(kind)
                 axes.barh(j, width, left=left, height=0.62, color=colour, label=label)
                 left += width
-            text = f"{number(windups[j] / 1e3, unit.windup, 3)} at {si(torque, unit.torque, 3)}"
+            size = "slips" if slips[j] else number(windups[j] / 1e3, unit.windup, 3)
+            text = f"{size} at {si(torque, unit.torque, 3)}"
             place: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points"}
             axes.annotate(text, (windups[j], j), va="center", fontsize=8.5, **place)
         axes.set_yticks(range(len(units)), [unit.label for unit in units])

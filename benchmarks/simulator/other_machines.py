@@ -1,0 +1,109 @@
+"""Two machines of other kinds, which nothing was developed on: seven axes, and a palletiser."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .machines import ARM6, BIG6, PLANAR2, SMALL3, X, Y, Z, row
+from .robots import Body, Robot
+
+# A light arm with a redundant joint and soft reducers.
+ARM7 = Robot(
+    name="arm7",
+    bodies=(
+        Body(
+            origin=(0, 0, 0.16), axis=Z, mass=4.1, com=(0, -0.03, 0.1), inertia=(0.05, 0.045, 0.013)
+        ),
+        Body(
+            origin=(0, 0, 0.2),
+            axis=Y,
+            mass=4.0,
+            com=(0.001, 0.04, 0.06),
+            inertia=(0.04, 0.02, 0.03),
+        ),
+        Body(
+            origin=(0, 0, 0.2), axis=Z, mass=3.1, com=(0, 0.03, 0.11), inertia=(0.035, 0.03, 0.01)
+        ),
+        Body(
+            origin=(0, 0, 0.21), axis=Y, mass=2.8, com=(0, 0.06, 0.03), inertia=(0.02, 0.01, 0.02)
+        ),
+        Body(
+            origin=(0, 0, 0.19),
+            axis=Z,
+            mass=1.8,
+            com=(0, 0.02, 0.08),
+            inertia=(0.013, 0.011, 0.005),
+        ),
+        Body(origin=(0, 0, 0.2), axis=Y, mass=1.8, com=(0, 0, 0.01), inertia=(0.005, 0.004, 0.005)),
+        Body(
+            origin=(0, 0, 0.08), axis=Z, mass=0.4, com=(0.01, 0, 0.02), inertia=(5e-4, 5e-4, 8e-4)
+        ),
+    ),
+    payload_mass=4.5,
+    payload_com=(0.03, 0.02, 0.09),
+    tool=(0, 0, 0.15),
+    gear_ratio=row(160, 160, 160, 160, 100, 160, 160),
+    rotor_inertia=row(2.4, 2.4, 1.5, 1.5, 0.4, 0.5, 0.5),
+    coulomb=row(6.0, 6.2, 4.2, 4.1, 2.4, 1.6, 1.5),
+    viscous=row(7.5, 7.6, 5.0, 4.8, 2.4, 1.7, 1.6),
+    torque_max=row(320, 320, 176, 176, 110, 40, 40),
+    torque_rated=row(120, 120, 66, 66, 40, 15, 15),
+    joint_damping=row(9, 9, 5, 4, 1.5, 0.8, 0.6),
+    contact_stiffness=row(1.6e5, 1.6e5, 9e4, 9e4, 5e4, 2.6e4, 2.4e4),
+    connections=("key+bolts", "pins+bolts") * 3 + ("key+bolts",),
+    slopes=np.array(
+        [
+            [2.6e4, 2.6e4, 1.6e4, 1.5e4, 9.2e3, 5.1e3, 5.0e3],
+            [4.2e4, 4.2e4, 2.5e4, 2.4e4, 1.4e4, 7.4e3, 7.2e3],
+            [4.8e4, 4.8e4, 2.9e4, 2.8e4, 1.6e4, 8.6e3, 8.4e3],
+        ]
+    ),
+    corners=np.array(
+        [[16.0, 16.0, 8.5, 8.2, 4.1, 1.9, 1.8], [60.0, 60.0, 32.0, 31.0, 15.0, 6.6, 6.5]]
+    ),
+    speed_max=row(1.7, 1.7, 1.75, 2.2, 2.4, 3.1, 3.1),
+    centre=row(0.0, 0.6, 0.2, -1.1, 0.0, 0.7, 0.0),
+    reach=row(0.9, 0.6, 0.7, 0.6, 1.0, 0.9, 1.2),
+    torque_noise=row(0.5, 0.5, 0.3, 0.3, 0.16, 0.09, 0.08),
+    motor_bits=18,
+)
+
+# Four axes: stiff reducers, heavy links, a load of which the last joint feels the inertia alone.
+PALLET4 = Robot(
+    name="pallet4",
+    bodies=(
+        Body(origin=(0, 0, 0.3), axis=Z, mass=85.0, com=(0.05, 0, 0.15), inertia=(2.6, 3.0, 2.2)),
+        Body(
+            origin=(0.22, 0, 0.35), axis=Y, mass=42.0, com=(0, 0.05, 0.34), inertia=(4.2, 4.0, 0.5)
+        ),
+        Body(
+            origin=(0, 0, 0.85), axis=Y, mass=27.0, com=(0.38, -0.03, 0.04), inertia=(0.3, 2.4, 2.4)
+        ),
+        Body(
+            origin=(0.95, 0, -0.1), axis=X, mass=6.5, com=(0.06, 0, 0), inertia=(0.05, 0.04, 0.04)
+        ),
+    ),
+    payload_mass=25.0,
+    payload_com=(0.2, 0.06, 0.05),
+    tool=(0.3, 0, 0),
+    gear_ratio=row(175, 190, 190, 120),
+    rotor_inertia=row(32, 36, 28, 5.5),
+    coulomb=row(75, 90, 65, 14),
+    viscous=row(60, 70, 48, 10),
+    torque_max=row(3100, 3900, 2700, 420),
+    torque_rated=row(1000, 1300, 900, 140),
+    joint_damping=row(320, 340, 190, 16),
+    contact_stiffness=row(4.2e6, 4.6e6, 3.1e6, 3.6e5),
+    connections=("pins+bolts", "pins+bolts", "2 keys+pins+bolts", "belt+key+bolts"),
+    slopes=np.array(
+        [[1.1e6, 1.3e6, 8.6e5, 8.8e4], [1.7e6, 2.0e6, 1.3e6, 1.4e5], [2.0e6, 2.3e6, 1.5e6, 1.6e5]]
+    ),
+    corners=np.array([[190.0, 240.0, 170.0, 30.0], [680.0, 850.0, 600.0, 105.0]]),
+    speed_max=row(1.9, 1.7, 1.9, 3.4),
+    centre=row(0.0, 0.1, 0.35, 0.0),
+    reach=row(1.1, 0.5, 0.5, 1.4),
+    torque_noise=row(5.0, 6.0, 4.2, 0.8),
+    motor_bits=19,
+)
+
+ROBOTS = {robot.name: robot for robot in (PLANAR2, SMALL3, ARM6, BIG6, ARM7, PALLET4)}
