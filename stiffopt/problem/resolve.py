@@ -95,10 +95,6 @@ def _joints(
             )
         return target.joints
     guess = target.near if target.near is not None else near
-    if guess is None:
-        limits = problem.active_limits
-        middle = (limits.position_lower + limits.position_upper) / 2
-        guess = np.where(np.isfinite(middle), middle, 0.0)
     rotation = None if target.rpy is None else rotation_from_rpy(target.rpy)
     try:
         return np.asarray(solve_pose(_within_limits(problem), target.position, rotation, guess))
