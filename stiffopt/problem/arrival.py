@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 # What a plan leaves after arrival though its links are at rest: damping is left out of the wind-up
 # and corners of the stiffness are smoothed [m].
 _LEFT = 5e-6
-# Sizes of modes are smooth at zero, within this share of what is allowed.
+# The size is smooth at zero, within this share of what is allowed.
 _ROUNDED = 1e-2
 # Share of what is allowed that the modes may take where nearly all of it is left anyway.
 _LEAST = 0.2
@@ -64,11 +64,14 @@ class Arrival:
         return cls(sizes=tuple(sizes), decays=np.array(decays))
 
     def row(self, name: str, allowed: float, after: float) -> PathRows:
-        """Sum of the modes' sizes [m] at most `allowed`, a time `after` the motors' stop [s]."""
+        """Sum of the modes' sizes [m] at most `allowed`, a time `after` the motors' stop [s].
+
+        By the root of their squares and number, which is never less: the sum itself has a corner
+        wherever a mode rests, and is least just there.
+        """
         share = np.exp(-self.decays * after) / allowed
-        sizes = [
-            ca.sqrt(float(own) ** 2 * size + _ROUNDED**2) - _ROUNDED
-            for own, size in zip(share, self.sizes, strict=True)
-        ]
+        weights = len(share) * share**2
+        squares = sum(float(own) * size for own, size in zip(weights, self.sizes, strict=True))
+        total = ca.sqrt(squares + _ROUNDED**2) - _ROUNDED
         upper = max(1.0 - _LEFT / allowed, _LEAST)
-        return PathRows(name=name, labels=("tool",), expressions=(sum(sizes),), upper=upper)
+        return PathRows(name=name, labels=("tool",), expressions=(total,), upper=upper)

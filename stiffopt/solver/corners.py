@@ -13,7 +13,7 @@ from stiffopt.result.trajectory import Trajectory
 
 # Widths are doubled up to so often, while that lowers the excess to this share at least.
 _DOUBLINGS = 7
-_HELPS = 0.75
+HELPS = 0.75
 # Excess that a solve gets rid of by passing corners a little slower.
 CORNERS_TAKE = 1.0
 # Of the last width: what may do as well, and leaves less after arrival.
@@ -70,7 +70,7 @@ def narrowest(beyond: Callable[[float], float], smoothing: float, allowed: float
         if worst <= allowed:
             break
         less = beyond(2.0 * smoothing)
-        if less > max(_HELPS * worst, allowed):
+        if less > max(HELPS * worst, allowed):
             break
         worst, smoothing = less, 2.0 * smoothing
     return smoothing

@@ -7,6 +7,7 @@ row is drawn in where the exact one exceeds it. Both up to a few times.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +22,7 @@ from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.solution import Baseline
 from stiffopt.solver.calming import calmed
-from stiffopt.solver.corners import CORNERS_TAKE, narrowest
+from stiffopt.solver.corners import CORNERS_TAKE, HELPS, narrowest
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.plan import SolveStage
 from stiffopt.solver.solve_run import SolveRun
@@ -36,7 +37,7 @@ from stiffopt.solver.stages import (
 )
 from stiffopt.solver.standstill import at_rest
 from stiffopt.solver.verdict import TRUE_OBJECTIVE
-from stiffopt.transcription.between import Excess, drawn_in, excess_of, tightened
+from stiffopt.transcription.between import Excess, KnownRows, drawn_in, excess_of, tightened
 from stiffopt.transcription.nlp import Nlp
 from stiffopt.transcription.point_function import PointFunction
 from stiffopt.transcription.refine import refine_mesh
@@ -53,9 +54,6 @@ _GROWTH = 1.25
 _CORRECTIONS = 12
 # Of a row's bound at once: a larger excess is a narrow one, and goes with less.
 _LARGEST_STEP = 0.15
-# Steps double from one correction to the next, up to this: what bulges between two points gives way
-# slowly, and the objective hardly feels it.
-_HASTE = 8.0
 # Share of an excess that the exact rows have to show where it is theirs.
 _SEEN = 0.5
 # Shares of these limits that are left to motors which have to calm their links, doubled each time.
@@ -164,6 +162,8 @@ def _corrected(run: SolveRun, outcome: Outcome) -> Outcome:
         late = _after_arrival(run.problem, found.assessment)
         if not (late and outcome.raw.converged):
             return found
+        # The size that rows know is more than the arm's: it gives way slowly.
+        late = {name: excess * 2.0**again for name, excess in late.items()}
         if not any(block.rows.name in late for block in nlp.rows.items):
             # The plan is at rest then, the arm is not: its motors lack the room to calm it.
             late = dict.fromkeys(_OF_DRIVES, _ROOM * 2.0**again)
@@ -199,14 +199,16 @@ def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nl
                     smoothing = replace(smoothing, corners=_passable(run, outcome))
                 rows = rows or PointFunction(exact_path_rows(run.problem, run.motion, run.scales))
                 bends = _BENDS if outcome.objective_gap > TRUE_OBJECTIVE else 1.0
-                known = excess_of(made.transcription, raw.x, smoothing.bent(bends).parameters, rows)
+                bent = smoothing.bent(bends).parameters
+                found = _driven(run.problem, outcome.assessment)
+                known = excess_of(made.transcription, raw.x, bent, rows, found)
                 unseen = _unseen(known, excess)
-            haste = min(2.0 ** (attempt - 1), _HASTE)
-            found = tightened(nlp, known, most=_LARGEST_STEP, haste=haste, limits=LIMITS)
-            found = drawn_in(found, unseen)
-            if not _worth_solving(found, nlp, moved=smoothing != outcome.smoothing):
+            given = made.transcription.nlp
+            closer = tightened(nlp, known, given, most=_LARGEST_STEP, limits=LIMITS)
+            closer = drawn_in(closer, unseen)
+            if not _worth_solving(closer, nlp, moved=smoothing != outcome.smoothing):
                 break
-            nlp = found
+            nlp = closer
             again = corrected(run, made, raw, nlp, smoothing)
             if _failed(again):
                 break
@@ -226,14 +228,35 @@ def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nl
 
 
 def _passable(run: SolveRun, outcome: Outcome) -> float:
-    """Wider corners of the motors' law, by which the same links exceed limits by little."""
+    """Wider corners of the motors' law, by which the same links exceed limits by little.
+
+    As wide as they are where that lowers no excess: then it is none of a corner.
+    """
     corners = outcome.smoothing.corners
 
+    @functools.cache
     def beyond(width: float) -> float:
         motors = motors_of(run, outcome, width / corners, sagged=False)
         return max(v.value for v in drive_violations(run.problem, motors))
 
-    return narrowest(beyond, 2.0 * corners, CORNERS_TAKE)
+    found = narrowest(beyond, 2.0 * corners, CORNERS_TAKE)
+    return found if beyond(found) <= HELPS * beyond(corners) else corners
+
+
+def _driven(problem: TrajectoryProblem, motion: Assessment) -> dict[str, KnownRows]:
+    """What the drives do in truth, over their limits; by name of the limit.
+
+    Of torques with dry friction rows are either side's envelope, which they are enough for.
+    """
+    if not problem.plans_links:
+        return {}
+    names = [name for name in _OF_DRIVES if name != "torque" or not np.any(problem.robot.coulomb)]
+    found = {}
+    for name in names:
+        limit = np.broadcast_to(getattr(problem.active_limits, name), (problem.joints,))
+        bounded = np.isfinite(limit)
+        found[name] = KnownRows(motion.time, getattr(motion, name)[:, bounded] / limit[bounded])
+    return found
 
 
 def _to_mend(outcome: Outcome, excess: dict[str, float]) -> bool:

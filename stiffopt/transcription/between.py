@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -21,6 +22,10 @@ from stiffopt.transcription.transcription import Transcription
 _POINTS = 16
 # Bounds are drawn in by a little more than the excess: where they move, the excess moves too.
 _MORE, _LEAST = 1.25, 2e-3
+# What bulges between two points gives way slowly, and the objective hardly feels it: a bound that
+# was drawn in and is still exceeded goes as far again, up to so many times what is needed. One that
+# was not goes by what is needed: more would move the switches of the motion.
+_HASTE = 8.0
 
 
 @dataclass(frozen=True)
@@ -39,8 +44,28 @@ class Excess:
     near: tuple[tuple[Block, np.ndarray, np.ndarray, np.ndarray], ...]
 
 
+@dataclass(frozen=True)
+class KnownRows:
+    """What rows of a name are in truth, where it is known apart from the programme.
+
+    Parameters
+    ----------
+    times : array (K,)
+        In time, from 0 [s].
+    values : array (K, m)
+        In the unit of the rows and in their order.
+    """
+
+    times: np.ndarray
+    values: np.ndarray
+
+
 def excess_of(
-    transcription: Transcription, x: np.ndarray, parameters: np.ndarray, rows: PointFunction
+    transcription: Transcription,
+    x: np.ndarray,
+    parameters: np.ndarray,
+    rows: PointFunction,
+    found: Mapping[str, KnownRows] = MappingProxyType({}),
 ) -> Excess:
     """Excess of the exact path rows of a motion, at the points of the programme and between them.
 
@@ -52,6 +77,8 @@ def excess_of(
     parameters : array (np,)
     rows : PointFunction
         Exact path rows.
+    found : mapping of row name to KnownRows
+        What counts besides: motors arrive later than the links by what rows do not know.
     """
     motion = transcription.guess_from(x)
     steps = transcription.intervals.shares @ transcription.phase_durations(x)
@@ -70,20 +97,26 @@ def excess_of(
         order = np.argsort(places)
         own = values[:, entries] / block.rows.scale
         index = block.offset + np.arange(block.size).reshape(len(places), -1)[order]
+        name = block.rows.name
+        seen = [(times, own)]
+        if name in found:
+            seen.append((found[name].times, found[name].values / block.rows.scale))
         both = []
         for limit, sign in ((block.rows.upper, 1.0), (block.rows.lower, -1.0)):
-            with np.errstate(invalid="ignore"):
-                excess = np.maximum(sign * (own - limit / block.rows.scale), 0.0)
-            excess = np.nan_to_num(excess, nan=0.0, posinf=0.0)
-            name = block.rows.name
-            largest[name] = max(largest.get(name, 0.0), float(excess.max(initial=0.0)))
-            both.append(largest_beside(times, places[order], excess))
+            beside = np.zeros((len(places), own.shape[1]))
+            for when, known in seen:
+                with np.errstate(invalid="ignore"):
+                    excess = np.maximum(sign * (known - limit / block.rows.scale), 0.0)
+                excess = np.nan_to_num(excess, nan=0.0, posinf=0.0)
+                largest[name] = max(largest.get(name, 0.0), float(excess.max(initial=0.0)))
+                beside = np.maximum(beside, largest_beside(when, places[order], excess))
+            both.append(beside)
         near.append((block, index, both[0], both[1]))
     return Excess(largest, tuple(near))
 
 
 def tightened(
-    nlp: Nlp, excess: Excess, *, most: float, haste: float = 1.0, limits: Container[str] = ()
+    nlp: Nlp, excess: Excess, given: Nlp, *, most: float, limits: Container[str] = ()
 ) -> Nlp:
     """The NLP with the bounds of its path rows drawn in where a motion exceeds them.
 
@@ -92,18 +125,26 @@ def tightened(
     nlp : Nlp
         That of the motion, or one tightened before.
     excess : Excess
+    given : Nlp
+        With the bounds as they were first.
     most : float
         Largest step by which a bound is drawn in, in units of its row.
-    haste : float
-        Times the step that the excess of a limit asks for.
     limits : container of str
         Names of rows that have to hold. The others are those of a peak, which is what it is: they
         are drawn in by just their excess.
     """
     lower, upper = nlp.lower_g.copy(), nlp.upper_g.copy()
     for block, index, above, below in excess.near:
-        for bound, near, sign in ((upper, above, 1.0), (lower, below, -1.0)):
-            step = haste * (_MORE * near + _LEAST) if block.rows.name in limits else near
+        for bound, first, near, sign in (
+            (upper, given.upper_g, above, 1.0),
+            (lower, given.lower_g, below, -1.0),
+        ):
+            step = near
+            if block.rows.name in limits:
+                step = _MORE * near + _LEAST
+                with np.errstate(invalid="ignore"):
+                    drawn = np.nan_to_num(sign * (first[index] - bound[index]))
+                step = np.clip(drawn, step, _HASTE * step)
             bound[index] -= sign * np.where(near > 0.0, np.minimum(step, most), 0.0)
     return replace(nlp, lower_g=lower, upper_g=upper)
 

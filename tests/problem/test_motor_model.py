@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -25,7 +26,8 @@ from stiffopt.result.store import export_times, write_trajectory
 from stiffopt.result.trajectory import Trajectory
 from stiffopt.solver.guess import initial_guess
 from stiffopt.solver.solve import solve
-from stiffopt.transcription.between import excess_of, tightened
+from stiffopt.transcription import between
+from stiffopt.transcription.between import Excess, KnownRows, excess_of, tightened
 from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import uniform_mesh
 from stiffopt.transcription.point_function import PointFunction
@@ -228,7 +230,8 @@ def test_bounds_are_drawn_in_about_what_exceeds_them(planar):
     x = transcription.pack(initial_guess(planar, motion, baselines(planar, motion)))
     rows = PointFunction(exact_path_rows(planar, motion, Scales()))
     excess = excess_of(transcription, x, Smoothing(SMOOTHING).parameters, rows)
-    nlp = tightened(transcription.nlp, excess, most=0.1)
+    given = transcription.nlp
+    nlp = tightened(given, excess, given, most=0.1)
     change = transcription.nlp.upper_g - nlp.upper_g
     changed = np.flatnonzero(np.nan_to_num(change))
     assert max(excess.largest.values()) > 0.0
@@ -238,8 +241,48 @@ def test_bounds_are_drawn_in_about_what_exceeds_them(planar):
     names = {nlp.rows.entry(int(k)).name for k in changed}
     assert names <= {rows.name for rows in ocp.path_rows}
     # Again from there, bounds only move further in.
-    further = tightened(nlp, excess, most=0.1)
+    further = tightened(nlp, excess, given, most=0.1)
     assert np.all(np.nan_to_num(nlp.upper_g - further.upper_g) >= 0.0)
+
+
+def test_only_bounds_that_were_drawn_in_before_go_as_far_again(monkeypatch):
+    monkeypatch.setattr(between, "replace", lambda nlp, **bounds: SimpleNamespace(**bounds))
+    index = np.arange(3)[:, None]
+    near = np.array([[0.02], [0.02], [0.0]])
+    block = SimpleNamespace(rows=SimpleNamespace(name="jerk"))
+    excess = Excess({"jerk": 0.02}, ((block, index, near, np.zeros((3, 1))),))
+    given = SimpleNamespace(lower_g=np.full(3, -1.0), upper_g=np.ones(3))
+    before = SimpleNamespace(lower_g=np.full(3, -1.0), upper_g=np.array([0.9, 1.0, 0.9]))
+    found = tightened(before, excess, given, most=1.0, limits=("jerk",))
+    assert found.upper_g[0] == pytest.approx(0.8)
+    assert 1.0 - 2.0 * 0.02 < found.upper_g[1] < 1.0 - 0.02
+    assert found.upper_g[2] == 0.9
+    assert np.array_equal(found.lower_g, before.lower_g)
+
+
+def test_what_motors_do_in_truth_draws_rows_in_where_they_do_it(planar):
+    motion = resolve(planar)
+    transcription = transcribe(formulate(planar, motion, Scales()), mesh=uniform_mesh(8))
+    x = transcription.pack(initial_guess(planar, motion, baselines(planar, motion)))
+    rows = PointFunction(exact_path_rows(planar, motion, Scales()))
+    duration = float(transcription.phase_durations(x).sum())
+    times = np.linspace(0.0, duration, 201)
+    speed = np.zeros((201, planar.joints))
+    speed[times > 0.9 * duration, 1] = 1.5
+    asked = (transcription, x, Smoothing(SMOOTHING).parameters, rows)
+    plain = excess_of(*asked)
+    found = excess_of(*asked, {"velocity": KnownRows(times, speed)})
+    assert found.largest["velocity"] == pytest.approx(max(0.5, plain.largest["velocity"]))
+    for (block, _, above, below), (_, _, known, same) in zip(found.near, plain.near, strict=True):
+        changed = above != known
+        assert np.array_equal(below, same)
+        if block.rows.name != "velocity":
+            assert not changed.any()
+            continue
+        assert changed.any()
+        assert not changed[:, 0].any()
+        late = transcription.times_of(block.places, x)
+        assert np.all(np.sort(late)[changed[:, 1]] > 0.7 * duration)
 
 
 def test_wide_corners_are_the_motors_alone(planar):

@@ -16,6 +16,7 @@ from stiffopt.elastic.modes import modes
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import InputError
+from stiffopt.problem.arrival import Arrival
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.limit import LIMITS
 from stiffopt.problem.objective import OBJECTIVES
@@ -108,6 +109,33 @@ def test_the_size_after_arrival_is_that_of_the_modes(shortest):
     assert found == pytest.approx(size, rel=0.1, abs=5e-6)
     assert solution.compensation is None
     assert any("swing on after arrival" in note for note in solution.notes)
+
+
+def test_what_swings_on_is_limited_without_a_kink():
+    """By one row that the sum of the sizes never exceeds, smooth where single modes rest."""
+    size = ca.SX.sym("size", 3)
+    arrival = Arrival(tuple(size[k] ** 2 for k in range(3)), np.array([1.0, 2.0, 3.0]))
+    allowed, after = 1e-4, 0.1
+    row = arrival.row("residual_vibration", allowed, after)
+    value = ca.Function("value", [size], [row.expressions[0]])
+    bend = ca.Function("bend", [size], [ca.hessian(row.expressions[0], size)[0]])
+    random = np.random.default_rng(2)
+    for sizes in np.abs(random.normal(size=(50, 3))):
+        # On the bound; less 5 um that plans leave anyway.
+        low, high = 0.0, 1.0
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            inside = float(value(middle * allowed * sizes)) <= row.upper
+            low, high = (middle, high) if inside else (low, middle)
+        left = np.sum(low * allowed * sizes * np.exp(-arrival.decays * after))
+        # What rounds it off at zero is 1 % of what is allowed.
+        assert left <= (1.01 * row.upper + 1e-2) * allowed
+    one = np.array([allowed, 0.0, 0.0])
+    # A mode that rests has no corner: the row bends as far as it is from the other's size.
+    assert float(np.abs(bend(one)).max()) * allowed**2 < 10.0
+    alone = Arrival((size[0] ** 2,), np.zeros(1)).row("residual_vibration", allowed, 0.0)
+    single = ca.Function("single", [size], [alone.expressions[0]])
+    assert float(single(one)) == pytest.approx(1.0, rel=1e-2)
 
 
 def test_least_residual_vibration(tmp_path):

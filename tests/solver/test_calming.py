@@ -55,7 +55,8 @@ def test_links_are_nearer_to_their_plan_and_every_limit_holds(solved):
     # The plan of the links is the same.
     assert after.objective.value == pytest.approx(before.objective.value, rel=1e-9)
     plain, found, planned = swing(problem, before), swing(problem, after), after.objective.value
-    assert found.peak_after < 0.3 * plain.peak_after
+    # To a third, or to what is near the plan already.
+    assert found.peak_after < max(0.3 * plain.peak_after, 0.04 * planned)
     assert abs(found.peak - planned) <= abs(plain.peak - planned)
 
 

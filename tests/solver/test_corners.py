@@ -1,7 +1,10 @@
 """Widths of the motors' law at the corners of a joint's stiffness."""
 
+from types import SimpleNamespace
+
 import pytest
 
+from stiffopt.solver import refinement
 from stiffopt.solver.corners import narrowest, widened
 
 
@@ -26,3 +29,26 @@ def test_a_solve_takes_the_narrowest_corners_that_it_can_do_the_rest_with(needed
 
 def test_what_width_does_not_mend_is_no_corner():
     assert narrowest(lambda width: 7.0 + 0.1 / width, 0.5, 1.0) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("excess", "corners"),
+    [
+        (lambda width: (100.0 / width) ** 2 - 1.0, 128.0),
+        # Of a joint whose stiffness has no corner.
+        (lambda width: 0.4, 4.0),
+        (lambda width: 0.4 - 1e-3 * width, 4.0),
+    ],
+)
+def test_corners_that_are_passed_too_fast_get_wider_and_no_others(monkeypatch, excess, corners):
+    outcome = SimpleNamespace(smoothing=SimpleNamespace(corners=4.0))
+
+    def motors(run, outcome, share, *, sagged):
+        return share * outcome.smoothing.corners
+
+    def drives(problem, width):
+        return [SimpleNamespace(value=-0.1), SimpleNamespace(value=excess(width))]
+
+    monkeypatch.setattr(refinement, "motors_of", motors)
+    monkeypatch.setattr(refinement, "drive_violations", drives)
+    assert refinement._passable(SimpleNamespace(problem=None), outcome) == corners
