@@ -14,6 +14,8 @@ from stiffopt.robot.robot import Robot
 _TURN = 2.0 * np.pi
 # A tool or a centre of mass so many reaches of the arm away is in another unit.
 _FAR = 2.0
+# Share of all masses that is none.
+_ROUNDING = 1e-9
 
 
 def check_plausible(problem: TrajectoryProblem) -> None:
@@ -112,11 +114,14 @@ def _fixed_length(robot: Robot) -> float:
 
 
 def _check_masses(robot: Robot) -> None:
-    """An arm without masses has no torques and no deflections: every motion is as good."""
-    if not any(body.mass > 0.0 for body in robot.tree.bodies) and not robot.rotor_inertia.any():
+    """An arm without masses has no torques and no deflections of its own."""
+    total = float(sum(body.mass for body in robot.tree.bodies))
+    payload = 0.0 if robot.payload is None else float(robot.payload[0])
+    if total - payload <= _ROUNDING * total and not robot.rotor_inertia.any():
+        zero = "those of the payload alone" if payload else "zero"
         raise ProblemError(
             f"no link of {robot.name} has a mass: its URDF gives no <inertial>, so all torques and"
-            " deflections are zero. Give masses in [[link]] sections of a robot file (`stiffopt"
+            f" deflections are {zero}. Give masses in [[link]] sections of a robot file (`stiffopt"
             " init robot` of the URDF guesses some), or in the URDF."
         )
 

@@ -54,15 +54,19 @@ def test_an_arm_without_masses(tmp_path, capsys):
         assert np.all(np.abs(bodies.gravity_torque(pose)) < arm.torque_max)
 
 
-def test_without_any_mass_there_is_nothing_to_plan(tmp_path):
+@pytest.mark.parametrize(
+    ("payload", "left"),
+    [("", "are zero"), ("[payload]\nmass = 5.0\n", "are those of the payload alone")],
+)
+def test_without_any_mass_there_is_nothing_to_plan(payload, left, tmp_path):
     urdf = written(tmp_path, chain(3, mass=""))
     text = (
         'schema = 1\nkind = "trajectory"\nrobot = "arm.urdf"\n[motion]\nduration = "2 s"\n'
         "start = { joints = [0.0, 0.0, 0.0] }\nend = { joints = [0.1, 0.1, 0.1] }\n"
         '[[minimise]]\nobjective = "torque_squared"\n'
     )
-    (tmp_path / "problem.toml").write_text(text)
-    with pytest.raises(ProblemError, match=r"no link of arm has a mass.*\[\[link\]\]"):
+    (tmp_path / "problem.toml").write_text(text + payload)
+    with pytest.raises(ProblemError, match=rf"no link of arm has a mass.*{left}.*\[\[link\]\]"):
         resolve(load_problem(tmp_path / "problem.toml").problem)
     assert urdf.exists()
 
