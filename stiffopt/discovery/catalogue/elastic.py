@@ -35,13 +35,19 @@ def backlash_term(
 def hysteresis_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Wind-up -D'(s) h y: inner friction h y carries part of the torque and lags the wind-up."""
+    """Wind-up -D'(s) h y: inner friction h y carries part of the torque and lags the wind-up.
+
+    D' is the mean slope over a usual loop's height, since D(s - h y) - D(s) does not jump where
+    a reducer bends; there no link motion would agree with a jump.
+    """
     d = signals.windup
     if is_symbolic(d) or is_symbolic(shapes[0]) or shapes[1] != 1.0:
         side = remember(dahl, [d], [0.0, d[0]], [shapes[0], shapes[1]])
     else:
         side = _evenly(d, shapes[0])
-    slope = signals.constants.compliance(signals.spring_torque)
+    torque, height = signals.spring_torque, _loop_height(signals.constants)
+    ends = [signals.constants.windup(torque + end) for end in (-height, height)]
+    slope = (ends[1] - ends[0]) / (2.0 * height)
     return Term(deflection=-amplitudes[0] * slope * side)
 
 
