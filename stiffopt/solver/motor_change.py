@@ -6,12 +6,13 @@ a convex quadratic programme in the coefficients of splines, one after another f
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 from scipy.interpolate import BSpline
-from scipy.sparse import block_diag, csc_matrix, diags, vstack
+from scipy.sparse import block_diag, csc_matrix, diags, kron, vstack
 
 from stiffopt.elastic.along_plan import EvenSprings
 from stiffopt.elastic.modes import modes
@@ -39,6 +40,8 @@ _STEP, _EVERY = 1e-3, 3
 _SWINGS, _AFTER = 3.0, 5.0
 # What all of a joint's jerk costs, beside a motion that is just not near, squared.
 _EFFORT = 0.1
+# Of a via's tolerance, by which the tool may be moved there.
+_STAYS = 1e-3
 # Rows a knot at which the drives' limits hold.
 _ROWS = 4
 # The answer is simulated anyway. No step depends on a clock, as OSQP's own choice of rho does.
@@ -237,9 +240,39 @@ def _rows(
         )
         upper.append((1.0 - above).T.ravel())
         lower.append((below - 1.0).T.ravel())
+    for row, least, most in _via_rows(problem, now, splines, joints):
+        rows.append(row)
+        lower.append(least)
+        upper.append(most)
     highest = np.concatenate(upper)
     # A limit that is exceeded both ways within a cell leaves no room.
     return csc_matrix(vstack(rows)), np.minimum(np.concatenate(lower), highest), highest
+
+
+def _via_rows(
+    problem: TrajectoryProblem, now: Assessment, splines: _Splines, joints: np.ndarray
+) -> Iterator[tuple[csc_matrix, np.ndarray, np.ndarray]]:
+    """What coefficients add to the misses of vias, over their tolerance, its least and its most.
+
+    A joint may move within what its via leaves it; the tool stays, where it mostly is at the edge
+    of its tolerance.
+    """
+    bodies, tool = problem.robot.rigid_bodies(), problem.robot.tool
+    passed = {each.limit: each.time for each in now.violations}
+    for number, via in enumerate(problem.vias, start=1):
+        k = int(np.argmin(np.abs(now.time - passed[f"via_{number}"])))
+        moved = csc_matrix(splines(now.time[k : k + 1]))
+        if via.joints is not None:
+            room = (now.position[k] - via.joints)[joints] / via.tolerance
+            per_joint = block_diag([moved] * len(joints)) / via.tolerance
+            yield per_joint, np.minimum(-1.0 - room, 0.0), np.maximum(1.0 - room, 0.0)
+            continue
+        shares = bodies.jacobian(tool, now.position[k])[:, joints]
+        shares[:3] /= via.tolerance
+        shares[3:] /= via.angle_tolerance
+        shares = shares if via.rpy is not None else shares[:3]
+        stays = np.full(len(shares), _STAYS)
+        yield kron(csc_matrix(shares), moved), -stays, stays
 
 
 def _least(
