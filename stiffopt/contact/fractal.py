@@ -15,7 +15,7 @@ import numpy as np
 from stiffopt.contact.spots import SpotLaw, spot_laws, total_force, total_stiffness
 from stiffopt.contact.surface import SurfacePair
 from stiffopt.contact.validate import require_one_of
-from stiffopt.errors import InputError, StiffoptError
+from stiffopt.errors import InputError
 
 _LONGEST_SEARCH = 200
 _TOLERANCE = 1e-14
@@ -132,7 +132,11 @@ class FractalLaw:
             x = np.where(inside, following, 0.5 * (lower + upper))
             if np.all(arrived):
                 return np.asarray(x)
-        raise StiffoptError("fractal law: the largest spot could not be found.")
+        raise InputError(
+            "fractal law: no largest spot was found for pressures of "
+            f"{np.exp(goal.min()):.3g} to {np.exp(goal.max()):.3g} Pa. Check areas, preload and "
+            "surface of the contact."
+        )
 
     def _start(self, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where to begin, and a bracket: from a table of usual pressures, or searched for."""

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.errors import StiffoptError
+from stiffopt.errors import InputError
 from stiffopt.exact import connection
 from stiffopt.exact.quadrature import Antiderivative, antiderivative
 
@@ -151,7 +151,7 @@ def torque_shares(
     held = np.isfinite(upper)
     if not held.all():
         if not can_slip:
-            raise StiffoptError("elements in parallel need a finite wind-up; give a pre-pressure")
+            raise InputError("elements in parallel need a finite wind-up: give a pre-pressure.")
         # The whole group slips: each carries what it can, whatever the wind-up.
         for share, own in zip(shares, split, strict=True):
             share[loaded] = own

@@ -1,7 +1,9 @@
 """Masses that cannot be, as a fit on its way may have them: swings about them are not taken."""
 
+from copy import copy
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from simulated_sets import COULOMB, simulated
 
@@ -48,3 +50,13 @@ def test_no_run_begins_in_a_swing_of_them(columns):
     assert 0.0 < frequencies[1] < 100.0
     torque, deflection = run.swing.unknown_start(run.signals.windup, 100.0)
     assert torque.shape[2] == deflection.shape[2] == 0
+
+
+def test_masses_that_cannot_be_are_seen_wherever_they_are(columns):
+    swing = columns.nominal_runs[0].swing
+    assert swing.possible
+    mobility = swing.response.mobility.copy()
+    mobility[-7] = np.diag([1.0, -1.0]) @ mobility[-7]
+    response = copy(swing.response)
+    response.mobility = mobility
+    assert not replace(swing, response=response).possible

@@ -132,8 +132,7 @@ class Columns:
     @property
     def _swings(self) -> bool:
         """Whether what swings in the runs has masses that can be."""
-        swings = [run.swing for run in self.runs if run.swing is not None]
-        return all(np.all(swing.response.modes(0)[0] > 0.0) for swing in swings)
+        return all(run.swing is None or run.swing.possible for run in self.runs)
 
     def with_bodies(self, bodies: np.ndarray | None) -> Columns:
         """The same runs with inertial parameters free: their standard deviations (n, 10)."""

@@ -23,7 +23,6 @@ MOTOR_CUTOFF = 60.0
 SLOW_CUTOFF = 20.0
 # Spring and link motion agree within this [rad]; far below any encoder's noise.
 _SETTLED = 3e-8
-_ROUNDS = 100
 # Within so many rounds it must agree so many samples further.
 _PATIENCE, _FURTHER = 16, 40
 # No link accelerates like this [rad/s^2].
@@ -128,6 +127,16 @@ class Swing:
         self.stiffness[samples] = own = stiffness[samples]
         springs = own[..., None] * np.eye(self.response.n)
         self.response.change_springs(samples, self.bodies[0][samples] + springs)
+
+    @property
+    def possible(self) -> bool:
+        """Whether its masses can be, along the whole motion: else what swings grows without end."""
+        mobility = self.response.mobility
+        try:
+            np.linalg.cholesky(mobility + mobility.swapaxes(1, 2))
+        except np.linalg.LinAlgError:
+            return False
+        return True
 
     def answer(
         self, link_torque: np.ndarray | None, deflection: np.ndarray | None
@@ -366,7 +375,7 @@ class Springs:
         count = end = len(self.motor)
         reached = [0]
         torque = np.zeros_like(self.motor)
-        for _ in range(_ROUNDS):
+        while True:
             # None of it counts where it runs away.
             if not np.all(np.abs(links.acceleration) < _ABSURD):
                 return None
@@ -403,7 +412,6 @@ class Springs:
             pull = np.zeros_like(self.motor)
             pull[:end] = swing.stiffness[:end] * gaps[:end]
             links = links.moved(*swing.response(pull))
-        return None
 
     def _gaps(
         self, links: LinkMotion, torque: np.ndarray, added: Added | None
