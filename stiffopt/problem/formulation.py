@@ -76,7 +76,8 @@ def formulate(
     x, u = ca.SX.sym("x", order * size), ca.SX.sym("u", size)
     p = ca.SX.sym("smoothing", len(fields(Smoothing)))
     sides = torque_sides(problem, motion)
-    model = stage_model(problem, coordinates, x, u, Smoothing(*ca.vertsplit(p)), sides)
+    smoothing = Smoothing(*ca.vertsplit(p))
+    model = stage_model(problem, coordinates, x, u, smoothing, sides)
     goal = _WeightedSum(problem, model, scales)
     blocks = [*_limit_rows(problem, model, coordinates, margins), *goal.path_rows]
     path = _stacked([row for block in blocks for row in block.expressions])
@@ -90,7 +91,7 @@ def formulate(
         dynamics=dynamics,
         stage=stage,
         intermediate=through,
-        objective=goal.function(order * size, p),
+        objective=goal.function(order * size, p, smoothing.robust),
         duration=problem.duration,
         statics=tuple(variable.name for variable in goal.variables),
         path_rows=tuple(
@@ -112,7 +113,7 @@ def formulate(
         static_upper=np.full(len(goal.variables), np.inf),
         static_scale=np.array(goal.static_scales),
         chains=tuple((*(k * size + i for k in range(order)), i) for i in range(size)),
-        parameters=np.ones(p.numel()),
+        parameters=Smoothing(1.0).parameters,
         **_bounds(problem, motion, coordinates, margins, swings_on=bool(modes)),
     )
 
@@ -175,6 +176,7 @@ def _leading(
         sides,
         problem.process_force,
         WIDER * smoothing.corners,
+        smoothing.robust if problem.chosen_for_other_arms else 0.0,
     )
 
 
@@ -248,13 +250,19 @@ class _WeightedSum:
             symbols += statics
         self.statics = _stacked(symbols)
 
-    def function(self, states: int, p: ca.SX) -> ca.Function:
-        """The weighted sum, of integrals, duration, statics, first and last state."""
+    def function(self, states: int, p: ca.SX, robust: Quantity) -> ca.Function:
+        """The weighted sum, of integrals, duration, statics, first and last state.
+
+        From 0 to 1, `robust` takes what objectives ask besides in place of their values.
+        """
         integral, duration = ca.SX.sym("integral", len(self.integrands)), ca.SX.sym("duration")
         x0, xf = ca.SX.sym("x0", states), ca.SX.sym("xf", states)
         value: Quantity = 0.0
         for weight, start, terms in self._values:
-            value = value + weight * terms.value(integral[start:], duration)
+            own = terms.value(integral[start:], duration)
+            if terms.besides is not None:
+                own += robust * (terms.besides(integral[start:], duration) - own)
+            value = value + weight * own
         return ca.Function("objective", [integral, duration, self.statics, x0, xf, p], [value])
 
     def integral_function(self, p: ca.SX) -> ca.Function | None:

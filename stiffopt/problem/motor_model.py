@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
 # Smoothing widths of the motors' law over those of the deflection.
 WIDER = 2.0
+# Share of the nominal wind-up by which a command leads beyond it, on arms that are not as modelled.
+LEADS_MORE = 0.03
 # Distance of the samples of the motors' motion [s], and their least number in an interval of the
 # links': between them a polynomial of degree 7 is as good as exact.
 _STEP = 2.5e-3
@@ -68,6 +70,9 @@ class MotorModel(StageModel):
         Acts on the tool all the time, base axes [N].
     wider : SX or float
         Smoothing widths of the motors' law over those of the deflection.
+    robust : SX or float
+        From 0 to 1, how much of the room that a command takes (`LEADS_MORE`) is kept to the
+        drives' limits.
     """
 
     def __init__(
@@ -78,8 +83,11 @@ class MotorModel(StageModel):
         sides: np.ndarray,
         process_force: object = (0.0, 0.0, 0.0),
         wider: Quantity = WIDER,
+        robust: Quantity = 0.0,
     ) -> None:
         self.robot, self.smoothing, self.sides, self.wider = robot, smoothing, sides, wider
+        # Of the wind-up, kept to the drives' limits beyond what the motors lead by.
+        self._room = LEADS_MORE * robust
         self.process_force = np.asarray(process_force, dtype=float)
         self._derivatives = derivatives
 
@@ -117,7 +125,13 @@ class MotorModel(StageModel):
     @cached_property
     def velocity(self) -> Quantity:
         """Of the motors (n,) [rad/s]."""
-        return self._rate(self.position, 3)
+        moved = self._rate(self.position, 3)
+        return moved + self._room * (moved - self.link[1])
+
+    @cached_property
+    def deviation_rate(self) -> Quantity:
+        """How fast the tool's deviation changes by that of the wind-up, nearly (3,) [m/s]."""
+        return ca.mtimes(self.jacobian, self._rate(self.lead, 3))
 
     @cached_property
     def acceleration(self) -> Quantity:
@@ -169,17 +183,22 @@ class NearMotorModel(MotorModel):
     @cached_property
     def velocity(self) -> Quantity:
         """Of the motors, nearly (n,) [rad/s]."""
-        return self.link[1] + self._lead[0]
+        return self.link[1] + self._lead[0] + self._room * self._lead[0]
 
     @cached_property
     def acceleration(self) -> Quantity:
         """Of the motors, nearly (n,) [rad/s^2]."""
-        return self.link[2] + self._lead[1]
+        return self.link[2] + self._lead[1] + self._room * self._lead[1]
 
     @cached_property
     def jerk(self) -> Quantity:
         """Of the motors, nearly (n,) [rad/s^3]."""
-        return self._derivatives[3] + self._lead[2]
+        return self._derivatives[3] + self._lead[2] + self._room * self._lead[2]
+
+    @cached_property
+    def deviation_rate(self) -> Quantity:
+        """How fast the tool's deviation changes by that of the wind-up, nearly (3,) [m/s]."""
+        return ca.mtimes(self.jacobian, self._lead[0])
 
     @property
     def computed_torques(self) -> Quantity:

@@ -83,6 +83,8 @@ class ObjectiveKind(ABC):
         Whether it holds the drives' torque, and so their dry friction.
     shaped : bool
         Whether the motion is averaged over a swing of the arm's lowest mode.
+    chosen_for_other_arms : bool
+        Whether `terms` says what to prefer, of motions about as good, on arms not as modelled.
     comparatives : (str, str)
         Of a smaller and of a larger value.
     compared_as_ratio : bool
@@ -103,6 +105,7 @@ class ObjectiveKind(ABC):
     comparable = True
     of_drives = False
     shaped = False
+    chosen_for_other_arms = False
     comparatives = ("less", "more")
     compared_as_ratio = True
 

@@ -26,7 +26,7 @@ from stiffopt.declaration import (
     Time,
     declared,
 )
-from stiffopt.elastic.uncertainty import Uncertainty
+from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
 from stiffopt.problem.limit import LIMITS, LimitKey
 from stiffopt.problem.objective import OBJECTIVES, Objective
 from stiffopt.problem.trajectory import Method
@@ -240,7 +240,7 @@ class ProblemFile(Section):
     limits: LimitsSection = LimitsSection()
     cell: Annotated[Cell | None, Doc("What the arm must not touch.")] = None
     method: Method = Method()
-    uncertainty: Uncertainty = Uncertainty()
+    uncertainty: Uncertainty = AssumedUncertainty()
     expected: ExpectedSection | None = None
 
 

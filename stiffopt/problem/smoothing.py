@@ -24,14 +24,18 @@ class Smoothing:
     corners : float or SX
         The same corners, besides, in the law by which motors lead planned links: as wide as the
         motors' jerk needs them, while the deflection keeps its own.
+    robust : float or SX
+        From 0, the objective alone, to 1: what an objective asks besides, for arms that are not as
+        modelled, with as much room for the motors as such arms take.
     """
 
     stiffness: Quantity
     corners: Quantity = 1.0
+    robust: Quantity = 0.0
 
     @property
     def parameters(self) -> np.ndarray:
-        """As the parameters of a programme (2,)."""
+        """As the parameters of a programme (3,)."""
         return np.array(astuple(self), dtype=float)
 
     @property

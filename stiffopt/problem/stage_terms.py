@@ -89,12 +89,15 @@ class ObjectiveTerms:
     integrands : tuple of Quantity
     path_rows : tuple of PathRows
     integral_rows : tuple of IntegralRow
+    besides : callable, optional
+        Of the integrals and the duration too: what is minimised among motions that are as good.
     """
 
     value: OfIntegrals
     integrands: tuple[Quantity, ...] = ()
     path_rows: tuple[PathRows, ...] = ()
     integral_rows: tuple[IntegralRow, ...] = ()
+    besides: OfIntegrals | None = None
 
 
 def squared_length(vector: Quantity) -> Quantity:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import numpy as np
 
 from stiffopt.declaration import POSITIVE, Bounds, Doc, Ratio, Time, check_fields
-from stiffopt.elastic.uncertainty import Uncertainty
+from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
 from stiffopt.errors import ProblemError
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.link_planning import check_arrival, check_links
@@ -169,7 +169,8 @@ class TrajectoryProblem:
     remarks : tuple of str
         What was left open and a result has to say.
     uncertainty : Uncertainty
-        How far the arm may be from its model; judges the command, not the planned motion.
+        How far the arm may be from its model; judges the command. Where it is stated, it also
+        chooses between plans that are about as good (`chosen_for_other_arms`).
     cell : Cell or None
         What the arm must not touch; None: itself alone, as far as its URDF shows it.
     """
@@ -188,7 +189,7 @@ class TrajectoryProblem:
     method: Method = field(default_factory=Method)
     title: str = ""
     remarks: tuple[str, ...] = ()
-    uncertainty: Uncertainty = field(default_factory=Uncertainty)
+    uncertainty: Uncertainty = field(default_factory=AssumedUncertainty)
     cell: Cell | None = None
     # Why these objectives, where none were given; no field: the problem is the same.
     chosen: ClassVar[str] = ""
@@ -269,6 +270,16 @@ class TrajectoryProblem:
     @property
     def _arrival_limits(self) -> list[LimitKind]:
         return [kind for kind in self.active_limits.kinds if kind.of_arrival]
+
+    @property
+    def chosen_for_other_arms(self) -> bool:
+        """Whether of plans about as good that is taken which does best on other arms."""
+        alone = len(self.objectives) == 1 and self.objectives[0].kind.chosen_for_other_arms
+        if not (self.uncertainty.stated and alone):
+            return False
+        # Else there is no command to be led by more.
+        at_rest = self.boundary_velocity is None or not np.any(self.boundary_velocity)
+        return at_rest and self.duration[0] == self.duration[1]
 
     @property
     def is_shaped(self) -> bool:

@@ -77,7 +77,7 @@ def refined(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> Outcome:
     Also where only between the nodes a feasible baseline, the `rival`, is better.
     """
     if run.problem.plans_links:
-        return _corrected(run, outcome)
+        return refined_within(run, outcome, outcome.transcription.nlp)
     return _on_finer_mesh(run, outcome, rival)
 
 
@@ -153,9 +153,11 @@ def rank(problem: TrajectoryProblem, outcome: Outcome) -> tuple[bool, float]:
     return not feasible, -value if is_maximised(problem) else value
 
 
-def _corrected(run: SolveRun, outcome: Outcome) -> Outcome:
-    """The same mesh, rows drawn in where the exact ones, or the simulated arm, exceed them."""
-    nlp = outcome.transcription.nlp
+def refined_within(run: SolveRun, outcome: Outcome, nlp: Nlp) -> Outcome:
+    """The same mesh, rows drawn in where the exact ones, or the simulated arm, exceed them.
+
+    For a motion that is planned for the links; `nlp` is its programme with the bounds so far.
+    """
     outcome, nlp = _within_rows(run, outcome, nlp)
     for again in range(_REFINEMENTS):
         found = _calmed(run, outcome)

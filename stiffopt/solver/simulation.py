@@ -21,7 +21,7 @@ from stiffopt.elastic import native
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import check_reach, simulate, typical_hysteresis
-from stiffopt.elastic.uncertainty import Uncertainty
+from stiffopt.elastic.uncertainty import AssumedUncertainty
 from stiffopt.errors import NotSimulatedError
 from stiffopt.interrupts import delivered
 from stiffopt.problem.formulation import smoothing_stages
@@ -297,7 +297,7 @@ def with_simulation(
 
 def _asks_for_command(problem: TrajectoryProblem) -> bool:
     """Whether an objective, a limit or a stated uncertainty is about how the arm yields."""
-    return len(smoothing_stages(problem)) > 1 or problem.uncertainty != Uncertainty()
+    return len(smoothing_stages(problem)) > 1 or problem.uncertainty != AssumedUncertainty()
 
 
 def _noted(solution: Solution, note: str) -> Solution:

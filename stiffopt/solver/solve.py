@@ -38,6 +38,7 @@ from stiffopt.solver import frontal
 from stiffopt.solver.guess import guess_along, initial_guess
 from stiffopt.solver.plan import stages
 from stiffopt.solver.refinement import rank, refined, stopped
+from stiffopt.solver.robust_plan import robust_plan
 from stiffopt.solver.shaping import solve_shaped
 from stiffopt.solver.simulation import check_simulation, with_simulation
 from stiffopt.solver.slower import slower_advice
@@ -155,6 +156,7 @@ def solve_keeping(
                 # Its rows are of this motion only: nothing else can be solved from there.
                 kept = None if run.avoidance else (run, outcome)
                 beside |= {} if run.detour is None else {run.detour.name: run.detour}
+            outcome = robust_plan(run, outcome)
             solution = solution_of(run, outcome, beside, notes, compare=compare)
         except KeyboardInterrupt:
             solution = only_baseline(run, beside, notes)

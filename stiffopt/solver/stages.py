@@ -313,18 +313,28 @@ def outcome_of(run: SolveRun, made: Programme, raw: RawSolution, smoothing: Smoo
         transcription=made.transcription,
         trajectory=trajectory,
         assessment=assessment,
-        objective_gap=_objective_gap(run, raw, assessment),
+        objective_gap=_objective_gap(run, made.transcription, raw, smoothing, assessment),
         solver=made.solver,
         smoothing=smoothing,
     )
 
 
-def _objective_gap(run: SolveRun, raw: RawSolution, assessment: Assessment) -> float:
+def _objective_gap(
+    run: SolveRun,
+    transcription: Transcription,
+    raw: RawSolution,
+    smoothing: Smoothing,
+    assessment: Assessment,
+) -> float:
     """How much worse the certified objective is than the one at the nodes, relative."""
     problem = run.problem
     if not all(objective.kind.comparable for objective in problem.objectives):
         return 0.0
-    claimed, certified = run.in_si(raw.objective), objective_value(problem, assessment).value
+    certified = objective_value(problem, assessment).value
+    claimed = run.in_si(raw.objective)
+    if smoothing.robust:
+        plain = replace(smoothing, robust=0.0).parameters
+        claimed = run.in_si(transcription.unpack(raw.x, plain).objective)
     worse = claimed - certified if is_maximised(problem) else certified - claimed
     return float(worse / max(abs(claimed), abs(certified), 1e-300))
 

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, cast
 
 from stiffopt.problem.link_planning import check_links
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.problem.objectives.deflection import ToolDeflection
+from stiffopt.problem.stage_terms import squared_length
 
 if TYPE_CHECKING:
+    from stiffopt.problem.motor_model import MotorModel
     from stiffopt.problem.objective import Objective
+    from stiffopt.problem.stage_model import StageModel
+    from stiffopt.problem.stage_terms import ObjectiveTerms
     from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.symbolic import Quantity
+
+# Rises and falls of a deviation in a motion, which give its rates their size.
+_RISES = 20.0
 
 
 class ToolDeviation(ToolDeflection):
@@ -21,6 +30,7 @@ class ToolDeviation(ToolDeflection):
     """
 
     plans_links = True
+    chosen_for_other_arms = True
 
     def __init__(self) -> None:
         super().__init__(
@@ -34,6 +44,26 @@ class ToolDeviation(ToolDeflection):
     def check(self, objective: Objective, problem: TrajectoryProblem) -> None:
         """The links' motion has to be one that can be planned."""
         check_links(problem, self.name, "minimise 'dynamic_deflection'")
+
+    def terms(
+        self,
+        objective: Objective,
+        problem: TrajectoryProblem,
+        model: StageModel,
+        statics: tuple[Quantity, ...],
+        scale: float,
+    ) -> ObjectiveTerms:
+        """Besides, the mean squared rate of the deviation: what swings where springs differ."""
+        own = super().terms(objective, problem, model, statics, scale)
+        if not problem.chosen_for_other_arms:
+            return own
+        rate = cast("MotorModel", model).deviation_rate * (problem.duration[1] / _RISES / scale)
+        first = len(own.integrands)
+        return replace(
+            own,
+            integrands=(*own.integrands, squared_length(rate)),
+            besides=lambda integrals, duration: scale * integrals[first] / duration,
+        )
 
 
 OBJECTIVES.add(ToolDeviation())

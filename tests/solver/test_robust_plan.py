@@ -1,0 +1,119 @@
+"""Plans that are chosen for arms that are not as modelled, where an uncertainty is stated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_arms import load
+
+from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
+from stiffopt.problem.objective import Objective
+from stiffopt.result.status import SolveStatus
+from stiffopt.solver import robust_plan
+from stiffopt.solver.compensation import compensated
+from stiffopt.solver.simulation import PlannedMotion, elastic_arm
+from stiffopt.solver.solve import solve, solve_keeping
+
+DEVIATION = 'objective = "tool_deviation"'
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory):
+    """A planar arm, nothing stated of what is uncertain."""
+    return load(tmp_path_factory.mktemp("arm"), minimise=DEVIATION)
+
+
+@pytest.fixture(scope="module")
+def unsure(problem):
+    """The same where as much is stated as would be assumed."""
+    return replace(problem, uncertainty=Uncertainty())
+
+
+@pytest.fixture(scope="module")
+def solved(problem, unsure):
+    return solve(problem), solve(unsure)
+
+
+def rate(solution):
+    """Mean squared rate of the planned deviation [m^2/s^2]."""
+    motion = solution.assessment
+    rates = np.gradient(motion.deflection["dynamic"], motion.time, axis=0)
+    return np.trapezoid(np.sum(rates**2, axis=1), motion.time) / motion.duration
+
+
+def at_worst(problem, solution):
+    """Share of the wind-up that the command leads by; worst peaks in flight and after arrival."""
+    arm = elastic_arm(problem, solution.assessment.position[0])
+    own = PlannedMotion.of("optimised", solution.assessment, True)
+    motion, _ = compensated(problem, arm, replace(own, motors=solution.trajectory))
+    assert motion.excess == ()
+    return motion.share, motion.compensated.flight.worst, motion.compensated.after.worst
+
+
+def test_little_of_the_objective_is_given_for_a_slower_deviation(solved):
+    least, found = solved
+    assert found.status is SolveStatus.OPTIMAL
+    assert found.assessment.feasible(CERTIFIED)
+    cost = found.objective.value / least.objective.value - 1.0
+    assert -1e-3 < cost < 1e-2
+    assert rate(found) < 0.97 * rate(least)
+    assert any("As [uncertainty] is stated" in note for note in found.notes)
+    assert not any("As [uncertainty] is stated" in note for note in least.notes)
+
+
+def test_the_command_deviates_less_on_the_worst_arm(unsure, solved):
+    (_, *least), (share, *found) = (at_worst(unsure, each) for each in solved)
+    assert share >= 1.03
+    assert sum(found) < sum(least)
+
+
+def test_stated_is_what_somebody_said(problem, unsure, tmp_path):
+    assert not problem.uncertainty.stated
+    assert not problem.chosen_for_other_arms
+    assert unsure.uncertainty.stated
+    assert unsure.chosen_for_other_arms
+    said = load(tmp_path, minimise=DEVIATION, extra="[uncertainty]\nstiffness = 0.2")
+    assert said.uncertainty.stated
+    assert said.uncertainty != AssumedUncertainty()
+    assert replace(problem.uncertainty, payload=0.3) != AssumedUncertainty()
+
+
+def test_only_a_deviation_alone_and_of_fixed_duration_is_chosen_so(unsure):
+    for changes in (
+        {"duration": (0.3, 0.6)},
+        {"objectives": (*unsure.objectives, Objective(name="torque_squared"))},
+        {"objectives": (Objective(name="shaped_deviation"),)},
+        {"objectives": (Objective(name="dynamic_deflection"),)},
+    ):
+        assert not replace(unsure, **changes).chosen_for_other_arms
+
+
+def test_a_motion_that_costs_too_much_is_not_taken(unsure, monkeypatch):
+    monkeypatch.setattr("stiffopt.solver.solve.robust_plan", lambda run, outcome: outcome)
+    _, (run, outcome) = solve_keeping(unsure)
+    monkeypatch.undo()
+    monkeypatch.setattr(robust_plan, "_COST_CERTIFIED", -1.0)
+    bounds = outcome.solver.nlp
+    assert robust_plan.robust_plan(run, outcome) is outcome
+    assert outcome.solver.nlp is bounds
+
+
+def test_stopped_on_the_way_the_least_motion_stays(unsure, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(robust_plan, "solve_again", interrupted)
+    found = solve(unsure, throw=False)
+    assert found.status is SolveStatus.INTERRUPTED
+    assert found.assessment.feasible(CERTIFIED)
+
+
+def test_a_root_mean_square_is_chosen_so_as_well(unsure):
+    goal = Objective(name="tool_deviation", measure="rms")
+    found = solve(replace(unsure, objectives=(goal,)))
+    least = solve(replace(unsure, objectives=(goal,), uncertainty=AssumedUncertainty()))
+    assert found.status is SolveStatus.OPTIMAL
+    assert found.objective.value <= 1.01 * least.objective.value
