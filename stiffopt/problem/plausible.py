@@ -14,6 +14,8 @@ from stiffopt.robot.robot import Robot
 _TURN = 2.0 * np.pi
 # A tool or a centre of mass so many reaches of the arm away is in another unit.
 _FAR = 2.0
+# Share by which a principal inertia may exceed the sum of the other two: files are rounded.
+_ROUNDED = 1e-2
 # Share of all masses that is none.
 _ROUNDING = 1e-9
 
@@ -48,6 +50,22 @@ def check_plausible(problem: TrajectoryProblem) -> None:
         for number, angles in enumerate(problem.path, start=1):
             if angles.shape == (problem.joints,):
                 _check_angles(problem, f"motion.path[{number}]", angles)
+
+
+def questionable_bodies(robot: Robot) -> tuple[str, ...]:
+    """A sentence on links whose inertia belongs to no body, as files of many arms have them."""
+    wrong = []
+    for body in robot.tree.bodies:
+        least, middle, largest = np.linalg.eigvalsh(body.inertia)
+        if largest > (1.0 + _ROUNDED) * (least + middle):
+            wrong.append(f"{body.name} ({_listed(np.array([least, middle, largest]))} kg m^2)")
+    if not wrong:
+        return ()
+    return (
+        "No body has principal inertias of which one exceeds the sum of the other two; so it is "
+        f"with what moves behind {', '.join(wrong)}. Torques and swings rest on them: look at the "
+        "URDF and the [[link]] sections.",
+    )
 
 
 def reach_of(robot: Robot) -> float:

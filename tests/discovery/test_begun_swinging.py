@@ -1,4 +1,7 @@
-"""A run that begins while its links swing is no drive with bursts; a swing out of nothing is."""
+"""A run that begins while its links swing is no drive with bursts; a swing out of nothing is.
+
+Unless the link encoders show it too.
+"""
 
 from dataclasses import replace
 
@@ -35,16 +38,22 @@ def begun_moving(tmp_path_factory):
     return train(load_recordings(folder), Settings())
 
 
-def swinging(training, begin):
-    """The training with a free swing of the lowest mode in the first run, from an instant on."""
+def swinging(training, begin, *, links=False):
+    """The training with a free swing of the lowest mode in the first run, from an instant on.
+
+    In the torque, and where told so in the link encoders.
+    """
     run, swing = training.recorded[0], training.runs[0].swing
     shape = swing.response.modes(0)[1][:, 0]
-    torque, _ = swing.left_alone(np.append(shape, 0.0 * shape)[:, None])
-    torque = torque[..., 0] * SIZE * training.noise.channels.torque[0] / abs(torque[0, 0])
+    torque, deflection = swing.left_alone(np.append(shape, 0.0 * shape)[:, None])
+    size = SIZE * training.noise.channels.torque[0] / abs(torque[0, 0, 0])
     late = np.searchsorted(run.time, begin)
-    added = np.zeros_like(run.torque)
-    added[late:] = torque[: len(added) - late]
+    added, wound = np.zeros((2, *run.torque.shape))
+    added[late:] = size * torque[: len(added) - late, :, 0]
+    wound[late:] = size * deflection[: len(added) - late, :, 0]
     shaken = replace(run, torque=run.torque + added)
+    if links:
+        shaken = replace(shaken, link_position=run.link_position - wound)
     return replace(training, recorded=(shaken, *training.recorded[1:]))
 
 
@@ -56,6 +65,11 @@ def test_a_swing_out_of_nothing_is_a_burst(begun_moving):
     found = bursts(swinging(begun_moving, LATER), (), Settings())
     assert found is not None
     assert found.channels[0] in ("torque_1", "torque_2")
+
+
+def test_links_that_are_seen_to_swing_are_no_drive_with_bursts(begun_moving):
+    """Their encoders show what the torque shows: the arm swings otherwise than modelled."""
+    assert bursts(swinging(begun_moving, LATER, links=True), (), Settings()) is None
 
 
 def test_bursts_that_a_model_left_of_its_own_recordings_are_nothing_new(begun_moving):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from stiffopt.baseline.baselines import baselines, strict_baseline
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.cli import run
 from stiffopt.errors import ProblemError
-from stiffopt.problem.plausible import check_plausible, reach_of
+from stiffopt.problem.plausible import check_plausible, questionable_bodies, reach_of
 from stiffopt.problem.resolve import resolve
 from stiffopt.report.solve.wording import comparison
 
@@ -108,3 +110,13 @@ def solution_of_two_baselines():
 
     stated = replace(load_problem(PROBLEM).problem, method=Method(intervals=20, max_iterations=60))
     return stated, solve(stated, throw=False)
+
+
+def test_an_inertia_of_no_body_is_told():
+    robot = load_robot("ur10")
+    assert questionable_bodies(robot) == ()
+    tree = robot.tree
+    wrong = replace(tree.bodies[2], inertia=np.diag([0.1, 0.1, 0.3]))
+    bodies = (*tree.bodies[:2], wrong, *tree.bodies[3:])
+    (text,) = questionable_bodies(SimpleNamespace(tree=replace(tree, bodies=bodies)))
+    assert "j3 ([0.1, 0.1, 0.3] kg m^2)" in text

@@ -3,7 +3,8 @@
 A fit follows recordings up to its filter's cutoff. An amplifier that cannot follow, or that gives
 less than it is asked for, leaves the slow motion alone and shows for milliseconds. Where the links'
 swing is predicted, so is the torque above the cutoff, up to short errors at reversals and what the
-links swing already when a run begins.
+links swing already when a run begins. Links that swing otherwise than predicted show in their
+encoders as much as in the torque; a drive shows in the torque alone.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.settings import MOVING, Settings
 from stiffopt.discovery.thresholds import BURST_RATIO, BURSTING_RATIO
 from stiffopt.discovery.training import Training
+from stiffopt.recording.run import RecordedRun
 
 # A normal variable's standard deviation over the median of its size.
 _NORMAL = 1.4826
@@ -28,15 +30,21 @@ _NORMAL = 1.4826
 _SHARE = 0.1
 # Of a filter's length, left out at either end of a run, over its period.
 _ENDS = 1.5
+# Share of bursts that link encoders show as well, from which on no drive made them.
+_SWUNG = 0.5
 # Residual over its usual size beyond which a sample counts less, and rounds of weighing.
 _FAR, _WEIGHINGS = 3.0, 4
 
 
 @dataclass(frozen=True)
 class _Channel:
-    """Samples of one joint in motion: residual over noise, and what bursts may follow."""
+    """Samples of one joint in motion: residual over noise, and what bursts may follow.
+
+    `swung` is the residual that the link's own encoder lets expect, over the same noise.
+    """
 
     residual: np.ndarray
+    swung: np.ndarray
     followed: dict[str, np.ndarray]
 
     @property
@@ -78,8 +86,10 @@ def bursts(
         if predictor.nominal.swing is None:
             return None
         places = np.searchsorted(run.stamps, run.time)
-        predicted = predictor.predict(*extensions).torque[places]
+        prediction = predictor.predict(*extensions)
+        predicted = prediction.torque[places]
         left = (run.torque - predicted) / noise
+        swung = _swung(predictor.nominal, run, prediction.link_position[places]) / noise
         rate = np.gradient(predicted, run.time, axis=0)
         used = np.isfinite(left) & (np.abs(predictor.velocity) >= MOVING)
         # Where the filter of the motion reaches beyond the record.
@@ -92,7 +102,7 @@ def bursts(
                 f"torque_{j + 1}": np.abs(predicted[kept, j]),
                 f"dtorque_{j + 1}": np.abs(rate[kept, j]),
             }
-            own.append(_Channel(left[kept, j], followed))
+            own.append(_Channel(left[kept, j], swung[kept, j], followed))
     channels = [_joined(own) for own in parts]
     ratios = [c.bursting if c.residual.size else 0.0 for c in channels]
     worst = int(np.argmax(ratios))
@@ -100,7 +110,7 @@ def bursts(
         return None
     held = {name: _held(channels[worst], size) for name, size in channels[worst].followed.items()}
     name = max(held, key=lambda each: held[each][0])
-    if held[name][1] < BURST_RATIO:
+    if held[name][1] < BURST_RATIO or _of_links(channels[worst], name) > _SWUNG:
         return None
     return Unexplained(
         channels=(f"torque_{worst + 1}",),
@@ -110,6 +120,27 @@ def bursts(
         ratio=held[name][1],
         brief=True,
     )
+
+
+def _swung(prepared: PreparedRun, run: RecordedRun, predicted: np.ndarray) -> np.ndarray:
+    """Torque of the springs (K, n) by which links are elsewhere than predicted [N m].
+
+    Zero where no encoder tells where they are.
+    """
+    assert prepared.swing is not None
+    if run.link_position is None:
+        return np.zeros_like(predicted)
+    stiffness = prepared.swing.stiffness
+    along = [np.interp(run.time, prepared.time, column) for column in stiffness.T]
+    return np.asarray(np.nan_to_num(np.column_stack(along) * (predicted - run.link_position)))
+
+
+def _of_links(channel: _Channel, name: str) -> float:
+    """Share of the square of bursts that links which swing otherwise account for."""
+    there = _largest(channel.followed[name])
+    left = channel.residual[there]
+    # The noise of both sensors is independent: of a drive's bursts the product is none.
+    return float(left @ channel.swung[there] / max(left @ left, 1e-12))
 
 
 def _begun_with(
@@ -141,6 +172,7 @@ def _joined(parts: Sequence[_Channel]) -> _Channel:
     names = parts[0].followed
     return _Channel(
         np.concatenate([p.residual for p in parts]),
+        np.concatenate([p.swung for p in parts]),
         {name: np.concatenate([p.followed[name] for p in parts]) for name in names},
     )
 
@@ -149,6 +181,11 @@ def _held(channel: _Channel, size: np.ndarray) -> tuple[float, float]:
     """Share of the excess that lies in the largest of some sizes, and the residual there."""
     square = channel.residual**2
     usual = channel.usual**2
-    there = size >= np.quantile(size, 1.0 - _SHARE)
+    there = _largest(size)
     share = float(np.sum(square[there] - usual)) / max(float(np.sum(square - usual)), 1e-12)
     return float(np.clip(share, 0.0, 1.0)), float(np.sqrt(np.mean(square[there])))
+
+
+def _largest(size: np.ndarray) -> np.ndarray:
+    """Samples that bursts are sought in."""
+    return np.asarray(size >= np.quantile(size, 1.0 - _SHARE))
