@@ -16,8 +16,6 @@ _COUNTS = 8.0
 # A spike in units of the jump between the samples before it and after it.
 _JUMP = 2.0
 _FEWEST_SAMPLES = 50
-# What few outliers do not reach.
-_MOST = (1e-3, 1.0 - 1e-3)
 # Cubic through two samples on each side, at the sample between them.
 _CUBIC = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6.0
 
@@ -73,31 +71,6 @@ def stuck(values: np.ndarray, position: np.ndarray, still: float, step: float) -
         if np.nanmax(piece) - np.nanmin(piece) > still:
             # The first sample of a stretch was measured.
             found[begin + 1 : end + 1] = True
-    return found
-
-
-def parted(values: np.ndarray, other: np.ndarray, marked: np.ndarray) -> np.ndarray:
-    """Marked stretches in which two sensors of one motion part by more than elsewhere.
-
-    A link swings while its motor stands still, and rests while its motor crosses a backlash: there
-    they part by as much as anywhere in the run.
-
-    Parameters
-    ----------
-    values, other : array (K,)
-        Of the motor and of the link, or the other way round [rad].
-    marked : array (K,) of bool
-
-    Returns
-    -------
-    array (K,) of bool
-    """
-    apart, found = other - values, np.zeros_like(marked)
-    elsewhere = apart[~marked & np.isfinite(apart)]
-    usual = float(np.ptp(np.quantile(elsewhere, _MOST))) if elsewhere.size else 0.0
-    for begin, end in stretches(marked):
-        piece = apart[max(begin - 1, 0) : end]
-        found[begin:end] = np.nanmax(piece) - np.nanmin(piece) > usual
     return found
 
 

@@ -155,16 +155,6 @@ def test_a_stuck_motor_encoder(columns: Columns) -> None:
     assert fault.share == pytest.approx(99 / 2500)
 
 
-def test_a_link_that_swings_about_a_motor_at_rest_is_no_fault(columns: Columns) -> None:
-    """Friction holds the motor; the link goes on, as far as it did in motion."""
-    t = columns["t"]
-    share = np.clip((np.abs(t - 0.5 * t[-1]) - 0.3) / 1.5, 0.0, 1.0)
-    columns["q1"] = 0.4 * share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-    columns["qd1"] = np.gradient(columns["q1"], t)
-    columns["ql1"] = columns["q1"] + 2e-3 * np.sin(2.0 * np.pi * 11.0 * t)
-    assert cleaned(columns).faults == ()
-
-
 def test_spikes_are_taken_out_one_by_one(columns: Columns) -> None:
     places = [200, 777, 778, 1500]
     columns["tau1"][places] += [6.0, -9.0, -9.0, 25.0]
