@@ -21,14 +21,14 @@ import numpy as np
 
 from benchmarks.blind.cases import write_exact
 from benchmarks.blind.key import Key
-from benchmarks.blind.mix import CATALOGUE, RATE, SECONDS, SEVERITIES, SUBSTEPS
+from benchmarks.blind.mix import CATALOGUE, RATE, SECONDS, SEVERITIES, SUBSTEPS, places_of
 from benchmarks.blind.oracle import balances, held_out
 from benchmarks.blind.score import CaseScore, score_case
 from benchmarks.blind.severity import START, sized
 from benchmarks.blind.store import Store, whole_folder, write_json, write_text
 from benchmarks.blind.tool import TIMEOUT, answer
 from benchmarks.blind.wilson import wilson
-from benchmarks.simulator import EFFECTS, ROBOTS, CaseSpec, simulate, truth_text, write_case
+from benchmarks.simulator import CaseSpec, simulate, truth_text, write_case
 
 # Payloads of the robots [kg].
 PAYLOADS = {"big6": (5.0, 15.0), "arm7": (2.0, 8.0), "pallet4": (5.0, 40.0)}
@@ -63,26 +63,12 @@ def drawn(key: Key, robot: str, name: str) -> tuple[CaseSpec, dict[str, Any]]:
     severities = key.shuffled(SEVERITIES, "severity", index // len(SEVERITIES))
     severity = severities[index % len(SEVERITIES)]
     for effect in (order[place], *key.shuffled(CATALOGUE, name, "next")):
-        for joint in _joints(key, robot, name, effect):
+        for joint in places_of(key, robot, name, effect)[:2]:
             found = sized(spec, effect, joint, START[effect])
             if found is not None:
                 chosen = ((effect, joint, found.size * severity),)
                 return replace(spec, effects=chosen), {**known, "severity": severity}
     raise RuntimeError(f"no effect can be seen in {name}")
-
-
-def _joints(key: Key, name_of_robot: str, name: str, effect: str) -> list[int | None]:
-    robot = ROBOTS[name_of_robot]
-    if EFFECTS[effect].where == "robot":
-        return [None]
-    places: list[int | None] = list(range(1, robot.joints + 1))
-    if effect == "wrist_coupling":
-        places = places[1:]
-    if effect == "inertial_error":
-        places = places[:-1]
-    if effect == "belt_creep":
-        places = [j for j in range(1, robot.joints + 1) if "belt" in robot.connections[j - 1]]
-    return key.shuffled(places, name, "joint", effect)[:2]
 
 
 def make(key: Key, robot: str, name: str, store: Store) -> None:

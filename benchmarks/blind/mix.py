@@ -54,17 +54,22 @@ class Plan:
 
     def joints(self, key: Key, effect: str) -> list[int | None]:
         """Where an effect can be, in the order in which places are tried."""
-        if EFFECTS[effect].where == "robot":
-            return [None]
-        robot = ROBOTS[self.robot]
-        places: Sequence[int | None] = range(1, robot.joints + 1)
-        if effect == "wrist_coupling":  # of the joint before it
-            places = places[1:]
-        if effect == "inertial_error":  # one of the last link is a payload, by another name
-            places = places[:-1]
-        if effect == "belt_creep":
-            places = [j for j in range(1, robot.joints + 1) if "belt" in robot.connections[j - 1]]
-        return key.shuffled(places, self.name, "joint", effect)
+        return places_of(key, self.robot, self.name, effect)
+
+
+def places_of(key: Key, robot: str, name: str, effect: str) -> list[int | None]:
+    """Joints of a case's robot that an effect can be at, in the order in which they are tried."""
+    if EFFECTS[effect].where == "robot":
+        return [None]
+    arm = ROBOTS[robot]
+    places: Sequence[int | None] = range(1, arm.joints + 1)
+    if effect == "wrist_coupling":  # of the joint before it
+        places = places[1:]
+    if effect == "inertial_error":  # one of the last link is a payload, by another name
+        places = places[:-1]
+    if effect == "belt_creep":
+        places = [j for j in range(1, arm.joints + 1) if "belt" in arm.connections[j - 1]]
+    return key.shuffled(places, name, "joint", effect)
 
 
 def case_names(suite: str, count: int) -> list[str]:

@@ -19,7 +19,7 @@ class CaseSpec:
     Parameters
     ----------
     robot : str
-        "planar2", "small3", "arm6" or "big6".
+        One of `ROBOTS`, such as "small3" or "big6".
     effects : tuple of (name, joint from 1 or None, severity)
         For inertial_error the joint is the link that it moves.
     seed : int
