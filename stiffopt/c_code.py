@@ -8,15 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
-# Numbers taken at once: two or four registers where a processor has smaller ones.
-LANES = 8
 WHOLE, REAL, ARRAY = ctypes.c_longlong, ctypes.c_double, ctypes.c_void_p
 
-HEAD = f"""#include <math.h>
+HEAD = """#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#define LANES {LANES}
+/* Numbers taken at once, as many as a register holds: vectors of several registers GCC lowers to
+   what takes it twenty times as long to compile. */
+#if defined __AVX512F__
+#define LANES 8
+#elif defined __AVX__
+#define LANES 4
+#else
+#define LANES 2
+#endif
 /* Neither aligned as a whole nor of a type of its own: they lie in arrays of double. */
 typedef double wide __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
 /* What is left in wide registers slows all code that knows narrow ones only, such as MUMPS. */

@@ -30,5 +30,5 @@ def cache(*, clear: bool = False) -> int:
     if program := compiler.compiler():
         print(f"C compiler: {program}")
     else:
-        print("C compiler: none; solves take about three times as long (same results).")
+        print("C compiler: none; solves take three to seven times as long (same results).")
     return 0

@@ -1,4 +1,4 @@
-/* Steps of response.py in C: the same formulas, of eight steps at once where they are taken. A state
+/* Steps of response.py in C: the same formulas, of a register of steps at once where they are taken. A state
    is displacements, then velocities over a typical rate. */
 
 #define MOST_SWINGING 16 /* joints */

@@ -1,4 +1,4 @@
-/* The loops of many_arms.py and simulate.py in C: the same formulas, one of them for eight arms at
+/* The loops of many_arms.py and simulate.py in C: the same formulas, one of them for a register of arms at
    once. All matrices lie by rows. */
 #define MOST 32 /* joints */
 
@@ -35,7 +35,7 @@ static inline void spring(const Springs *s, int j, wide windup, wide *torque, wi
   }
 }
 
-static void eight(const Plan *p, long long first) {
+static void swing_lanes(const Plan *p, long long first) {
   int n = p->n, width = 3 * n + 1;
   long long arm[LANES];
   for (int l = 0; l < LANES; l++) arm[l] = first + l < p->arms ? first + l : p->arms - 1;
@@ -107,7 +107,7 @@ static void eight(const Plan *p, long long first) {
 }
 
 void swing(const Plan *p) {
-  for (long long first = 0; first < p->arms; first += LANES) eight(p, first);
+  for (long long first = 0; first < p->arms; first += LANES) swing_lanes(p, first);
   LEAVE;
 }
 

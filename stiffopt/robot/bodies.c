@@ -1,4 +1,4 @@
-/* Inverse dynamics of an arm along a motion, eight instants at once: recursion over the bodies about
+/* Inverse dynamics of an arm along a motion, a register of instants at once: recursion over the bodies about
    the origin of each joint in its own axes (Featherstone 2008, chapter 5). Rotations lie by rows. */
 #define MOST 32 /* joints */
 

@@ -14,10 +14,12 @@ from typing import Any
 
 import casadi as ca
 
-from stiffopt.c_code import HEAD, LANES
+from stiffopt.c_code import HEAD
 
 # Values that are compiled as one: of more the compiler takes longer, of fewer more are kept.
 _LONGEST = 250
+# Points of a call: the lanes of the widest registers, and a multiple of those of any other.
+POINTS = 8
 
 _INFIX = {
     ca.OP_ADD: "+",
@@ -38,6 +40,9 @@ _SIMPLE = {
     ca.OP_SIGN: "TRUE({0} > 0.0) - TRUE({0} < 0.0)",
     ca.OP_FABS: "(wide)((mask){0} & 0x7fffffffffffffffLL)",
     ca.OP_IF_ELSE_ZERO: "(wide)(({0} != 0.0) & (mask){1})",
+    # What is no number loses, as in math.h.
+    ca.OP_FMAX: "CHOSEN(({0} > {1}) | ({1} != {1}), {0}, {1})",
+    ca.OP_FMIN: "CHOSEN(({0} < {1}) | ({1} != {1}), {0}, {1})",
 }
 # Lane by lane, by the functions of math.h.
 _UNARY = {
@@ -65,8 +70,6 @@ _UNARY = {
 _BINARY = {
     ca.OP_POW: "pow",
     ca.OP_CONSTPOW: "pow",
-    ca.OP_FMIN: "fmin",
-    ca.OP_FMAX: "fmax",
     ca.OP_FMOD: "fmod",
     ca.OP_REMAINDER: "remainder",
     ca.OP_ATAN2: "atan2",
@@ -74,27 +77,42 @@ _BINARY = {
     ca.OP_COPYSIGN: "copysign",
 }
 
-_HEAD = """typedef long long mask __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
+_HEAD = """#if LANES == 8
+#define GET(a, s) (wide){a[0], a[s], a[2*s], a[3*s], a[4*s], a[5*s], a[6*s], a[7*s]}
+#elif LANES == 4
+#define GET(a, s) (wide){a[0], a[s], a[2*s], a[3*s]}
+#else
+#define GET(a, s) (wide){a[0], a[s]}
+#endif
+typedef long long mask __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
 #define TRUE(a) ((wide)((mask)(a) & (mask)((wide){0} + 1.0)))
+#define CHOSEN(m, a, b) ((wide)(((m) & (mask)a) | (~(m) & (mask)b)))
 static __attribute__((noinline)) void put(double* to, long step, wide v) {
   for (int k = 0; k < LANES; k++) to[k * step] = v[k];
 }
 """
+_STORED_A = "memcpy(x, &a, sizeof a);"
+# Before functions that know narrow registers only: with what is left in the wide ones a logarithm
+# takes ten times as long.
 _EACH = """static __attribute__((noinline)) wide each_{name}({arguments}) {{
+  double x[LANES]{second};
+  {stored}
+  LEAVE;
+  for (int k = 0; k < LANES; k++) x[k] = {name}({lane});
   wide r;
-  for (int k = 0; k < LANES; k++) r[k] = {name}({lane});
+  memcpy(&r, x, sizeof r);
   return r;
 }}
 """
 
 
 def wide_code(functions: Sequence[ca.Function], shared: Sequence[int]) -> str:
-    """C code of the functions at `LANES` points at once, for `casadi.external`.
+    """C code of the functions at `POINTS` points at once, for `casadi.external`.
 
     Parameters
     ----------
     functions : sequence of casadi.Function
-        Of SX. Inputs and outputs of the points stand side by side: (m, n) becomes (m, LANES n).
+        Of SX. Inputs and outputs of the points stand side by side: (m, n) becomes (m, POINTS n).
     shared : sequence of int
         Inputs that are the same at all points.
     """
@@ -102,14 +120,16 @@ def wide_code(functions: Sequence[ca.Function], shared: Sequence[int]) -> str:
     code = [line for each in read for line in _definition(each, shared)]
     used = {operation for each in read for operation, _ in each.operations}
     head = [HEAD, _HEAD]
-    for names, arguments, lane in (
-        (_UNARY, "wide a", "a[k]"),
-        (_BINARY, "wide a, wide b", "a[k], b[k]"),
-    ):
-        head += [
-            _EACH.format(name=name, arguments=arguments, lane=lane)
-            for name in sorted({name for operation, name in names.items() if operation in used})
-        ]
+    one = {"arguments": "wide a", "second": "", "stored": _STORED_A, "lane": "x[k]"}
+    two = {
+        "arguments": "wide a, wide b",
+        "second": ", y[LANES]",
+        "stored": f"{_STORED_A} memcpy(y, &b, sizeof b);",
+        "lane": "x[k], y[k]",
+    }
+    for names, taken in ((_UNARY, one), (_BINARY, two)):
+        chosen = sorted({name for operation, name in names.items() if operation in used})
+        head += [_EACH.format(name=name, **taken) for name in chosen]
     return "\n".join([*head, *code])
 
 
@@ -170,6 +190,8 @@ def _definition(read: _Operations, shared: Sequence[int]) -> Iterator[str]:
     }
     parts, kept = _parts(read, shared)
     arguments = "const double** arg, double** res, wide* w"
+    widths = ", ".join("0" if i in shared else str(function.nnz_in(i)) for i in range(inputs))
+    sizes = ", ".join(str(function.nnz_out(i)) for i in range(outputs))
     for k, part in enumerate(parts):
         yield f"static __attribute__((noinline)) void {name}_{k}({arguments}) {{"
         yield from part
@@ -178,10 +200,15 @@ def _definition(read: _Operations, shared: Sequence[int]) -> Iterator[str]:
     most = max(1, *(each.nnz() for each in sparsity["in"]))
     yield f"  static const double none[{most}];"
     yield f"  for (int k = 0; k < {outputs}; k++) if (!res[k]) return 0;"
+    yield f"  static const long widths[] = {{{widths}}}, sizes[] = {{{sizes}}};"
     yield f"  const double* given[{inputs}];"
-    yield f"  for (int k = 0; k < {inputs}; k++) given[k] = arg[k] ? arg[k] : none;"
-    yield from (f"  {name}_{k}(given, res, (wide*)w);" for k in range(len(parts)))
-    yield "  LEAVE;\n  return 0;\n}"
+    yield f"  double* found[{outputs}];"
+    yield f"  for (int g = 0; g < {POINTS}; g += LANES) {{"
+    yield f"    for (int k = 0; k < {inputs}; k++)"
+    yield "      given[k] = arg[k] ? arg[k] + g * widths[k] : none;"
+    yield f"    for (int k = 0; k < {outputs}; k++) found[k] = res[k] + g * sizes[k];"
+    yield from (f"    {name}_{k}(given, found, (wide*)w);" for k in range(len(parts)))
+    yield "  }\n  LEAVE;\n  return 0;\n}"
     for side, patterns in sparsity.items():
         yield f"long long {name}_n_{side}(void) {{ return {len(patterns)}; }}"
         yield f"const long long* {name}_sparsity_{side}(long long i) {{"
@@ -191,11 +218,11 @@ def _definition(read: _Operations, shared: Sequence[int]) -> Iterator[str]:
         chosen = "".join(f"i == {i} ? s{i} : " for i in range(len(patterns)))
         yield f"  return {chosen}0;\n}}"
     yield f"int {name}_work(long long* a, long long* r, long long* iw, long long* w) {{"
-    yield f"  *a = {inputs}; *r = {outputs}; *iw = 0; *w = {LANES * kept};\n  return 0;\n}}"
+    yield f"  *a = {inputs}; *r = {outputs}; *iw = 0; *w = {POINTS * kept};\n  return 0;\n}}"
 
 
 def _wide(sparsity: ca.Sparsity, same: bool) -> ca.Sparsity:
-    return sparsity if same else ca.repmat(sparsity, 1, LANES)
+    return sparsity if same else ca.repmat(sparsity, 1, POINTS)
 
 
 def _parts(read: _Operations, shared: Sequence[int]) -> tuple[list[list[str]], int]:
@@ -240,8 +267,7 @@ def _value(read: _Operations, value: int, names: dict[int, str], shared: Sequenc
     if operation == ca.OP_INPUT:
         given, place = what
         size = 0 if given in shared else read.function.nnz_in(given)
-        lanes = (f"arg[{given}][{place + lane * size}]" for lane in range(LANES))
-        return f"(wide){{{', '.join(lanes)}}}"
+        return f"GET((arg[{given}] + {place}), {size})"
     if operation == ca.OP_CONST:
         return f"(wide){{0}} + {what[0]}"
     return _computed(operation, [names[each] for each in what])

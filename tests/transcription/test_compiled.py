@@ -17,7 +17,7 @@ from stiffopt import compiler
 from stiffopt.transcription import compiled
 from stiffopt.transcription.node_derivatives import NAMES, numbered, with_derivatives
 from stiffopt.transcription.stage_function import StageFunction
-from stiffopt.transcription.wide_code import LANES
+from stiffopt.transcription.wide_code import POINTS
 
 pytestmark = pytest.mark.skipif(compiler.shutil.which("cc") is None, reason="needs a C compiler")
 
@@ -92,11 +92,11 @@ def fast(name: str, path: Path, *inputs: object) -> np.ndarray:
     """Output of a compiled function for one point, which stands in every lane."""
     function = ca.external(name, str(path))
     given = [
-        each if k in compiled.SHARED else ca.repmat(ca.DM(each), 1, LANES)
+        each if k in compiled.SHARED else ca.repmat(ca.DM(each), 1, POINTS)
         for k, each in enumerate(inputs)
     ]
     found = np.asarray(function(*given).full())
-    lanes = np.split(found, LANES, axis=1)
+    lanes = np.split(found, POINTS, axis=1)
     for each in lanes[1:]:
         np.testing.assert_array_equal(each, lanes[0])
     return lanes[0]
@@ -121,6 +121,21 @@ def test_compiled_derivatives_are_the_interpreted_ones(cache: Path) -> None:
     for name, slow in zip(NAMES, with_derivatives(taken.function), strict=True):
         inputs = [rng.normal(size=slow.size_in(k)) for k in range(slow.n_in())]
         np.testing.assert_allclose(fast(name, path, *inputs), slow(*inputs).full(), rtol=1e-13)
+
+
+def test_the_larger_of_two_is_that_of_the_c_library(cache: Path) -> None:
+    a, b = ca.SX.sym("a", 8), ca.SX.sym("b", 8)
+    both = ca.vertcat(ca.fmax(a, b), ca.fmin(a, b))
+    function = ca.Function(compiled.VALUES, [ca.vertcat(a, b), ca.SX(0, 1), ca.SX(0, 1)], [both])
+    first = np.array([1.0, 2.0, np.nan, 1.0, np.inf, -np.inf, -1.0, np.nan])
+    second = np.array([2.0, 1.0, 1.0, np.nan, 1.0, 1.0, -2.0, np.nan])
+    assert compiled.library(function) is None
+    compiler.wait()
+    path = compiled.library(function)
+    assert path is not None
+    found = fast(compiled.VALUES, path, np.append(first, second), [], [])
+    expected = np.append(np.fmax(first, second), np.fmin(first, second))
+    np.testing.assert_array_equal(found.ravel(), expected)
 
 
 def test_no_compiler_no_library(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -178,7 +193,7 @@ def test_many_processes_may_ask_at_once(cache: Path) -> None:
 
 def test_a_programme_may_have_any_number_of_points(cache: Path) -> None:
     taken = numbered(*stage(2.3))
-    count = LANES + 3
+    count = POINTS + 3
     slow = StageFunction(taken, count, 1)
     compiler.wait()
     quick = StageFunction(taken, count, 1)

@@ -6,11 +6,11 @@ import pytest
 
 from stiffopt import compiler
 from stiffopt.transcription.point_function import PointFunction
-from stiffopt.transcription.wide_code import LANES
+from stiffopt.transcription.wide_code import POINTS
 
 
 @pytest.mark.skipif(compiler.shutil.which("cc") is None, reason="needs a C compiler")
-@pytest.mark.parametrize("count", [1, LANES, 3 * LANES + 1])
+@pytest.mark.parametrize("count", [1, POINTS, 3 * POINTS + 1])
 def test_the_same_numbers_compiled(tmp_path, monkeypatch, count):
     x, u, z, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("z", 0), ca.SX.sym("p", 2)
     rows = ca.vertcat(ca.sin(3.7 * x[0]) * u / p[0], ca.fmax(x[1], p[1]) ** 2 - 0.3)

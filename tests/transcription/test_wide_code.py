@@ -12,7 +12,7 @@ import pytest
 
 from stiffopt import compiler
 from stiffopt.transcription import compiled, wide_code
-from stiffopt.transcription.wide_code import LANES
+from stiffopt.transcription.wide_code import POINTS
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 
@@ -47,11 +47,11 @@ def test_every_operation_is_that_of_casadi(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(wide_code, "_LONGEST", 7)
     one = every_operation()
     many = ca.external("every", str(made([one], tmp_path)))
-    points = np.random.default_rng(3).normal(size=(2, 3 * LANES))
+    points = np.random.default_rng(3).normal(size=(2, 3 * POINTS))
     shared = [0.3, -1.7]
     slow = np.hstack([one(point, shared).full() for point in points.T])
     found = many.map(3)(points, ca.repmat(ca.DM(shared), 1, 3))
-    assert found.nnz() == 3 * LANES * one.nnz_out(0)
+    assert found.nnz() == 3 * POINTS * one.nnz_out(0)
     np.testing.assert_allclose(found.full(), slow, rtol=1e-15, atol=0)
 
 
@@ -59,10 +59,10 @@ def test_what_is_not_given_is_zero(tmp_path: Path) -> None:
     x, shared = ca.SX.sym("x"), ca.SX.sym("shared")
     library = made([ca.Function("shifted", [x, shared], [x + shared + 1.0])], tmp_path)
     wide = ca.external("shifted", str(library)).map(2)
-    nothing = ca.DM(1, 2 * LANES)
+    nothing = ca.DM(1, 2 * POINTS)
     np.testing.assert_array_equal(wide(nothing, ca.DM.zeros(1, 2)).full(), 1.0)
     buffer, evaluate = wide.buffer()
-    found = np.zeros(2 * LANES)
+    found = np.zeros(2 * POINTS)
     buffer.set_res(0, memoryview(found))
     evaluate()
     np.testing.assert_array_equal(found, 1.0)
@@ -84,5 +84,5 @@ def test_what_has_no_digits_is_named(tmp_path: Path) -> None:
     x, shared = ca.SX.sym("x"), ca.SX.sym("shared")
     bounds = ca.vertcat(x + ca.inf, x - ca.inf, x + np.nan)
     library = made([ca.Function("bounds", [x, shared], [bounds])], tmp_path)
-    found = ca.external("bounds", str(library))(np.ones((1, LANES)), 0.0).full()
-    np.testing.assert_array_equal(found, np.repeat([[np.inf], [-np.inf], [np.nan]], LANES, 1))
+    found = ca.external("bounds", str(library))(np.ones((1, POINTS)), 0.0).full()
+    np.testing.assert_array_equal(found, np.repeat([[np.inf], [-np.inf], [np.nan]], POINTS, 1))
