@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol
 
 import casadi as ca
@@ -158,6 +158,16 @@ class RawSolution:
         return self.status in ("optimal", "acceptable")
 
 
+class Later(Protocol):
+    """A programme by functions that are being made."""
+
+    def is_there(self) -> bool:
+        """Whether they are."""
+
+    def programme(self) -> Nlp:
+        """The programme by them; its bounds are not used."""
+
+
 class IpoptSolver:
     """Solver of one NLP with exact derivatives.
 
@@ -165,16 +175,29 @@ class IpoptSolver:
     ----------
     nlp : Nlp
     options : IpoptOptions
+    later : Later, optional
+        The same programme by faster functions. A solve that is under way when they come begins
+        again with them: it ends as it would have, sooner.
     """
 
-    def __init__(self, nlp: Nlp, options: IpoptOptions | None = None) -> None:
+    def __init__(
+        self,
+        nlp: Nlp,
+        options: IpoptOptions | None = None,
+        later: Later | None = None,
+    ) -> None:
         self.nlp = nlp
         self.options = options or IpoptOptions()
+        self._later = later
         begin = time.perf_counter()
         self._monitor = Monitor(nlp)
+        self._set_up(nlp)
+        self.build_s = time.perf_counter() - begin
+
+    def _set_up(self, nlp: Nlp) -> None:
+        self._symbols = nlp.casadi
         self._solver = self._make({}, **nlp.derivatives)
         self._warm: dict[tuple[str, float], ca.Function] = {}
-        self.build_s = time.perf_counter() - begin
 
     @property
     def derivatives(self) -> tuple[ca.Function, ca.Function, ca.Function]:
@@ -215,6 +238,9 @@ class IpoptSolver:
         max_seconds : float, optional
             Overrides the option.
         """
+        if self._later is not None and self._later.is_there():
+            faster, self._later = self._later.programme(), None
+            self._set_up(faster)
         nlp = self.nlp
         p = nlp.parameters(parameters)
         inputs: dict[str, np.ndarray] = {
@@ -230,13 +256,26 @@ class IpoptSolver:
             solver = self._warm_solver(barrier, push)
             inputs |= {"lam_x0": warm.multipliers_x, "lam_g0": warm.multipliers_g}
         monitor = self._monitor
-        monitor.begin(report, self.options.max_seconds if max_seconds is None else max_seconds)
+        most = self.options.max_seconds if max_seconds is None else max_seconds
+        monitor.begin(report, most)
         monitor.patience = self.options.patience
+        monitor.overtaken = self._later.is_there if self._later is not None else None
         with handled(lambda *_: monitor.interrupt.set()):
             outputs = solver(**inputs)
         solve_s = time.perf_counter() - monitor.started
         if monitor.error is not None:
             raise monitor.error
+        if monitor.stopped_by == "overtaken":
+            again = self.solve(
+                x0,
+                parameters,
+                warm=warm,
+                barrier=barrier,
+                push=push,
+                report=report,
+                max_seconds=most - solve_s,
+            )
+            return replace(again, solve_s=again.solve_s + solve_s)
         word = str(solver.stats()["return_status"])
         status = monitor.stopped_by or _status(word)
         if status == "acceptable":
@@ -289,7 +328,7 @@ class IpoptSolver:
             **functions,
         }
         try:
-            return ca.nlpsol("solver", "ipopt", self.nlp.casadi, options)
+            return ca.nlpsol("solver", "ipopt", self._symbols, options)
         except RuntimeError as error:
             if "IPOPT option" not in str(error):
                 raise

@@ -99,6 +99,30 @@ def adapted(first: Transcription, ocp: OptimalControlProblem) -> Transcription |
     return _Builder(own, first.scheme, first.mesh, stage, first).build()
 
 
+class CompiledLater:
+    """The same programme by its compiled stage, as soon as there is one.
+
+    Parameters
+    ----------
+    first : Transcription
+        As `transcribe` or `adapted` made it.
+    """
+
+    def __init__(self, first: Transcription) -> None:
+        self._first, self._stage = first, _stage_of(first.ocp, first.scheme)
+        self._text = compiled.text_of(self._stage.function, self._stage.along)
+
+    def is_there(self) -> bool:
+        """Whether the stage has been compiled by now."""
+        return compiled.library_of(self._text) is not None
+
+    def programme(self) -> Nlp:
+        """The programme, with the bounds that the first one was made with."""
+        first = self._first
+        scales = BlockScales.of(first.nlp)
+        return _Builder(first.ocp, first.scheme, first.mesh, self._stage, scales=scales).build().nlp
+
+
 def _stage_of(ocp: OptimalControlProblem, scheme: Scheme) -> NumberedStage:
     """The stage, along splines where their coefficients are the variables."""
     stage, splines = ocp.numbered_stage, scheme.splines(ocp, [np.ones(1)])

@@ -50,9 +50,14 @@ def text_of(function: ca.Function, along: AlongSplines | None = None) -> str:
     return f"{json.dumps(known)}\n{function.serialize()}"
 
 
+def is_possible() -> bool:
+    """Whether there is a compiler that may be used."""
+    return compiler.compiler() is not None
+
+
 def library_of(text: str) -> Path | None:
     """As `library`, of what `text_of` has told."""
-    if compiler.compiler() is None:
+    if not is_possible():
         return None
     return compiler.library("stage", text, _made_by(), __name__)
 
