@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
@@ -83,7 +84,7 @@ class NearOptimum:
         basis = motions.basis
         nlp = transcription.nlp
         p = nlp.parameters(parameters)
-        constraints = _Constraints(nlp)
+        constraints = _Constraints(nlp, basis)
         coefficients = motions.nearest(x0)
         history: list[Progress] = []
         forces, side = np.zeros(0), np.zeros(0)
@@ -95,7 +96,7 @@ class NearOptimum:
             slope, value = basis.T @ gradient, constraints.values(x, g)
             if not step:
                 forces, side = constraints.binding(near, value)
-            matrix = constraints.matrix(basis, jacobian)
+            matrix = constraints.matrix(jacobian)
             excess = np.maximum(constraints.lower - value, value - constraints.upper)
             violation = max(float(excess.max(initial=0.0)), 0.0)
             stationary = float(np.abs(slope + matrix.T @ forces).max())
@@ -106,10 +107,10 @@ class NearOptimum:
                 report(history[-1])
             if step and max(stationary, violation) <= self._tolerance:
                 lam_x, lam_g = constraints.split(forces)
-                lam_g = _with_equations(nlp, gradient + lam_x, jacobian, lam_g)
+                lam_g = motions.with_equations(nlp, gradient + lam_x, jacobian, lam_g)
                 seconds = time.perf_counter() - begin
                 return _solution(nlp, x, g, lam_x, lam_g, history, seconds)
-            curvature = self._curvature(x, p, constraints.split(forces)[1], basis)
+            curvature = self._curvature(x, p, constraints.split(forces)[1], motions)
             to_bounds = constraints.lower - value, constraints.upper - value
             taken = _quadratic(curvature, slope, matrix, to_bounds, forces, side)
             if taken is None:
@@ -127,14 +128,14 @@ class NearOptimum:
         return self._motions
 
     def _curvature(
-        self, x: np.ndarray, p: np.ndarray, multipliers: np.ndarray, basis: csr_matrix
+        self, x: np.ndarray, p: np.ndarray, multipliers: np.ndarray, motions: _Motions
     ) -> csr_matrix:
         """Of the Lagrangian by the coefficients (k, k)."""
         self._hessian(x, p, 1.0, multipliers)
         lower = self._hessian.sparse(0).T
-        lower.setdiag(lower.diagonal() / 2.0)
-        half = basis.T @ (lower @ basis)
-        return (half + half.T).tocsr()
+        lower.data[_rows(lower) == lower.indices] /= 2.0
+        half = motions.transposed @ (lower @ motions.basis)
+        return half + half.T.tocsr()
 
 
 class _Motions:
@@ -144,12 +145,32 @@ class _Motions:
         lengths = np.sqrt(np.asarray(basis.multiply(basis).sum(axis=0))).ravel()
         self.duration = duration
         self.basis = (basis @ diags(1.0 / lengths)).tocsr()
-        self._normal = splu((self.basis.T @ self.basis).tocsc())
+        # Kept by rows as well: products of what is kept alike need no conversion.
+        self.transposed = self.basis.T.tocsr()
+        self._normal = splu((self.transposed @ self.basis).tocsc())
+        self._equations: tuple[csr_matrix, Any] | None = None
 
     def nearest(self, x: np.ndarray) -> np.ndarray:
         """Coefficients of the motion nearest to variables."""
-        found: np.ndarray = self._normal.solve(self.basis.T @ x)
+        found: np.ndarray = self._normal.solve(self.transposed @ x)
         return found
+
+    def with_equations(
+        self, nlp: Nlp, slope: np.ndarray, jacobian: csr_matrix, multipliers: np.ndarray
+    ) -> np.ndarray:
+        """Multipliers of all rows, with those of the equations that splines stand in for."""
+        own = nlp.structural
+        if not own.any():
+            return multipliers
+        if self._equations is None:
+            # Linear, or there were no splines: the same in every problem that lasts as long.
+            equations = jacobian[own]
+            self._equations = equations, splu((equations @ equations.T).tocsc())
+        equations, factor = self._equations
+        missing = equations @ (slope + jacobian.T @ multipliers)
+        whole = multipliers.copy()
+        whole[own] = -factor.solve(missing)
+        return whole
 
 
 class _Constraints:
@@ -159,10 +180,11 @@ class _Constraints:
     lower; a side is 1, -1, 0 where it does not bind and 2 where both are one.
     """
 
-    def __init__(self, nlp: Nlp) -> None:
-        self.nlp = nlp
+    def __init__(self, nlp: Nlp, basis: csr_matrix) -> None:
+        self.nlp, self._basis = nlp, basis
         self.bounds = np.flatnonzero(np.isfinite(nlp.lower_x) | np.isfinite(nlp.upper_x))
         self.rows = np.flatnonzero(~nlp.structural)
+        self._of_bounds = basis[self.bounds]
         self.lower = np.append(nlp.lower_x[self.bounds], nlp.lower_g[self.rows])
         self.upper = np.append(nlp.upper_x[self.bounds], nlp.upper_g[self.rows])
 
@@ -170,9 +192,9 @@ class _Constraints:
         """Of all constraints (c,)."""
         return np.append(x[self.bounds], g[self.rows])
 
-    def matrix(self, basis: csr_matrix, jacobian: csr_matrix) -> csr_matrix:
+    def matrix(self, jacobian: csr_matrix) -> csr_matrix:
         """Their slopes by the coefficients (c, k)."""
-        return vstack([basis[self.bounds], jacobian[self.rows] @ basis], format="csr")
+        return vstack([self._of_bounds, jacobian[self.rows] @ self._basis], format="csr")
 
     def split(self, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Multipliers of all variables and all rows."""
@@ -199,10 +221,9 @@ def _quadratic(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Step, forces and sides of min slope s + s curvature s / 2 with lower <= matrix s <= upper."""
     lower, upper = to_bounds
-    lengths = np.asarray(matrix.power(2).sum(axis=1)).ravel()
+    lengths = np.bincount(_rows(matrix), matrix.data**2, len(side))
     steep = np.abs(curvature.data).max(initial=0.0)
     stiffness = _PENALTY * steep / np.maximum(lengths, 1e-300)
-    weighted = (diags(np.sqrt(stiffness)) @ matrix).tocsr()
     width = _width(curvature, matrix)
     bands, held = _bands(curvature, width), np.zeros(len(side), dtype=bool)
     seen = {side.tobytes()}
@@ -210,20 +231,23 @@ def _quadratic(
         bound = side != 0
         for sign, changed in ((1.0, bound & ~held), (-1.0, held & ~bound)):
             if changed.any():
-                rows = weighted[changed]
-                bands += sign * _bands(rows.T @ rows, width)
+                rows = matrix[changed]
+                pulled = rows.T.tocsr()
+                pulled.data *= stiffness[changed][pulled.indices]
+                bands += sign * _bands(pulled @ rows, width)
         held = bound
         try:
             factor = cholesky_banded(bands, lower=True, check_finite=False), True
         except LinAlgError:
             return None
         rows, pull = matrix[bound], stiffness[bound]
+        columns = rows.T
         missing = np.where(side > 0, upper, lower)[bound]
         step, own = np.zeros(len(slope)), forces[bound]
         # What is missed falls to a ten-thousandth each time.
         for _ in range(_ROUNDS):
             push = pull * missing
-            unbalanced = slope + curvature @ step + rows.T @ (own - push)
+            unbalanced = slope + curvature @ step + columns @ (own - push)
             moved = cho_solve_banded(factor, -unbalanced, check_finite=False)
             step = step + moved
             along = rows @ moved
@@ -251,37 +275,27 @@ def _quadratic(
     return None
 
 
+def _rows(matrix: csr_matrix) -> np.ndarray:
+    """Row of each entry."""
+    return np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+
+
 def _width(curvature: csr_matrix, matrix: csr_matrix) -> int:
     """Half the band of the curvature with a penalty on any rows."""
-    entries = curvature.tocoo()
     filled = np.diff(matrix.indptr) > 0
     first, last = matrix.indptr[:-1][filled], matrix.indptr[1:][filled] - 1
     spans = matrix.indices[last] - matrix.indices[first]
-    return int(max(np.abs(entries.row - entries.col).max(initial=0), spans.max(initial=0)))
+    beside = np.abs(_rows(curvature) - curvature.indices).max(initial=0)
+    return int(max(beside, spans.max(initial=0)))
 
 
 def _bands(matrix: csr_matrix, width: int) -> np.ndarray:
     """Lower half of a symmetric matrix, diagonal by diagonal (width + 1, k)."""
-    entries = matrix.tocoo()
-    below = entries.row - entries.col
+    below = _rows(matrix) - matrix.indices
     lower = below >= 0
     bands = np.zeros((width + 1, matrix.shape[0]))
-    bands[below[lower], entries.col[lower]] = entries.data[lower]
+    bands[below[lower], matrix.indices[lower]] = matrix.data[lower]
     return bands
-
-
-def _with_equations(
-    nlp: Nlp, slope: np.ndarray, jacobian: csr_matrix, multipliers: np.ndarray
-) -> np.ndarray:
-    """Multipliers of all rows, with those of the equations that splines stand in for."""
-    own = nlp.structural
-    if not own.any():
-        return multipliers
-    equations = jacobian[own]
-    missing = equations @ (slope + jacobian.T @ multipliers)
-    whole = multipliers.copy()
-    whole[own] = -splu((equations @ equations.T).tocsc()).solve(missing)
-    return whole
 
 
 def _progress(nlp: Nlp, step: int, objective: float, g: np.ndarray, elapsed: float) -> Progress:

@@ -19,6 +19,9 @@ _MOST_COARSE, _MOST_MIDDLE = 60, 100
 _PATIENCE = 100
 # First barrier of a minimum duration, and so its bounds' multipliers.
 _DURATION_BARRIER = 1e-3
+# That of a peak on a fine mesh, from the motion of a coarse one; and to what share of the last one
+# a correction of the inertia falls.
+_PEAK_BARRIER, _FALL = 1e-6, 0.1
 # IPOPT's names of how far a start is moved from bounds.
 _PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 
@@ -94,6 +97,12 @@ def solver_options(problem: TrajectoryProblem, *, near: bool = False) -> IpoptOp
     if fastest and not problem.plans_links:
         # Beside one duration, multipliers of 1 at thousands of bounds lead far into the inside.
         extra |= {"bound_mult_init_method": "mu-based", "mu_init": _DURATION_BARRIER}
+    peak = smoothing_stages(problem) == WINDUP_SMOOTHING and not fastest
+    if near and peak and not problem.plans_links and method.intervals > _MOST_MIDDLE:
+        # All nodes share the peak's multiplier. Of 1 each they bend the programme so much that the
+        # inertia is mended by far more than is needed, and for many short steps.
+        extra |= {"bound_mult_init_method": "mu-based", "mu_init": _PEAK_BARRIER}
+        extra["perturb_dec_fact"] = _FALL
     if problem.plans_links and near:
         # Multipliers of a small barrier, else the motion is first led far away from where it is.
         extra |= {"bound_mult_init_method": "mu-based", "mu_init": 1e-4}

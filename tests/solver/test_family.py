@@ -3,6 +3,7 @@
 import io
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from small_arms import ROOT
@@ -11,6 +12,7 @@ from stiffopt import compiler, solve
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
+from stiffopt.problem.smoothing import Smoothing
 from stiffopt.solver.family import ProblemFamily, WarmStart
 from stiffopt.transcription import build
 from stiffopt.transcription.mesh import uniform_mesh
@@ -158,3 +160,30 @@ def test_what_was_begun_before_its_stage_was_compiled_goes_on_compiled(tmp_path,
     assert [made.transcription.is_compiled for made in built.values()][-1]
     assert family.solve(further, end, compare=False)[0].solver.build_s == 0.0
     compiler.wait()
+
+
+@pytest.mark.skipif(compiler.shutil.which("cc") is None, reason="needs a C compiler")
+def test_a_programme_is_the_same_by_its_compiled_stage(tmp_path, monkeypatch):
+    monkeypatch.setenv("STIFFOPT_CACHE", str(tmp_path))
+    monkeypatch.setattr(compiler, "_started", {})
+    stated = problem("payload.mass=0.3")
+    made = build.transcribe(
+        formulate(stated, resolve(stated), Scales()), "piecewise_linear", uniform_mesh(8)
+    )
+    assert not made.is_compiled
+    monkeypatch.delenv("STIFFOPT_COMPILE")
+    later = build.CompiledLater(made)
+    assert not later.is_there()
+    compiler.wait()
+    assert later.is_there()
+    slow, fast = made.nlp, later.programme()
+    for name in ("lower_x", "upper_x", "lower_g", "upper_g", "numbers"):
+        np.testing.assert_array_equal(getattr(slow, name), getattr(fast, name), name)
+    x = np.random.default_rng(7).normal(size=slow.variables.size)
+    p = slow.parameters(Smoothing(1.0).parameters)
+    for one, other in zip(values_of(slow, x, p), values_of(fast, x, p), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12)
+
+
+def values_of(nlp, x, p):
+    return [each.full() for each in ca.Function("values", [nlp.x, nlp.p], [nlp.f, nlp.g])(x, p)]
