@@ -61,6 +61,7 @@ def compensate(
     arm: ElasticArm,
     motions: Sequence[PlannedMotion],
     *,
+    known: CommandOnArms | None = None,
     progress: Progress | None = None,
 ) -> Compensation:
     """Command of the first motion, and what compensation gives of all of them.
@@ -72,6 +73,8 @@ def compensate(
     arm : ElasticArm
     motions : sequence of PlannedMotion
         The optimised one first.
+    known : CommandOnArms, optional
+        Of the first motion, where that is known already.
     progress : callable, optional
         Called with the name of each motion before it is compensated.
 
@@ -82,19 +85,15 @@ def compensate(
     RobotError
         An uncertainty takes a joint's damping above critical.
     """
-    law = MotorLaw(problem.robot, problem.process_force)
-    asking = []
-    for motion in motions:
-        if progress is not None:
-            progress(motion.name)
-        asking.append(_begun(_Compensator(problem, arm, motion, law).compensated()))
-    found = _answered(asking)
-    own, trajectory = found[0]
+    first, law = ([], None) if known is None else ([known], known.law)
+    others = motions[len(first) :]
+    found = [*first, *commands_on_arms(problem, arm, others, law, progress=progress)]
+    own = found[0]
     refusal, command = _refusal(problem, own.excess), None
     if not refusal:
-        command = assess(problem, trajectory, times=export_times(trajectory.duration))
+        command = assess(problem, own.motors, times=export_times(own.motors.duration))
     return Compensation(
-        motions=tuple(motion for motion, _ in found),
+        motions=tuple(each.shown() for each in found),
         command=command,
         refusal=refusal,
         uncertainty=problem.uncertainty.statements(arm.robot.payload is not None),
@@ -143,7 +142,7 @@ def recompensated(
     ]
     found = _answered(asking)
     return Compensation(
-        motions=tuple(found),
+        motions=tuple(each.shown() for each in found),
         command=None,
         refusal="",
         uncertainty=problem.uncertainty.statements(
@@ -155,12 +154,33 @@ def recompensated(
     )
 
 
+def commands_on_arms(
+    problem: TrajectoryProblem,
+    arm: ElasticArm,
+    motions: Sequence[PlannedMotion],
+    law: MotorLaw | None = None,
+    *,
+    progress: Progress | None = None,
+) -> list[CommandOnArms]:
+    """Commands of motions on all arms, without what only reports show.
+
+    Parameters as above; `law` is that of the problem's motors, where it is made already.
+    """
+    law = law or MotorLaw(problem.robot, problem.process_force)
+    asking = []
+    for motion in motions:
+        if progress is not None:
+            progress(motion.name)
+        asking.append(_begun(_Compensator(problem, arm, motion, law).on_arms()))
+    return _answered(asking)
+
+
 def compensated(
     problem: TrajectoryProblem, arm: ElasticArm, motion: PlannedMotion
-) -> tuple[CompensatedMotion, Trajectory]:
+) -> tuple[CompensatedMotion, JointMotion]:
     """What compensation gives of one motion, and the motors' command; parameters as above."""
-    law = MotorLaw(problem.robot, problem.process_force)
-    return _answered([_begun(_Compensator(problem, arm, motion, law).compensated())])[0]
+    (found,) = commands_on_arms(problem, arm, [motion])
+    return found.shown(), found.motors
 
 
 def _begun(asking: Asking[Answer]) -> tuple[Asking[Answer], Asked]:
@@ -214,6 +234,61 @@ class MadeCommand:
     plan: MotorMotion
     spacing: float | None
     share: float
+
+
+@dataclass(frozen=True, eq=False)
+class CommandOnArms:
+    """A command on the arm as modelled, at its bounds and as drawn.
+
+    Parameters
+    ----------
+    motion : PlannedMotion
+    motors : JointMotion
+        The command.
+    planned, compensated : Spreads
+        Of the motion as it is planned, and of the command.
+    nominal, worst : Departure
+        The arm as modelled, and the one on which the command deviates most in flight.
+    spacing, share : as of `CompensatedMotion`
+    excess : tuple of Violation
+        Limits of the motors that the command exceeds.
+    simulated : callable
+        The whole swing of the command on an arm.
+    law : MotorLaw
+        By which the command was made.
+    """
+
+    motion: PlannedMotion
+    motors: JointMotion
+    planned: Spreads
+    compensated: Spreads
+    nominal: Departure
+    worst: Departure
+    spacing: float | None
+    share: float
+    excess: tuple[Violation, ...]
+    simulated: Callable[[Departure], SimulatedMotion]
+    law: MotorLaw
+
+    @property
+    def at_worst(self) -> float:
+        """Peaks of the command on the worst arm, in flight and after arrival together [m]."""
+        led = self.compensated
+        return np.inf if self.excess else led.flight.worst + led.after.worst
+
+    def shown(self) -> CompensatedMotion:
+        """With its swings, which reports show."""
+        optimised = self.motion.name == "optimised"
+        return CompensatedMotion(
+            name=self.motion.name,
+            planned=self.planned,
+            compensated=self.compensated,
+            simulated=self.simulated(self.nominal),
+            worst=self.simulated(self.worst) if optimised else None,
+            spacing=self.spacing,
+            share=self.share,
+            excess=self.excess,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,51 +353,45 @@ class _Compensator:
     def _driven(self, arms: list[Departure]) -> list[Departure]:
         return arms if self._known is None else [replace(each, servo=1.0) for each in arms]
 
-    def compensated(self) -> Asking[tuple[CompensatedMotion, Trajectory]]:
-        """What compensation gives, and the command."""
+    def on_arms(self) -> Asking[CommandOnArms]:
+        """The command, judged."""
         lead, share, signs = yield from self._chosen()
-        trajectory = lead.command(share)
-        command = MotorMotion.of(trajectory)
-        found = yield from self._on_all(command, signs, lead.spacing, share)
-        return replace(found, excess=self._excess(trajectory)), trajectory
+        return (yield from self._on_all(lead.command(share), signs, lead.spacing, share))
 
     def chosen(self) -> Asking[MadeCommand]:
         """The command alone."""
         lead, share, _ = yield from self._chosen()
         return MadeCommand(lead.command(share), self._plan, lead.spacing, share)
 
-    def given(self, made: MadeCommand) -> Asking[CompensatedMotion]:
-        """What a command gives that exists already."""
-        command = MotorMotion.of(made.motors)
-        signs = self._worst_signs(*(yield from self._with_single(command)))
-        found = yield from self._on_all(command, signs, made.spacing, made.share)
-        return replace(found, excess=self._excess(made.motors))
+    def given(self, made: MadeCommand) -> Asking[CommandOnArms]:
+        """A command that exists already, judged."""
+        single = self._with_single(MotorMotion.of(made.motors))
+        signs = self._worst_signs(*(yield from single))
+        return (yield from self._on_all(made.motors, signs, made.spacing, made.share))
 
     def _on_all(
-        self, command: MotorMotion, signs: list[Departure], spacing: float | None, share: float
-    ) -> Asking[CompensatedMotion]:
+        self, motors: JointMotion, signs: list[Departure], spacing: float | None, share: float
+    ) -> Asking[CommandOnArms]:
         """What a command gives on the arm as modelled, at its bounds, as drawn."""
-        follows, plan = self._follows, self._plan
+        follows, plan, command = self._follows, self._plan, MotorMotion.of(motors)
         drawn = self._driven(draws(self._unsure, self._arm.robot.n, self._carries))
         arms = [self._nominal, *self._corners, *signs, *drawn]
         members = [Member(command=follows, departure=each, reference=follows) for each in arms]
         members += [Member(command=command, departure=each, reference=plan) for each in arms]
         swings = yield Asked(self._many, members)
         count = len(arms)
-        planned = _spreads(swings.peak[:count], swings.peak_after[:count], arms, len(drawn))
-        own = _spreads(swings.peak[count:], swings.peak_after[count:], arms, len(drawn))
-        worst = None
-        if self._motion.name == "optimised":
-            worst = self._simulated(command, arms[int(np.argmax(swings.peak[count:]))])
-        return CompensatedMotion(
-            name=self._motion.name,
-            planned=planned,
-            compensated=own,
-            simulated=self._simulated(command, self._nominal),
-            worst=worst,
+        return CommandOnArms(
+            motion=self._motion,
+            motors=motors,
+            planned=_spreads(swings.peak[:count], swings.peak_after[:count], arms, len(drawn)),
+            compensated=_spreads(swings.peak[count:], swings.peak_after[count:], arms, len(drawn)),
+            nominal=self._nominal,
+            worst=arms[int(np.argmax(swings.peak[count:]))],
             spacing=spacing,
             share=share,
-            excess=(),
+            excess=self._excess(motors),
+            simulated=functools.partial(self._simulated, command),
+            law=self._law,
         )
 
     def _chosen(self) -> Asking[tuple[_Lead, float, list[Departure]]]:

@@ -16,7 +16,7 @@ import numpy as np
 from stiffopt.certificate.objective_value import objective_value
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.errors import NotSimulatedError
-from stiffopt.solver.compensation import compensated
+from stiffopt.solver.compensation import CommandOnArms, commands_on_arms
 from stiffopt.solver.refinement import refined_within, stopped
 from stiffopt.solver.simulation import PlannedMotion, elastic_arm
 from stiffopt.solver.solve_run import SolveRun
@@ -43,9 +43,13 @@ def robust_plan(run: SolveRun, outcome: Outcome) -> Outcome:
             outcome = stopped(outcome)
         else:
             cost = _cost(run, found, outcome)
-        if cost <= _COST_CERTIFIED and _at_worst(run, found) < _at_worst(run, outcome):
-            run.notes.append(_note(cost))
-            return found
+        if cost <= _COST_CERTIFIED:
+            own, least = _on_arms(run, found, outcome)
+            better = own.at_worst < least.at_worst
+            run.command = own if better else least
+            if better:
+                run.notes.append(_note(cost))
+                return found
     except NotSimulatedError:
         pass
     except KeyboardInterrupt:
@@ -75,12 +79,14 @@ def _note(cost: float) -> str:
     )
 
 
-def _at_worst(run: SolveRun, outcome: Outcome) -> float:
-    """Peaks of the command on the worst arm, in flight and after arrival together [m]."""
-    motion = PlannedMotion.of("planned", outcome.assessment, True)
+def _on_arms(run: SolveRun, *outcomes: Outcome) -> list[CommandOnArms]:
+    """The commands of outcomes on uncertain arms."""
     arm = elastic_arm(run.problem, run.motion.start)
-    led, _ = compensated(run.problem, arm, replace(motion, motors=outcome.trajectory))
-    return np.inf if led.excess else led.compensated.flight.worst + led.compensated.after.worst
+    motions = [
+        replace(PlannedMotion.of("optimised", each.assessment, True), motors=each.trajectory)
+        for each in outcomes
+    ]
+    return commands_on_arms(run.problem, arm, motions, run.motors)
 
 
 def _cost(run: SolveRun, found: Outcome, least: Outcome) -> float:

@@ -36,7 +36,7 @@ from stiffopt.result.simulation import (
 )
 from stiffopt.result.status import SolveStatus
 from stiffopt.robot import native_bodies
-from stiffopt.solver.compensation import compensate
+from stiffopt.solver.compensation import CommandOnArms, compensate
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
 if TYPE_CHECKING:
@@ -243,10 +243,12 @@ def with_simulation(
     solution: Solution,
     progress: ProgressCallback | None = None,
     motion: ResolvedMotion | None = None,
+    command: CommandOnArms | None = None,
 ) -> Solution:
     """The solution with its simulation and its command; a note instead where there are none.
 
-    `motion` are the problem's poses where they are resolved already.
+    `motion` are the problem's poses where they are resolved already; `command` is one of the
+    solve, which is taken where it is of this solution.
     """
     stopped = solution.status is SolveStatus.INTERRUPTED
     if solution.assessment is None or stopped or not problem.robot.yields:
@@ -275,8 +277,10 @@ def with_simulation(
             )
         if not _asks_for_command(problem):
             return _noted(solution, _NOT_ASKED)
+        if command is not None and command.motion.motors is not solution.trajectory:
+            command = None
         compensation = compensate(
-            problem, arm, [own, *others], progress=_events(progress, solution)
+            problem, arm, [own, *others], known=command, progress=_events(progress, solution)
         )
     except KeyboardInterrupt:
         if solution.simulation is not None:

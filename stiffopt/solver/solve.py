@@ -162,7 +162,7 @@ def solve_keeping(
         except KeyboardInterrupt:
             solution = only_baseline(run, beside, notes)
     if simulate:
-        solution = with_simulation(problem, solution, progress, motion)
+        solution = with_simulation(problem, solution, progress, motion, run.command)
     return solution, kept
 
 

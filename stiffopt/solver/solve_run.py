@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from stiffopt.solver.avoidance import Avoidance
 from stiffopt.solver.corners import CORNERS_TAKE, narrowest
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.plan import SolveStage
+
+if TYPE_CHECKING:
+    from stiffopt.solver.compensation import CommandOnArms
 
 # Of the time limit: if links that may swing on end in no motion by then, they are brought to rest.
 _OF_FREE_END = 0.4
@@ -70,7 +73,8 @@ class SolveRun:
     `quintic` is the baseline by which corners of the motors' law are made wide enough;
     `at_rest` says that nothing may swing on after arrival, whatever limits allow; `avoidance`, once
     it is there, keeps the motion clear of collisions; `unavoided` says what was tried in vain,
-    `detour` is the motion along a path around.
+    `detour` is the motion along a path around; `command` is its command on uncertain arms, where
+    that has been asked for.
     """
 
     problem: TrajectoryProblem
@@ -82,6 +86,7 @@ class SolveRun:
     avoidance: Avoidance | None = None
     unavoided: str = ""
     detour: Baseline | None = None
+    command: CommandOnArms | None = None
     begin: float = field(default_factory=time.perf_counter)
     build_s: float = 0.0
     solve_s: float = 0.0
