@@ -74,11 +74,12 @@ def link_torques(
 
 def tool_positions(robot: Robot, position: np.ndarray) -> np.ndarray:
     """Tool positions (K, 3) [m] of joint positions (K, n)."""
-    data = robot.model.createData()
-    found, offset = np.empty((len(position), 3)), np.asarray(robot.tool.offset)
-    for k, q in enumerate(position):
-        pin.forwardKinematics(robot.model, data, q)
-        found[k] = data.oMi[robot.tool.joint].act(offset)
+    places, tool = joint_places(robot.model), robot.tool
+    found = np.empty((len(position), 3))
+    for first in range(0, len(position), _BLOCK):
+        block = slice(first, first + _BLOCK)
+        joints = moving_joints(places, position[block])
+        found[block] = joints[tool.joint - 1].point(np.asarray(tool.offset)).T
     return found
 
 

@@ -86,6 +86,14 @@ class SwingResponse:
             return z[0], velocity[0], acceleration[0]
         return np.moveaxis(z, 0, 2), np.moveaxis(velocity, 0, 2), np.moveaxis(acceleration, 0, 2)
 
+    def driven(
+        self, torque: np.ndarray, z: np.ndarray, velocity: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Swing under torques (K, n) that begins at a displacement and a velocity (n,)."""
+        begin = np.concatenate([z, velocity / self._unit])[None]
+        found = self._marched(np.arange(self.n)[None], torque[None], begin)
+        return found[0][0], found[1][0], found[2][0]
+
     def moved(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Swing and its velocity under torques (K, n) of many calls, mostly on one link.
 

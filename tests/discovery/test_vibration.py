@@ -30,6 +30,8 @@ SOFTER = replace(HEALTHY, effects=(("stiffness_linear", 2, 2.0),))
 # The first sample lies within a corner of a sharp motion, and swings at 13 and 20 Hz.
 SHARP = replace(HEALTHY, seed=770104, payload=5.723, smoothing=0.2)
 MOVING = 0.03
+# A tenth of a link encoder's noise [rad].
+SAME = 1.5e-6
 # Of the noise: more than an eighth would be added to it.
 HALF = 0.5
 
@@ -104,6 +106,21 @@ def test_links_begin_within_a_corner_of_the_motion(folder):
     torque, link = _errors(SHARP, folder)
     assert torque < 0.46
     assert link < 0.22
+
+
+def test_springs_that_were_taken_on_the_way_do_not_matter(folder):
+    """However soft or stiff they were taken to be first, links end with the same motion."""
+    _, robot, runs, _ = _opened(SHARP, folder)
+    run = prepare(robot, next(iter(runs.values())), 0, None, Settings())
+    springs, slow = run.springs(robot), run.swing.begin
+    found = []
+    for softer in (0.7, 1.0, 1.5):
+        wrong = springs.swing(run.links, np.full_like(run.signals.windup, softer))
+        links = springs.follow(slow, replace(wrong, softer=1.0), slow)
+        for _ in range(2):
+            links = springs.follow(links, springs.swing(links), slow)
+        found.append(links.position)
+    assert np.sqrt(np.mean(np.ptp(found, axis=0) ** 2)) < SAME
 
 
 def test_a_payload_that_was_found_makes_them_swing_slower(folder):

@@ -23,8 +23,10 @@ MOTOR_CUTOFF = 60.0
 SLOW_CUTOFF = 20.0
 # Spring and link motion agree within this [rad]; far below any encoder's noise.
 _SETTLED = 3e-8
-# Within so many rounds it must agree so many samples further.
-_PATIENCE, _FURTHER = 16, 40
+# Within so many rounds it must agree further,
+_PATIENCE = 16
+# or where it stands still agree to this, as at a step in what was found [rad].
+_STEP = 1e-6
 # No link accelerates like this [rad/s^2].
 _ABSURD = 1e9
 # Samples that are followed at once, at least.
@@ -33,6 +35,9 @@ _FEWEST = 25
 _GROWING = 4
 # Gap of a round over that of the round before from which springs are taken anew.
 _SLOW = 0.4
+# Times that springs are taken anew as they are; from then on half of the way, since about a bend
+# they go to and fro.
+_TO_AND_FRO = 3
 # Behind the settling of the filter, over which links begin without swing as far as can be [s]:
 # longer than most corners of a motion.
 _START = 0.6
@@ -79,6 +84,15 @@ class LinkMotion:
         """Its first samples."""
         return LinkMotion(*(part[:count] for part in vars(self).values()))
 
+    @property
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Position and velocity (n,) of the first sample."""
+        return self.position[0], self.velocity[0]
+
+    def less(self, other: LinkMotion) -> LinkMotion:
+        """The motion relative to another one; torques stay."""
+        return self.moved(-other.position, -other.velocity, -other.acceleration)
+
     def moved(self, z: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> LinkMotion:
         """The motion with a change; torques stay."""
         return replace(
@@ -122,9 +136,16 @@ class Swing:
         """One whose springs may be changed."""
         return replace(self, response=self.response.copy(), stiffness=self.stiffness.copy())
 
-    def change_springs(self, samples: slice, stiffness: np.ndarray) -> None:
-        """Take another stiffness of (K, n) at some samples; elsewhere it stays."""
-        self.stiffness[samples] = own = stiffness[samples]
+    def change_springs(
+        self, samples: slice, stiffness: np.ndarray, force: np.ndarray, away: np.ndarray
+    ) -> None:
+        """Take another stiffness of (K, n) at some samples; elsewhere it stays.
+
+        So does a small motion of positions `away` (K, n) there: the force that it needs follows.
+        """
+        own = stiffness[samples]
+        force[samples] += (own - self.stiffness[samples]) * away[samples]
+        self.stiffness[samples] = own
         springs = own[..., None] * np.eye(self.response.n)
         self.response.change_springs(samples, self.bodies[0][samples] + springs)
 
@@ -137,6 +158,18 @@ class Swing:
         except np.linalg.LinAlgError:
             return False
         return True
+
+    def force(self, away: LinkMotion) -> np.ndarray:
+        """Torque on the links (K, n) that a small motion needs [N m]."""
+        weight, rate, inertia = self.bodies
+        springs, dampers = self.stiffness * away.position, self.damping * away.velocity
+        parts = (
+            (inertia + self.heavier, away.acceleration),
+            (rate, away.velocity),
+            (weight, away.position),
+        )
+        needed = sum((matrix @ moved[..., None])[..., 0] for matrix, moved in parts)
+        return np.asarray(needed + springs + dampers)
 
     def answer(
         self, link_torque: np.ndarray | None, deflection: np.ndarray | None
@@ -339,7 +372,7 @@ class Springs:
         softer : callable, optional
             What it makes of the springs.
         """
-        links = self.follow(begin, swing, added, softer)
+        links = self.follow(begin, swing, begin, added, softer)
         first = slow_filter(self.dt).settling
         window = slice(first, first + max(2, round(_START / self.dt)))
         for _ in range(_BEGUN if len(self.motor) > first + 2 else 0):
@@ -348,13 +381,15 @@ class Springs:
             # Springs bend: about the motion as it is by now.
             ratio = swing.softer if softer is None else softer(links)
             about = self.swing(links, ratio, swing.heavier, swing)
-            links = self.follow(about.begun_near(links, begin, window), about, added, softer)
+            near = about.begun_near(links, begin, window)
+            links = self.follow(near, about, begin, added, softer)
         return links
 
     def follow(
         self,
         links: LinkMotion,
         swing: Swing,
+        slow: LinkMotion,
         added: Added | None = None,
         softer: Softer | None = None,
     ) -> LinkMotion | None:
@@ -366,16 +401,24 @@ class Springs:
             To start from; at the first sample it stays.
         swing : Swing
             Response near that motion.
+        slow : LinkMotion
+            Near by, without swing: steps are exact of it, linear of what is beside it.
         added : callable, optional
             What acts beside the nominal robot.
         softer : callable, optional
             What it makes of the springs.
         """
-        before, growing, given = np.inf, 0, swing
+        before, growing, changed, swing = np.inf, 0, 0, swing.copy()
         count = end = len(self.motor)
         reached = [0]
+        settled = np.full(count, _SETTLED)
         torque = np.zeros_like(self.motor)
+        away = links.less(slow)
+        force = swing.force(away)
         while True:
+            # From the first sample on with the springs as they are by now, so that it does not
+            # matter which they were on the way.
+            links = slow.moved(*swing.response.driven(force, *away.state))
             # None of it counts where it runs away.
             if not np.all(np.abs(links.acceleration) < _ABSURD):
                 return None
@@ -383,25 +426,28 @@ class Springs:
                 # What comes much later is not asked for before all until then is settled.
                 own, gaps = self._gaps(links.until(known), torque[:known], added)
                 sizes = np.max(np.abs(gaps), axis=1)
-                if known == count or np.any(sizes[:end] >= _SETTLED):
+                if known == count or np.any(sizes[:end] >= settled[:known][:end]):
                     break
-            if np.all(sizes < _SETTLED):
+            if np.all(sizes < settled[:known]):
                 return own
-            first = int(np.argmax(sizes >= _SETTLED))
+            first = int(np.argmax(sizes >= settled[:known]))
             reached.append(first)
-            if len(reached) > _PATIENCE and first < reached[-_PATIENCE] + _FURTHER:
-                return None
+            if len(reached) > _PATIENCE and first <= reached[-_PATIENCE]:
+                settled[first] = _STEP
+                if sizes[first] > _STEP:
+                    return None
             if first >= end:
                 before, end = np.inf, min(len(sizes), 2 * end)
+                growing = changed = 0
             worst = float(np.max(sizes[:end]))
             if worst > _SLOW * before:
                 # Springs bend where the motion was taken to be: anew about where it is, as far as
                 # it is followed.
-                whole = np.broadcast_to(swing.softer, self.motor.shape)
-                ratio = whole[:known] if softer is None else softer(own)
-                if swing is given:
-                    swing = given.copy()
-                swing.change_springs(slice(first, end), self._stiffness(own, ratio))
+                stiffness = self._bent(own, swing, softer, halfway=changed > _TO_AND_FRO)
+                swing.change_springs(
+                    slice(first, end), stiffness, force, links.position - slow.position
+                )
+                changed += 1
             if worst > before:
                 growing += end - first <= _FEWEST
                 if growing > _GROWING:
@@ -409,9 +455,19 @@ class Springs:
                 # What comes late hangs on all before it: so far, then further.
                 end = first + max(_FEWEST, (end - first) // 4)
             before = worst
-            pull = np.zeros_like(self.motor)
-            pull[:end] = swing.stiffness[:end] * gaps[:end]
-            links = links.moved(*swing.response(pull))
+            force[:end] += swing.stiffness[:end] * gaps[:end]
+
+    def _bent(
+        self, links: LinkMotion, swing: Swing, softer: Softer | None, *, halfway: bool
+    ) -> np.ndarray:
+        """Stiffness of the springs (k, n) along the first samples of a motion, or half way to it.
+
+        [N m/rad]
+        """
+        k = len(links.position)
+        ratio = np.broadcast_to(swing.softer, self.motor.shape)[:k]
+        stiffness = self._stiffness(links, ratio if softer is None else softer(links))
+        return 0.5 * (stiffness + swing.stiffness[:k]) if halfway else stiffness
 
     def _gaps(
         self, links: LinkMotion, torque: np.ndarray, added: Added | None

@@ -123,7 +123,7 @@ def _followed(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prep
             return change.link_torque + weight[:known], change.deflection
 
         links = (
-            springs.follow(moved.links, swing, added, softer)
+            springs.follow(moved.links, swing, begin, added, softer)
             if again
             else springs.started(begin, swing, added, softer)
         )
