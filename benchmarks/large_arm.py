@@ -31,7 +31,7 @@ from benchmarks.blind.wilson import wilson
 from benchmarks.simulator import CaseSpec, simulate, truth_text, write_case
 
 # Payloads of the robots [kg].
-PAYLOADS = {"big6": (5.0, 15.0), "arm7": (2.0, 8.0), "pallet4": (5.0, 40.0)}
+PAYLOADS = {"big6": (5.0, 15.0), "arm7": (2.0, 8.0), "pallet4": (5.0, 40.0), "scara4": (1.0, 6.0)}
 SMOOTHINGS = (0.42, 0.3, 0.2)  # of the corners of the motion, in turn [s]: the last excite swing
 
 

@@ -1,4 +1,4 @@
-"""Two machines of other kinds, which nothing was developed on: seven axes, and a palletiser."""
+"""Machines of other kinds, which nothing was developed on: seven axes, a palletiser, a SCARA."""
 
 from __future__ import annotations
 
@@ -106,4 +106,44 @@ PALLET4 = Robot(
     motor_bits=19,
 )
 
-ROBOTS = {robot.name: robot for robot in (PLANAR2, SMALL3, ARM6, BIG6, ARM7, PALLET4)}
+# Upright axes, which gravity does not load, a quill that slides, and belts to the last two.
+SCARA4 = Robot(
+    name="scara4",
+    bodies=(
+        Body(origin=(0, 0, 0.3), axis=Z, mass=11.0, com=(0.16, 0, 0.03), inertia=(0.04, 0.2, 0.2)),
+        Body(
+            origin=(0.35, 0, 0.06), axis=Z, mass=7.5, com=(0.14, 0, 0.05), inertia=(0.03, 0.1, 0.1)
+        ),
+        Body(
+            origin=(0.3, 0, 0),
+            axis=Z,
+            mass=1.6,
+            com=(0, 0, 0.05),
+            inertia=(0.012, 0.012, 4e-4),
+            slides=True,
+        ),
+        Body(origin=(0, 0, -0.12), axis=Z, mass=0.5, com=(0, 0, 0), inertia=(6e-4, 6e-4, 5e-4)),
+    ),
+    payload_mass=4.0,
+    payload_com=(0.05, 0.01, -0.04),
+    tool=(0.05, 0, -0.08),
+    gear_ratio=row(80, 50, 2 * np.pi / 0.02, 20),
+    rotor_inertia=row(1.9, 0.55, 7.0, 0.03),
+    coulomb=row(5.5, 2.6, 16.0, 0.5),
+    viscous=row(5.0, 2.0, 45.0, 0.25),
+    torque_max=row(210, 95, 700, 14),
+    torque_rated=row(70, 32, 230, 4.6),
+    joint_damping=row(9.0, 2.5, 60.0, 0.05),
+    contact_stiffness=row(1.4e5, 6e4, 5e6, 3e3),
+    connections=("key+bolts", "key+bolts", "belt+key+bolts", "belt+key+bolts"),
+    slopes=np.array(
+        [[2.7e4, 1.2e4, 6.0e5, 420.0], [4.2e4, 1.8e4, 7.5e5, 520.0], [5.0e4, 2.1e4, 8.5e5, 580.0]]
+    ),
+    corners=np.array([[12.0, 5.5, 60.0, 1.0], [42.0, 19.0, 220.0, 3.6]]),
+    speed_max=row(4.2, 6.0, 1.1, 12.0),
+    centre=row(0.0, 0.9, -0.1, 0.0),
+    reach=row(1.1, 1.0, 0.085, 1.8),
+    torque_noise=row(0.35, 0.16, 1.2, 0.025),
+)
+
+ROBOTS = {robot.name: robot for robot in (PLANAR2, SMALL3, ARM6, BIG6, ARM7, PALLET4, SCARA4)}

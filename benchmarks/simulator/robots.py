@@ -24,6 +24,7 @@ class Body:
     mass: float  # [kg]
     com: Triple  # [m]
     inertia: Triple  # about the centre of mass, principal axes along the link's [kg m^2]
+    slides: bool = False  # along the axis: metres for radians throughout, newtons for newton metres
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,9 +90,10 @@ def _urdf(robot: Robot) -> str:
     lines = ['<?xml version="1.0"?>', f'<robot name="{robot.name}">', '<link name="base"/>']
     parent = "base"
     for i, body in enumerate(robot.bodies, start=1):
+        kind = "prismatic" if body.slides else "revolute"
         lines.append(
             f'<link name="link{i}">{_inertial(body.mass, body.com, body.inertia)}</link>'
-            f'<joint name="joint{i}" type="revolute"><parent link="{parent}"/>'
+            f'<joint name="joint{i}" type="{kind}"><parent link="{parent}"/>'
             f'<child link="link{i}"/><origin xyz="{_numbers(body.origin)}" rpy="0 0 0"/>'
             f'<axis xyz="{_numbers(body.axis)}"/><limit lower="-3.1" upper="3.1" '
             f'effort="{robot.torque_max[i - 1]:g}" velocity="{robot.speed_max[i - 1]:g}"/></joint>'
