@@ -170,6 +170,21 @@ def test_sliders_move_the_arm_and_the_cursors(shown, page):
     assert browser.console == []
 
 
+def test_a_scene_of_another_size_is_never_shown_empty(shown):
+    browser = shown("#time=0")
+    # What is shown after a change of size is what its observers leave, so the last one reads.
+    drawn = browser.value(
+        "new Promise((done) => { const canvas = document.querySelector('#scene canvas'); "
+        "const box = canvas.parentElement, small = document.createElement('canvas'); "
+        "small.width = small.height = 100; const flat = small.getContext('2d'); let calls = 0; "
+        "const read = () => { if (!calls++) { box.style.width = '60%'; return; } "
+        "flat.drawImage(canvas, 0, 0, 100, 100); "
+        "done(flat.getImageData(0, 0, 100, 100).data.filter((v, k) => k % 4 == 3 && v).length); }; "
+        "new ResizeObserver(read).observe(box); })"
+    )
+    assert drawn > 0.05 * 100 * 100
+
+
 def test_the_page_of_a_simulation_shows_the_arm_swinging(browser, page):
     problem = load_problem(page.parent / "problem.toml").problem
     assessment = swing(problem)

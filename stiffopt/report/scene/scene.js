@@ -279,7 +279,8 @@ document.addEventListener("DOMContentLoaded", () => {
   }
   root.addEventListener("input", soon);
   controls.addEventListener("change", soon);
-  new ResizeObserver(() => { frame(); soon(); }).observe(canvas.parentElement);
+  // At once: a canvas of another size is empty, and would be shown so.
+  new ResizeObserver(() => { frame(); draw(); }).observe(canvas.parentElement);
 
   let playing = 0;
   role("play").addEventListener("click", () => {
