@@ -23,8 +23,8 @@ _DEVIATIONS = 2.0
 class Uncertainty:
     """How far the arm may be from its model: motion and command are judged by the worst case.
 
-    Where it is stated, of plans with tool_deviation up to 1 % above the least that one is taken
-    whose command does best on the worst arm.
+    Where it is stated, of plans with tool_deviation up to `price` above the least that one is taken
+    whose command does best on the worst arm, if it gains more there than it costs.
     """
 
     stiffness: Annotated[
@@ -51,6 +51,11 @@ class Uncertainty:
     servo_delay: Annotated[
         Time, Bounds(least=0.0), Doc("Dead time that the loops have at most.")
     ] = 0.0
+    price: Annotated[
+        Ratio,
+        Bounds(least=0.0, most=1.0),
+        Doc("Share by which tool_deviation may be above the least for a command that does better."),
+    ] = 0.2
     draws: Annotated[
         int, Bounds(least=50, most=10000), Doc("Arms that are drawn for the distribution.")
     ] = 60

@@ -5,10 +5,15 @@ which swings where springs are softer or stiffer than the model, and in the room
 drives for a command that leads by more than the nominal wind-up. So a solve ends with one more: the
 peak may grow by a little, and the deviation changes as slowly as it can. Whichever motion's command
 does better on the worst arm is taken.
+
+More may be given for a motion that is averaged over some of a swing (`solver.shaping`): whatever
+the springs, little swings on after it. It is taken where it gains more on the worst arm than it
+costs as modelled.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,8 +21,11 @@ import numpy as np
 from stiffopt.certificate.objective_value import objective_value
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.errors import NotSimulatedError
+from stiffopt.result.solution import Solution
+from stiffopt.result.status import SolveStatus
 from stiffopt.solver.compensation import CommandOnArms, commands_on_arms
 from stiffopt.solver.refinement import refined_within, stopped
+from stiffopt.solver.shaping import Window, windows_for_arms
 from stiffopt.solver.simulation import PlannedMotion, elastic_arm
 from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.stages import Outcome, solve_again
@@ -25,16 +33,20 @@ from stiffopt.solver.verdict import TRUE_OBJECTIVE
 from stiffopt.solver.way_around import collisions
 from stiffopt.transcription.nlp import Nlp
 
-# Share by which the peak at the nodes may grow, and that on the fine grid.
+# Share by which the peak at the nodes may grow, and that on the fine grid, where no less is stated.
 _COST, _COST_CERTIFIED = 7e-3, 1e-2
+
+_STATED = "As [uncertainty] is stated, "
+
+ShapedOver = Callable[[tuple[Window, ...]], Solution]
 
 
 def robust_plan(run: SolveRun, outcome: Outcome) -> Outcome:
     """The outcome, or one as good that is better on other arms, where there is any."""
     if not _asked(run, outcome):
         return outcome
-    before = outcome.solver.nlp
-    nlp, cost = _capped(outcome, before), np.inf
+    before, price = outcome.solver.nlp, run.problem.uncertainty.price
+    nlp, cost = _capped(outcome, before, price), np.inf
     try:
         found = solve_again(run, outcome, nlp, replace(outcome.smoothing, robust=1.0))
         if found.raw.converged:
@@ -43,12 +55,14 @@ def robust_plan(run: SolveRun, outcome: Outcome) -> Outcome:
             outcome = stopped(outcome)
         else:
             cost = _cost(run, found, outcome)
-        if cost <= _COST_CERTIFIED:
+        if cost <= min(_COST_CERTIFIED, price):
             own, least = _on_arms(run, found, outcome)
             better = own.at_worst < least.at_worst
             run.command = own if better else least
             if better:
-                run.notes.append(_note(cost))
+                run.notes.append(
+                    _note(cost, "it swings less there, and leaves the motors room to lead by more")
+                )
                 return found
     except NotSimulatedError:
         pass
@@ -64,27 +78,90 @@ def _asked(run: SolveRun, outcome: Outcome) -> bool:
     return run.problem.chosen_for_other_arms and sound and run.avoidance is None
 
 
-def _capped(outcome: Outcome, nlp: Nlp) -> Nlp:
+def _capped(outcome: Outcome, nlp: Nlp, price: float) -> Nlp:
     """The programme with the bound on the peak limited to a little more than it is."""
     upper, place = nlp.upper_x.copy(), outcome.transcription.statics.offset
-    upper[place] = (1.0 + _COST) * outcome.raw.x[place]
+    upper[place] = (1.0 + min(_COST, _COST / _COST_CERTIFIED * price)) * outcome.raw.x[place]
     return replace(nlp, upper_x=upper)
 
 
-def _note(cost: float) -> str:
+def shaped_for_arms(
+    run: SolveRun, solution: Solution, least: Outcome, shaped: ShapedOver
+) -> Solution:
+    """The solution, or a shaped motion that gains more on the worst arm than it costs.
+
+    Parameters
+    ----------
+    run : SolveRun
+    solution : Solution
+        Found so far; its command on uncertain arms is the run's, where that is known.
+    least : Outcome
+        Before anything was given for other arms.
+    shaped : callable
+        Solves the run's problem shaped over given windows.
+    """
+    problem, price = run.problem, run.problem.uncertainty.price
+    sound = solution.status.usable and solution.objective is not None
+    if not (sound and _asked(run, least)):
+        return solution
+    assert solution.objective is not None
+    best, own = objective_value(problem, least.assessment).value, run.command
+    try:
+        for window in windows_for_arms(problem, run.motion, price):
+            tried = shaped((window,))
+            if tried.status is SolveStatus.INTERRUPTED:
+                return _stopped(solution)
+            sound = tried.status in (SolveStatus.OPTIMAL, solution.status)
+            if not sound or tried.assessment is None or tried.trajectory is None:
+                continue
+            value = objective_value(problem, tried.assessment)
+            if value.value > (1.0 + price) * best:
+                continue
+            own = own or _command(run, solution)
+            other = _command(run, tried)
+            if other.at_worst * value.value >= own.at_worst * solution.objective.value:
+                continue
+            run.command = other
+            note = _note(
+                value.value / best - 1.0, f"averaged over {window[1]}, it swings on less there"
+            )
+            return replace(
+                tried,
+                objective=value,
+                notes=(*(each for each in solution.notes if not each.startswith(_STATED)), note),
+                inputs_hash=solution.inputs_hash,
+            )
+    except NotSimulatedError:
+        pass
+    except KeyboardInterrupt:
+        return _stopped(solution)
+    return solution
+
+
+def _note(cost: float, why: str) -> str:
     given = f"{100.0 * max(cost, 0.0):.1f} % of the objective is given"
-    return (
-        f"As [uncertainty] is stated, {given} for a motion whose command deviates less on the worst"
-        " arm: it swings less there, and leaves the motors room to lead by more."
-    )
+    return f"{_STATED}{given} for a motion whose command deviates less on the worst arm: {why}."
 
 
-def _on_arms(run: SolveRun, *outcomes: Outcome) -> list[CommandOnArms]:
-    """The commands of outcomes on uncertain arms."""
+def _stopped(solution: Solution) -> Solution:
+    """What was found before Ctrl-C."""
+    status = SolveStatus.INTERRUPTED
+    return replace(solution, status=status, message=status.sentence)
+
+
+def _command(run: SolveRun, solution: Solution) -> CommandOnArms:
+    """The command of a solution on uncertain arms."""
+    (found,) = _on_arms(run, solution)
+    return found
+
+
+def _on_arms(run: SolveRun, *outcomes: Outcome | Solution) -> list[CommandOnArms]:
+    """The commands of motions on uncertain arms."""
     arm = elastic_arm(run.problem, run.motion.start)
     motions = [
         replace(PlannedMotion.of("optimised", each.assessment, True), motors=each.trajectory)
         for each in outcomes
+        if each.assessment is not None
     ]
     return commands_on_arms(run.problem, arm, motions, run.motors)
 

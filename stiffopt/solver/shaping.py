@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,6 +55,9 @@ _MORE = 1.1
 # Over which is averaged, in swings: where a baseline that keeps all limits is better, a whole swing
 # leaves too little of the time for the motion.
 _WINDOWS = ((1.0, "a swing"), (0.5, "half a swing"), (0.25, "a quarter of a swing"))
+# Over which is averaged for uncertain arms, and what it costs over the least peak of the time left.
+_FOR_ARMS = ((1.0, "a swing"), (0.75, "three quarters of a swing"), (0.5, "half a swing"))
+_COSTS_MORE = 1.6
 # A larger excess of the motors is a corner of a joint's stiffness passed fast.
 _CORNER = 0.25
 
@@ -62,6 +65,7 @@ _CORNER = 0.25
 _LEAST_TIME = 0.1
 
 Solve = Callable[[TrajectoryProblem], Solution]
+Window = tuple[float, str]
 
 
 def solve_shaped(
@@ -70,6 +74,7 @@ def solve_shaped(
     beside: dict[str, Baseline],
     notes: tuple[str, ...],
     solve: Solve,
+    windows: Sequence[Window] = _WINDOWS,
 ) -> Solution:
     """Solve a problem whose objective is `shaped_deviation`.
 
@@ -83,6 +88,9 @@ def solve_shaped(
     notes : tuple of str
     solve : callable
         Solves a problem without raising where no motion is found.
+    windows : sequence of (float, str), optional
+        Shares of a swing over which is averaged, and their names: the first that is no worse than
+        the baselines is taken.
 
     Raises
     ------
@@ -94,7 +102,7 @@ def solve_shaped(
     rival = None if strict is None or not strict.feasible else strict.assessment
     clock = _Clock(solve, time.perf_counter() + problem.method.time_limit)
     kept: tuple[Solution, tuple[Trajectory, Assessment] | None, str] | None = None
-    for share, named in _WINDOWS:
+    for share, named in windows:
         window = share * swing
         over = f"{1e3 * window:.0f} ms, {named}"
         inner = _shorter(problem, motion, window)
@@ -149,6 +157,22 @@ def solve_shaped(
         ratio_to_better_baseline=_ratio(problem, value.value, better),
         strict_baseline=strict,
         ratio_to_strict_baseline=_ratio(problem, value.value, strict),
+    )
+
+
+def windows_for_arms(
+    problem: TrajectoryProblem, motion: ResolvedMotion, price: float
+) -> tuple[Window, ...]:
+    """Windows that are likely to cost no more than a share of the objective, the widest first.
+
+    What is left of the duration asks for accelerations that are higher by its square.
+    """
+    swing, duration = _swing(problem, motion), problem.duration[0]
+    return tuple(
+        (share, named)
+        for share, named in _FOR_ARMS
+        if share * swing < duration
+        and _COSTS_MORE * ((1.0 - share * swing / duration) ** -2 - 1.0) <= price
     )
 
 

@@ -39,8 +39,8 @@ from stiffopt.solver import frontal
 from stiffopt.solver.guess import guess_along, initial_guess
 from stiffopt.solver.plan import stages
 from stiffopt.solver.refinement import rank, refined, stopped
-from stiffopt.solver.robust_plan import robust_plan
-from stiffopt.solver.shaping import solve_shaped
+from stiffopt.solver.robust_plan import robust_plan, shaped_for_arms
+from stiffopt.solver.shaping import Window, solve_shaped
 from stiffopt.solver.simulation import check_simulation, with_simulation
 from stiffopt.solver.slower import slower_advice
 from stiffopt.solver.solve_run import ProgressCallback, SolveRun
@@ -157,13 +157,31 @@ def solve_keeping(
                 # Its rows are of this motion only: nothing else can be solved from there.
                 kept = None if run.avoidance else (run, outcome)
                 beside |= {} if run.detour is None else {run.detour.name: run.detour}
-            outcome = robust_plan(run, outcome)
-            solution = solution_of(run, outcome, beside, notes, compare=compare)
+            robust = robust_plan(run, outcome)
+            solution = solution_of(run, robust, beside, notes, compare=compare)
+            shaped = functools.partial(_shaped_over, run, beside, notes, guess)
+            solution = shaped_for_arms(run, solution, outcome, shaped)
         except KeyboardInterrupt:
             solution = only_baseline(run, beside, notes)
     if simulate:
         solution = with_simulation(problem, solution, progress, motion, run.command)
     return solution, kept
+
+
+def _shaped_over(
+    run: SolveRun,
+    beside: dict[str, Baseline],
+    notes: tuple[str, ...],
+    guess: Guess | Assessment | None,
+    windows: tuple[Window, ...],
+) -> Solution:
+    """The problem with its deviation shaped over windows, in what is left of its time."""
+    left = max(run.problem.method.time_limit - run.elapsed, 0.0)
+    shaped = tuple(replace(each, name="shaped_deviation") for each in run.problem.objectives)
+    method = replace(run.problem.method, time_limit=left)
+    problem = replace(run.problem, objectives=shaped, method=method)
+    inner = functools.partial(solve, progress=run.progress, guess=guess, throw=False)
+    return solve_shaped(problem, run.motion, beside, notes, inner, windows)
 
 
 def _begin(

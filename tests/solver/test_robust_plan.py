@@ -11,9 +11,11 @@ from small_arms import load
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.elastic.uncertainty import AssumedUncertainty, Uncertainty
 from stiffopt.problem.objective import Objective
+from stiffopt.problem.resolve import resolve
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver import robust_plan
 from stiffopt.solver.compensation import compensated
+from stiffopt.solver.shaping import windows_for_arms
 from stiffopt.solver.simulation import PlannedMotion, elastic_arm
 from stiffopt.solver.solve import solve, solve_keeping
 
@@ -28,8 +30,8 @@ def problem(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def unsure(problem):
-    """The same where as much is stated as would be assumed."""
-    return replace(problem, uncertainty=Uncertainty())
+    """The same where as much is stated as would be assumed, and little may be given for it."""
+    return replace(problem, uncertainty=Uncertainty(price=0.01))
 
 
 @pytest.fixture(scope="module")
@@ -117,3 +119,49 @@ def test_a_root_mean_square_is_chosen_so_as_well(unsure):
     least = solve(replace(unsure, objectives=(goal,), uncertainty=AssumedUncertainty()))
     assert found.status is SolveStatus.OPTIMAL
     assert found.objective.value <= 1.01 * least.objective.value
+
+
+@pytest.fixture(scope="module")
+def averaged(problem):
+    """More may be given than the optimum averaged over most of a swing costs."""
+    generous = replace(problem, uncertainty=Uncertainty(price=1.0))
+    return generous, solve(generous)
+
+
+def test_a_motion_averaged_over_a_swing_is_taken_where_it_gains_more_than_it_costs(
+    unsure, solved, averaged
+):
+    least, near = solved
+    problem, found = averaged
+    assert found.status is SolveStatus.OPTIMAL
+    assert found.objective.name == "tool_deviation"
+    assert found.assessment.feasible(CERTIFIED)
+    assert any("of the objective is given" in note and "averaged" in note for note in found.notes)
+    cost = found.objective.value / least.objective.value
+    assert 1.01 < cost < 2.0
+    (_, *before), (_, *after) = at_worst(unsure, near), at_worst(problem, found)
+    assert sum(after) * cost < sum(before)
+
+
+def test_nothing_is_given_where_nothing_may(problem, solved):
+    found = solve(replace(problem, uncertainty=Uncertainty(price=0.0)))
+    assert found.objective.value <= (1.0 + 1e-9) * solved[0].objective.value
+    assert not any("As [uncertainty] is stated" in note for note in found.notes)
+
+
+def test_windows_that_cost_too_much_are_not_tried(problem):
+    motion = resolve(problem)
+    tried = [windows_for_arms(problem, motion, price) for price in (0.0, 0.1, 0.3, 1.0)]
+    assert tried[0] == ()
+    assert [len(each) for each in tried] == sorted(len(each) for each in tried)
+    assert [share for share, _ in tried[-1]] == [1.0, 0.75, 0.5]
+
+
+def test_stopped_while_averaging_what_was_found_stays(averaged, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("stiffopt.solver.solve.solve_shaped", interrupted)
+    found = solve(averaged[0], throw=False)
+    assert found.status is SolveStatus.INTERRUPTED
+    assert found.assessment.feasible(CERTIFIED)
