@@ -25,6 +25,8 @@ LIMIT = "collision"
 _SCALE = 1e-3
 # Instants to begin with.
 _COARSE = 128
+# Files that are not there, by name in one sentence.
+_SHOWN = 2
 
 
 def with_collisions(problem: TrajectoryProblem, motion: Assessment) -> Assessment:
@@ -135,5 +137,7 @@ def scope(problem: TrajectoryProblem) -> str:
             advice = "give the URDF collision shapes"
         text += f"Collisions were not checked: {what}; {advice}."
     if model.missing:
-        text += f" Not found or no mesh: {', '.join(model.missing)}."
+        shown, more = model.missing[:_SHOWN], len(model.missing) - _SHOWN
+        text += f" Not found or no mesh: {', '.join(shown)}"
+        text += f" and {more} more shapes of the URDF." if more > 0 else "."
     return text.strip()

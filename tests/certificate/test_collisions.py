@@ -92,6 +92,14 @@ def test_meshes_of_links_and_of_the_cell(tmp_path):
     assert found["fore", "jig"] == pytest.approx(0.2, abs=0.005)
 
 
+def test_of_many_meshes_that_are_not_there_two_are_named(tmp_path):
+    problem = problem_of(tmp_path)
+    problem.clearance_model.missing = ("a.stl", "b.stl")
+    assert scope(problem).endswith("Not found or no mesh: a.stl, b.stl.")
+    problem.clearance_model.missing = tuple("abcde")
+    assert scope(problem).endswith("Not found or no mesh: a, b and 3 more shapes of the URDF.")
+
+
 def test_the_worst_instant_of_a_motion_is_found(tmp_path):
     problem = problem_of(
         tmp_path,
