@@ -21,7 +21,7 @@ import numpy as np
 from stiffopt.certificate.objective_value import objective_value
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.errors import NotSimulatedError
-from stiffopt.result.solution import Solution
+from stiffopt.result.solution import Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.compensation import CommandOnArms, commands_on_arms
 from stiffopt.solver.refinement import refined_within, stopped
@@ -129,6 +129,7 @@ def shaped_for_arms(
                 tried,
                 objective=value,
                 notes=(*(each for each in solution.notes if not each.startswith(_STATED)), note),
+                solver=_both(solution.solver, tried.solver),
                 inputs_hash=solution.inputs_hash,
             )
     except NotSimulatedError:
@@ -136,6 +137,17 @@ def shaped_for_arms(
     except KeyboardInterrupt:
         return _stopped(solution)
     return solution
+
+
+def _both(first: SolverRecord, second: SolverRecord) -> SolverRecord:
+    """What the solver did one after the other."""
+    return replace(
+        second,
+        iterations=first.iterations + second.iterations,
+        build_s=first.build_s + second.build_s,
+        solve_s=first.solve_s + second.solve_s,
+        homotopy=(*first.homotopy, *second.homotopy),
+    )
 
 
 def _note(cost: float, why: str) -> str:

@@ -135,6 +135,7 @@ def test_a_motion_averaged_over_a_swing_is_taken_where_it_gains_more_than_it_cos
     problem, found = averaged
     assert found.status is SolveStatus.OPTIMAL
     assert found.objective.name == "tool_deviation"
+    assert found.solver.iterations > near.solver.iterations
     assert found.assessment.feasible(CERTIFIED)
     assert any("of the objective is given" in note and "averaged" in note for note in found.notes)
     cost = found.objective.value / least.objective.value
