@@ -38,8 +38,8 @@ _SLOW = 0.4
 # Times that springs are taken anew as they are; from then on half of the way, since about a bend
 # they go to and fro.
 _TO_AND_FRO = 3
-# Behind the settling of the filter, over which links begin without swing as far as can be [s]:
-# longer than most corners of a motion.
+# Behind the settling of the filter, over which links begin without swing as far as can be [s], at
+# least: longer than most corners of a motion. Besides, as long as a swing takes to fade.
 _START = 0.6
 # Times that links are begun anew.
 _BEGUN = 2
@@ -92,6 +92,15 @@ class LinkMotion:
     def less(self, other: LinkMotion) -> LinkMotion:
         """The motion relative to another one; torques stay."""
         return self.moved(-other.position, -other.velocity, -other.acceleration)
+
+    def apart(self, other: LinkMotion, window: slice) -> np.ndarray:
+        """Differences to another motion in a window (k, 2 n), as velocities [rad/s]."""
+        position, velocity = self.position - other.position, self.velocity - other.velocity
+        return np.concatenate([_RATE * position[window], velocity[window]], axis=1)
+
+    def distance(self, other: LinkMotion, window: slice) -> float:
+        """Sum of the distances from another motion in a window [rad/s]."""
+        return float(np.sum(np.linalg.norm(self.apart(other, window), axis=1)))
 
     def moved(self, z: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> LinkMotion:
         """The motion with a change; torques stay."""
@@ -159,6 +168,14 @@ class Swing:
             return False
         return True
 
+    @property
+    def fading(self) -> float:
+        """Time in which the mode that rings longest falls to 1/e, as the run begins [s]."""
+        frequencies, shapes = self.response.modes(0)
+        told = shapes[:, (frequencies > 0.0) & (frequencies < _RINGING)]
+        rates = 0.5 * np.sum(self.damping[:, None] * told**2, axis=0)
+        return float(1.0 / np.min(rates, initial=np.inf)) if np.all(rates > 0.0) else np.inf
+
     def force(self, away: LinkMotion) -> np.ndarray:
         """Torque on the links (K, n) that a small motion needs [N m]."""
         weight, rate, inertia = self.bodies
@@ -210,13 +227,7 @@ class Swing:
             return links
         free = self.response.free(states)
         basis = np.concatenate([_RATE * free[0][window], free[1][window]], axis=1)
-        away = np.concatenate(
-            [
-                _RATE * (near.position - links.position)[window],
-                (near.velocity - links.velocity)[window],
-            ],
-            axis=1,
-        )
+        away = near.apart(links, window)
         weight = np.ones(len(away))
         for _ in range(_WEIGHINGS):
             weighted = (basis * weight[:, None, None]).reshape(away.size, -1)
@@ -374,16 +385,29 @@ class Springs:
         """
         links = self.follow(begin, swing, begin, added, softer)
         first = slow_filter(self.dt).settling
-        window = slice(first, first + max(2, round(_START / self.dt)))
-        for _ in range(_BEGUN if len(self.motor) > first + 2 else 0):
-            if links is None:
-                break
-            # Springs bend: about the motion as it is by now.
-            ratio = swing.softer if softer is None else softer(links)
-            about = self.swing(links, ratio, swing.heavier, swing)
-            near = about.begun_near(links, begin, window)
-            links = self.follow(near, about, begin, added, softer)
-        return links
+        at_first = self.follow(begin, swing, begin, added, softer)
+        if at_first is None or len(self.motor) <= first + 2:
+            return at_first
+        whole = len(self.motor) * self.dt
+        windows = [
+            slice(first, first + max(2, round(min(length, whole) / self.dt)))
+            for length in (_START, max(_START, swing.fading))
+        ]
+        found = []
+        for window in windows if windows[0] != windows[1] else windows[:1]:
+            near: LinkMotion | None = at_first
+            for _ in range(_BEGUN):
+                if near is None:
+                    break
+                # Springs bend: about the motion as it is by now.
+                ratio = swing.softer if softer is None else softer(near)
+                about = self.swing(near, ratio, swing.heavier, swing)
+                begun = about.begun_near(near, begin, window)
+                near = self.follow(begun, about, begin, added, softer)
+            if near is not None:
+                found.append(near)
+        # From afar either may lead to a swing that springs do not let go on so.
+        return min(found, key=lambda each: each.distance(begin, windows[1]), default=None)
 
     def follow(
         self,
