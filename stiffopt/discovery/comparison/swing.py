@@ -383,7 +383,6 @@ class Springs:
         softer : callable, optional
             What it makes of the springs.
         """
-        links = self.follow(begin, swing, begin, added, softer)
         first = slow_filter(self.dt).settling
         at_first = self.follow(begin, swing, begin, added, softer)
         if at_first is None or len(self.motor) <= first + 2:
