@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,8 @@ import numpy as np
 import pinocchio as pin
 
 from stiffopt.certificate.moving_joints import (
+    JointPlace,
+    MovingJoint,
     holding_torques,
     joint_places,
     moving_joints,
@@ -54,9 +57,7 @@ def rigid_body_history(
     count, n = position.shape
     gravity_torque, along = np.empty((count, n)), np.empty((count, 3))
     jacobian = np.empty((count, 3, n))
-    for first in range(0, count, _BLOCK):
-        block = slice(first, first + _BLOCK)
-        joints = moving_joints(places, position[block])
+    for block, joints in _in_blocks(places, position):
         point = joints[tool.joint - 1].point(np.asarray(tool.offset))
         along[block] = point.T
         gravity_torque[block] = holding_torques(joints, weight)
@@ -76,11 +77,18 @@ def tool_positions(robot: Robot, position: np.ndarray) -> np.ndarray:
     """Tool positions (K, 3) [m] of joint positions (K, n)."""
     places, tool = joint_places(robot.model), robot.tool
     found = np.empty((len(position), 3))
-    for first in range(0, len(position), _BLOCK):
-        block = slice(first, first + _BLOCK)
-        joints = moving_joints(places, position[block])
+    for block, joints in _in_blocks(places, position):
         found[block] = joints[tool.joint - 1].point(np.asarray(tool.offset)).T
     return found
+
+
+def _in_blocks(
+    places: list[JointPlace], position: np.ndarray
+) -> Iterator[tuple[slice, list[MovingJoint]]]:
+    """Instants at once, and the joints at them, of positions (K, n)."""
+    for first in range(0, len(position), _BLOCK):
+        block = slice(first, first + _BLOCK)
+        yield block, moving_joints(places, position[block])
 
 
 def tool_angle(robot: Robot, position: np.ndarray, rpy: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ from stiffopt.result.solution import Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.compensation import CommandOnArms, commands_on_arms
 from stiffopt.solver.refinement import refined_within, stopped
-from stiffopt.solver.shaping import Window, windows_for_arms
+from stiffopt.solver.shaping import Window, interrupted, windows_for_arms
 from stiffopt.solver.simulation import PlannedMotion, elastic_arm
 from stiffopt.solver.solve_run import SolveRun
 from stiffopt.solver.stages import Outcome, solve_again
@@ -35,8 +35,6 @@ from stiffopt.transcription.nlp import Nlp
 
 # Share by which the peak at the nodes may grow, and that on the fine grid, where no less is stated.
 _COST, _COST_CERTIFIED = 7e-3, 1e-2
-
-_STATED = "As [uncertainty] is stated, "
 
 ShapedOver = Callable[[tuple[Window, ...]], Solution]
 
@@ -101,18 +99,17 @@ def shaped_for_arms(
         Solves the run's problem shaped over given windows.
     """
     problem, price = run.problem, run.problem.uncertainty.price
-    sound = solution.status.usable and solution.objective is not None
-    if not (sound and _asked(run, least)):
+    if not solution.status.usable or solution.objective is None or not _asked(run, least):
         return solution
-    assert solution.objective is not None
     best, own = objective_value(problem, least.assessment).value, run.command
     try:
         for window in windows_for_arms(problem, run.motion, price):
             tried = shaped((window,))
             if tried.status is SolveStatus.INTERRUPTED:
-                return _stopped(solution)
-            sound = tried.status in (SolveStatus.OPTIMAL, solution.status)
-            if not sound or tried.assessment is None or tried.trajectory is None:
+                return interrupted(solution)
+            if tried.status not in (SolveStatus.OPTIMAL, solution.status):
+                continue
+            if tried.assessment is None or tried.trajectory is None:
                 continue
             value = objective_value(problem, tried.assessment)
             if value.value > (1.0 + price) * best:
@@ -122,20 +119,18 @@ def shaped_for_arms(
             if other.at_worst * value.value >= own.at_worst * solution.objective.value:
                 continue
             run.command = other
-            note = _note(
-                value.value / best - 1.0, f"averaged over {window[1]}, it swings on less there"
-            )
+            note = _note(value.value / best - 1.0, "it swings on less there")
             return replace(
                 tried,
                 objective=value,
-                notes=(*(each for each in solution.notes if not each.startswith(_STATED)), note),
+                notes=(*tried.notes, note),
                 solver=_both(solution.solver, tried.solver),
                 inputs_hash=solution.inputs_hash,
             )
     except NotSimulatedError:
         pass
     except KeyboardInterrupt:
-        return _stopped(solution)
+        return interrupted(solution)
     return solution
 
 
@@ -152,13 +147,10 @@ def _both(first: SolverRecord, second: SolverRecord) -> SolverRecord:
 
 def _note(cost: float, why: str) -> str:
     given = f"{100.0 * max(cost, 0.0):.1f} % of the objective is given"
-    return f"{_STATED}{given} for a motion whose command deviates less on the worst arm: {why}."
-
-
-def _stopped(solution: Solution) -> Solution:
-    """What was found before Ctrl-C."""
-    status = SolveStatus.INTERRUPTED
-    return replace(solution, status=status, message=status.sentence)
+    return (
+        f"As [uncertainty] is stated, {given} for a motion whose command deviates less on the "
+        f"worst arm: {why}."
+    )
 
 
 def _command(run: SolveRun, solution: Solution) -> CommandOnArms:

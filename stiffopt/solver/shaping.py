@@ -43,6 +43,7 @@ from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import JointMotion, Trajectory
 from stiffopt.solver.corners import widened
+from stiffopt.solver.solve_run import LEAST_TIME
 
 # Of the knots of the splines that round off the averaged motion [s]; the first that holds is taken.
 _SPACINGS = (0.005, 0.01, 0.02, 0.04)
@@ -60,9 +61,6 @@ _FOR_ARMS = ((1.0, "a swing"), (0.75, "three quarters of a swing"), (0.5, "half 
 _COSTS_MORE = 1.6
 # A larger excess of the motors is a corner of a joint's stiffness passed fast.
 _CORNER = 0.25
-
-# Of a solve once the time is over [s]: it ends with what it has.
-_LEAST_TIME = 0.1
 
 Solve = Callable[[TrajectoryProblem], Solution]
 Window = tuple[float, str]
@@ -114,7 +112,7 @@ def solve_shaped(
         if kept is None or (not behind and (made.status.usable or not kept[0].status.usable)):
             kept = made, averaged, over
         elif stopped:
-            kept = _interrupted(kept[0]), *kept[1:]
+            kept = interrupted(kept[0]), *kept[1:]
         if not behind or stopped or clock.left <= 0.0:
             break
     if kept is None:
@@ -188,11 +186,11 @@ class _Clock:
         return self.end - time.perf_counter()
 
     def solve(self, problem: TrajectoryProblem) -> Solution:
-        method = replace(problem.method, time_limit=max(self.left, _LEAST_TIME))
+        method = replace(problem.method, time_limit=max(self.left, LEAST_TIME))
         return self.plain(replace(problem, method=method))
 
 
-def _interrupted(solution: Solution) -> Solution:
+def interrupted(solution: Solution) -> Solution:
     """What was found before Ctrl-C, said to be all there is."""
     status = SolveStatus.INTERRUPTED
     return replace(solution, status=status, message=status.sentence)
@@ -221,7 +219,7 @@ def _averaged(
             tightened = _halfway(inner, tightened)
             tried = solve(tightened)
         if tried.status is SolveStatus.INTERRUPTED:
-            found = _interrupted(found)
+            found = interrupted(found)
         if not tried.status.usable:
             break
         inner, found = tightened, tried

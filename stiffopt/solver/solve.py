@@ -43,7 +43,7 @@ from stiffopt.solver.robust_plan import robust_plan, shaped_for_arms
 from stiffopt.solver.shaping import Window, solve_shaped
 from stiffopt.solver.simulation import check_simulation, with_simulation
 from stiffopt.solver.slower import slower_advice
-from stiffopt.solver.solve_run import ProgressCallback, SolveRun
+from stiffopt.solver.solve_run import LEAST_TIME, ProgressCallback, SolveRun
 from stiffopt.solver.stages import Outcome, run_stages
 from stiffopt.solver.unsolved import (
     as_good_as_can_be,
@@ -176,7 +176,7 @@ def _shaped_over(
     windows: tuple[Window, ...],
 ) -> Solution:
     """The problem with its deviation shaped over windows, in what is left of its time."""
-    left = max(run.problem.method.time_limit - run.elapsed, 0.0)
+    left = max(run.problem.method.time_limit - run.elapsed, LEAST_TIME)
     shaped = tuple(replace(each, name="shaped_deviation") for each in run.problem.objectives)
     method = replace(run.problem.method, time_limit=left)
     problem = replace(run.problem, objectives=shaped, method=method)

@@ -30,6 +30,8 @@ from stiffopt.solver.plan import SolveStage
 if TYPE_CHECKING:
     from stiffopt.solver.compensation import CommandOnArms
 
+# Of a solve once its time is over [s]: it ends with what it has.
+LEAST_TIME = 0.1
 # Of the time limit: if links that may swing on end in no motion by then, they are brought to rest.
 _OF_FREE_END = 0.4
 # Of the smooth quintic motion: pieces and instants.
@@ -103,7 +105,7 @@ class SolveRun:
     def remaining(self) -> float:
         """Seconds left of the time limit, or of the share of it in which links may swing on."""
         share = _OF_FREE_END if self.end_modes else 1.0
-        return max(share * self.problem.method.time_limit - self.elapsed, 0.1)
+        return max(share * self.problem.method.time_limit - self.elapsed, LEAST_TIME)
 
     @cached_property
     def end_modes(self) -> tuple[Mode, ...]:
