@@ -138,7 +138,8 @@ def test_a_motion_averaged_over_a_swing_is_taken_where_it_gains_more_than_it_cos
     assert found.solver.iterations > near.solver.iterations
     assert found.assessment.feasible(CERTIFIED)
     given = [note for note in found.notes if note.startswith("As [uncertainty] is stated, ")]
-    assert len(given) == 1 and "swings on less" in given[0]
+    assert len(given) == 1
+    assert "swings on less" in given[0]
     assert any(note.startswith("Averaged over") for note in found.notes)
     cost = found.objective.value / least.objective.value
     assert 1.01 < cost < 2.0
