@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,8 +12,10 @@ from stiffopt.errors import InputFileError
 from stiffopt.files import load_toml, read_text
 from stiffopt.robot.body_tree import body_tree
 from stiffopt.robot.files import load_robot
+from stiffopt.robot.joint_tree import JointTree
 from stiffopt.robot.robot import Robot
 from stiffopt.robot.urdf import load_urdf
+from stiffopt.robot.urdf_tree import read_tree
 from stiffopt.starter.robot_file import robot_text
 from stiffopt.starter.writing import quoted
 
@@ -64,8 +67,10 @@ def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedR
         robot = load_robot(source)
         _copy_robot_file(source, folder)
         return RecordedRobot(robot=robot, file=FILE)
-    if tip is None and not _has_gaps(source):
-        robot = load_robot(source)
+    # Of several arms all can have been recorded.
+    every = [] if tip else JointTree(read_tree(source)).branch_joints()
+    if tip is None and not _has_gaps(source, every):
+        robot = load_robot(source, keep=every)
         shutil.copyfile(source, folder / _URDF)
         return RecordedRobot(robot=robot, file=_URDF)
     started = robot_text(source, folder, tip, bare=True)
@@ -74,9 +79,9 @@ def store_robot(source: Path, folder: Path, tip: str | None = None) -> RecordedR
     return RecordedRobot(robot=load_robot(folder / FILE), file=FILE, notes=started.notes)
 
 
-def _has_gaps(urdf: Path) -> bool:
+def _has_gaps(urdf: Path, keep: Collection[str]) -> bool:
     """Whether a URDF lacks limits or masses of joints that move."""
-    arm = load_urdf(urdf, limited=None, followers=True)
+    arm = load_urdf(urdf, keep=keep, limited=None, followers=True)
     silent = any(not (each["effort"] and each["velocity"]) for each in arm.joints.values())
     weightless = any(not body.mass > 0.0 for body in body_tree(arm.model).bodies)
     return silent or weightless or bool(arm.unlimited)

@@ -15,7 +15,7 @@ import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.recording.readers.read import is_messages
-from stiffopt.robot.held_joints import arm_ends
+from stiffopt.robot.joint_tree import JointTree
 from stiffopt.robot.urdf_tree import read_tree
 from stiffopt.starter.guessing import (
     FACTORS,
@@ -91,13 +91,10 @@ def start_recording_set(
         try:
             return _started(data, arm, Path(beside), folder, rate)
         except UnrecognisedError as error:
-            ends = [] if tip or arm.file == FILE else arm_ends(read_tree(urdf))
-            if not ends:
+            which = "" if tip or arm.file == FILE else JointTree(read_tree(urdf)).which_arm()
+            if not which:
                 raise
-            raise InputError(
-                f"{error} {urdf.name} holds {len(ends)} arms: name the link at the end of the"
-                f" recorded one, --tip {' or --tip '.join(map(quoted, ends))}."
-            ) from error
+            raise InputError(f"{error} {urdf.name} {which}") from error
 
 
 def _started(

@@ -22,11 +22,10 @@ from stiffopt.robot.estimated_masses import (
 )
 from stiffopt.robot.files import last_link
 from stiffopt.robot.frames import LinkFrame, link_frame, link_names, moving_link_names
-from stiffopt.robot.held_joints import arm_ends
 from stiffopt.robot.own_catalogue import read_own_catalogue
 from stiffopt.robot.rigid_body import RigidBodies
 from stiffopt.robot.urdf import UNLIMITED, LoadedUrdf, load_urdf
-from stiffopt.robot.urdf_tree import read_tree, unread_model
+from stiffopt.robot.urdf_tree import unread_model
 from stiffopt.starter.placeholders import (
     Placeholder,
     credible_torques,
@@ -107,12 +106,6 @@ def robot_text(
         No URDF that can be read, a tip that it lacks, or several arms and no tip.
     """
     _check_format(urdf)
-    ends = [] if tip else arm_ends(read_tree(urdf))
-    if len(ends) > 1:
-        raise RobotError(
-            f"{urdf}: holds {len(ends)} arms. Name the link at the end of one: --tip"
-            f" {' or --tip '.join(map(quoted, ends))}."
-        )
     arm = load_urdf(urdf, tip=tip, limited=None, followers=True)
     names = link_names(arm.model)
     if tip is not None and tip not in names:

@@ -352,7 +352,8 @@ def test_recordings_of_one_of_two_arms(tmp_path, capsys):
     assert run(arguments) == 2
     said = capsys.readouterr().err
     assert "no position was recognised for 12 joints" in said
-    assert 'holds 2 arms: name the link at the end of the recorded one, --tip "left_link6"' in said
+    assert "arm.urdf branches into 2 chains of 6 joints" in said
+    assert '--tip "left_link6" or --tip "right_link6" of `stiffopt init`' in said
     assert run([*arguments, "--tip", "right_link6"]) == 0
     text = (tmp_path / "log_set" / "recordings.toml").read_text()
     assert 'joints = ["right_1", "right_2", "right_3", "right_4", "right_5", "right_6"]' in text

@@ -1,0 +1,230 @@
+"""Joints of a URDF as a tree: which of them are the arm where nobody names its tip.
+
+An arm is the one chain that fingers may end and that heads and wheels may stand beside. Of two
+arms, of legs and of wheels alone none is meant before the others: their tips are offered instead.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Collection
+from functools import cached_property
+
+_MOVING = ("revolute", "continuous", "prismatic")
+# A branch of so many joints, behind an arm of so many, is a finger and no second arm; beside an
+# arm of so many, one of so few is a head or a wheel.
+_FINGER, _ARM, _HEAD = 4, 3, 2
+# What the one joint of a gripper is called.
+_JAWS = ("gripper", "finger", "jaw", "knuckle", "claw")
+# So many tips are offered.
+_MOST_TIPS = 6
+
+
+class JointTree:
+    """Joints of a URDF by name and by parent link.
+
+    Parameters
+    ----------
+    tree : Element
+        `<robot>`, whose joints form a tree.
+    still : collection of str
+        Joints that count as fixed.
+    """
+
+    def __init__(self, tree: ET.Element, still: Collection[str] = ()) -> None:
+        self.tree = tree
+        self.still = frozenset(still)
+        self.links = [link.get("name", "") for link in tree.findall("link")]
+        self.joints = {joint.get("name", ""): joint for joint in tree.findall("joint")}
+        self.below: dict[str, list[str]] = {}
+        self.above: dict[str, str] = {}
+        for name, joint in self.joints.items():
+            self.below.setdefault(_end(joint, "parent"), []).append(name)
+            self.above[_end(joint, "child")] = name
+
+    def moves(self, name: str) -> bool:
+        """Whether a joint is none that is fixed."""
+        return name not in self.still and self.joints[name].get("type") in _MOVING
+
+    @property
+    def moving(self) -> list[str]:
+        """All joints that are not fixed."""
+        return [name for name in self.joints if self.moves(name)]
+
+    def way_to(self, link: str) -> list[str]:
+        """Moving joints from the base to a link."""
+        way: list[str] = []
+        while link in self.above:
+            name = self.above[link]
+            if self.moves(name):
+                way.insert(0, name)
+            link = _end(self.joints[name], "parent")
+        return way
+
+    def follows(self, name: str) -> bool:
+        """Whether a joint moves with another (mimic)."""
+        return self.joints[name].find("mimic") is not None
+
+    def next_moving(self, link: str) -> list[str]:
+        """Moving joints that come next behind a link, over fixed ones."""
+        found, waiting = [], list(reversed(self.below.get(link, [])))
+        while waiting:
+            name = waiting.pop()
+            if self.moves(name):
+                found.append(name)
+            else:
+                waiting += reversed(self.below.get(self._child(name), []))
+        return found
+
+    @cached_property
+    def behind(self) -> dict[str, int]:
+        """Joints of the branch that begins with each joint, which move on their own."""
+        counts: dict[str, int] = {}
+        order = [name for root in self.roots for name in self.below.get(root, [])]
+        for name in order:  # grows: parents before children
+            order += self.below.get(self._child(name), [])
+        for name in reversed(order):
+            deeper = self.below.get(self._child(name), [])
+            own = self.moves(name) and not self.follows(name)
+            counts[name] = own + sum(counts[each] for each in deeper)
+        return counts
+
+    @property
+    def roots(self) -> list[str]:
+        """Links without a joint to a parent."""
+        return sorted({_end(j, "parent") for j in self.joints.values()} - set(self.above))
+
+    def arm(self, described: Collection[str] = ()) -> list[str] | None:
+        """Joints of the arm where no tip is named; None where one of several has to be.
+
+        Parameters
+        ----------
+        described : collection of str
+            Joints that somebody speaks of: of several chains, those that have one are meant.
+        """
+        way, ahead = self._trunk()
+        if not ahead or self._is_hand(way, ahead):
+            return way
+        chains = [self._chain(name) for name in ahead]
+        meant = [chain for chain in chains if not chain.isdisjoint(described)]
+        if not meant:
+            return None
+        wanted = set(way).union(*meant)
+        return [name for name in self.moving if name in wanted and not self.follows(name)]
+
+    def which_arm(self) -> str:
+        """Sentences that ask for the tip of one of several chains; "" for one arm."""
+        if self.arm() is not None:
+            return ""
+        way, ahead = self._trunk()
+        # What comes behind a long chain, or one longer than that, may be fingers.
+        short = bool(way) and all(self.behind[name] < len(way) for name in ahead)
+        first = [self._child(way[-1])] if len(way) > _FINGER or short else []
+        found = self._ends([] if first else way, ahead)
+        ends = first + sorted(found, key=lambda end: -len(self.way_to(end)))
+        offered = " or ".join(f'--tip "{end}"' for end in ends[:_MOST_TIPS])
+        others = f" ({len(ends) - _MOST_TIPS} more)" if len(ends) > _MOST_TIPS else ""
+        counts = [len(self.way_to(end)) for end in ends]
+        joints = f"{min(counts)} to {max(counts)}" if min(counts) < max(counts) else counts[0]
+        plural = "" if counts == [1] * len(counts) else "s"
+        return (
+            f"branches into {len(ends)} chains of {joints} joint{plural}, of which one has to be"
+            f" named: an arm is a single chain on a base that stands still. Name the link at its"
+            f' end: {offered}{others} of `stiffopt init`, or tool = {{ link = "{ends[0]}" }} in a'
+            " robot file; what is beside it is then held."
+        )
+
+    def branch_joints(self) -> list[str]:
+        """Joints that move on their own where one of several chains has to be named."""
+        if self.arm() is not None:
+            return []
+        return [name for name in self.moving if not self.follows(name)]
+
+    def _trunk(self) -> tuple[list[str], list[str]]:
+        """Joints from the base to where the arm branches, and those that come next there.
+
+        Branches that only follow joints of the way, such as the cylinder of a counterbalance, are
+        no branches; jaws that follow another one make a gripper of both.
+        """
+        way: list[str] = []
+        link = self.roots[0] if self.roots else ""
+        while True:
+            ahead = self.next_moving(link)
+            own = [name for name in ahead if self.behind[name]]
+            if len(own) == 1 and not (len(way) >= _ARM and self._is_jaw(own[0], ahead)):
+                ahead = own
+            elif len(own) > 1 and (arm := self._arm_beside_heads(way, own)):
+                ahead = [arm]
+            elif own or len(ahead) != 1:
+                return way, own
+            way += ahead
+            link = self._child(ahead[0])
+
+    def _arm_beside_heads(self, way: list[str], ahead: list[str]) -> str | None:
+        """The branch that is an arm where all others are heads, wheels or legs beside it."""
+        long = [name for name in ahead if self.behind[name] > _FINGER]
+        if len(long) == 1:
+            return long[0]
+        if long or len(way) >= _ARM:
+            return None
+        arms = [name for name in ahead if self.behind[name] >= _ARM]
+        heads = all(self.behind[name] <= _HEAD for name in ahead if name not in arms)
+        return arms[0] if len(arms) == 1 and heads else None
+
+    def _is_hand(self, way: list[str], ahead: list[str]) -> bool:
+        """Whether what comes behind an arm are its fingers."""
+        short = all(self.behind[name] <= _FINGER for name in ahead)
+        if len(way) >= _ARM:
+            return short
+        return bool(way) and all(self._is_jaw(name, ahead) for name in ahead)
+
+    def _is_jaw(self, name: str, ahead: list[str]) -> bool:
+        """Whether a joint moves a jaw: by its name, or as others beside it follow it."""
+        if self.behind[name] > _FINGER:
+            return False
+        named = self.behind[name] == 1 and any(word in name.lower() for word in _JAWS)
+        return named or any(leader(self.joints[each]) == name for each in ahead)
+
+    def _chain(self, name: str) -> set[str]:
+        """A joint and all that move behind it."""
+        found = {name}
+        for each in self.next_moving(self._child(name)):
+            found |= self._chain(each)
+        return found
+
+    def _ends(self, way: list[str], ahead: list[str]) -> list[str]:
+        """Links at the ends of chains, before fingers; that before them too where it is long."""
+        ends = [self._child(way[-1])] if len(way) >= _ARM else []
+        for name in ahead:
+            branch, after = [name], self._next_own(name)
+            while len(after) == 1 and not (len(branch) >= _ARM and self._ends_in_jaw(branch[-1])):
+                branch.append(after[0])
+                after = self._next_own(after[0])
+            # Behind a chain that is too long for a torso comes a hand.
+            if not after or len(branch) > _FINGER or self._is_hand(branch, after):
+                ends.append(self._child(branch[-1]))
+            else:
+                ends += self._ends(branch, after)
+        return ends
+
+    def _ends_in_jaw(self, name: str) -> bool:
+        ahead = self.next_moving(self._child(name))
+        return any(self._is_jaw(each, ahead) for each in ahead)
+
+    def _next_own(self, name: str) -> list[str]:
+        """Next joints behind a joint that move on their own or carry such."""
+        return [each for each in self.next_moving(self._child(name)) if self.behind[each]]
+
+    def _child(self, name: str) -> str:
+        return _end(self.joints[name], "child")
+
+
+def leader(joint: ET.Element) -> str:
+    """Name of the joint that a joint follows; "" where it follows none."""
+    mimic = joint.find("mimic")
+    return "" if mimic is None else mimic.get("joint", "")
+
+
+def _end(joint: ET.Element, end: str) -> str:
+    found = joint.find(end)
+    return "" if found is None else found.get("link", "")
