@@ -187,6 +187,25 @@ class Trajectory:
             self.v0 / factor,
         )
 
+    def plus(self, change: Trajectory) -> Trajectory:
+        """Sum of this motion and one of the same duration, exact however near their breaks are.
+
+        A motion fitted through samples of both would divide rounding by the cube of short steps.
+
+        Parameters
+        ----------
+        change : Trajectory
+            What is added; the links' motion stays this one's.
+        """
+        times = np.union1d(self.times, change.times)
+        times = times[np.append(times[:-1] < self.duration * (1.0 - _TIME_SLACK), True)]
+        times[-1] = self.duration
+        own, other = _about(times, self), _about(times, change)
+        if own.shape[1] < other.shape[1]:
+            own, other = other, own
+        own[:, : other.shape[1]] += other
+        return Trajectory(times, own, self.q0 + change.q0, self.v0 + change.v0, self.link)
+
     def held_for(self, rest: float) -> Trajectory:
         """The same motion with a rest after it, so long [s], for one that ends at rest."""
         if rest <= 0.0:
@@ -253,6 +272,20 @@ def _integrate(
     travel = velocity[:-1] * step[:, None] + shift
     position[:, 0] = np.vstack([q0, q0 + np.cumsum(travel, axis=0)])[:-1]
     return position
+
+
+def _about(times: np.ndarray, motion: Trajectory) -> np.ndarray:
+    """Coefficients (K, d + 1, n) of a motion's acceleration about the starts of other intervals."""
+    interval = np.searchsorted(motion.times, times[:-1], side="right") - 1
+    interval = np.clip(interval, 0, len(motion.times) - 2)
+    coefficients = motion.acceleration[interval]
+    local = times[:-1] - motion.times[interval]
+    moved = np.zeros_like(coefficients)
+    for low in range(coefficients.shape[1]):
+        for high in range(low, coefficients.shape[1]):
+            share = math.comb(high, low) * local ** (high - low)
+            moved[:, low] += share[:, None] * coefficients[:, high]
+    return moved
 
 
 def _differentiate(coefficients: np.ndarray, order: int) -> np.ndarray:

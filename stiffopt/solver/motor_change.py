@@ -6,6 +6,7 @@ a convex quadratic programme in the coefficients of splines, one after another f
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -30,10 +31,10 @@ if TYPE_CHECKING:
 
 # Distance of the splines' knots [s], as far as their number stays within these.
 _SPACING, _FEWEST, _MOST = 0.02, 40, 150
-# Degree of the splines, of which so many at either end are left out: position to jerk stay.
+# Degree of the splines, of which so many at either end are left out: position to jerk stay. There
+# knots are so many times as close over so many distances: else nothing changes for three of them.
 _DEGREE, _KEPT = 5, 4
-# Knots nearer to a break of the motion are none of the changed one [s].
-_APART = 2e-4
+_CLOSER, _ENDS = 4, 2
 # Between instants of the links' answer [s], and of those at which the tool is compared.
 _STEP, _EVERY = 1e-3, 3
 # Swings of the lowest mode that are looked at after arrival, and what they count for more.
@@ -42,8 +43,8 @@ _SWINGS, _AFTER = 3.0, 5.0
 _EFFORT = 0.1
 # Of a via's tolerance, by which the tool may be moved there.
 _STAYS = 1e-3
-# Rows a knot at which the drives' limits hold.
-_ROWS = 4
+# Rows a knot at which the drives' limits hold, and the share of a limit kept free between them.
+_ROWS, _FREE = 4, 1e-2
 # The answer is simulated anyway. No step depends on a clock, as OSQP's own choice of rho does.
 _OSQP = {
     "verbose": False,
@@ -108,8 +109,14 @@ class _Splines:
     def __init__(self, duration: float) -> None:
         pieces = int(np.clip(np.ceil(duration / _SPACING), _FEWEST, _MOST))
         self.duration, self.spacing = duration, duration / pieces
-        self.breaks = np.linspace(0.0, duration, pieces + 1)
-        self.instants = np.linspace(0.0, duration, _ROWS * pieces + 1)
+        finer = np.linspace(0.0, duration, _CLOSER * pieces + 1)
+        inside = np.arange(len(finer))
+        begins = np.minimum(inside, inside[::-1]) < _CLOSER * _ENDS
+        self.breaks = finer[begins | (inside % _CLOSER == 0)]
+        pieces = len(self.breaks) - 1
+        shares = np.linspace(0.0, 1.0, _ROWS, endpoint=False)
+        within = self.breaks[:-1, None] + np.diff(self.breaks)[:, None] * shares
+        self.instants = np.append(within.ravel(), duration)
         self.count = pieces + _DEGREE - 2 * _KEPT
         knots = np.pad(self.breaks, _DEGREE, mode="edge")
         self._all = BSpline(knots, np.eye(pieces + _DEGREE), _DEGREE)
@@ -120,6 +127,12 @@ class _Splines:
         values = np.asarray(spline(np.minimum(times, self.duration)))[:, _KEPT:-_KEPT]
         values[times > self.duration] = 0.0
         return values
+
+    def pieces(self, order: int) -> np.ndarray:
+        """Coefficients (K, d + 1, m) of derivatives, by powers of the time since each break."""
+        begins = self.breaks[:-1]
+        powers = range(_DEGREE - order + 1)
+        return np.stack([self(begins, order + k) / math.factorial(k) for k in powers], axis=1)
 
     def sparse(self, times: np.ndarray, order: int) -> csc_matrix:
         """The same without the zeros."""
@@ -132,16 +145,11 @@ def _moved(
     motors: Trajectory, splines: _Splines, joints: np.ndarray, change: np.ndarray
 ) -> Trajectory:
     """Motors with a change of some joints, coefficients (m, k)."""
-    link = motors.link
-    assert link is not None
-    # Over a knot that is left out the change is as good as of degree 7; in steps much shorter than
-    # others its jerk would be all rounding.
-    nearest = np.min(np.abs(motors.times[:, None] - splines.breaks), axis=0)
-    times = np.union1d(motors.times, splines.breaks[nearest > _APART])
-    rates = np.stack([motors(times, k) for k in range(4)])
-    for k in range(4):
-        rates[k][:, joints] += splines(times, k) @ change
-    return Trajectory.through(times, rates, link)
+    at_rest = np.zeros(motors.joints)
+    pieces = splines.pieces(2) @ change
+    added = np.zeros((*pieces.shape[:2], motors.joints))
+    added[:, :, joints] = pieces
+    return motors.plus(Trajectory(splines.breaks, added, at_rest, at_rest))
 
 
 def _answer(
@@ -238,8 +246,8 @@ def _rows(
         above, below = (
             largest_beside(now.time, at, np.maximum(each, 0.0)) for each in (share, -share)
         )
-        upper.append((1.0 - above).T.ravel())
-        lower.append((below - 1.0).T.ravel())
+        upper.append(_room(above).T.ravel())
+        lower.append(-_room(below).T.ravel())
     for row, least, most in _via_rows(problem, now, splines, joints):
         rows.append(row)
         lower.append(least)
@@ -247,6 +255,12 @@ def _rows(
     highest = np.concatenate(upper)
     # A limit that is exceeded both ways within a cell leaves no room.
     return csc_matrix(vstack(rows)), np.minimum(np.concatenate(lower), highest), highest
+
+
+def _room(used: np.ndarray) -> np.ndarray:
+    """What may be added where so much of a limit is used; nothing where it is nearly all."""
+    left = 1.0 - used
+    return np.where(left > _FREE, left - _FREE, np.minimum(left, 0.0))
 
 
 def _via_rows(

@@ -128,3 +128,19 @@ def test_it_stays_light() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_change_on_top_is_exact_where_breaks_are_microseconds_apart():
+    rng = np.random.default_rng(2)
+    own, other = np.array([0.0, 0.4, 0.4 + 5e-6, 1.0]), np.array([0.0, 0.4 + 2e-6, 0.7, 1.0])
+    motion = Trajectory(own, rng.normal(size=(3, 6, 2)), np.ones(2), np.ones(2))
+    change = Trajectory(other, rng.normal(size=(3, 4, 2)), np.zeros(2), np.zeros(2))
+    both = motion.plus(change)
+    assert both.duration == motion.duration
+    times = np.union1d(np.linspace(0.0, 1.0, 301), 0.4 + 1e-6 * np.arange(-1, 7))
+    for order in range(4):
+        wanted = motion(times, order) + change(times, order)
+        np.testing.assert_allclose(both(times, order), wanted, rtol=1e-9, atol=1e-9)
+    # What is added may be the one of more powers.
+    again = change.plus(motion)
+    np.testing.assert_allclose(again(times, 3), both(times, 3), rtol=1e-9, atol=1e-9)

@@ -9,7 +9,7 @@ from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import NotSimulatedError
 from stiffopt.problem.files import load_problem
-from stiffopt.solver import calming, refinement
+from stiffopt.solver import calming, motor_change, refinement
 from stiffopt.solver.simulation import elastic_arm
 from stiffopt.solver.solve import solve_keeping
 
@@ -77,6 +77,32 @@ def test_motors_that_are_near_enough_stay(solved, monkeypatch):
     arm = elastic_arm(problem, after.assessment.position[0])
     monkeypatch.setattr(calming, "_NEAR", 1.0)
     assert calming.calmed(problem, arm, after.trajectory, CERTIFIED) is None
+
+
+def test_a_first_change_that_leads_astray_is_changed_again(monkeypatch):
+    away = iter([0.5, 0.6, 0.1, 0.095, 0.0])
+
+    class Judged:
+        planned, motors, assessment, simulated = 1.0, None, None, None
+
+        def __init__(self, *_):
+            self.off, self.assessment = next(away), self
+
+        def feasible(self, _):
+            return True
+
+    monkeypatch.setattr(calming.Calmed, "of", Judged)
+    monkeypatch.setattr(calming, "changed_motors", lambda *_: None)
+    # Past a corner the answer is not linear; what comes no nearer later ends it.
+    assert calming.calmed(None, None, None, CERTIFIED).off == 0.095
+
+
+def test_of_a_limit_that_is_nearly_used_up_nothing_is_left_to_add():
+    used = np.array([0.0, 0.5, 1.0 - 0.5 * motor_change._FREE, 1.003])
+    room = motor_change._room(used)
+    np.testing.assert_allclose(room[:2], 1.0 - used[:2] - motor_change._FREE)
+    # One that is exceeded has to give way.
+    np.testing.assert_allclose(room[2:], [0.0, -0.003], atol=1e-12)
 
 
 def test_joints_that_are_rigid_are_not_moved(solved):
