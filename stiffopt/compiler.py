@@ -196,5 +196,4 @@ def _processor() -> str:
 
 
 if __name__ == "__main__":
-    os.nice(5)
     make(Path(sys.argv[1]), sys.argv[2], lambda code: code, "-O2")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import json
-import os
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -15,11 +14,17 @@ from pathlib import Path
 import casadi as ca
 
 from stiffopt import c_code, compiler
-from stiffopt.transcription import along_splines, node_derivatives, wide_code
+from stiffopt.transcription import (
+    along_splines,
+    node_derivatives,
+    operations,
+    runs,
+    sums,
+    wide_code,
+)
 from stiffopt.transcription.along_splines import AlongSplines
 
-# -O1 compiles one and a half times as long for no faster evaluation, -O2 more than twice.
-OPTIMISE = "-Og"
+OPTIMISE = "-O2"
 # Name of what is compiled without derivatives.
 VALUES = "values"
 # Inputs of a numbered stage that are the same at all points: parameters and numbers.
@@ -64,7 +69,7 @@ def library_of(text: str) -> Path | None:
 
 @functools.cache
 def _made_by() -> tuple[str, ...]:
-    makers = (node_derivatives, along_splines, wide_code, c_code)
+    makers = (node_derivatives, along_splines, operations, sums, runs, wide_code, c_code)
     texts = (Path(str(each.__file__)).read_text() for each in makers)
     return (*texts, ca.CasadiMeta.version(), OPTIMISE)
 
@@ -81,5 +86,4 @@ def _code(given: str) -> str:
 
 
 if __name__ == "__main__":
-    os.nice(5)
     compiler.make(Path(sys.argv[1]), sys.argv[2], _code, OPTIMISE)

@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 
 from stiffopt import compiler
-from stiffopt.transcription import compiled, wide_code
+from stiffopt.transcription import compiled, sums, wide_code
+from stiffopt.transcription.operations import operations_of
+from stiffopt.transcription.runs import in_runs, places
+from stiffopt.transcription.sums import instructions
 from stiffopt.transcription.wide_code import POINTS
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
@@ -43,8 +46,7 @@ def every_operation() -> ca.Function:
     return ca.Function("every", [ca.vertcat(a, b), shared], [pattern])
 
 
-def test_every_operation_is_that_of_casadi(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(wide_code, "_LONGEST", 7)
+def test_every_operation_is_that_of_casadi(tmp_path: Path) -> None:
     one = every_operation()
     many = ca.external("every", str(made([one], tmp_path)))
     points = np.random.default_rng(3).normal(size=(2, 3 * POINTS))
@@ -53,6 +55,55 @@ def test_every_operation_is_that_of_casadi(tmp_path: Path, monkeypatch: pytest.M
     found = many.map(3)(points, ca.repmat(ca.DM(shared), 1, 3))
     assert found.nnz() == 3 * POINTS * one.nnz_out(0)
     np.testing.assert_allclose(found.full(), slow, rtol=1e-15, atol=0)
+
+
+def random_sums(seed: int) -> ca.Function:
+    """Sums of products of sums, of all lengths, some of them read twice."""
+    draw = np.random.default_rng(seed)
+    x, shared = ca.SX.sym("x", 4), ca.SX.sym("shared", 2)
+    values = [*ca.vertsplit(x), *ca.vertsplit(shared)]
+    for _ in range(60):
+        total = values[draw.integers(len(values))]
+        for _ in range(draw.integers(1, 12)):
+            factors = [values[k] for k in draw.integers(len(values), size=draw.integers(1, 3))]
+            term = factors[0] if len(factors) == 1 else factors[0] * factors[1]
+            signs = (lambda a, b: a + b, lambda a, b: a - b, lambda a, b: b - a)
+            total = signs[draw.integers(3)](total, term)
+        values.append(ca.sin(total) if draw.random() < 0.3 else total / 7)
+    return ca.Function("sums", [x, shared], [ca.vertcat(*values[-20:])])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sums_have_the_digits_of_casadi(
+    seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sums, "_KINDS", 20)
+    one = random_sums(seed)
+    many = ca.external("sums", str(made([one], tmp_path)))
+    points = np.random.default_rng(seed).normal(size=(4, POINTS))
+    slow = np.hstack([one(point, [0.3, -1.7]).full() for point in points.T])
+    np.testing.assert_allclose(many(points, [0.3, -1.7]).full(), slow, rtol=1e-14, atol=0)
+    found = instructions(operations_of(one), wide_code.KINDS)
+    assert len({each.kind for each in found if "+" in each.kind or "-" in each.kind}) <= 20 + 8
+    assert max(len(each.read) for each in found) > 4
+
+
+def test_runs_read_what_has_been_computed_and_not_been_replaced() -> None:
+    operations = operations_of(random_sums(1))
+    listed = instructions(operations, wide_code.KINDS)
+    runs = in_runs(listed)
+    given = [v for v in range(len(operations.values)) if not operations.is_computed(v)]
+    results = [value for _, _, value in operations.results]
+    place, count = places(given, runs, results)
+    held = {place[value]: value for value in given}
+    for run in runs:
+        assert {each.kind for each in run} == {run[0].kind}
+        for each in run:
+            assert [held[place[value]] for value in each.read] == list(each.read)
+            held[place[each.value]] = each.value
+    assert [held[place[value]] for value in results] == results
+    assert len(runs) < len(listed) == sum(map(len, runs))
+    assert count == max(place.values()) + 1 < len(listed)
 
 
 def test_what_is_not_given_is_zero(tmp_path: Path) -> None:
