@@ -82,7 +82,7 @@ def _code(given: str) -> str:
         functions = node_derivatives.with_derivatives(function)
     if along is not None:
         functions = AlongSplines(**along).of_stage(functions)
-    return wide_code.wide_code(functions, SHARED)
+    return wide_code.wide_code(functions, SHARED, node_derivatives.NAMES[:2])
 
 
 if __name__ == "__main__":

@@ -21,6 +21,8 @@ from stiffopt.transcription.sums import instructions
 
 # Points of a call. Of more an instruction is fetched less often, but values leave the cache.
 POINTS = 16
+# Calls that are recalled: those of 2048 points, as of 1000 intervals.
+CALLS = 128
 
 # What operations compute, of x0 and x1.
 _WIDE = {
@@ -85,11 +87,12 @@ typedef long long mask __attribute__((vector_size(8 * LANES), aligned(8), may_al
 #define EACH_POINT for (int k = 0; k < POINTS; k++)
 #define EACH_WIDE _Pragma("GCC unroll 8") for (int k = 0; k < POINTS / LANES; k++)
 
-/* What a function is made of: lists that end with -1, and numbers of inputs and outputs. */
+/* What a function is made of: lists that end with -1. Of every input and output the numbers of a
+   point, 0 where all points share them, and of all points. */
 typedef struct {{
   const int *given, *constants, *runs, *read, *found;
   const double* numbers;
-  const long *widths, *sizes;
+  const long *widths, *lengths, *sizes;
 }} formula;
 
 static void run(const int* r, const int* e, double* w);
@@ -108,9 +111,47 @@ static void evaluate(const formula* f, const double** arg, double** res, double*
     EACH_POINT res[g[0]][g[1] + k * f->sizes[g[0]]] = w[g[2] + k];
 }}
 """
+# An optimiser asks for gradient, rows, slopes and curvatures at the same variables, and each of
+# them needs the stage's values or slopes again.
+_MEMORY = f"""#define CALLS {CALLS}
+typedef struct {{ double *given[CALLS], *found[CALLS]; int next; }} memory;
+
+/* As `evaluate`, of one output; with the inputs of one of the last calls what that has found. */
+static void recall(memory** own, const formula* f, const double** arg, double** res, double* w) {{
+  memory* m = *own ? *own : (*own = calloc(1, sizeof(memory)));
+  const size_t size = f->sizes[0] * POINTS * sizeof(double);
+  size_t given = 0;
+  int i, known = m != 0;
+  for (i = 0; f->lengths[i] >= 0; i++) {{
+    given += f->lengths[i] * sizeof(double);
+    known &= arg[i] != 0;
+  }}
+  for (int k = 0; known && k < CALLS && m->given[k]; k++) {{
+    const double* from = m->given[k];
+    for (i = 0; f->lengths[i] >= 0; from += f->lengths[i++])
+      if (memcmp(from, arg[i], f->lengths[i] * sizeof(double))) break;
+    if (f->lengths[i] < 0) {{
+      memcpy(res[0], m->found[k], size);
+      return;
+    }}
+  }}
+  evaluate(f, arg, res, w);
+  if (!known) return;
+  const int k = m->next;
+  if (!m->found[k] && !(m->found[k] = malloc(size))) return;
+  if (!m->given[k] && !(m->given[k] = malloc(given))) return;
+  double* to = m->given[k];
+  for (i = 0; f->lengths[i] >= 0; to += f->lengths[i++])
+    memcpy(to, arg[i], f->lengths[i] * sizeof(double));
+  memcpy(m->found[k], res[0], size);
+  m->next = (k + 1) % CALLS;
+}}
+"""
 
 
-def wide_code(functions: Sequence[ca.Function], shared: Sequence[int]) -> str:
+def wide_code(
+    functions: Sequence[ca.Function], shared: Sequence[int], recalled: Sequence[str] = ()
+) -> str:
     """C code of the functions at `POINTS` points at once, for `casadi.external`.
 
     Parameters
@@ -119,14 +160,16 @@ def wide_code(functions: Sequence[ca.Function], shared: Sequence[int]) -> str:
         Of SX. Inputs and outputs of the points stand side by side: (m, n) becomes (m, POINTS n).
     shared : sequence of int
         Inputs that are the same at all points.
+    recalled : sequence of str
+        Functions of one output that are called with the same inputs again and again.
     """
     kinds: dict[str, int] = {}
-    code = [line for each in functions for line in _definition(each, shared, kinds)]
-    return "\n".join([HEAD, _HEAD, *code, *_loops(kinds)])
+    code = [line for each in functions for line in _definition(each, shared, recalled, kinds)]
+    return "\n".join([HEAD, _HEAD, *([_MEMORY] if recalled else []), *code, *_loops(kinds)])
 
 
 def _definition(
-    function: ca.Function, shared: Sequence[int], kinds: dict[str, int]
+    function: ca.Function, shared: Sequence[int], recalled: Sequence[str], kinds: dict[str, int]
 ) -> Iterator[str]:
     """Lines of a function; kinds of instructions that are new are numbered."""
     name, operations = function.name(), operations_of(function)
@@ -139,6 +182,7 @@ def _definition(
     inputs = [v for v in given if operations.values[v][0] == ca.OP_INPUT]
     constants = [v for v in given if operations.values[v][0] == ca.OP_CONST]
     widths = [function.nnz_in(i) * (i not in shared) for i in range(function.n_in())]
+    lengths = [function.nnz_in(i) * (POINTS if w else 1) for i, w in enumerate(widths)]
     sizes = [function.nnz_out(i) for i in range(function.n_out())]
     lists: dict[str, Iterable[object]] = {
         "int given": [k for v in inputs for k in (*operations.values[v][1], at[v])],
@@ -148,6 +192,7 @@ def _definition(
         "int found": [k for out, row, v in operations.results for k in (out, row, at[v])],
         "double numbers": [_in_c(operations.values[v][1][0]) for v in constants],
         "long widths": widths,
+        "long lengths": lengths,
         "long sizes": sizes,
     }
     parts = []
@@ -158,7 +203,12 @@ def _definition(
     yield f"static const formula {name}_formula = {{{', '.join(parts)}}};"
     yield f"int {name}(const double** arg, double** res, long long* iw, double* w, int mem) {{"
     yield f"  for (int k = 0; k < {len(sizes)}; k++) if (!res[k]) return 0;"
-    yield f"  evaluate(&{name}_formula, arg, res, w);\n  return 0;\n}}"
+    if name in recalled:
+        # A thread has its own.
+        yield f"  static __thread memory* own;\n  recall(&own, &{name}_formula, arg, res, w);"
+    else:
+        yield f"  evaluate(&{name}_formula, arg, res, w);"
+    yield "  return 0;\n}"
     yield from _shapes(function, shared, POINTS * count + 8)
 
 

@@ -106,6 +106,24 @@ def test_runs_read_what_has_been_computed_and_not_been_replaced() -> None:
     assert count == max(place.values()) + 1 < len(listed)
 
 
+def test_what_is_recalled_is_what_would_be_found(tmp_path: Path) -> None:
+    one = random_sums(2)
+    source, library = tmp_path / "wide.c", tmp_path / "wide.so"
+    source.write_text(wide_code.wide_code([one], (1,), [one.name()]))
+    compiler.build("cc", source, library, compiled.OPTIMISE)
+    many = ca.external("sums", str(library))
+    draw = np.random.default_rng(4)
+    # More than are kept, each of them twice, and some again when they are gone.
+    points = draw.normal(size=(wide_code.CALLS + 20, 4, POINTS))
+    points[1] = points[0]
+    points[1][3, -1] += 1e-9
+    once = ca.external("sums", str(made([one], tmp_path)))
+    expected = [once(each, [0.3, -1.7]).full() for each in points]
+    for k in (0, 1, 0, *np.repeat(np.arange(len(points)), 2), *range(len(points)), 0, 1):
+        np.testing.assert_array_equal(many(points[k], [0.3, -1.7]).full(), expected[k])
+    assert not np.array_equal(many(points[3], [0.3, -1.6]).full(), expected[3])
+
+
 def test_what_is_not_given_is_zero(tmp_path: Path) -> None:
     x, shared = ca.SX.sym("x"), ca.SX.sym("shared")
     library = made([ca.Function("shifted", [x, shared], [x + shared + 1.0])], tmp_path)
