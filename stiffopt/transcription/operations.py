@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,16 +33,18 @@ class Operations:
         """Whether a value is neither an input nor a constant."""
         return self.values[value][0] not in (ca.OP_INPUT, ca.OP_CONST)
 
-    def read_by(self, value: int) -> tuple[int, ...]:
-        """Values that a value is computed from."""
-        return self.values[value][1] if self.is_computed(value) else ()
+    @functools.cached_property
+    def reads(self) -> list[tuple[int, ...]]:
+        """Values that each value is computed from."""
+        given = (ca.OP_INPUT, ca.OP_CONST)
+        return [() if operation in given else what for operation, what in self.values]
 
     def uses(self) -> list[int]:
         """How often each value is read, as a result or by another value."""
         found = [0] * len(self.values)
-        for value in range(len(self.values)):
-            for each in self.read_by(value):
-                found[each] += 1
+        for read in self.reads:
+            for value in read:
+                found[value] += 1
         for _, _, value in self.results:
             found[value] += 1
         return found
@@ -55,19 +58,21 @@ def operations_of(function: ca.Function) -> Operations:
     for k in range(function.n_instructions()):
         operation = function.instruction_id(k)
         read, written = function.instruction_input(k), function.instruction_output(k)
+        what: tuple[Any, ...]
         if operation == ca.OP_OUTPUT:
             out, place = written
             results.append((out, place, held[read[0]]))
             continue
-        what: tuple[Any, ...]
         if operation == ca.OP_INPUT:
             what = tuple(read)
         elif operation == ca.OP_CONST:
             # As text, by which numbers that are none are equal and zeros of two signs are not.
             what = (float(function.instruction_constant(k)).hex(),)
+        elif len(read) == 1:
+            what = (held[read[0]],)
         else:
-            what = tuple(held[place] for place in read)
-            if operation in _COMMUTE:
-                what = tuple(sorted(what))
+            first, last = held[read[0]], held[read[1]]
+            swapped = first > last and operation in _COMMUTE
+            what = (last, first) if swapped else (first, last)
         held[written[0]] = numbers.setdefault((operation, what), len(numbers))
     return Operations(function, list(numbers), results)

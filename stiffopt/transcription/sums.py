@@ -63,17 +63,19 @@ def instructions(operations: Operations, kinds: dict[int, str]) -> list[Instruct
     found = Counter(part.kind for terms in sums.values() for part in _in_parts(terms))
     kept = {kind for kind, _ in found.most_common(_KINDS)}
     listed: list[Instruction] = []
+    given = (ca.OP_INPUT, ca.OP_CONST)
     for value, (operation, read) in enumerate(operations.values):
         if value in sums:
             listed += _in_parts(sums[value], kept)
-        elif value not in inside and operations.is_computed(value):
+        elif operation not in given and value not in inside:
             listed.append(Instruction(value, kinds[operation], read))
     return listed
 
 
 def _sums(operations: Operations) -> tuple[dict[int, list[_Term]], set[int]]:
     """Terms of every sum, by its value, and the values that are nothing but a part of one."""
-    uses, sums, inside = operations.uses(), dict[int, list[_Term]](), set[int]()
+    uses, reads = operations.uses(), operations.reads
+    sums, inside = dict[int, list[_Term]](), set[int]()
     kind = [operation for operation, _ in operations.values]
     # How well a sum goes on with a value: with another sum, else with a product.
     rank = [
@@ -85,7 +87,7 @@ def _sums(operations: Operations) -> tuple[dict[int, list[_Term]], set[int]]:
         if rank[value] != 1:
             return (value,)
         inside.add(value)
-        return operations.read_by(value)
+        return reads[value]
 
     for value in reversed(range(len(kind))):
         if value in inside or kind[value] not in _SUMS:
@@ -93,7 +95,7 @@ def _sums(operations: Operations) -> tuple[dict[int, list[_Term]], set[int]]:
         terms: list[_Term] = []
         total = value
         while True:
-            first, last = operations.read_by(total)
+            first, last = reads[total]
             adds = kind[total] == ca.OP_ADD
             if adds and rank[last] > rank[first]:
                 first, last = last, first
