@@ -146,6 +146,15 @@ static void recall(memory** own, const formula* f, const double** arg, double** 
   memcpy(m->found[k], res[0], size);
   m->next = (k + 1) % CALLS;
 }}
+
+static void forget(memory** own) {{
+  for (int k = 0; *own && k < CALLS; k++) {{
+    free((*own)->given[k]);
+    free((*own)->found[k]);
+  }}
+  free(*own);
+  *own = 0;
+}}
 """
 
 
@@ -201,11 +210,15 @@ def _definition(
         yield f"static const {kind} {name}_{part}[] = {{{', '.join(map(str, [*entries, -1]))}}};"
         parts.append(f".{part} = {name}_{part}")
     yield f"static const formula {name}_formula = {{{', '.join(parts)}}};"
+    if name in recalled:
+        # A thread has its own. CasADi tells of every use that begins and ends.
+        yield f"static __thread memory* {name}_own;\nstatic long {name}_users;"
+        yield f"void {name}_incref(void) {{ {name}_users++; }}"
+        yield f"void {name}_decref(void) {{ if (!--{name}_users) forget(&{name}_own); }}"
     yield f"int {name}(const double** arg, double** res, long long* iw, double* w, int mem) {{"
     yield f"  for (int k = 0; k < {len(sizes)}; k++) if (!res[k]) return 0;"
     if name in recalled:
-        # A thread has its own.
-        yield f"  static __thread memory* own;\n  recall(&own, &{name}_formula, arg, res, w);"
+        yield f"  recall(&{name}_own, &{name}_formula, arg, res, w);"
     else:
         yield f"  evaluate(&{name}_formula, arg, res, w);"
     yield "  return 0;\n}"

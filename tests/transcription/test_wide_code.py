@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import casadi as ca
@@ -122,6 +123,27 @@ def test_what_is_recalled_is_what_would_be_found(tmp_path: Path) -> None:
     for k in (0, 1, 0, *np.repeat(np.arange(len(points)), 2), *range(len(points)), 0, 1):
         np.testing.assert_array_equal(many(points[k], [0.3, -1.7]).full(), expected[k])
     assert not np.array_equal(many(points[3], [0.3, -1.6]).full(), expected[3])
+
+
+def test_what_is_recalled_goes_with_its_function(tmp_path: Path) -> None:
+    x, shared = ca.SX.sym("x", 2), ca.SX.sym("shared")
+    one = ca.Function("many", [x, shared], [ca.vertcat(*[shared * x + k for k in range(300)])])
+    source, library = tmp_path / "wide.c", tmp_path / "wide.so"
+    source.write_text(wide_code.wide_code([one], (1,), [one.name()]))
+    compiler.build("cc", source, library, compiled.OPTIMISE)
+    # Each of fifty functions finds 10 MB.
+    code = f"""
+import casadi as ca, numpy as np, resource
+def used():
+    many = ca.external("many", {str(library)!r})
+    for k in range({wide_code.CALLS}):
+        many(np.full((2, {POINTS}), k), 1.0)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+first = used()
+print([used() for _ in range(50)][-1] - first)
+"""
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
+    assert int(told.stdout) < 100_000  # [kB]
 
 
 def test_what_is_not_given_is_zero(tmp_path: Path) -> None:
