@@ -23,6 +23,7 @@ BENCHMARKS = (
     "compensation",
     "random_deviation",
     "model_cost",
+    "compiling",
     "scaling",
     "sweeps",
 )

@@ -74,16 +74,22 @@ def _made_by() -> tuple[str, ...]:
     return (*texts, ca.CasadiMeta.version(), OPTIMISE)
 
 
-def _code(given: str) -> str:
-    known, formula = given.split("\n", 1)
+def functions_of(text: str) -> tuple[ca.Function, ...]:
+    """The functions that a library of `text_of` holds, by CasADi."""
+    known, formula = text.split("\n", 1)
     along, function = json.loads(known), ca.Function.deserialize(formula)
     functions: tuple[ca.Function, ...] = (function,)
     if function.name() != VALUES:
         functions = node_derivatives.with_derivatives(function)
     if along is not None:
         functions = AlongSplines(**along).of_stage(functions)
-    return wide_code.wide_code(functions, SHARED, node_derivatives.NAMES[:2])
+    return functions
+
+
+def code_of(text: str) -> str:
+    """C code of a library."""
+    return wide_code.wide_code(functions_of(text), SHARED, node_derivatives.NAMES[:2])
 
 
 if __name__ == "__main__":
-    compiler.make(Path(sys.argv[1]), sys.argv[2], _code, OPTIMISE)
+    compiler.make(Path(sys.argv[1]), sys.argv[2], code_of, OPTIMISE)

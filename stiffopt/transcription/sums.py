@@ -20,7 +20,7 @@ from stiffopt.transcription.operations import Operations
 # Terms of a sum that is one instruction, and how many kinds of sums there are, beside those of two
 # terms: the most frequent. Each is a loop for the compiler.
 _MOST_TERMS = 6
-_KINDS = 48
+_KINDS = 12
 
 _SUMS = (ca.OP_ADD, ca.OP_SUB)
 
