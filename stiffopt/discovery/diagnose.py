@@ -196,7 +196,7 @@ def _diagnosed(
 
         def burst() -> Unexplained | None:
             say("look for bursts above the filter's band")
-            return bursts(training, (*start, found), settings)
+            return bursts(training, (*start, found))
 
         unexplained = unless_stopped(stopped, NO_BURSTS, burst)
     new = [s for s in selected if s.located.effect.nominal not in recordings.unstated]

@@ -15,6 +15,7 @@ from stiffopt.discovery.comparison.signals import (
     JointSignals,
     RobotConstants,
     RobotSignals,
+    smooth_sign,
 )
 from stiffopt.discovery.effect import Effect, Need, Scope, Term
 from stiffopt.recording.nominal_files import joint_chain
@@ -71,6 +72,7 @@ def sample_signals(count: int = 60, dt: float = 0.01) -> RobotSignals:
     torque = 30.0 * np.cos(0.8 * angle + 1.0)
     constants = sample_constants(position, velocity, torque)
     windup = np.column_stack([c.windup(torque[:, j]) for j, c in enumerate(constants.joints)])
+    motor_velocity = velocity + np.gradient(windup, dt, axis=0)
     friction = 4.0 * np.tanh(velocity / 0.01) + 3.0 * velocity
     lever = np.sin(np.arange(3 * _JOINTS).reshape(3, _JOINTS) + angle[:, None, :])
     body = np.cos(np.arange(10 * _JOINTS) + angle[:, :, None])
@@ -81,8 +83,9 @@ def sample_signals(count: int = 60, dt: float = 0.01) -> RobotSignals:
         session_time=time + 60.0,
         temperature_rise=np.tile(8.0 + time[:, None], (1, _JOINTS)),
         motor_position=position + windup,
-        motor_velocity=velocity + np.gradient(windup, dt, axis=0),
+        motor_velocity=motor_velocity,
         motor_acceleration=acceleration,
+        motor_direction=smooth_sign(motor_velocity),
         link_position=position,
         link_velocity=velocity,
         link_acceleration=acceleration,

@@ -43,9 +43,9 @@ def swinging(training, begin, *, links=False):
 
     In the torque, and where told so in the link encoders.
     """
-    run, swing = training.recorded[0], training.runs[0].swing
-    shape = swing.response.modes(0)[1][:, 0]
-    torque, deflection = swing.left_alone(np.append(shape, 0.0 * shape)[:, None])
+    run = training.runs[0]
+    shape = run.swing.response.modes(0)[1][:, 0]
+    torque, deflection = run.swing.left_alone(np.append(shape, 0.0 * shape)[:, None])
     size = SIZE * training.noise.channels.torque[0] / abs(torque[0, 0, 0])
     late = np.searchsorted(run.time, begin)
     added, wound = np.zeros((2, *run.torque.shape))
@@ -53,30 +53,28 @@ def swinging(training, begin, *, links=False):
     wound[late:] = size * deflection[: len(added) - late, :, 0]
     shaken = replace(run, torque=run.torque + added)
     if links:
-        shaken = replace(shaken, link_position=run.link_position - wound)
-    return replace(training, recorded=(shaken, *training.recorded[1:]))
+        shaken = replace(shaken, deflection=run.deflection + wound)
+    return replace(training, runs=(shaken, *training.runs[1:]))
 
 
 def test_a_swing_that_a_run_begins_with_is_no_burst(begun_moving):
-    assert bursts(swinging(begun_moving, BEGIN), (), Settings()) is None
+    assert bursts(swinging(begun_moving, BEGIN), ()) is None
 
 
 def test_a_swing_out_of_nothing_is_a_burst(begun_moving):
-    found = bursts(swinging(begun_moving, LATER), (), Settings())
+    found = bursts(swinging(begun_moving, LATER), ())
     assert found is not None
     assert found.channels[0] in ("torque_1", "torque_2")
 
 
 def test_links_that_are_seen_to_swing_are_no_drive_with_bursts(begun_moving):
     """Their encoders show what the torque shows: the arm swings otherwise than modelled."""
-    assert bursts(swinging(begun_moving, LATER, links=True), (), Settings()) is None
+    assert bursts(swinging(begun_moving, LATER, links=True), ()) is None
 
 
 def test_bursts_that_a_model_left_of_its_own_recordings_are_nothing_new(begun_moving):
     shaken = swinging(begun_moving, LATER)
-    ratio = bursts(shaken, (), Settings()).ratio
+    ratio = bursts(shaken, ()).ratio
     least = np.full(4, 0.5 * ratio / BURST_RATIO)
-    assert bursts(replace(shaken, least=least), (), Settings()).ratio == pytest.approx(
-        2.0 * BURST_RATIO
-    )
-    assert bursts(replace(shaken, least=4.0 * least), (), Settings()) is None
+    assert bursts(replace(shaken, least=least), ()).ratio == pytest.approx(2.0 * BURST_RATIO)
+    assert bursts(replace(shaken, least=4.0 * least), ()) is None

@@ -18,7 +18,7 @@ from stiffopt.discovery.catalogue.common import (
     viscous_friction,
 )
 from stiffopt.discovery.catalogue.robot_change import add_to_nominal_value
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals, smooth_sign
+from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.settings import SIGN_SPEED
 from stiffopt.symbolic import Quantity, smooth_abs
@@ -44,7 +44,7 @@ def coulomb_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
     """Dry friction dFc sg(w)."""
-    return Term(drive_torque=amplitudes[0] * smooth_sign(signals.motor_velocity))
+    return Term(drive_torque=amplitudes[0] * signals.motor_direction)
 
 
 def viscous_term(
@@ -61,7 +61,7 @@ def stribeck_term(
     w = signals.motor_velocity
     speed, power = shapes
     fall = np.exp(-((rounded_speed(w) / speed) ** power))
-    return Term(drive_torque=amplitudes[0] * fall * smooth_sign(w))
+    return Term(drive_torque=amplitudes[0] * fall * signals.motor_direction)
 
 
 def load_friction_term(
@@ -69,7 +69,7 @@ def load_friction_term(
 ) -> Term:
     """Friction mu |s| sg(w) of the load, the size of the load rounded at zero."""
     load = rounded_load(signals, shapes[0])
-    return Term(drive_torque=amplitudes[0] * load * smooth_sign(signals.motor_velocity))
+    return Term(drive_torque=amplitudes[0] * load * signals.motor_direction)
 
 
 def asym_friction_term(
@@ -77,7 +77,7 @@ def asym_friction_term(
 ) -> Term:
     """Torque dFc + dFv |w| while moving, in either direction, and nothing at rest."""
     w = signals.motor_velocity
-    side = smooth_sign(w)
+    side = signals.motor_direction
     return Term(drive_torque=amplitudes[0] * side * side + amplitudes[1] * w * side)
 
 
@@ -87,7 +87,7 @@ def position_friction_term(
     """Friction A exp(-((q - q0)/width)^2 / 2) sg(w) at a place."""
     place, width = shapes
     bump = np.exp(-0.5 * ((signals.link_position - place) / width) ** 2)
-    return Term(drive_torque=amplitudes[0] * bump * smooth_sign(signals.motor_velocity))
+    return Term(drive_torque=amplitudes[0] * bump * signals.motor_direction)
 
 
 def thermal_friction_term(
@@ -97,7 +97,7 @@ def thermal_friction_term(
     constants, w = signals.constants, signals.motor_velocity
     fall = np.exp(-shapes[0] * signals.temperature_rise) - 1.0
     viscous = viscous_friction(constants) * w
-    dry = dry_friction(constants) * smooth_sign(w)
+    dry = dry_friction(constants) * signals.motor_direction
     return Term(drive_torque=(amplitudes[0] * viscous + amplitudes[1] * dry) * fall)
 
 

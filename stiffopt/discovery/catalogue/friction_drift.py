@@ -16,7 +16,7 @@ import numpy as np
 
 from stiffopt.discovery.catalogue.common import dry_friction, viscous_friction
 from stiffopt.discovery.catalogue.friction import rounded_load
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals, smooth_sign
+from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.symbolic import Quantity, smooth_abs
 
@@ -41,7 +41,7 @@ def _term(
         return Term()
     off = amplitudes[seen.index(signals.run)] - sum(amplitudes) / len(amplitudes)
     constants, w, viscous = signals.constants, signals.motor_velocity, shapes[0]
-    dry = (1.0 - viscous) * dry_friction(constants) * smooth_sign(w)
+    dry = (1.0 - viscous) * dry_friction(constants) * signals.motor_direction
     return Term(drive_torque=off * (dry + viscous * viscous_friction(constants) * w))
 
 
@@ -72,7 +72,7 @@ def _any_law(
     *powers, of_load = amplitudes
     law = sum(a * speed**power for a, power in zip(powers, _POWERS, strict=True))
     dry = law * dry_friction(signals.constants) + of_load * rounded_load(signals, _LOAD_ROUNDING)
-    return Term(drive_torque=dry * smooth_sign(w))
+    return Term(drive_torque=dry * signals.motor_direction)
 
 
 # Runs that are driven at other speeds and loads differ by a law that is not quite the model's.
@@ -108,7 +108,7 @@ def _within_term(
     time = np.asarray(signals.time, dtype=float)
     knots = np.linspace(time.min(), time.max(), _KNOTS)
     levels = np.interp(time, knots, np.asarray(amplitudes[first : first + _KNOTS], dtype=float))
-    dry = dry_friction(signals.constants) * smooth_sign(signals.motor_velocity)
+    dry = dry_friction(signals.constants) * signals.motor_direction
     return Term(drive_torque=levels * dry)
 
 

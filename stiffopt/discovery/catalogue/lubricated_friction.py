@@ -21,7 +21,7 @@ from stiffopt.discovery.catalogue.friction import (
     rounded_speed,
     slow_speeds,
 )
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals, smooth_sign
+from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.symbolic import Quantity
 
@@ -43,7 +43,7 @@ def lubricated_friction_term(
     load = rounded_load(signals, rounding)
     level = of_load * load + (of_load_slow * load + slow + slow_by_kelvin * rise) * thin
     viscous = viscous_friction(signals.constants) * (viscosity - 1.0)
-    return Term(drive_torque=level * smooth_sign(w) + weight * viscous * w)
+    return Term(drive_torque=level * signals.motor_direction + weight * viscous * w)
 
 
 def _by_kelvin(constants: JointConstants) -> float:

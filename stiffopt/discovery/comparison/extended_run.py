@@ -47,7 +47,7 @@ def extended(run: PreparedRun, robot: RobotModel, *extensions: Extension) -> Pre
         return run
     moved = swung(run, robot, whole)
     change = change_of(moved, robot, whole)
-    drive = moved.signals.drive_torque + change.torque
+    drive = moved.signals.drive_torque + run.followed(change.torque)
     rate = derivative(run.low_pass(drive), moved.signals.dt)
     return replace(
         moved,
@@ -101,7 +101,7 @@ def around(
     assert deflection is not None
     if not start.empty:
         stated = change_of(moved, robot, start)
-        drive = moved.signals.drive_torque + stated.torque
+        drive = moved.signals.drive_torque + run.followed(stated.torque)
         moved = replace(
             moved,
             signals=replace(moved.signals, drive_torque=drive),

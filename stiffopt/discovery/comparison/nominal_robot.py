@@ -150,9 +150,10 @@ class RobotModel:
             [joint.compliance(torque[:, j]) for j, joint in enumerate(self.constants.joints)]
         )
 
-    def friction(self, velocity: np.ndarray) -> np.ndarray:
-        """Nominal friction torque with a smooth sign [N m]."""
-        return np.asarray(self.coulomb * smooth_sign(velocity) + self.viscous * velocity)
+    def friction(self, velocity: np.ndarray, direction: np.ndarray | None = None) -> np.ndarray:
+        """Nominal friction torque [N m], with a smooth sign where no direction is given."""
+        side = smooth_sign(velocity) if direction is None else direction
+        return np.asarray(self.coulomb * side + self.viscous * velocity)
 
     def spring_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Torque in the springs, of rigid bodies and counterbalances [N m]."""

@@ -11,7 +11,6 @@ from stiffopt.discovery.comparison.bodies import A_BODY, body_names
 from stiffopt.discovery.comparison.located_effect import Contribution
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepare import PreparedRun
-from stiffopt.discovery.comparison.signals import smooth_sign
 from stiffopt.recording.nominal import Tolerance
 from stiffopt.robot.body_tree import Body
 
@@ -118,10 +117,9 @@ def _of_drive(run: PreparedRun, robot: RobotModel, name: str, j: int) -> np.ndar
         return np.asarray(signals.drive_torque[:, j])
     if name == "rotor_inertia":
         return np.asarray(robot.rotor_inertia[j] * signals.motor_acceleration[:, j])
-    speed = signals.motor_velocity[:, j]
-    return np.asarray(
-        robot.viscous[j] * speed if name == "viscous" else robot.coulomb[j] * smooth_sign(speed)
-    )
+    if name == "viscous":
+        return np.asarray(robot.viscous[j] * signals.motor_velocity[:, j])
+    return np.asarray(robot.coulomb[j] * signals.motor_direction[:, j])
 
 
 def _of_spring(run: PreparedRun, j: int, sd: float, asked: Asked) -> Iterator[NuisanceColumn]:

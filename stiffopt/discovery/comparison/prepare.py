@@ -9,7 +9,13 @@ import numpy as np
 from stiffopt.discovery.comparison.arm_along import ArmAlong
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, derivative
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.signals import JointSignals, RobotConstants, RobotSignals
+from stiffopt.discovery.comparison.signals import (
+    JointSignals,
+    RobotConstants,
+    RobotSignals,
+    mean_sign,
+    smooth_sign,
+)
 from stiffopt.discovery.comparison.swing import (
     MOTOR_CUTOFF,
     LinkMotion,
@@ -45,6 +51,10 @@ class PreparedRun:
     moving : array (K, n) of bool
         The joint is faster than `settings.slow`.
     low_pass : ZeroPhaseFilter
+        Of a fit.
+    followed : ZeroPhaseFilter
+        That the motion has passed, and what the drives give with it: a motor's acceleration answers
+        a jump of its friction, which would stay alone otherwise.
     swing : Swing or None
         How links answer small changes; None where they follow at once, by the springs alone.
     beside : array (K, n) or float
@@ -64,6 +74,7 @@ class PreparedRun:
     deflection_used: np.ndarray
     moving: np.ndarray
     low_pass: ZeroPhaseFilter
+    followed: ZeroPhaseFilter
     swing: Swing | None = None
     beside: np.ndarray | float = 0.0
     swung: dict[tuple[object, ...], PreparedRun] = field(default_factory=dict, init=False)
@@ -184,7 +195,10 @@ def prepare(
         motor, velocity, acceleration = map(np.asfortranarray, (motor, velocity, acceleration))
     q, v, a = links.position, links.velocity, links.acceleration
     windup = robot.windup(links.spring)
-    friction = robot.friction(velocity)
+    direction = smooth_sign(velocity) if swing is None else mean_sign(velocity)
+    friction = robot.friction(velocity, direction)
+    if swing is not None:
+        friction = wide(friction)
     drive = robot.rotor_inertia * acceleration + links.torque + friction
     signals = RobotSignals(
         time=time,
@@ -195,6 +209,7 @@ def prepare(
         motor_position=motor,
         motor_velocity=velocity,
         motor_acceleration=acceleration,
+        motor_direction=direction,
         link_position=q,
         link_velocity=v,
         link_acceleration=a,
@@ -227,6 +242,7 @@ def prepare(
         deflection_used=used[:, None] & np.isfinite(deflection),
         moving=moving,
         low_pass=low_pass,
+        followed=wide,
         swing=swing,
     )
 

@@ -183,6 +183,7 @@ class _Instant:
             motor_position=self.q[j],
             motor_velocity=self.v[j],
             motor_acceleration=self.a[j],
+            motor_direction=smooth_sign(self.v[j]),
             link_position=self.q[j],
             link_velocity=self.v[j],
             link_acceleration=self.a[j],

@@ -2,9 +2,11 @@
 
 A fit follows recordings up to its filter's cutoff. An amplifier that cannot follow, or that gives
 less than it is asked for, leaves the slow motion alone and shows for milliseconds. Where the links'
-swing is predicted, so is the torque above the cutoff, up to short errors at reversals and what the
-links swing already when a run begins. Links that swing otherwise than predicted show in their
-encoders as much as in the torque; a drive shows in the torque alone.
+swing is predicted, so is the torque up to the cutoff of the motion that is followed, but for short
+errors at reversals and what the links swing already when a run begins. Readings pass that filter as
+the motion has: beyond it a torque is that of accelerations which nobody knows. Links that swing
+otherwise than predicted show in their encoders as much as in the torque; a drive shows in the
+torque alone.
 """
 
 from __future__ import annotations
@@ -14,12 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stiffopt.discovery.comparison.extended_run import extended
 from stiffopt.discovery.comparison.extension import Extension
-from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.comparison.filtering import derivative
+from stiffopt.discovery.comparison.prepare import PreparedRun, near_gaps, whole
 from stiffopt.discovery.comparison.swing import MOTOR_CUTOFF
 from stiffopt.discovery.judging.unexplained import Unexplained
-from stiffopt.discovery.proof.predict import Predictor
-from stiffopt.discovery.settings import MOVING, Settings
 from stiffopt.discovery.thresholds import BURST_RATIO, BURSTING_RATIO
 from stiffopt.discovery.training import Training
 from stiffopt.recording.run import RecordedRun
@@ -28,8 +30,6 @@ from stiffopt.recording.run import RecordedRun
 _NORMAL = 1.4826
 # Share of the samples that bursts are sought in.
 _SHARE = 0.1
-# Of a filter's length, left out at either end of a run, over its period.
-_ENDS = 1.5
 # Share of bursts that link encoders show as well, from which on no drive made them.
 _SWUNG = 0.5
 # Residual over its usual size beyond which a sample counts less, and rounds of weighing.
@@ -58,9 +58,7 @@ class _Channel:
         return float(np.sqrt(np.mean(self.residual**2))) / max(self.usual, 1e-12)
 
 
-def bursts(
-    training: Training, extensions: Sequence[Extension], settings: Settings
-) -> Unexplained | None:
+def bursts(training: Training, extensions: Sequence[Extension]) -> Unexplained | None:
     """Joint whose torque has bursts that the model does not predict.
 
     Parameters
@@ -68,7 +66,6 @@ def bursts(
     training : Training
     extensions : sequence of Extension
         What the nominal model is extended with.
-    settings : Settings
 
     Returns
     -------
@@ -81,25 +78,21 @@ def bursts(
     if training.least is not None:
         # What the model that is started from left of its own recordings is nothing new.
         noise = noise * np.nan_to_num(training.least[: training.robot.n], nan=1.0)
-    for run, prepared in zip(training.recorded, training.runs, strict=True):
-        predictor = Predictor(training.robot, run, training.constants, settings, prepared)
-        if predictor.nominal.swing is None:
+    for recorded, run in zip(training.recorded, training.runs, strict=True):
+        if run.swing is None:
             return None
-        places = np.searchsorted(run.stamps, run.time)
-        prediction = predictor.predict(*extensions)
-        predicted = prediction.torque[places]
-        left = (run.torque - predicted) / noise
-        swung = _swung(predictor.nominal, run, prediction.link_position[places]) / noise
-        rate = np.gradient(predicted, run.time, axis=0)
-        used = np.isfinite(left) & (np.abs(predictor.velocity) >= MOVING)
-        # Where the filter of the motion reaches beyond the record.
-        ends = _ENDS / MOTOR_CUTOFF
-        used &= ((run.time > run.time[0] + ends) & (run.time < run.time[-1] - ends))[:, None]
-        left -= _begun_with(predictor.nominal, run.time, left, used, noise)
+        predicted = extended(run, training.robot, *extensions)
+        drive = predicted.signals.drive_torque
+        kept_noise = noise * run.followed.noise_gain
+        left = run.followed(whole(run.torque - drive)) / kept_noise
+        swung = run.followed(_swung(predicted)) / kept_noise
+        rate = derivative(drive, run.signals.dt)
+        used = run.moving & _known(recorded, run)
+        left -= _begun_with(run, left, used, kept_noise)
         for j, own in enumerate(parts):
             kept = used[:, j]
             followed = {
-                f"torque_{j + 1}": np.abs(predicted[kept, j]),
+                f"torque_{j + 1}": np.abs(drive[kept, j]),
                 f"dtorque_{j + 1}": np.abs(rate[kept, j]),
             }
             own.append(_Channel(left[kept, j], swung[kept, j], followed))
@@ -122,17 +115,23 @@ def bursts(
     )
 
 
-def _swung(prepared: PreparedRun, run: RecordedRun, predicted: np.ndarray) -> np.ndarray:
+def _known(recorded: RecordedRun, run: PreparedRun) -> np.ndarray:
+    """Samples (K, n) that were read, away from gaps and ends, which the filter makes up in part."""
+    reach, count = run.followed.settling, len(run.time)
+    inside = np.zeros(count, dtype=bool)
+    inside[reach : max(count - reach, 0)] = True
+    inside &= ~near_gaps(recorded.time, recorded.step, run.time, reach)
+    return np.asarray(inside[:, None] & np.isfinite(run.torque))
+
+
+def _swung(predicted: PreparedRun) -> np.ndarray:
     """Torque of the springs (K, n) by which links are elsewhere than predicted [N m].
 
     Zero where no encoder tells where they are.
     """
-    assert prepared.swing is not None
-    if run.link_position is None:
-        return np.zeros_like(predicted)
-    stiffness = prepared.swing.stiffness
-    along = [np.interp(run.time, prepared.time, column) for column in stiffness.T]
-    return np.asarray(np.nan_to_num(np.column_stack(along) * (predicted - run.link_position)))
+    assert predicted.swing is not None
+    apart = predicted.deflection - predicted.signals.windup - predicted.beside
+    return np.asarray(np.nan_to_num(predicted.swing.stiffness * apart))
 
 
 def _of_links(channel: _Channel, name: str) -> float:
@@ -144,17 +143,13 @@ def _of_links(channel: _Channel, name: str) -> float:
 
 
 def _begun_with(
-    prepared: PreparedRun, time: np.ndarray, left: np.ndarray, used: np.ndarray, noise: np.ndarray
+    run: PreparedRun, left: np.ndarray, used: np.ndarray, noise: np.ndarray
 ) -> np.ndarray:
     """Part of a residual (K, n) over noise (n,) that the swing may be which the run begins with."""
-    assert prepared.swing is not None
-    signals = prepared.signals
-    wound = signals.motor_position - signals.link_position
-    torque, _ = prepared.swing.unknown_start(wound, MOTOR_CUTOFF)
-    swings = [
-        np.column_stack([np.interp(time, prepared.time, column) for column in each.T]) / noise
-        for each in np.moveaxis(torque, 2, 0)
-    ]
+    assert run.swing is not None
+    wound = run.signals.motor_position - run.signals.link_position
+    torque, _ = run.swing.unknown_start(wound, MOTOR_CUTOFF)
+    swings = [run.followed(each) / noise for each in np.moveaxis(torque, 2, 0)]
     if not swings or not used.any():
         return np.zeros_like(left)
     columns, target = np.stack([each[used] for each in swings], axis=1), left[used]

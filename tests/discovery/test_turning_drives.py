@@ -1,0 +1,78 @@
+"""A light drive that turns between two samples has no bursts; one that follows too slowly has."""
+
+import numpy as np
+import pytest
+from simulated_sets import simulated
+
+from benchmarks.simulator import CaseSpec, write_case
+from stiffopt.discovery.comparison.signals import mean_sign, smooth_sign
+from stiffopt.discovery.judging.bursts import bursts
+from stiffopt.discovery.settings import SIGN_SPEED, Settings
+from stiffopt.discovery.thresholds import BURST_RATIO
+from stiffopt.discovery.training import train
+from stiffopt.recording.recording_set import load_recordings
+
+# A SCARA as its nominal model says, whose last joint is 20 times its noise in dry friction.
+SCARA = {
+    "robot": "scara4",
+    "seed": 0,
+    "tolerance": 0.0,
+    "train": 2,
+    "test": 1,
+    "extrapolate": 0,
+    "seconds": 3.0,
+    "rate": 250.0,
+    "substeps": 8,
+    "smoothing": 0.2,
+    "payload": 2.5,
+}
+
+
+def trained(folder, *effects):
+    spec = CaseSpec(effects=effects, **SCARA)
+    return train(load_recordings(write_case(simulated(spec), folder / "set")), Settings())
+
+
+@pytest.fixture(scope="module")
+def as_modelled(tmp_path_factory):
+    return trained(tmp_path_factory.mktemp("modelled"))
+
+
+def test_friction_that_turns_is_no_burst(as_modelled):
+    assert bursts(as_modelled, ()) is None
+
+
+def test_a_drive_that_is_too_slow_bursts_where_its_friction_turns(tmp_path):
+    found = bursts(trained(tmp_path, ("slew_limit", 4, 0.3)), ())
+    assert found is not None
+    assert found.channels == ("torque_4",)
+    assert found.regressors == ("dtorque_4",)
+    assert found.ratio > 2.0 * BURST_RATIO
+
+
+def test_what_is_predicted_of_a_turn_is_in_the_band_of_the_motion(as_modelled):
+    """Friction jumps and the motor's acceleration answers: neither may stay alone."""
+    ratios = []
+    for run in as_modelled.runs:
+        left = (run.torque - run.signals.drive_torque)[:, 3]
+        used = run.torque_used[:, 3]
+        ratios.append(np.sqrt(np.mean(left[used] ** 2)) / as_modelled.noise.channels.torque[3])
+    assert max(ratios) < 1.3
+
+
+def test_the_mean_sign_is_that_of_the_time_of_a_sample():
+    # Turns at 0.3 of the step after the sixth sample, far faster than signs are smooth.
+    velocity = 100.0 * SIGN_SPEED * (np.arange(12.0) - 6.3)[:, None]
+    sign = mean_sign(velocity)[:, 0]
+    np.testing.assert_allclose(sign[:6], -1.0, atol=1e-12)
+    np.testing.assert_allclose(sign[7:], 1.0, atol=1e-12)
+    # Of the sixth sample's time, from half a step before to half a step after it, 0.8 lie before.
+    assert sign[6] == pytest.approx(-0.6, abs=1e-3)
+
+
+def test_the_mean_sign_of_a_slow_motion_is_its_sign():
+    velocity = 0.4 * SIGN_SPEED * np.sin(0.01 * np.arange(400.0))[:, None]
+    np.testing.assert_allclose(mean_sign(velocity)[1:-1], smooth_sign(velocity)[1:-1], atol=1e-5)
+    still = np.zeros((5, 2))
+    assert np.all(mean_sign(still) == 0.0)
+    assert mean_sign(velocity[:2]).shape == (2, 1)
