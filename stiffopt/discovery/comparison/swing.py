@@ -472,7 +472,8 @@ class Springs:
                 )
                 changed += 1
             if worst > before:
-                growing += end - first <= _FEWEST
+                # About a bend it goes to and fro by less than what is let be in the end.
+                growing += end - first <= _FEWEST and worst > _STEP
                 if growing > _GROWING:
                     return None
                 # What comes late hangs on all before it: so far, then further.
