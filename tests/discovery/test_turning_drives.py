@@ -1,10 +1,13 @@
 """A light drive that turns between two samples has no bursts; one that follows too slowly has."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from simulated_sets import simulated
 
 from benchmarks.simulator import CaseSpec, write_case
+from stiffopt.discovery.comparison.prepare import prepare
 from stiffopt.discovery.comparison.signals import mean_sign, smooth_sign
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.settings import SIGN_SPEED, Settings
@@ -28,22 +31,27 @@ SCARA = {
 }
 
 
-def trained(folder, *effects):
-    spec = CaseSpec(effects=effects, **SCARA)
+# Samples a second, however many of which there are, the integration is the same [Hz].
+RATES = (250.0, 1000.0)
+
+
+def trained(folder, *effects, rate=250.0):
+    spec = CaseSpec(effects=effects, **{**SCARA, "rate": rate, "substeps": int(2000.0 / rate)})
     return train(load_recordings(write_case(simulated(spec), folder / "set")), Settings())
 
 
-@pytest.fixture(scope="module")
-def as_modelled(tmp_path_factory):
-    return trained(tmp_path_factory.mktemp("modelled"))
+@pytest.fixture(scope="module", params=RATES)
+def as_modelled(request, tmp_path_factory):
+    return trained(tmp_path_factory.mktemp("modelled"), rate=request.param)
 
 
 def test_friction_that_turns_is_no_burst(as_modelled):
     assert bursts(as_modelled, ()) is None
 
 
-def test_a_drive_that_is_too_slow_bursts_where_its_friction_turns(tmp_path):
-    found = bursts(trained(tmp_path, ("slew_limit", 4, 0.3)), ())
+@pytest.mark.parametrize("rate", RATES)
+def test_a_drive_that_is_too_slow_bursts_where_its_friction_turns(tmp_path, rate):
+    found = bursts(trained(tmp_path, ("slew_limit", 4, 0.3), rate=rate), ())
     assert found is not None
     assert found.channels == ("torque_4",)
     assert found.regressors == ("dtorque_4",)
@@ -57,7 +65,18 @@ def test_what_is_predicted_of_a_turn_is_in_the_band_of_the_motion(as_modelled):
         left = (run.torque - run.signals.drive_torque)[:, 3]
         used = run.torque_used[:, 3]
         ratios.append(np.sqrt(np.mean(left[used] ** 2)) / as_modelled.noise.channels.torque[3])
-    assert max(ratios) < 1.3
+    assert max(ratios) < 1.15
+
+
+def test_a_motion_is_followed_as_high_as_its_encoders_bear(tmp_path):
+    training = trained(tmp_path, rate=1000.0)
+    run, robot = training.recorded[0], training.robot
+    fine = prepare(robot, run, 0, training.constants, training.settings).followed.cutoff
+    assert 60.0 < fine <= 150.0
+    noise = 2e-5 * np.random.default_rng(1).standard_normal(run.position.shape)
+    noisy = replace(run, position=run.position + noise)
+    coarse = prepare(robot, noisy, 0, training.constants, training.settings).followed.cutoff
+    assert coarse == 60.0
 
 
 def test_the_mean_sign_is_that_of_the_time_of_a_sample():

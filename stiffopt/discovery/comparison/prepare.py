@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
+from math import comb
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from stiffopt.discovery.comparison.signals import (
 )
 from stiffopt.discovery.comparison.swing import (
     MOTOR_CUTOFF,
+    WIDEST_CUTOFF,
     LinkMotion,
     Springs,
     Swing,
@@ -27,6 +29,12 @@ from stiffopt.discovery.settings import Settings
 from stiffopt.recording.clock import GAP
 from stiffopt.recording.run import RecordedRun
 
+# Share of the rated torque that the noise of a motor's acceleration may come to, and of the rate of
+# the samples, how high a motion they show.
+_BORNE, _HIGHEST = 1e-3, 0.36
+# Times that samples are subtracted from their neighbours, of which noise is left alone; and a
+# normal variable's standard deviation over the median of its size.
+_DIFFERENCES, _NORMAL = 5, 1.4826
 # Rounds of link motion = motor motion - wind-up; each shrinks the error by (f/resonance)^2.
 _ROUNDS = 3
 
@@ -178,7 +186,8 @@ def prepare(
     wide = low_pass
     if swinging:
         # All that comes of the motion passes the fit's filter later: once, as the readings do.
-        wide = ZeroPhaseFilter(1.0 / dt, min(max(settings.fit_band, MOTOR_CUTOFF), 0.24 / dt))
+        followed_to = _followed_to(robot, position, dt)
+        wide = ZeroPhaseFilter(1.0 / dt, max(low_pass.cutoff, followed_to))
     motor = wide.motion(followed)
     velocity = derivative(motor, dt)
     acceleration = derivative(velocity, dt)
@@ -334,6 +343,33 @@ def _swinging(
     swing = springs.swing(begin)
     links = springs.started(begin, swing)
     return (balanced, None) if links is None else (links, swing)
+
+
+def _followed_to(robot: RobotModel, position: np.ndarray, dt: float) -> float:
+    """Cutoff of the motors' motion [Hz], as high as encoders bear.
+
+    Where friction turns, torque and acceleration jump against each other within milliseconds: what
+    is not followed of one stays of the other. The noise of an encoder sets the limit, which
+    accelerations multiply by the square of the frequency.
+    """
+    # Of white noise at the samples' rate, after two derivatives and a filter [N m/Hz^2.5].
+    noise = (2.0 * np.pi) ** 2 * np.sqrt(0.4 * dt) * robot.rotor_inertia * _noise(position)
+    borne = np.array([_BORNE * joint.torque_rated for joint in robot.constants.joints])
+    if not np.all(np.isfinite(borne) & np.isfinite(noise)):
+        return min(MOTOR_CUTOFF, _HIGHEST / dt)
+    with np.errstate(divide="ignore"):
+        bears = float(np.min(borne / noise)) ** 0.4
+    return min(float(np.clip(bears, MOTOR_CUTOFF, WIDEST_CUTOFF)), _HIGHEST / dt)
+
+
+def _noise(samples: np.ndarray) -> np.ndarray:
+    """Standard deviations of what changes from sample to sample (n,), if it were white noise."""
+    apart = np.diff(samples, _DIFFERENCES, axis=0)
+    size = [
+        np.median(np.abs(moved)) if (moved := own[np.isfinite(own) & (own != 0.0)]).size else 0.0
+        for own in apart.T
+    ]
+    return np.asarray(_NORMAL * np.array(size) / np.sqrt(comb(2 * _DIFFERENCES, _DIFFERENCES)))
 
 
 def _widened(flags: np.ndarray, reach: int) -> np.ndarray:

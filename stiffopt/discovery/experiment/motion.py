@@ -72,9 +72,9 @@ def limits_of(training: Training) -> MotionLimits:
     own = arm.velocity_max[order]
     fastest = np.array([j.fastest for j in constants.joints])
     velocity = np.where((own > 0.0) & np.isfinite(own), own, fastest)
-    hardest = np.max(
-        [np.abs(run.signals.motor_acceleration).max(axis=0) for run in training.runs], axis=0
-    )
+    # What drives are asked for: a kick where friction turns is none of it.
+    asked = [run.low_pass(run.signals.motor_acceleration) for run in training.runs]
+    hardest = np.max([np.abs(each).max(axis=0) for each in asked], axis=0)
     return MotionLimits(
         lower=middle - half,
         upper=middle + half,

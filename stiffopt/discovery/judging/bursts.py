@@ -20,7 +20,6 @@ from stiffopt.discovery.comparison.extended_run import extended
 from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.filtering import derivative
 from stiffopt.discovery.comparison.prepare import PreparedRun, near_gaps, whole
-from stiffopt.discovery.comparison.swing import MOTOR_CUTOFF
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.thresholds import BURST_RATIO, BURSTING_RATIO
 from stiffopt.discovery.training import Training
@@ -84,8 +83,8 @@ def bursts(training: Training, extensions: Sequence[Extension]) -> Unexplained |
         predicted = extended(run, training.robot, *extensions)
         drive = predicted.signals.drive_torque
         kept_noise = noise * run.followed.noise_gain
-        left = run.followed(whole(run.torque - drive)) / kept_noise
-        swung = run.followed(_swung(predicted)) / kept_noise
+        left = (run.followed(whole(run.torque)) - drive) / kept_noise
+        swung = _swung(predicted) / kept_noise
         rate = derivative(drive, run.signals.dt)
         used = run.moving & _known(recorded, run)
         left -= _begun_with(run, left, used, kept_noise)
@@ -130,7 +129,8 @@ def _swung(predicted: PreparedRun) -> np.ndarray:
     Zero where no encoder tells where they are.
     """
     assert predicted.swing is not None
-    apart = predicted.deflection - predicted.signals.windup - predicted.beside
+    measured = predicted.followed(whole(predicted.deflection))
+    apart = measured - predicted.signals.windup - predicted.beside
     return np.asarray(np.nan_to_num(predicted.swing.stiffness * apart))
 
 
@@ -148,8 +148,8 @@ def _begun_with(
     """Part of a residual (K, n) over noise (n,) that the swing may be which the run begins with."""
     assert run.swing is not None
     wound = run.signals.motor_position - run.signals.link_position
-    torque, _ = run.swing.unknown_start(wound, MOTOR_CUTOFF)
-    swings = [run.followed(each) / noise for each in np.moveaxis(torque, 2, 0)]
+    torque, _ = run.swing.unknown_start(wound, run.followed.cutoff)
+    swings = [each / noise for each in np.moveaxis(torque, 2, 0)]
     if not swings or not used.any():
         return np.zeros_like(left)
     columns, target = np.stack([each[used] for each in swings], axis=1), left[used]
