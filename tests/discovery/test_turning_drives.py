@@ -1,14 +1,12 @@
 """A light drive that turns between two samples has no bursts; one that follows too slowly has."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from simulated_sets import simulated
 
 from benchmarks.simulator import CaseSpec, write_case
-from stiffopt.discovery.comparison.prepare import prepare
-from stiffopt.discovery.comparison.signals import mean_sign, smooth_sign
+from stiffopt.discovery.comparison.followed import followed_to, mean_sign
+from stiffopt.discovery.comparison.signals import smooth_sign
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.settings import SIGN_SPEED, Settings
 from stiffopt.discovery.thresholds import BURST_RATIO
@@ -68,15 +66,13 @@ def test_what_is_predicted_of_a_turn_is_in_the_band_of_the_motion(as_modelled):
     assert max(ratios) < 1.15
 
 
-def test_a_motion_is_followed_as_high_as_its_encoders_bear(tmp_path):
-    training = trained(tmp_path, rate=1000.0)
-    run, robot = training.recorded[0], training.robot
-    fine = prepare(robot, run, 0, training.constants, training.settings).followed.cutoff
-    assert 60.0 < fine <= 150.0
+def test_a_motion_is_followed_as_high_as_its_encoders_bear(as_modelled):
+    run, robot = as_modelled.recorded[0], as_modelled.robot
+    assert followed_to(robot, run.position, 4e-3) == pytest.approx(90.0)
+    assert 90.0 < followed_to(robot, run.position, 1e-3) <= 150.0
     noise = 2e-5 * np.random.default_rng(1).standard_normal(run.position.shape)
-    noisy = replace(run, position=run.position + noise)
-    coarse = prepare(robot, noisy, 0, training.constants, training.settings).followed.cutoff
-    assert coarse == 60.0
+    assert followed_to(robot, run.position + noise, 1e-3) == 60.0
+    assert followed_to(robot, run.position + noise, 1e-2) == pytest.approx(36.0)
 
 
 def test_the_mean_sign_is_that_of_the_time_of_a_sample():

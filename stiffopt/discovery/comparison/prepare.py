@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from math import comb
 
 import numpy as np
 
 from stiffopt.discovery.comparison.arm_along import ArmAlong
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, derivative
+from stiffopt.discovery.comparison.followed import followed_to, mean_sign
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.signals import (
     JointSignals,
     RobotConstants,
     RobotSignals,
-    mean_sign,
     smooth_sign,
 )
 from stiffopt.discovery.comparison.swing import (
-    MOTOR_CUTOFF,
-    WIDEST_CUTOFF,
     LinkMotion,
     Springs,
     Swing,
@@ -29,12 +26,6 @@ from stiffopt.discovery.settings import Settings
 from stiffopt.recording.clock import GAP
 from stiffopt.recording.run import RecordedRun
 
-# Share of the rated torque that the noise of a motor's acceleration may come to, and of the rate of
-# the samples, how high a motion they show.
-_BORNE, _HIGHEST = 1e-3, 0.36
-# Times that samples are subtracted from their neighbours, of which noise is left alone; and a
-# normal variable's standard deviation over the median of its size.
-_DIFFERENCES, _NORMAL = 5, 1.4826
 # Rounds of link motion = motor motion - wind-up; each shrinks the error by (f/resonance)^2.
 _ROUNDS = 3
 
@@ -186,8 +177,8 @@ def prepare(
     wide = low_pass
     if swinging:
         # All that comes of the motion passes the fit's filter later: once, as the readings do.
-        followed_to = _followed_to(robot, position, dt)
-        wide = ZeroPhaseFilter(1.0 / dt, max(low_pass.cutoff, followed_to))
+        cutoff = max(low_pass.cutoff, followed_to(robot, position, dt))
+        wide = ZeroPhaseFilter(1.0 / dt, cutoff)
     motor = wide.motion(followed)
     velocity = derivative(motor, dt)
     acceleration = derivative(velocity, dt)
@@ -343,33 +334,6 @@ def _swinging(
     swing = springs.swing(begin)
     links = springs.started(begin, swing)
     return (balanced, None) if links is None else (links, swing)
-
-
-def _followed_to(robot: RobotModel, position: np.ndarray, dt: float) -> float:
-    """Cutoff of the motors' motion [Hz], as high as encoders bear.
-
-    Where friction turns, torque and acceleration jump against each other within milliseconds: what
-    is not followed of one stays of the other. The noise of an encoder sets the limit, which
-    accelerations multiply by the square of the frequency.
-    """
-    # Of white noise at the samples' rate, after two derivatives and a filter [N m/Hz^2.5].
-    noise = (2.0 * np.pi) ** 2 * np.sqrt(0.4 * dt) * robot.rotor_inertia * _noise(position)
-    borne = np.array([_BORNE * joint.torque_rated for joint in robot.constants.joints])
-    if not np.all(np.isfinite(borne) & np.isfinite(noise)):
-        return min(MOTOR_CUTOFF, _HIGHEST / dt)
-    with np.errstate(divide="ignore"):
-        bears = float(np.min(borne / noise)) ** 0.4
-    return min(float(np.clip(bears, MOTOR_CUTOFF, WIDEST_CUTOFF)), _HIGHEST / dt)
-
-
-def _noise(samples: np.ndarray) -> np.ndarray:
-    """Standard deviations of what changes from sample to sample (n,), if it were white noise."""
-    apart = np.diff(samples, _DIFFERENCES, axis=0)
-    size = [
-        np.median(np.abs(moved)) if (moved := own[np.isfinite(own) & (own != 0.0)]).size else 0.0
-        for own in apart.T
-    ]
-    return np.asarray(_NORMAL * np.array(size) / np.sqrt(comb(2 * _DIFFERENCES, _DIFFERENCES)))
 
 
 def _widened(flags: np.ndarray, reach: int) -> np.ndarray:

@@ -16,9 +16,6 @@ from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.elastic.response import SwingResponse
 
-# Of the motors' motion that is followed [Hz], at least and at most: wider than a fit's filter,
-# which all that comes of it passes later.
-MOTOR_CUTOFF, WIDEST_CUTOFF = 60.0, 150.0
 # Of the wind-up that links are taken to have at first, without swing [Hz].
 SLOW_CUTOFF = 20.0
 # Spring and link motion agree within this [rad]; far below any encoder's noise.
