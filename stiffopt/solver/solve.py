@@ -248,19 +248,26 @@ def _certified_solve(run: SolveRun, guess: Guess, rival: Baseline | None) -> Out
     """Solve in stages, then refine while the certificate finds more than is allowed."""
     plan = stages(run.problem, run.problem.method.intervals, run.corners)
     found = refined(run, run_stages(run, plan, guess, {}), rival)
-    stopped_early = found.raw.status == "interrupted"
-    if run.end_modes and not stopped_early and not found.assessment.feasible(CERTIFIED):
-        # What the motors' law leaves is more than the limits, or no motion was found in time:
+    if run.end_modes and found.raw.status != "interrupted" and not _done(found):
+        # What the motors' law leaves is more than the limits, or no optimum was found in time:
         # without any swing there is less.
         run.hold_at_rest()
+        resting = found
         with suppress(KeyboardInterrupt):
-            found = refined(run, run_stages(run, plan, guess, {}), rival)
-        if found.assessment.feasible(CERTIFIED):
-            run.notes.append(
-                "No motion was found whose links swing on after arrival as far as the limits "
-                "allow: this one brings them to rest, which takes a little longer."
-            )
+            resting = refined(run, run_stages(run, plan, guess, {}), rival)
+        if _done(resting) or not found.assessment.feasible(CERTIFIED):
+            found = resting
+            if found.assessment.feasible(CERTIFIED):
+                run.notes.append(
+                    "No motion was found whose links swing on after arrival as far as the limits "
+                    "allow: this one brings them to rest, which takes a little longer."
+                )
     return found
+
+
+def _done(outcome: Outcome) -> bool:
+    """Whether an outcome is an optimum that keeps all limits."""
+    return outcome.raw.converged and outcome.assessment.feasible(CERTIFIED)
 
 
 def _perturbed(guess: Guess, problem: TrajectoryProblem, random: np.random.Generator) -> Guess:

@@ -22,6 +22,8 @@ from stiffopt.problem.limit import LIMITS
 from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.report.solve.wording import objective_phrase
 from stiffopt.result.store import result_document
+from stiffopt.solver import solve as solve_module
+from stiffopt.solver.refinement import refined
 from stiffopt.solver.solve import solve
 
 FREE = "{ lower = 0.1, upper = 1.0 }"
@@ -93,6 +95,25 @@ def test_less_may_swing_on_and_the_motion_takes_longer(shortest):
     _, free = shortest["any"]
     assert free.assessment.swing is None
     assert free.simulation.optimised.simulated.peak_after > 3e-4
+
+
+def test_links_are_brought_to_rest_where_no_optimum_is_found_that_swings_on(shortest, monkeypatch):
+    problem, _ = shortest["residual"]
+    ways = []
+
+    def unfinished(run, outcome, rival):
+        ways.append(bool(run.end_modes))
+        found = refined(run, outcome, rival)
+        if run.end_modes:
+            # It keeps all limits, and may be anywhere.
+            return replace(found, raw=replace(found.raw, status="iteration_limit"))
+        return found
+
+    monkeypatch.setattr(solve_module, "refined", unfinished)
+    solution = solve(problem, throw=False)
+    assert ways == [True, False]
+    assert solution.status.usable
+    assert any("brings them to rest" in note for note in solution.notes)
 
 
 def test_the_size_after_arrival_is_that_of_the_modes(shortest):
