@@ -64,11 +64,16 @@ class Calmed:
         after = self.simulated.peak_after or 0.0
         return (abs(self.simulated.peak - self.planned) + after) / self.planned
 
+    @property
+    def reach(self) -> float:
+        """How far the tool goes in flight and after arrival together [m]."""
+        return self.simulated.peak + (self.simulated.peak_after or 0.0)
+
 
 def calmed(
     problem: TrajectoryProblem, arm: ElasticArm, motors: Trajectory, tolerance: float
-) -> Calmed | None:
-    """Motors whose links come nearest to their plan; None where no change is of use.
+) -> Calmed:
+    """Motors whose links come nearest to their plan; the same where no change is of use.
 
     Parameters
     ----------
@@ -84,18 +89,17 @@ def calmed(
     NotSimulatedError
         The arm cannot be simulated.
     """
-    last = Calmed.of(problem, arm, motors)
-    found, least = None, last.off
+    last = found = Calmed.of(problem, arm, motors)
     for attempt in range(1, _ROUNDS + 1):
-        if least <= _NEAR:
+        if found.off <= _NEAR:
             break
         changed = changed_motors(
             problem, arm, last.motors, last.assessment, last.simulated, _NEAR * last.planned
         )
         # What is not linear is met by simulating, and changing it again.
         before, last = last, Calmed.of(problem, arm, changed)
-        if last.off < least and last.assessment.feasible(tolerance):
-            found, least = last, last.off
+        if last.off < found.off and last.assessment.feasible(tolerance):
+            found = last
         if attempt > _FIRST and last.off > _NEARER * before.off:
             break
     return found

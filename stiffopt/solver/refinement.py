@@ -21,7 +21,7 @@ from stiffopt.problem.limit import LIMITS
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment, Violation
 from stiffopt.result.solution import Baseline
-from stiffopt.solver.calming import calmed
+from stiffopt.solver.calming import Calmed, calmed
 from stiffopt.solver.corners import CORNERS_TAKE, HELPS, narrowest
 from stiffopt.solver.ipopt import RawSolution
 from stiffopt.solver.plan import SolveStage
@@ -58,6 +58,10 @@ _LARGEST_STEP = 0.15
 _SEEN = 0.5
 # Shares of these limits that are left to motors which have to calm their links, doubled each time.
 _OF_DRIVES, _ROOM = ("velocity", "acceleration", "jerk", "torque"), 0.04
+# And of the jerk, which corners of the stiffness take most of, each time.
+_ROOM_OF_JERK = 0.15
+# How far an arm may be from its plan, in flight and after arrival, over the plan's peak.
+_OFF = 5e-2
 # Of the widths of the joints' stiffness, by which exact rows are looked at where the objective is
 # worse than believed: what is passed over a bend of it shows.
 _BENDS = 0.1
@@ -159,25 +163,49 @@ def refined_within(run: SolveRun, outcome: Outcome, nlp: Nlp) -> Outcome:
     For a motion that is planned for the links; `nlp` is its programme with the bounds so far.
     """
     outcome, nlp = _within_rows(run, outcome, nlp)
-    for again in range(_REFINEMENTS):
-        found = _calmed(run, outcome)
+    # With how far its tool goes on the simulated arm, in flight and after arrival.
+    best = (np.inf, outcome, nlp)
+    for again in range(_REFINEMENTS + 1):
+        found, arm = _calmed(run, outcome)
         late = _after_arrival(run.problem, found.assessment)
-        if not (late and outcome.raw.converged):
-            return found
-        # The size that rows know is more than the arm's: it gives way slowly.
-        late = {name: excess * 2.0**again for name, excess in late.items()}
-        if not any(block.rows.name in late for block in nlp.rows.items):
-            # The plan is at rest then, the arm is not: its motors lack the room to calm it.
-            late = dict.fromkeys(_OF_DRIVES, _ROOM * 2.0**again)
+        reach, off = (np.inf, 0.0) if late or arm is None else (arm.reach, arm.off)
+        if reach <= best[0]:
+            best = reach, found, nlp
+        asked = _asked_of(run, outcome, nlp, late, off, again)
+        if again == _REFINEMENTS or reach > best[0] or not (asked and found.raw.converged):
+            break
+        closer = drawn_in(nlp, asked)
+        if not _worth_solving(closer, nlp, moved=False):
+            break
         try:
-            nlp = drawn_in(nlp, late)
-            other = solve_again(run, outcome, nlp, outcome.smoothing)
+            other = solve_again(run, outcome, closer, outcome.smoothing)
         except KeyboardInterrupt:
-            return stopped(found)
+            return stopped(best[1])
         if _failed(other.raw):
-            return found
-        outcome, nlp = _within_rows(run, other, nlp)
-    return _calmed(run, outcome)
+            break
+        outcome, nlp = _within_rows(run, other, closer)
+    _, found, nlp = best
+    found.solver.rebound(nlp)
+    return found
+
+
+def _asked_of(
+    run: SolveRun, outcome: Outcome, nlp: Nlp, late: dict[str, float], off: float, again: int
+) -> dict[str, float]:
+    """By how much rows are to be drawn in as the arm is `off` from its plan; none if it is near.
+
+    `late` are the limits that it exceeds after arrival.
+    """
+    if any(block.rows.name in late for block in nlp.rows.items):
+        # The size that rows know is more than the arm's: it gives way slowly.
+        return {name: excess * 2.0**again for name, excess in late.items()}
+    if late:
+        # The plan is at rest, the arm is not: its motors lack the room to calm it.
+        return dict.fromkeys(_OF_DRIVES, _ROOM * 2.0**again) | {"jerk": _ROOM_OF_JERK}
+    swings = any(each.kind.plans_links for each in run.problem.objectives)
+    if swings and outcome.smoothing.corners > 1.0 and off > _OFF:
+        return {"jerk": _ROOM_OF_JERK}
+    return {}
 
 
 def _within_rows(run: SolveRun, outcome: Outcome, nlp: Nlp) -> tuple[Outcome, Nlp]:
@@ -322,27 +350,25 @@ def _sharpened(run: SolveRun, outcome: Outcome) -> Outcome:
     return _with_motors(run, outcome, share, sagged=True) or found
 
 
-def _calmed(run: SolveRun, outcome: Outcome) -> Outcome:
+def _calmed(run: SolveRun, outcome: Outcome) -> tuple[Outcome, Calmed | None]:
     """The same links with motors that let them swing least: by a sharper law, then as they answer.
 
-    The second only where the law is a wide one, and every limit holds in flight.
+    The second where every limit holds in flight, and the arm is off from its plan: by wide corners
+    of the law, or as its links sag. With what the arm does, where it was simulated.
     """
     if not outcome.raw.converged:
-        return outcome
+        return outcome, None
     outcome = _sharpened(run, outcome)
-    wide = outcome.smoothing.corners > 1.0 and run.lag is not None
-    if not wide or _worst_in_flight(outcome.assessment) > CERTIFIED:
-        return outcome
+    if run.lag is None or _worst_in_flight(outcome.assessment) > CERTIFIED:
+        return outcome, None
     try:
         arm = run.arm.with_fast_joints_following(run.motion.start)
         found = calmed(run.problem, arm, outcome.trajectory, CERTIFIED)
     except NotSimulatedError:
-        return outcome
+        return outcome, None
     except KeyboardInterrupt:
-        return stopped(outcome)
-    if found is None:
-        return outcome
-    return replace(outcome, trajectory=found.motors, assessment=found.assessment)
+        return stopped(outcome), None
+    return replace(outcome, trajectory=found.motors, assessment=found.assessment), found
 
 
 def _with_motors(run: SolveRun, outcome: Outcome, share: float, *, sagged: bool) -> Outcome | None:
