@@ -90,16 +90,17 @@ def calmed(
         The arm cannot be simulated.
     """
     last = found = Calmed.of(problem, arm, motors)
+    kept = found.assessment.feasible(tolerance)
     for attempt in range(1, _ROUNDS + 1):
-        if found.off <= _NEAR:
+        if kept and found.off <= _NEAR:
             break
-        changed = changed_motors(
-            problem, arm, last.motors, last.assessment, last.simulated, _NEAR * last.planned
-        )
+        # A limit of the swing after arrival may ask for more.
+        near = _NEAR * last.planned / (1.0 + max(last.assessment.worst_violation.value, 0.0))
+        changed = changed_motors(problem, arm, last.motors, last.assessment, last.simulated, near)
         # What is not linear is met by simulating, and changing it again.
         before, last = last, Calmed.of(problem, arm, changed)
-        if last.off < found.off and last.assessment.feasible(tolerance):
-            found = last
+        if last.assessment.feasible(tolerance) and (last.off < found.off or not kept):
+            found, kept = last, True
         if attempt > _FIRST and last.off > _NEARER * before.off:
             break
     return found

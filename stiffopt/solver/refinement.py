@@ -201,7 +201,8 @@ def _asked_of(
         return {name: excess * 2.0**again for name, excess in late.items()}
     if late:
         # The plan is at rest, the arm is not: its motors lack the room to calm it.
-        return dict.fromkeys(_OF_DRIVES, _ROOM * 2.0**again) | {"jerk": _ROOM_OF_JERK}
+        asked = dict.fromkeys(_OF_DRIVES, _ROOM * 2.0**again)
+        return asked | ({"jerk": _ROOM_OF_JERK} if again else {})
     swings = any(each.kind.plans_links for each in run.problem.objectives)
     if swings and outcome.smoothing.corners > 1.0 and off > _OFF:
         return {"jerk": _ROOM_OF_JERK}

@@ -1,5 +1,7 @@
 """Motors whose law has wide corners, changed so that the links do what is planned."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from small_arms import CONSTANT, joint, problem_text, reducer, write_robot
@@ -139,6 +141,8 @@ def test_a_first_change_that_leads_astray_is_changed_again(monkeypatch):
         def __init__(self, *_):
             self.off, self.assessment = next(away), self
 
+        worst_violation = SimpleNamespace(value=-1.0)
+
         def feasible(self, _):
             return True
 
@@ -146,6 +150,26 @@ def test_a_first_change_that_leads_astray_is_changed_again(monkeypatch):
     monkeypatch.setattr(calming, "changed_motors", lambda *_: None)
     # Past a corner the answer is not linear; what comes no nearer later ends it.
     assert calming.calmed(None, None, None, CERTIFIED).off == 0.095
+
+
+def test_links_near_their_plan_are_calmed_on_while_they_exceed_a_limit_after_arrival(monkeypatch):
+    away, nears = iter([(0.02, 3.0), (0.015, 1.0), (0.01, -0.1)]), []
+
+    class Judged:
+        planned, motors, simulated = 1.0, None, None
+
+        def __init__(self, *_):
+            self.off, excess = next(away)
+            self.worst_violation, self.assessment = SimpleNamespace(value=excess), self
+
+        def feasible(self, _):
+            return self.worst_violation.value <= 0.0
+
+    monkeypatch.setattr(calming.Calmed, "of", Judged)
+    monkeypatch.setattr(calming, "changed_motors", lambda *given: nears.append(given[-1]))
+    assert calming.calmed(None, None, None, CERTIFIED).off == 0.01
+    # By how much it is exceeded, the change is to be nearer.
+    np.testing.assert_allclose(nears, [calming._NEAR / 4.0, calming._NEAR / 2.0])
 
 
 def test_of_a_limit_that_is_nearly_used_up_nothing_is_left_to_add():
