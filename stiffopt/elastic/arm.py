@@ -171,6 +171,13 @@ class ElasticArm:
         found.assumed_damping = ()
         return found
 
+    def assumed_times(self, factor: float) -> ElasticArm:
+        """Copy whose assumed damping is so many times as large; what is stated stays."""
+        found = copy.copy(self)
+        assumed = np.isin(np.arange(self.robot.n) + 1, self.assumed_damping)
+        found.damping = np.where(assumed, factor, 1.0) * self.damping
+        return found
+
     def without_force(self) -> ElasticArm:
         """The same arm, without the process force."""
         found = copy.copy(self)

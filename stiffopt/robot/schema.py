@@ -67,7 +67,10 @@ class JointSection(Cited):
     damping: Annotated[
         JointViscous | None,
         NOT_NEGATIVE,
-        Doc("Damping of the joint's spring; default 2 % of the critical one, said in results."),
+        Doc(
+            "Damping of the joint's spring; default 2 % of what is critical for it swinging alone, "
+            "said in results."
+        ),
     ] = None
     hysteresis: Annotated[
         JointPosition | None,

@@ -37,6 +37,7 @@ from stiffopt.result.simulation import (
 from stiffopt.result.status import SolveStatus
 from stiffopt.robot import native_bodies
 from stiffopt.solver.compensation import CommandOnArms, compensate
+from stiffopt.solver.other_damping import other_damping_note
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
 
 if TYPE_CHECKING:
@@ -250,23 +251,25 @@ def with_simulation(
     `motion` are the problem's poses where they are resolved already; `command` is one of the
     solve, which is taken where it is of this solution.
     """
-    stopped = solution.status is SolveStatus.INTERRUPTED
-    if solution.assessment is None or stopped or not problem.robot.yields:
+    stopped, assessment = solution.status is SolveStatus.INTERRUPTED, solution.assessment
+    if assessment is None or stopped or not problem.robot.yields:
         return solution
     motion = resolve(problem) if motion is None else motion
-    if not problem.robot.tool_yields(solution.assessment.position):
+    if not problem.robot.tool_yields(assessment.position):
         return _noted(solution, "Not simulated: no joint that yields moves the tool.")
     try:
         delivered()
-        arm = elastic_arm(problem, solution.assessment.position[0])
-        counted = solution.assessment.feasible(CERTIFIED)
-        own = PlannedMotion.of("optimised", solution.assessment, counted)
+        arm = elastic_arm(problem, assessment.position[0])
+        counted = assessment.feasible(CERTIFIED)
+        own = PlannedMotion.of("optimised", assessment, counted)
         others = rivals(problem, motion, solution.baselines, solution.strict_baseline)
         if solution.trajectory is not None and solution.trajectory.link is not None:
             own = replace(own, motors=solution.trajectory)
         band = problem.active_limits.settling_band
         simulation = simulate_motions(problem, arm, [own, *others], band=band)
         solution = replace(solution, simulation=simulation)
+        unsure = other_damping_note(problem, assessment) if counted else ""
+        solution = _noted(solution, unsure) if unsure else solution
         if problem.boundary_velocity is not None and np.any(problem.boundary_velocity):
             return _noted(solution, "No command.csv: the motion does not start and end at rest.")
         if own.swings_on:

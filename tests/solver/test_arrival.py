@@ -23,6 +23,7 @@ from stiffopt.problem.objective import OBJECTIVES
 from stiffopt.report.solve.wording import objective_phrase
 from stiffopt.result.store import result_document
 from stiffopt.solver import solve as solve_module
+from stiffopt.solver.other_damping import exceeded_otherwise, other_damping_note
 from stiffopt.solver.refinement import refined
 from stiffopt.solver.solve import solve
 
@@ -95,6 +96,28 @@ def test_less_may_swing_on_and_the_motion_takes_longer(shortest):
     _, free = shortest["any"]
     assert free.assessment.swing is None
     assert free.simulation.optimised.simulated.peak_after > 3e-4
+
+
+def test_what_an_assumed_damping_hides_is_said(shortest):
+    problem, solution = shortest["residual"]
+    motion = solution.assessment
+    # Its file states the damping.
+    assert exceeded_otherwise(problem, motion) == {}
+    unstated = replace(problem, robot=replace(problem.robot, damping=None))
+    command = MotorMotion(motion.time, motion.position, motion.velocity)
+    critical = 2.0 * np.sqrt(
+        1500.0 * float(problem.robot.rigid_bodies().inertia_matrix(np.zeros(1))[0, 0])
+    )
+    after = []
+    for share in (0.01, 0.03):
+        robot = replace(problem.robot, damping=np.array([share * critical]))
+        after.append(simulate(ElasticArm(robot, motion.position[0]), command).peak_after)
+    over = max(after) / problem.active_limits.residual_vibration - 1.0
+    assert over > 0.0
+    assert exceeded_otherwise(unstated, motion) == pytest.approx({"residual_vibration": over})
+    note = other_damping_note(unstated, motion)
+    assert "residual_vibration" in note
+    assert "damping" in note
 
 
 def test_links_are_brought_to_rest_where_no_optimum_is_found_that_swings_on(shortest, monkeypatch):

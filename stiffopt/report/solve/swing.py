@@ -71,8 +71,8 @@ def assumed_damping_note(joints: Sequence[int]) -> list[str]:
         return []
     named = f"joint{'s' if len(joints) > 1 else ''} {listed(str(j) for j in joints)}"
     return [
-        f"The damping of {named} is assumed, 2 % of critical each; give its damping in the robot "
-        "file where it has been measured."
+        f"The damping of {named} is assumed, 2 % of critical for each swinging alone, of which "
+        "modes have more or less; give its damping in the robot file where it has been measured."
     ]
 
 
