@@ -1,8 +1,8 @@
 """The system's C compiler: libraries that it makes beside other work, kept for this user.
 
 A library is named by a hash of all that it depends on. It appears in the cache whole or not at all,
-and any number of processes may ask for it at once. Without a C compiler, or with
-STIFFOPT_COMPILE=never, everything works the same, slower.
+and any number of processes may ask for it at once; one that was damaged since is made again. Without
+a C compiler, or with STIFFOPT_COMPILE=never, everything works the same, slower.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def library(
     path = cache_folder() / f"{kind}-{name}.so"
     # Without a place to keep it there is an answer all the same, only later.
     with contextlib.suppress(OSError):
-        if path.exists():
+        if _is_whole(path):
             return path if _loads(path) else None
         if path not in _started:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -102,7 +102,8 @@ def clear() -> int:
     """Remove all libraries of this user; their number."""
     found, folder = libraries(), cache_folder()
     for kind in _KINDS:
-        for path in [*found, *folder.glob(f"{kind}-*.lock")]:
+        beside = (path for end in ("lock", "given") for path in folder.glob(f"{kind}-*.{end}"))
+        for path in [*found, *beside]:
             path.unlink(missing_ok=True)
         for path in folder.glob(f"{kind}-*.parts-*"):
             shutil.rmtree(path, ignore_errors=True)
@@ -125,17 +126,22 @@ def make(path: Path, program: str, code: Callable[[str], str], optimise: str) ->
         Option of the compiler, such as -Og.
     """
     with _held(path) as free:
-        if not free or path.exists():
+        if not free or _is_whole(path):
             return
         for left in path.parent.glob(f"{path.stem}.parts-*"):
             shutil.rmtree(left, ignore_errors=True)
         given = path.with_suffix(".given")
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f"{path.stem}.parts-") as parts:
-            source, made = Path(parts) / "code.c", Path(parts) / "code.so"
-            source.write_text(code(given.read_text(encoding="ascii")), encoding="ascii")
-            build(program, source, made, optimise)
-            made.replace(path)
-        given.unlink(missing_ok=True)
+        parts = tempfile.TemporaryDirectory(dir=path.parent, prefix=f"{path.stem}.parts-")
+        try:
+            with parts as folder:
+                source, made = Path(folder) / "code.c", Path(folder) / "code.so"
+                source.write_text(code(given.read_text(encoding="ascii")), encoding="ascii")
+                build(program, source, made, optimise)
+                # First, for who finds the library looks for it.
+                path.with_suffix(".lock").write_text(_digest(made), encoding="ascii")
+                made.replace(path)
+        finally:
+            given.unlink(missing_ok=True)
 
 
 def build(program: str, source: Path, made: Path, optimise: str) -> None:
@@ -176,9 +182,26 @@ def _held(path: Path) -> Iterator[bool]:
             yield True
 
 
+def _is_whole(path: Path) -> bool:
+    """Whether a library is there as it was made; to load a part of one may end the process."""
+    with contextlib.suppress(FileNotFoundError):
+        state = path.stat()
+        return _is_as_made(path, (state.st_ino, state.st_size, state.st_mtime_ns))
+    return False
+
+
+@functools.cache
+def _is_as_made(path: Path, state: tuple[int, ...]) -> bool:
+    return path.with_suffix(".lock").read_text(encoding="ascii", errors="ignore") == _digest(path)
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
 @functools.cache
 def _loads(path: Path) -> bool:
-    """Whether the system takes it: not a damaged one, nor from a disk that may run nothing."""
+    """Whether the system takes it: not from a disk that may run nothing."""
     with contextlib.suppress(OSError):
         ctypes.CDLL(str(path))
         return True

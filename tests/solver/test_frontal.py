@@ -170,4 +170,7 @@ def test_a_library_that_cannot_be_loaded_is_as_none(tmp_path, monkeypatch):
     compiler.wait()
     (damaged,) = tmp_path.glob("frontal-*.so")
     damaged.write_bytes(b"damaged")
+    compiler._started.clear()
     assert IpoptOptions().for_ipopt()["linear_solver"] == "mumps"
+    compiler.wait()
+    assert IpoptOptions().for_ipopt()["linear_solver"] != "mumps"
