@@ -40,7 +40,8 @@ _WIDE = {
     ca.OP_NOT: "TRUE(x0 == 0.0)",
     ca.OP_AND: "TRUE((x0 != 0.0) & (x1 != 0.0))",
     ca.OP_OR: "TRUE((x0 != 0.0) | (x1 != 0.0))",
-    ca.OP_SIGN: "TRUE(x0 > 0.0) - TRUE(x0 < 0.0)",
+    # Of zero itself, and of what is no number.
+    ca.OP_SIGN: "CHOSEN((x0 < 0.0) | (x0 > 0.0), TRUE(x0 > 0.0) - TRUE(x0 < 0.0), x0)",
     ca.OP_FABS: "(wide)((mask)x0 & 0x7fffffffffffffffLL)",
     ca.OP_IF_ELSE_ZERO: "(wide)((x0 != 0.0) & (mask)x1)",
     # What is no number loses, as in math.h.
@@ -83,7 +84,7 @@ KINDS = _WIDE | _SINGLE
 _HEAD = f"""#define POINTS {POINTS}
 typedef long long mask __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
 #define TRUE(a) ((wide)((mask)(a) & (mask)((wide){{0}} + 1.0)))
-#define CHOSEN(m, a, b) ((wide)(((m) & (mask)a) | (~(m) & (mask)b)))
+#define CHOSEN(m, a, b) ((wide)(((m) & (mask)(a)) | (~(m) & (mask)(b))))
 #define EACH_POINT for (int k = 0; k < POINTS; k++)
 #define EACH_WIDE _Pragma("GCC unroll 8") for (int k = 0; k < POINTS / LANES; k++)
 

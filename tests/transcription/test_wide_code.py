@@ -171,6 +171,18 @@ def test_a_compiler_that_knows_no_native_is_asked_without(tmp_path: Path) -> Non
         compiler.build("false", source, library, compiled.OPTIMISE)
 
 
+def test_signs_of_zeros_and_of_what_is_no_number_are_those_of_casadi(tmp_path: Path) -> None:
+    x, shared = ca.SX.sym("x"), ca.SX.sym("shared")
+    one = ca.Function("signs", [x, shared], [ca.sign(x)])
+    points = np.resize([np.nan, 0.0, -0.0, np.inf, -np.inf, 3.0, -3.0, 5e-324], (1, POINTS))
+    found = ca.external("signs", str(made([one], tmp_path)))(points, 0.0).full()
+    truth = np.array([[float(one(point, 0.0)) for point in points.ravel()]])
+    # A sign that hides what is no number would make a step to nowhere look good.
+    np.testing.assert_array_equal(found, truth)
+    is_number = ~np.isnan(truth)
+    np.testing.assert_array_equal(np.signbit(found[is_number]), np.signbit(truth[is_number]))
+
+
 def test_what_has_no_digits_is_named(tmp_path: Path) -> None:
     x, shared = ca.SX.sym("x"), ca.SX.sym("shared")
     bounds = ca.vertcat(x + ca.inf, x - ca.inf, x + np.nan)
