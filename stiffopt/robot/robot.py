@@ -35,6 +35,8 @@ class Source:
 
 # Joints whose axes pass the tool this near do not move it [m].
 _AXIS = 1e-6
+# Share of a mass that is none.
+_ROUNDING = 1e-12
 _JOINT_ARRAYS = (
     "position_lower",
     "position_upper",
@@ -214,11 +216,15 @@ class Robot:
         if not (np.isfinite(factor) and factor >= 0.0):
             raise RobotError(f"a payload can be 0 or more times what it is, not {factor:g} times.")
         at = pin.SE3(self.flange.rotation, self.flange.offset)
-        carried = at.act(pin.Inertia.FromDynamicParameters(self.payload)).toDynamicParameters()
+        carried = at.act(_body(self.payload)).toDynamicParameters()
         joint = self.flange.joint
-        own = self.model.inertias[joint].toDynamicParameters() + (factor - 1.0) * carried
+        whole = self.model.inertias[joint].toDynamicParameters()
+        own = whole + (factor - 1.0) * carried
+        if own[0] <= _ROUNDING * whole[0]:
+            # What rounding leaves of a link without a mass has its centre anywhere.
+            own[:4] = 0.0
         model = self.model.copy()
-        model.inertias[joint] = pin.Inertia.FromDynamicParameters(own)
+        model.inertias[joint] = _body(own)
         return replace(self, model=model, payload=factor * self.payload)
 
     def with_gravity(self, gravity: Sequence[float]) -> Robot:
@@ -320,3 +326,14 @@ class Robot:
             Roll, pitch, yaw about the link's axes [rad]; default as the link.
         """
         return replace(self, tool=link_frame(self.model, link or self.tool.link, offset, rpy))
+
+
+def _body(parameters: np.ndarray) -> pin.Inertia:
+    """Body of these dynamic parameters, which may have no mass."""
+    if parameters[0] > 0.0:
+        return pin.Inertia.FromDynamicParameters(parameters)
+    # Of an inertia about the origin, as where there is no centre of mass.
+    inertia = np.zeros((3, 3))
+    rows, columns = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)
+    inertia[rows, columns] = inertia[columns, rows] = parameters[4:]
+    return pin.Inertia(0.0, np.zeros(3), inertia)

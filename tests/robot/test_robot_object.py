@@ -24,6 +24,22 @@ def test_ur10_with_payload_is_the_benchmark_arm():
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-10 * np.abs(theirs).max())
 
 
+@pytest.mark.parametrize("mass", [0.0, 2.0])
+def test_multiples_of_a_payload_that_may_weigh_nothing(mass):
+    robot = load_robot("ur10")
+    centre, inertia = [0.01, 0.02, 0.03], [1e-3, 2e-3, 2.5e-3]
+    times = robot.with_payload(mass, centre, inertia).with_payload_times(1.5)
+    truth = robot.with_payload(1.5 * mass, centre, 1.5 * np.array(inertia))
+    for found, true in zip(times.model.inertias, truth.model.inertias, strict=True):
+        np.testing.assert_allclose(found.inertia, true.inertia, rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(found.lever, true.lever, rtol=1e-12, atol=1e-15)
+    # Nor need the link weigh anything that carries it.
+    bare = load_robot("ur10")
+    bare.model.inertias[6] = pin.Inertia.Zero()
+    empty = bare.with_payload(2.0, centre, inertia).with_payload_times(0.0).model.inertias[6]
+    np.testing.assert_allclose(empty.toDynamicParameters(), 0.0, atol=1e-12)
+
+
 def test_ur10_tool_is_in_the_frame_of_joint_6():
     robot = load_robot("ur10")
     np.testing.assert_allclose(robot.tool.offset, [0, 0.0922, 0], atol=1e-12)
