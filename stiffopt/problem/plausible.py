@@ -105,8 +105,9 @@ def _more_than_a_turn(where: str, value: float) -> str:
 def _check_robot(robot: Robot) -> None:
     _check_masses(robot)
     tool = float(np.linalg.norm(robot.tool.offset))
-    # What the URDF fixes to the last joint, such as a link whose own joint is held, is arm too.
-    arm = reach_of(robot) - tool + _fixed_length(robot)
+    # What the URDF fixes to the last joint, such as a link whose own joint is held, is arm too,
+    # and so is the last link: nothing but where its mass lies tells how long it is.
+    arm = reach_of(robot) - tool + max(_fixed_length(robot), _last_length(robot))
     if not 0.0 < arm < np.inf:
         return
     if tool > _FAR * arm:
@@ -114,6 +115,7 @@ def _check_robot(robot: Robot) -> None:
             f"tool.offset: the tool lies {tool:.4g} m from its joint, the whole arm of {robot.name}"
             f' is {arm:.4g} m long. Lengths are in m; for millimetres write "78.5 mm".'
         )
+    arm = reach_of(robot) + _fixed_length(robot)
     for j, body in enumerate(robot.tree.bodies, start=1):
         far = float(np.linalg.norm(body.centre))
         if body.mass > 0.0 and far > _FAR * arm:
@@ -129,6 +131,15 @@ def _fixed_length(robot: Robot) -> float:
     if robot.tool.link not in link_names(robot.model):
         return 0.0
     return float(np.linalg.norm(link_frame(robot.model, robot.tool.link).offset))
+
+
+def _last_length(robot: Robot) -> float:
+    """Length of a rod that turns as easily as the last link does without a payload [m]."""
+    last = robot.with_payload_times(0.0).tree.bodies[-1]
+    if last.mass <= 0.0:
+        return 0.0
+    about_centre = np.linalg.eigvalsh(last.inertia)[-1] / last.mass
+    return float(np.sqrt(3.0 * (about_centre + last.centre @ last.centre)))
 
 
 def _check_masses(robot: Robot) -> None:

@@ -67,6 +67,34 @@ def test_millimetres_are_no_metres():
     assert 0.8 < reach_of(robot) < 2.0
 
 
+PENDULUM = """<robot name="pendulum"><link name="base"/><link name="rod"><inertial>
+<origin xyz="0.25 0 0"/><mass value="3"/>
+<inertia ixx="0.001" iyy="0.06" izz="0.06" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="pivot" type="revolute"><parent link="base"/><child link="rod"/>
+<origin xyz="0 0 0.1"/><axis xyz="0 1 0"/>
+<limit lower="-3" upper="3" effort="40" velocity="4"/></joint></robot>"""
+
+
+def test_a_last_link_is_as_long_as_its_mass_says(tmp_path):
+    (tmp_path / "pendulum.urdf").write_text(PENDULUM)
+    robot = load_robot(tmp_path / "pendulum.urdf")
+
+    def at(offset: float) -> TrajectoryProblem:
+        ends = (Target(joints=[0.1]), Target(joints=[1.0]))
+        return replace(
+            problem(ends[0], robot.with_tool(link="rod", offset=[offset, 0, 0])), end=ends[1]
+        )
+
+    # Its tip lies five times as far from the joint as the joint does from the base.
+    check_plausible(at(0.5))
+    with pytest.raises(ProblemError, match=r"tool.offset: the tool lies 500 m"):
+        check_plausible(at(500.0))
+    (tmp_path / "pendulum.urdf").write_text(PENDULUM.replace('"0.25 0 0"', '"250 0 0"'))
+    robot = load_robot(tmp_path / "pendulum.urdf")
+    with pytest.raises(ProblemError, match=r"centre of mass behind joint 1 .*lies 250 m"):
+        check_plausible(at(0.5))
+
+
 def test_a_payload_without_inertia_is_told(tmp_path):
     inertia = re.search(r"\ninertia = .*", PROBLEM.read_text())[0]
     loaded = load_problem(changed(tmp_path, inertia, ""))
