@@ -179,6 +179,9 @@ def _inside(annotation: Any, part: str | int) -> Any:
                 return keys[str(part)]
             if part in typing.get_args(keys.get("type")) or part == member.__name__:
                 return member
+            if "__pydantic_extra__" in member.__annotations__:
+                # What is under a key that the section leaves to the user.
+                return typing.get_args(typing.get_type_hints(member)["__pydantic_extra__"])[1]
         elif isinstance(part, int) and typing.get_origin(member) in (list, tuple):
             return typing.get_args(member)[0]
         elif typing.get_origin(member) is dict:

@@ -22,7 +22,7 @@ class RangeSection(Section):
 
 
 class HypercubeSection(Section):
-    """A Latin hypercube: every other key is a place in the base file, with its range."""
+    """A Latin hypercube: every other key is a place in the base file, with { lower, upper }."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, RangeSection]

@@ -186,6 +186,7 @@ def test_no_limit_is_a_value_like_others(tmp_path):
         ('[lists]\n"a" = [1]\n"b" = [1, 2]', "differ in number"),
         ('[grid]\n"a" = [1]\n[lists]\n"a" = [1]', "two axes"),
         ("[latin_hypercube]\ncount = 3", "has no range"),
+        ("[latin_hypercube]\ncount = 3\na = [1, 2]", "Its keys: lower, upper"),
         ('[latin_hypercube]\ncount = 3\na = { lower = "1 s", upper = "2 mm" }', "same unit"),
         ("[latin_hypercube]\ncount = 3\na = { lower = 2, upper = 1 }", "must be below"),
         ('[latin_hypercube]\ncount = 3\na = { lower = "x", upper = "y" }', "two numbers"),
