@@ -37,9 +37,8 @@ class SolveStatus(StrEnum):
 # What was checked for collisions stands behind them: `stiffopt.certificate.collisions.scope`.
 _SENTENCES = {
     SolveStatus.OPTIMAL: (
-        "Solved and certified: every limit holds on the fine grid, so the motion may be run as far "
-        "as position, velocity, acceleration, jerk, torque and the stated requirements go. Check "
-        "the estimated inputs in the report before you rely on its numbers."
+        "Solved and certified: every limit holds on the fine grid. Check the estimated inputs in "
+        "the report before you rely on its numbers."
     ),
     SolveStatus.ACCEPTABLE: (
         "Solved to the looser tolerance and certified; the motion may be used. Raise "

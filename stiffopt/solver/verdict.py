@@ -44,6 +44,8 @@ _WORSE = CERTIFIED
 _BOUND = re.compile(r"(state|control|control rate|\w+ within interval), (\w+) of (joint .*)")
 # Blocks of the programme that hold the motion itself: what is given in them is start or end.
 _MOTION = ("state", "control", "control at the start", "spline")
+# Limits of joints; of some a robot and its problem may state none.
+_OF_JOINTS = ("position", "velocity", "acceleration", "jerk", "torque")
 _RATES = {"velocity": "acceleration", "acceleration": "jerk"}
 
 
@@ -233,6 +235,14 @@ def _message(problem: TrajectoryProblem, outcome: Outcome, motion: Assessment) -
             "Solved and certified: every limit holds on the fine grid. But between the nodes the "
             f"objective is {outcome.objective_gap:.1%} worse than at them, so a finer mesh or "
             "another transcription can still improve it; the value given is the true one."
+        )
+    if status is SolveStatus.OPTIMAL:
+        held = {v.limit for v in assessment.violations}
+        listed = ", ".join(each for each in _OF_JOINTS if each in held)
+        return status.sentence.replace(
+            ". ",
+            f", so the motion may be run as far as {listed} and the stated requirements go. ",
+            1,
         )
     return status.sentence
 
