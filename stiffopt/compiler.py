@@ -1,8 +1,8 @@
 """The system's C compiler: libraries that it makes beside other work, kept for this user.
 
 A library is named by a hash of all that it depends on. It appears in the cache whole or not at all,
-and any number of processes may ask for it at once; one that was damaged since is made again. Without
-a C compiler, or with STIFFOPT_COMPILE=never, everything works the same, slower.
+and any number of processes may ask for it at once; one that was damaged since is made again.
+Without a C compiler, or with STIFFOPT_COMPILE=never, everything works the same, slower.
 """
 
 from __future__ import annotations
