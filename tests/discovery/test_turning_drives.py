@@ -6,6 +6,7 @@ from simulated_sets import simulated
 
 from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.discovery.comparison.followed import followed_to, mean_sign
+from stiffopt.discovery.comparison.prepare import smoothly
 from stiffopt.discovery.comparison.signals import smooth_sign
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.settings import SIGN_SPEED, Settings
@@ -73,6 +74,19 @@ def test_a_motion_is_followed_as_high_as_its_encoders_bear(as_modelled):
     noise = 2e-5 * np.random.default_rng(1).standard_normal(run.position.shape)
     assert followed_to(robot, run.position + noise, 1e-3) == 60.0
     assert followed_to(robot, run.position + noise, 1e-2) == pytest.approx(36.0)
+
+
+def test_a_sample_that_is_missing_is_bridged_along_the_motion():
+    time = 4e-3 * np.arange(200.0)
+    motion = np.column_stack([np.cos(7.0 * time), 0.1 * time**2])
+    gappy = motion.copy()
+    gappy[[50, 120, 121], 0] = np.nan
+    np.testing.assert_allclose(smoothly(time, gappy, time), motion, atol=1e-6)
+    left_out = np.delete(np.arange(200), [0, 30, 90])
+    np.testing.assert_allclose(
+        smoothly(time[left_out], motion[left_out], time)[1:], motion[1:], atol=1e-6
+    )
+    assert np.all(np.isnan(smoothly(time, np.full((200, 1), np.nan), time)))
 
 
 def test_the_mean_sign_is_that_of_the_time_of_a_sample():

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from stiffopt.discovery.comparison.arm_along import ArmAlong
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, derivative
@@ -172,7 +173,7 @@ def prepare(
     time, position, link, torque = uniform(run)
     dt = float(time[1] - time[0])
     low_pass = ZeroPhaseFilter(1.0 / dt, min(settings.fit_band, 0.2 / dt))
-    followed = whole(position)
+    followed = smoothly(time, position, time)
     swinging = swinging and robot.swings
     wide = low_pass
     if swinging:
@@ -264,7 +265,7 @@ def with_link_torque(prepared: PreparedRun, robot: RobotModel, added: np.ndarray
 
 
 def uniform(run: RecordedRun) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Channels on an even clock; linear between the stamps, which lie closer than any motion."""
+    """Channels on an even clock: a motion smooth between the stamps, a torque linear."""
     step = run.step
     count = int(np.floor((run.time[-1] - run.time[0]) / step + 1e-6)) + 1
     time = run.time[0] + step * np.arange(count)
@@ -276,7 +277,26 @@ def uniform(run: RecordedRun) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nd
     )
     if count == len(run.time) and np.allclose(time, run.time, rtol=0.0, atol=1e-3 * step):
         return (time, *(np.array(c, dtype=float) for c in channels))
-    return (time, *(_resampled(run.time, c, time) for c in channels))
+    motor, link, torque = channels
+    motion = (smoothly(run.time, position, time) for position in (motor, link))
+    return (time, *motion, _resampled(run.time, torque, time))
+
+
+def smoothly(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Positions (K, n) at other times (R, n) by cubic splines; nan where a column is empty.
+
+    A straight line over one sample that is missing cuts a turn short by 20 um at 10 m/s^2, and
+    springs swing on from there.
+    """
+    columns = []
+    for column in samples.T:
+        known = np.isfinite(column)
+        if np.count_nonzero(known) < 2:
+            columns.append(np.full(len(time), np.nan))
+            continue
+        told = stamps[known]
+        columns.append(CubicSpline(told, column[known])(np.clip(time, told[0], told[-1])))
+    return np.column_stack(columns)
 
 
 def _resampled(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.ndarray:
