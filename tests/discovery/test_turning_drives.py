@@ -87,6 +87,11 @@ def test_a_sample_that_is_missing_is_bridged_along_the_motion():
         smoothly(time[left_out], motion[left_out], time)[1:], motion[1:], atol=1e-6
     )
     assert np.all(np.isnan(smoothly(time, np.full((200, 1), np.nan), time)))
+    # A motor that stops, stands still and goes on: its stand was taken out.
+    stopped = np.interp(time, [0.0, 0.3, 0.5, 0.8], [0.0, 0.3, 0.3, 0.6])[:, None]
+    gappy = stopped.copy()
+    gappy[80:120] = np.nan
+    np.testing.assert_allclose(smoothly(time, gappy, time), stopped, atol=1e-12)
 
 
 def test_the_mean_sign_is_that_of_the_time_of_a_sample():

@@ -27,6 +27,8 @@ from stiffopt.discovery.settings import Settings
 from stiffopt.recording.clock import GAP
 from stiffopt.recording.run import RecordedRun
 
+# Steps between samples up to which a motion is bridged along itself: two may be missing.
+_BRIDGED = 3.5
 # Rounds of link motion = motor motion - wind-up; each shrinks the error by (f/resonance)^2.
 _ROUNDS = 3
 
@@ -286,7 +288,7 @@ def smoothly(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.nd
     """Positions (K, n) at other times (R, n) by cubic splines; nan where a column is empty.
 
     A straight line over one sample that is missing cuts a turn short by 20 um at 10 m/s^2, and
-    springs swing on from there.
+    springs swing on from there. Longer gaps are mostly motors that stand still: straight.
     """
     columns = []
     for column in samples.T:
@@ -295,7 +297,11 @@ def smoothly(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.nd
             columns.append(np.full(len(time), np.nan))
             continue
         told = stamps[known]
-        columns.append(CubicSpline(told, column[known])(np.clip(time, told[0], told[-1])))
+        bridged = np.interp(time, told, column[known])
+        apart = np.diff(told)[np.clip(np.searchsorted(told, time) - 1, 0, len(told) - 2)]
+        near = (apart < _BRIDGED * np.median(np.diff(told))) & (time > told[0]) & (time < told[-1])
+        bridged[near] = CubicSpline(told, column[known])(time[near])
+        columns.append(bridged)
     return np.column_stack(columns)
 
 
