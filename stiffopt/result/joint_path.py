@@ -48,9 +48,11 @@ class JointPath:
         points = np.atleast_2d(np.asarray(waypoints, dtype=float))
         length = np.linalg.norm(np.diff(points, axis=0), axis=1)
         if len(points) < 2 or not np.all(length > 0):
+            same = np.flatnonzero(~(length > 0))
+            found = f"; the arm does not move from number {same[0] + 1} on" if len(same) else ""
             raise ProblemError(
-                "a path needs at least two waypoints, each different from the one before; "
-                "give another start, via point or end."
+                "a path needs at least two waypoints, start and end included, each different from "
+                f"the one before{found}. Give another start, via point or end."
             )
         if spacing not in ("uniform", "chord"):
             raise ProblemError(f"spacing = {spacing!r} is unknown. Allowed: chord, uniform.")

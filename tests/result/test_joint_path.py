@@ -30,6 +30,19 @@ def test_more_waypoints_by_the_not_a_knot_spline(spacing: str) -> None:
         assert path(s, order) == pytest.approx(spline(s, order), rel=1e-12, abs=1e-10)
 
 
+@pytest.mark.parametrize(
+    ("points", "said"),
+    [
+        ([[1.0], [2.0], [2.0]], "does not move from number 2 on"),
+        ([[1.0], [1.0]], "does not move from number 1 on"),
+        ([[1.0]], "at least two waypoints, start and end included, each different"),
+    ],
+)
+def test_a_path_that_stands_still_is_told_where(points: list[list[float]], said: str) -> None:
+    with pytest.raises(ProblemError, match=said):
+        JointPath.through(points)
+
+
 def test_chord_spacing_follows_the_distances() -> None:
     path = JointPath.through([[0.0], [1.0], [4.0]], "chord")
     assert path.knots == pytest.approx([0.0, 0.25, 1.0])
