@@ -18,6 +18,7 @@ from stiffopt.baseline.baselines import baselines, better_baseline, strict_basel
 from stiffopt.certificate.collisions import with_collisions
 from stiffopt.certificate.objective_value import (
     improvement,
+    is_maximised,
     objective_value,
 )
 from stiffopt.certificate.slipping import slip_text, slips
@@ -56,6 +57,9 @@ from stiffopt.solver.unsolved import (
 from stiffopt.solver.verdict import beyond_limits, verdict
 from stiffopt.solver.way_around import led_around
 from stiffopt.transcription.ocp import Guess
+
+# Share of the best objective within which an optimum counts as the same.
+_NEAR = 0.01
 
 
 def solve(
@@ -229,8 +233,8 @@ def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outc
     """The best certified outcome of the problem's number of starts."""
     problem = run.problem
     random = np.random.default_rng(problem.method.seed)
-    best = _certified_solve(run, guess, rival)
-    last = best
+    last = best = _certified_solve(run, guess, rival)
+    made = [best]
     for start in range(1, problem.method.starts):
         ended = last.raw.status in ("interrupted", "time_limit")
         if ended or run.elapsed > problem.method.time_limit:
@@ -240,8 +244,27 @@ def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outc
             last = _certified_solve(run, _perturbed(guess, problem, random), rival)
         except KeyboardInterrupt:
             return stopped(best)
-        best = min(best, last, key=lambda outcome: rank(problem, outcome))
+        made.append(last)
+        best = min(made, key=lambda outcome: rank(problem, outcome))
+    if len(made) > 1:
+        run.notes.append(_spread(problem, made))
     return best
+
+
+def _spread(problem: TrajectoryProblem, made: list[Outcome]) -> str:
+    """How far apart the optima of several starts lie."""
+    found = [
+        objective_value(problem, each.assessment).value
+        for each in made
+        if each.raw.converged and each.assessment.feasible(CERTIFIED)
+    ]
+    kept = f"Of {len(made)} starts {len(found)} ended in a certified optimum"
+    if len(found) < 2:
+        return f"{kept}."
+    best = max(found) if is_maximised(problem) else min(found)
+    off = [abs(value - best) / (abs(best) or 1.0) for value in found]
+    near = f"{sum(each <= _NEAR for each in off)} within {100 * _NEAR:g} % of the best"
+    return f"{kept}: {near}, the furthest {100 * max(off):.2g} % off."
 
 
 def _certified_solve(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outcome:

@@ -25,6 +25,7 @@ from stiffopt.result.assessment import Assessment
 from stiffopt.result.solution import Baseline
 from stiffopt.result.status import SolveStatus
 from stiffopt.result.trajectory import Trajectory
+from stiffopt.solver.ipopt import FEASIBLE
 from stiffopt.solver.stages import Outcome
 from stiffopt.solver.standstill import lacking_friction
 from stiffopt.transcription.nlp import NlpEntry, RowViolation
@@ -211,6 +212,9 @@ def _message(problem: TrajectoryProblem, outcome: Outcome, motion: Assessment) -
         )
     if not raw.converged:
         state = f" It exceeds {worst}."
+        if raw.violation > FEASIBLE and raw.worst_rows:
+            furthest = named_conflicts([raw.worst_rows[0].entry])
+            state += f" Furthest from being kept in the programme: {furthest}."
         if assessment.feasible(CERTIFIED):
             state = " It keeps all limits." if motion.feasible(CERTIFIED) else ""
         if raw.status == "stalled":
