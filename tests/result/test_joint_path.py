@@ -81,12 +81,6 @@ def test_quintic_rests_at_both_ends_with_its_known_peaks() -> None:
     assert np.max(np.abs(motion(t, 2)), axis=0) == pytest.approx(peak, rel=1e-7)
 
 
-@pytest.mark.parametrize("points", [[[0.0, 1.0]], [[0.0, 1.0], [0.0, 1.0]]])
-def test_a_path_needs_two_places(points: list[list[float]]) -> None:
-    with pytest.raises(ProblemError, match="two waypoints, each different"):
-        JointPath.through(points)
-
-
 def test_unknown_spacing() -> None:
     with pytest.raises(ProblemError, match="Allowed: chord, uniform"):
         JointPath.through(POINTS, "arc")
