@@ -6,7 +6,8 @@ import numpy as np
 
 # Third differences of white noise have this many times its variance (1 + 9 + 9 + 1).
 _THIRD = 20.0
-_MAD = 1.4826
+# Standard deviation of a normal variable over its median distance from the median.
+MAD = 1.4826
 
 
 def resolution(values: np.ndarray) -> float | None:
@@ -67,5 +68,5 @@ def noise_level(values: np.ndarray) -> float:
     third = third[np.isfinite(third)]
     if len(third) < 10:
         return float("nan")
-    spread = _MAD * np.median(np.abs(third - np.median(third)))
+    spread = MAD * np.median(np.abs(third - np.median(third)))
     return float(spread / np.sqrt(_THIRD))

@@ -10,6 +10,8 @@ import casadi as ca
 
 # Reads that do not matter to a value: those of another order are the same value.
 _COMMUTE = (ca.OP_ADD, ca.OP_MUL)
+# What computes nothing.
+GIVEN = (ca.OP_INPUT, ca.OP_CONST)
 
 
 @dataclass(frozen=True)
@@ -31,13 +33,12 @@ class Operations:
 
     def is_computed(self, value: int) -> bool:
         """Whether a value is neither an input nor a constant."""
-        return self.values[value][0] not in (ca.OP_INPUT, ca.OP_CONST)
+        return self.values[value][0] not in GIVEN
 
     @functools.cached_property
     def reads(self) -> list[tuple[int, ...]]:
         """Values that each value is computed from."""
-        given = (ca.OP_INPUT, ca.OP_CONST)
-        return [() if operation in given else what for operation, what in self.values]
+        return [() if operation in GIVEN else what for operation, what in self.values]
 
     def uses(self) -> list[int]:
         """How often each value is read, as a result or by another value."""

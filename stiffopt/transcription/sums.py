@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from stiffopt.transcription.operations import Operations
+from stiffopt.transcription.operations import GIVEN, Operations
 
 # Terms of a sum that is one instruction, and how many kinds of sums there are, beside those of two
 # terms: the most frequent. Each is a loop for the compiler.
@@ -63,11 +63,10 @@ def instructions(operations: Operations, kinds: dict[int, str]) -> list[Instruct
     found = Counter(part.kind for terms in sums.values() for part in _in_parts(terms))
     kept = {kind for kind, _ in found.most_common(_KINDS)}
     listed: list[Instruction] = []
-    given = (ca.OP_INPUT, ca.OP_CONST)
     for value, (operation, read) in enumerate(operations.values):
         if value in sums:
             listed += _in_parts(sums[value], kept)
-        elif operation not in given and value not in inside:
+        elif operation not in GIVEN and value not in inside:
             listed.append(Instruction(value, kinds[operation], read))
     return listed
 

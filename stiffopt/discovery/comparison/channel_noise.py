@@ -9,10 +9,9 @@ import numpy as np
 
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.rows import ChannelNoise
+from stiffopt.recording.channel import MAD
 from stiffopt.recording.nominal import Noise
 
-# Of a normal variable over its median distance from the median.
-_MAD = 1.4826
 # Standard deviation of what rounding to one count leaves.
 _ROUNDING = 12.0**-0.5
 # Least noise that is estimated, of a channel's own range: recordings that were smoothed hold less,
@@ -124,7 +123,7 @@ def _estimate(channels: Sequence[np.ndarray], runs: Sequence[PreparedRun]) -> fl
         pulse = np.zeros(2 * run.low_pass.settling + 201)
         pulse[len(pulse) // 2] = 1.0
         gain = float(np.linalg.norm(pulse - run.low_pass(pulse)))
-        spreads.append(_MAD * float(np.median(np.abs(rest - np.median(rest)))) / gain)
+        spreads.append(MAD * float(np.median(np.abs(rest - np.median(rest)))) / gain)
         extent = max(extent, float(np.ptp(filled)))
     if not spreads:
         return float("nan")

@@ -9,6 +9,7 @@ import numpy as np
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.signals import smooth_sign
 from stiffopt.discovery.settings import SIGN_SPEED
+from stiffopt.recording.channel import MAD
 
 # Of the motors' motion that is followed [Hz], at least and at most: wider than a fit's filter,
 # which all that comes of it passes later.
@@ -16,9 +17,8 @@ MOTOR_CUTOFF, WIDEST_CUTOFF = 60.0, 150.0
 # Share of the rated torque that the noise of a motor's acceleration may come to, and of the rate of
 # the samples, how high a motion they show.
 _BORNE, _HIGHEST = 1e-3, 0.36
-# Times that samples are subtracted from their neighbours, of which noise is left alone; and a
-# normal variable's standard deviation over the median of its size.
-_DIFFERENCES, _NORMAL = 5, 1.4826
+# Times that samples are subtracted from their neighbours, of which noise is left alone.
+_DIFFERENCES = 5
 # Of the speed within which a sign is smooth, changes by less of which leave it as it is.
 _STEADY = 1e-3
 
@@ -55,7 +55,7 @@ def _noise(samples: np.ndarray) -> np.ndarray:
         np.median(np.abs(moved)) if (moved := own[np.isfinite(own) & (own != 0.0)]).size else 0.0
         for own in apart.T
     ]
-    return np.asarray(_NORMAL * np.array(size) / np.sqrt(comb(2 * _DIFFERENCES, _DIFFERENCES)))
+    return np.asarray(MAD * np.array(size) / np.sqrt(comb(2 * _DIFFERENCES, _DIFFERENCES)))
 
 
 def mean_sign(velocity: np.ndarray) -> np.ndarray:

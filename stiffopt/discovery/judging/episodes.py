@@ -21,6 +21,7 @@ from stiffopt.discovery.comparison.rows import ChannelNoise
 from stiffopt.discovery.comparison.signals import RobotConstants, RobotSignals
 from stiffopt.discovery.proof.predict import Prediction, Predictor
 from stiffopt.discovery.proof.proof import used_samples
+from stiffopt.recording.channel import MAD
 from stiffopt.recording.run import RecordedRun
 
 # Rms over what is usual in a channel from which something happens there, and down to which it goes
@@ -33,8 +34,6 @@ _SHORTEST, _UNDERSTOOD = 0.25, 2.0
 _OF_RUN, _OF_RUNS = 0.3, 0.5
 # What is left out on either side [s]: filters reach over the ends.
 _MARGIN = 0.25
-# A normal variable's standard deviation over the median of its size.
-_NORMAL = 1.4826
 # How near a state is that counts as the same, over the ranges met; the share of an episode that
 # must have been met without it, the neighbours asked, and the share that they may explain.
 _NEAR, _MET, _NEIGHBOURS, _KNOWN = 0.25, 0.5, 5, 0.3
@@ -111,7 +110,7 @@ class Track:
     def usual(self) -> np.ndarray:
         """Size of what is left in each channel, whatever happens for a while (2 n,)."""
         sizes = [np.abs(c[np.isfinite(c)]) for c in self.left.T]
-        return np.array([max(1.0, _NORMAL * np.median(s)) if s.size else 1.0 for s in sizes])
+        return np.array([max(1.0, MAD * np.median(s)) if s.size else 1.0 for s in sizes])
 
     def strength(self) -> np.ndarray:
         """Rms about every moment over what is usual (K, 2 n); 0 where nothing is judged."""
