@@ -10,6 +10,10 @@ _FEWEST_LEVELS = 50
 # How rarely chance may hold a value that long in one run.
 _CHANCE = 1e-6
 _LONGEST_SPIKE = 2
+# Share of what another sensor travels meanwhile, by which a reading that was stuck jumps at least.
+_COMES_BACK = 0.5
+# How many times as much as elsewhere a joint may wind up while its motor stands.
+_WINDS_UP = 2.0
 # A spike in units of what nine of ten samples nearby, or in the whole run, depart by.
 _NEARBY, _ANYWHERE = 6.0, 3.0
 _COUNTS = 8.0
@@ -72,6 +76,41 @@ def stuck(values: np.ndarray, position: np.ndarray, still: float, step: float) -
             # The first sample of a stretch was measured.
             found[begin + 1 : end + 1] = True
     return found
+
+
+def stands(values: np.ndarray, link: np.ndarray, begin: int, end: int) -> bool:
+    """Whether a motor held its place itself, while its link went on: friction holds it.
+
+    Parameters
+    ----------
+    values : array (K,)
+        Of the motor's encoder, that hold one value [rad].
+    link : array (K,)
+        Of the link's [rad].
+    begin, end : int
+        The stretch, `end` past its last sample.
+
+    Returns
+    -------
+    bool
+
+    Notes
+    -----
+    A motor starts from rest, an encoder that was stuck comes back with a jump over what it has
+    missed. One that loses counts, or does not come back, parts from the link by far more than
+    the joint winds up elsewhere in the run.
+    """
+    apart = values - link
+    outside = (_range(apart[:begin]), _range(apart[end:]))
+    if _range(apart[begin:end]) > _WINDS_UP * max(outside):
+        return False
+    jump = abs(values[end] - values[end - 1]) if end < len(values) else 0.0
+    return bool(jump < _COMES_BACK * _range(link[begin:end]))
+
+
+def _range(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.ptp(known)) if known.size else 0.0
 
 
 def at_limit(values: np.ndarray, step: float) -> np.ndarray:

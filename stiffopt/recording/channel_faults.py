@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from stiffopt.recording.bad_samples import at_limit, spikes, stretches, stuck
+from stiffopt.recording.bad_samples import at_limit, spikes, stands, stretches, stuck
 from stiffopt.recording.channel import resolution
 from stiffopt.recording.run import Fault, FaultKind, counted
 from stiffopt.recording.signals import Kind
@@ -212,6 +212,9 @@ def _stuck(joint: JointChannels, signal: Kind) -> None:
     bad = stuck(values, other, least, step)
     if signal == "torque":
         bad &= ~at_limit(values, step)
+    if signal == "position":
+        for begin, end in stretches(bad):
+            bad[begin:end] = not stands(values, other, begin, end)
     if bad.any():
         found = stretches(bad)
         longest = max(joint.time[end - 1] - joint.time[begin] for begin, end in found)

@@ -155,6 +155,45 @@ def test_a_stuck_motor_encoder(columns: Columns) -> None:
     assert fault.share == pytest.approx(99 / 2500)
 
 
+def held_by_friction(columns: Columns) -> None:
+    """A motor that stands for 0.4 s while its link goes on on the spring, and starts again."""
+    t, count = columns["t"], 2.0 * np.pi / 2**17 / 100.0
+    before, after = np.minimum(t - 4.0, 0.0), np.maximum(t - 4.4, 0.0)
+    motor = 0.5 * (1.0 - np.cos(1.3 * after)) - 0.5 * (1.0 - np.cos(1.3 * before))
+    columns["q1"] = count * np.round(motor / count)
+    columns["qd1"] = 0.65 * (np.sin(1.3 * after) - np.sin(1.3 * before))
+    columns["ql1"] = columns["q1"] - 0.004 * np.sin(9.0 * t)
+
+
+def stuck_faults(columns: Columns) -> list[Fault]:
+    return [fault for fault in cleaned(columns).faults if "stuck" in fault.detail]
+
+
+def test_a_motor_that_friction_holds_is_not_stuck(columns: Columns) -> None:
+    held_by_friction(columns)
+    assert cleaned(columns).faults == ()
+
+
+def test_a_motor_encoder_that_comes_back_with_a_jump_is_stuck(columns: Columns) -> None:
+    held_by_friction(columns)
+    columns["q1"][columns["t"] > 4.4] += 0.004
+    (fault,) = stuck_faults(columns)
+    assert (fault.signal, fault.joint) == ("position", 1)
+
+
+@pytest.mark.parametrize(("begin", "until"), [(3.3, 4.3), (9.0, 99.0)])
+def test_a_motor_encoder_that_loses_counts_is_stuck(
+    columns: Columns, begin: float, until: float
+) -> None:
+    held_by_friction(columns)
+    t, motor = columns["t"], columns["q1"]
+    held = (t > begin) & (t < until)
+    motor[t >= until] -= motor[held][-1] - motor[held][0]
+    motor[held] = motor[held][0]
+    (fault,) = stuck_faults(columns)
+    assert (fault.signal, fault.joint) == ("position", 1)
+
+
 def test_spikes_are_taken_out_one_by_one(columns: Columns) -> None:
     places = [200, 777, 778, 1500]
     columns["tau1"][places] += [6.0, -9.0, -9.0, 25.0]
