@@ -30,6 +30,8 @@ Report = Callable[[Sequence[float], Sequence[float], Any], Mapping[str, float]]
 Need = Literal[
     "torque",
     "link",
+    "sensor",
+    "windup",
     "moves",
     "reverses",
     "slow",

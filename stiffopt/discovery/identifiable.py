@@ -15,10 +15,12 @@ from stiffopt.recording.facts import JointFacts
 from stiffopt.recording.recording_set import RecordingSet
 
 # Without these there is nothing more to ask.
-_BASIC: tuple[Need, ...] = ("torque", "link", "moves", "gear_ratio")
+_BASIC: tuple[Need, ...] = ("torque", "link", "sensor", "windup", "moves", "gear_ratio")
 LACKS: dict[Need, str] = {
     "torque": "its torque is not recorded",
     "link": "it has no link encoder",
+    "sensor": "neither its torque nor its link angle is recorded",
+    "windup": "it has no link encoder, and not every joint has a spring and damping to swing on",
     "moves": "it does not move",
     "reverses": "it moves in one direction only",
     "slow": "it never moves slowly (0.005 to 0.1 rad/s)",

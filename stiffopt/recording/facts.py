@@ -31,6 +31,8 @@ class JointFacts:
     ----------
     torque, link : bool
         There is a torque, a link encoder.
+    windup : bool
+        What winds it up shows: at a link encoder, or in the torque since links swing after it.
     moves, reverses, slow, speeds, rests : bool
         It moves; in both directions; between 0.005 and 0.1 rad/s; over a range of speeds of two
         to one; it stands.
@@ -46,6 +48,7 @@ class JointFacts:
 
     torque: bool
     link: bool
+    windup: bool
     moves: bool
     reverses: bool
     slow: bool
@@ -55,6 +58,11 @@ class JointFacts:
     rotor_slow: bool
     ripple_slow: bool
     warmer: bool
+
+    @property
+    def sensor(self) -> bool:
+        """There is a torque or a link encoder."""
+        return self.torque or self.link
 
     @property
     def balances(self) -> tuple[str, ...]:
@@ -135,9 +143,11 @@ def _facts(
     largest = float(np.abs(torque).max(initial=0.0))
     light = np.abs(weight).max(initial=0.0) < 0.3 * largest
     poles = recordings.nominal.pole_pairs
+    link = len(_there(links)) > 0
     return JointFacts(
         torque=len(torque) > 0,
-        link=len(_there(links)) > 0,
+        link=link,
+        windup=link or (len(torque) > 0 and recordings.swings),
         moves=moves,
         reverses=moves and min((velocity > _REST).sum(), (velocity < -_REST).sum()) > _SOME * count,
         slow=moves and ((speed > _REST) & (speed < _SLOW)).sum() > _LITTLE * count,

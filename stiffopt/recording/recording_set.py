@@ -100,6 +100,13 @@ class RecordingSet(RecordedArm):
         return self.signals.torque_side
 
     @property
+    def swings(self) -> bool:
+        """Whether springs and damping of all joints are known, so that links can be followed."""
+        chains = self.robot.chains
+        sprung = all(chain is not None and bool(chain.stages) for chain in chains)
+        return sprung and self.nominal.joint_damping is not None
+
+    @property
     def unstated(self) -> tuple[str, ...]:
         """Which of coulomb, viscous and rotor_inertia neither the set nor its robot file gives."""
         return unstated(self.stated, self.described)

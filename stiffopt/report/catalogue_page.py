@@ -27,6 +27,8 @@ motion that separates them; `stiffopt solve --model` plans with those marked "ye
 _NEEDS: dict[Need, str] = {
     "torque": "torque",
     "link": "link encoder",
+    "sensor": "torque or link encoder",
+    "windup": "link encoder, or links that swing",
     "moves": "motion",
     "reverses": "both directions",
     "slow": "slow motion",

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recording_sets import motion
 
-from stiffopt.discovery.identifiable import EffectCheck, effect_checks
+from stiffopt.discovery.identifiable import LACKS, EffectCheck, effect_checks
 from stiffopt.recording.channel import noise_level, resolution
 from stiffopt.recording.channel_faults import slope_to
 from stiffopt.recording.check import RecordingReport, check_recordings
@@ -69,7 +69,8 @@ def test_what_can_be_told_with_and_without_a_link_encoder(make_set: MakeSet) -> 
         assert possible(checks, effect) == [1, 2]
     for effect in ("backlash", "stiffness_linear", "preload_loss"):
         assert possible(checks, effect) == [1]
-        assert why(checks, effect, 2) == ("it has no link encoder",)
+        assert why(checks, effect, 2) == (LACKS["windup"],)
+    assert why(checks, "encoder_offset", 2) == (LACKS["link"],)
     for effect in ("payload", "base_tilt", "external_contact", "time_delay", "encoder_skew"):
         assert possible(checks, effect) == [None]
     assert why(checks, "thermal_friction", 1)[0].startswith("all runs are equally warm")
@@ -159,7 +160,7 @@ def test_text_and_json_say_the_same(make_set: MakeSet) -> None:
     assert not found[("backlash", 2)]
     text = "\n".join(report_lines(report, checks))
     assert "one.npz (train): 2500 samples, 9.996 s, 250 Hz" in text
-    assert "backlash: joint 1; not 2 (it has no link encoder)" in text
+    assert f"backlash: joint 1; not 2 ({LACKS['windup']})" in text
     assert "coulomb: joints 1, 2" in text
     for sentence in (*report.missing, *report.assumptions):
         assert sentence in text
@@ -197,3 +198,15 @@ def test_slope_of_two_sensors_ignores_offsets_and_gaps() -> None:
     slope, correlation = slope_to(one, two, t)
     assert slope == pytest.approx(0.7)
     assert correlation == pytest.approx(1.0)
+
+
+def test_links_that_swing_show_their_wind_up_in_the_torque(make_set: MakeSet) -> None:
+    given = "coulomb = [1.0, 2.0]"
+    sprung = f"{given}\njoint_damping = [1.0, 20.0]\ncontact_stiffness = [1e4, 1e6]"
+    checks = effects_of(make_set((given, sprung)))
+    for effect in ("hysteresis", "stiffness_linear", "joint_damping"):
+        assert possible(checks, effect) == [1, 2]
+    # The second slides: what only a link encoder reads needs one.
+    assert possible(checks, "encoder_offset") == [1]
+    # A torque carries its share of what couples it, also where links are in balance.
+    assert possible(effects_of(make_set()), "wrist_coupling") == [2]

@@ -62,7 +62,7 @@ BELT_CREEP = Effect(
     equation="d += C_now*s + C_creep*y, dy/dt = (s - y)/tau_r",
     signature="added wind-up that lags the load by a fixed time",
     phrase="a belt that creeps",
-    needs=("link", "moves"),
+    needs=("windup", "moves"),
     change_robot=put_belt_in_series,
     term=belt_creep_term,
     amplitudes=(

@@ -64,7 +64,7 @@ WRIST_COUPLING = Effect(
     equation="q_j += c*th_(j-1), tau_(j-1) += c*s_j",
     signature="link angle that moves with the joint before, which carries a share of the torque",
     phrase="coupling with the joint before",
-    needs=("link", "moves", "before"),
+    needs=("sensor", "moves", "before"),
     term=wrist_coupling_term,
     amplitudes=(Amplitude(name="c", unit="", scale=0.01, lower=-5.0, upper=5.0),),
     applies=_follows_another,

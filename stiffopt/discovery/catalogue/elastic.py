@@ -105,7 +105,7 @@ BACKLASH = Effect(
     scope="joint",
     equation="d += width/2*s/sqrt(s^2 + e^2)",
     signature="motor and link angle step apart where the load changes side, and nowhere else",
-    needs=("link", "moves", "load_changes_sign"),
+    needs=("windup", "moves", "load_changes_sign"),
     confused_with=("k1_softening", "preload_loss"),
     reference="NordinGutman2002",
     term=backlash_term,
@@ -126,7 +126,7 @@ HYSTERESIS = Effect(
     signature="wind-up that takes another way under falling load than under rising load, whatever"
     " the speed",
     phrase="hysteresis of the wind-up",
-    needs=("link", "moves", "reverses"),
+    needs=("windup", "moves", "reverses"),
     term=hysteresis_term,
     amplitudes=(Amplitude(name="h", unit="N m", scale=_loop_height, lower=0.0, upper=3.0),),
     shapes=(

@@ -112,7 +112,7 @@ TRANSMISSION_ERROR = Effect(
     scope="joint",
     equation="d += sum_k A_k*sin(k*N*th + phase_k), k = 1, 2, 4",
     signature="motor and link angle apart in waves of 1, 2 or 4 a turn of the rotor",
-    needs=("link", "moves", "gear_ratio", "rotor_slow"),
+    needs=("sensor", "moves", "gear_ratio", "rotor_slow"),
     reference="TuttleSeering1996",
     term=transmission_error_term,
     amplitudes=tuple(

@@ -136,8 +136,7 @@ class RobotModel:
     @property
     def swings(self) -> bool:
         """Whether every joint's spring and damping is known."""
-        known = self.recordings.nominal.joint_damping is not None
-        return known and all(joint.elastic for joint in self.constants.joints)
+        return self.recordings.swings
 
     def windup(self, torque: np.ndarray) -> np.ndarray:
         """Nominal wind-up under spring torques [rad]."""
