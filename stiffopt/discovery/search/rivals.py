@@ -97,16 +97,15 @@ def ranked_among_rivals(
     width = max(width, SUSPECT_WIDTH * comparison.most_suspected)
     constants = comparison.constants
     priors = [_log_prior(c, constants, comparison.after_model) for c in (own, *found)]
-    odds = [
-        _ahead(c, own) / width + prior - priors[0]
-        for c, prior in zip(found, priors[1:], strict=True)
-    ]
-    near = sorted(zip(odds, found, strict=True), key=lambda pair: -pair[0])[:3]
-    near = [(o, c) for o, c in near if o > -RIVAL_LOG_ODDS]
-    itself, *theirs = map(float, softmax([0.0, *(o for o, _ in near)]))
-    rivals = tuple((c.located, p) for (_, c), p in zip(near, theirs, strict=True))
+    ahead = [_ahead(c, own) / width for c in found]
+    odds = [a + prior - priors[0] for a, prior in zip(ahead, priors[1:], strict=True)]
+    near = sorted(zip(odds, ahead, found, strict=True), key=lambda each: -each[0])[:3]
+    # What fits alike is not told apart, however much plainer one of the two is.
+    near = [each for each in near if max(each[:2]) > -RIVAL_LOG_ODDS]
+    itself, *theirs = map(float, softmax([0.0, *(o for o, _, _ in near)]))
+    rivals = tuple((c.located, p) for (_, _, c), p in zip(near, theirs, strict=True))
     selected = Selected(located, own.evidence, own.deviations, itself, rivals, own.channel)
-    return Ranked(selected, near[0][1].located if near and near[0][0] > 0.0 else located)
+    return Ranked(selected, near[0][2].located if near and near[0][0] > 0.0 else located)
 
 
 def _ahead(candidate: Candidate, own: Candidate) -> float:
