@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.bands import choose_bands
+from stiffopt.discovery.comparison.begun import begun
 from stiffopt.discovery.comparison.channel_noise import KnownNoise, known_noise
 from stiffopt.discovery.comparison.columns import FEW_RUNS, bridged
 from stiffopt.discovery.comparison.comparison import Comparison
@@ -200,7 +201,7 @@ def train(
     if free and stated.encoder_zero is None:
         # Encoders' offsets are fitted and said, not hidden by a tolerance.
         tolerance = replace(tolerance, encoder_zero=0.0)
-    return Training(
+    training = Training(
         robot=robot,
         runs=tuple(ready),
         start=Extension() if model is None else model.extension.fitted,
@@ -218,6 +219,9 @@ def train(
         suspects={} if left_open is None or least is None else left_open.suspects,
         leanings={} if left_open is None or least is None else left_open.leanings,
     )
+    if free or any(run.swing is None for run in ready):
+        return training
+    return replace(training, runs=begun(training.comparison()))
 
 
 def _most(stated: int | None, free: bool) -> int:

@@ -10,6 +10,7 @@ import pytest
 from simulated_sets import COULOMB, simulated
 
 from benchmarks.simulator import write_case
+from stiffopt.discovery.comparison.begun import begin_by, begun
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.thresholds import BURST_RATIO
@@ -78,3 +79,30 @@ def test_bursts_that_a_model_left_of_its_own_recordings_are_nothing_new(begun_mo
     least = np.full(4, 0.5 * ratio / BURST_RATIO)
     assert bursts(replace(shaken, least=least), ()).ratio == pytest.approx(2.0 * BURST_RATIO)
     assert bursts(replace(shaken, least=4.0 * least), ()) is None
+
+
+@pytest.fixture(scope="module")
+def heavy(tmp_path_factory):
+    """Training of an arm whose lowest mode lies within a fit's band."""
+    case = simulated(replace(COULOMB, effects=(), payload=4.0))
+    return train(load_recordings(write_case(case, tmp_path_factory.mktemp("heavy"))), Settings())
+
+
+def test_links_of_a_training_run_begin_in_the_swing_that_it_shows(heavy):
+    """Springs bend: what a start makes is no free swing of the model."""
+    run, *others = heavy.runs
+    comparison = heavy.comparison()
+    state = 0.7 * run.starts()[:, 0] + 0.7 * run.starts()[:, 1]
+    true = begin_by(run, comparison, state).signals
+    shown = replace(
+        run,
+        torque=run.torque + true.drive_torque - run.signals.drive_torque,
+        deflection=run.deflection + run.signals.link_position - true.link_position,
+    )
+    found, *_ = begun(comparison.along((shown, *others)))
+    off = run.signals.link_position - true.link_position
+    assert np.std(found.signals.link_position - true.link_position) < 0.15 * np.std(off)
+
+
+def test_runs_stay_as_they_are_where_nothing_is_won(heavy):
+    assert begun(heavy.comparison()) == heavy.runs

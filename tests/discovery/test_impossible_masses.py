@@ -48,7 +48,7 @@ def test_no_run_begins_in_a_swing_of_them(columns):
     frequencies, _ = run.swing.response.modes(0)
     assert frequencies[0] == 0.0
     assert 0.0 < frequencies[1] < 100.0
-    torque, deflection = run.swing.unknown_start(run.signals.windup, 100.0)
+    torque, deflection = run.swing.left_alone(run.swing.starts(run.signals.windup, 100.0))
     assert torque.shape[2] == deflection.shape[2] == 0
 
 

@@ -29,8 +29,6 @@ _MOST_BLOCKS = 8
 _KEPT_BYTES, _KEPT_LATEST = 2**27, 64
 # Motions of all links that are worked out beside each other [bytes].
 _TOGETHER_BYTES = 2**22
-# Of modes that a run may begin to swing in, over the filter's cutoff.
-_BEYOND_CUTOFF = 1.5
 # Earlier extensions that columns are kept about.
 _FAMILY = 4
 # Root mean square, over the noise that is left, of what links may do otherwise before they are
@@ -218,11 +216,7 @@ class Columns:
         for k, run in enumerate(self.runs):
             if run.swing is None:
                 continue
-            signals = run.signals
-            torque, deflection = run.swing.unknown_start(
-                signals.motor_position - signals.link_position,
-                _BEYOND_CUTOFF * run.low_pass.cutoff,
-            )
+            torque, deflection = run.swing.left_alone(run.starts())
             for i in range(torque.shape[2]):
                 channels = (list(nothing), list(nothing))
                 channels[0][k], channels[1][k] = torque[..., i], deflection[..., i]

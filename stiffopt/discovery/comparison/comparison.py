@@ -187,6 +187,19 @@ class Comparison:
             columns=self.columns.about(found, self.least if inflation is None else inflation, near),
         )
 
+    def along(self, runs: Sequence[PreparedRun]) -> Comparison:
+        """The comparison of other runs with the same model."""
+        return Comparison(
+            self.robot,
+            runs,
+            self.noise,
+            self.tolerance,
+            start=self.start,
+            box=self.box,
+            least=self._least,
+            suspects=self.suspects,
+        )
+
     @property
     def whole_runs(self) -> bool:
         """Whether blocks are whole runs."""

@@ -29,6 +29,8 @@ from stiffopt.recording.run import RecordedRun
 
 # Steps between samples up to which a motion is bridged along itself: two may be missing.
 _BRIDGED = 3.5
+# Of modes that a run may begin to swing in, over the filter's cutoff.
+_BEYOND_CUTOFF = 1.5
 # Rounds of link motion = motor motion - wind-up; each shrinks the error by (f/resonance)^2.
 _ROUNDS = 3
 
@@ -61,6 +63,8 @@ class PreparedRun:
         How links answer small changes; None where they follow at once, by the springs alone.
     beside : array (K, n) or float
         Deflection beside the nominal wind-up of the spring torque, of what an extension adds [rad].
+    begun : array (2 n,), optional
+        Displacement and speed by which links are known to begin beside their slow motion.
     swung : dict
         This run as its links swing with extensions that were asked for last.
     """
@@ -79,6 +83,7 @@ class PreparedRun:
     followed: ZeroPhaseFilter
     swing: Swing | None = None
     beside: np.ndarray | float = 0.0
+    begun: np.ndarray | None = None
     swung: dict[tuple[object, ...], PreparedRun] = field(default_factory=dict, init=False)
     _joints: dict[int, JointSignals] = field(default_factory=dict, init=False)
     _compliance: dict[int, np.ndarray] = field(default_factory=dict, init=False)
@@ -107,6 +112,15 @@ class PreparedRun:
             torque = self.of_joint(index).spring_torque
             self._compliance[index] = np.asarray(robot.constants.joints[index].compliance(torque))
         return self._compliance[index]
+
+    def starts(self, band: float | None = None) -> np.ndarray:
+        """Displacements and speeds (2 n, m) of swings it may begin with, modes up to a band [Hz].
+
+        Default: those that a fit's filter lets pass in part.
+        """
+        assert self.swing is not None
+        wound = self.signals.motor_position - self.signals.link_position
+        return self.swing.starts(wound, band or _BEYOND_CUTOFF * self.low_pass.cutoff)
 
     def until(self, count: int) -> PreparedRun:
         """Its first samples, for what is asked of the signals of each."""

@@ -236,8 +236,8 @@ class Swing:
             weight = 1.0 / np.sqrt(np.maximum(distance / usual, _ALIKE))
         return links.moved(*(part @ state for part in free))
 
-    def unknown_start(self, deflection: np.ndarray, band: float) -> tuple[np.ndarray, np.ndarray]:
-        """Torque and deflection (K, n, m) of the swings that a run may begin with.
+    def starts(self, deflection: np.ndarray, band: float) -> np.ndarray:
+        """Displacements and speeds (2 n, m) of the swings that a run may begin with.
 
         Each as large as the run's own motion of its springs.
 
@@ -252,7 +252,7 @@ class Swing:
         n = self.response.n
         energy = float(np.sum(self.stiffness[0] * np.var(deflection, axis=0)))
         own = np.sum(self.stiffness[0] * states[:n, ::2].T ** 2, axis=1)
-        return self.left_alone(states * np.repeat(np.sqrt(energy / own), 2))
+        return np.asarray(states * np.repeat(np.sqrt(energy / own), 2))
 
     def _states(self, band: float) -> np.ndarray:
         """Displacement and velocity (2 n, m) of every mode up to a frequency [Hz], in pairs.
@@ -366,6 +366,7 @@ class Springs:
         swing: Swing,
         added: Added | None = None,
         softer: Softer | None = None,
+        aside: np.ndarray | None = None,
     ) -> LinkMotion | None:
         """Link motion that begins as near to a slow one as can be; None where none is found.
 
@@ -379,7 +380,21 @@ class Springs:
             What acts beside the nominal robot.
         softer : callable, optional
             What it makes of the springs.
+        aside : array (2 n,), optional
+            Displacement and speed by which links are known to begin beside that [rad], [rad/s].
         """
+        found = self._nearest(begin, swing, added, softer)
+        if found is None or aside is None:
+            return found
+        ratio = swing.softer if softer is None else softer(found)
+        about = self.swing(found, ratio, swing.heavier, swing)
+        moved = found.moved(*(part[..., 0] for part in about.response.free(aside[:, None])))
+        return self.follow(moved, about, begin, added, softer) or found
+
+    def _nearest(
+        self, begin: LinkMotion, swing: Swing, added: Added | None, softer: Softer | None
+    ) -> LinkMotion | None:
+        """Link motion that begins as near to a slow one as can be."""
         first = slow_filter(self.dt).settling
         at_first = self.follow(begin, swing, begin, added, softer)
         if at_first is None or len(self.motor) <= first + 2:

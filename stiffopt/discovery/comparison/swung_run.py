@@ -109,13 +109,13 @@ def _followed(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prep
         weight = change_of(moved, robot, bodies).link_torque
 
         def softer(links: LinkMotion, moved: PreparedRun = moved) -> np.ndarray:
-            now = softer_by(_with_links(moved, robot, links), robot, effects)
+            now = softer_by(with_links(moved, robot, links), robot, effects)
             return np.asarray(nominal[: len(now)] * now)
 
         def added(
             links: LinkMotion, moved: PreparedRun = moved, weight: np.ndarray = weight
         ) -> tuple[np.ndarray, np.ndarray]:
-            change = change_of(_with_links(moved, robot, links), robot, sprung)
+            change = change_of(with_links(moved, robot, links), robot, sprung)
             known = len(links.position)
             if isinstance(heavier, np.ndarray):
                 away = links.acceleration - moved.signals.link_acceleration[:known]
@@ -125,11 +125,11 @@ def _followed(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prep
         links = (
             springs.follow(moved.links, swing, begin, added, softer)
             if again
-            else springs.started(begin, swing, added, softer)
+            else springs.started(begin, swing, added, softer, run.begun)
         )
         if links is None:
             return None
-        moved = _with_links(moved, robot, links)
+        moved = with_links(moved, robot, links)
         if isinstance(heavier, np.ndarray):
             moved = _with_regressor(moved, robot)
     return replace(
@@ -143,7 +143,7 @@ def _slowly(run: PreparedRun, robot: RobotModel, extension: Extension, swing: Sw
     """Slow motion of the links with an extension."""
     assert run.swing is not None
     slow = run.swing.begin
-    here = _with_links(run, robot, slow)
+    here = with_links(run, robot, slow)
     if any(e.located.effect.family == "inertial" for e in extension.effects):
         here = _with_regressor(here, robot)
     change = change_of(here, robot, extension)
@@ -169,7 +169,7 @@ def _with_regressor(run: PreparedRun, robot: RobotModel) -> PreparedRun:
     return replace(run, signals=replace(s, arm=arm))
 
 
-def _with_links(run: PreparedRun, robot: RobotModel, links: LinkMotion) -> PreparedRun:
+def with_links(run: PreparedRun, robot: RobotModel, links: LinkMotion) -> PreparedRun:
     """The run, or its first samples, with another motion of its links."""
     if len(links.position) < len(run.time):
         run = run.until(len(links.position))

@@ -146,8 +146,7 @@ def _begun_with(
 ) -> np.ndarray:
     """Part of a residual (K, n) over noise (n,) that the swing may be which the run begins with."""
     assert run.swing is not None
-    wound = run.signals.motor_position - run.signals.link_position
-    torque, _ = run.swing.unknown_start(wound, run.followed.cutoff)
+    torque, _ = run.swing.left_alone(run.starts(run.followed.cutoff))
     swings = [each / noise for each in np.moveaxis(torque, 2, 0)]
     if not swings or not used.any():
         return np.zeros_like(left)
