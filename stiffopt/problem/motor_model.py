@@ -304,14 +304,17 @@ class MotorLaw:
         windup = Trajectory.through(moves, lead, link)
         hanging = Trajectory.through(moves, place[:4], link)
         held = link.held_for(float(np.max(lag)))
-        # Where a wind-up begins and ends, its third rate jumps.
+        # Where a wind-up begins and ends, its third rate jumps: intervals have either side of it.
         times = np.union1d(_sampled(held), np.concatenate([lag, link.duration + np.asarray(lag)]))
         times = times[np.concatenate([[True], np.diff(times) > _SLACK])]
-        motors = _late(hanging, times)
-        for own in np.unique(lag):
-            joints = lag == own
-            motors[:, :, joints] += _late(windup, times - own)[:, :, joints]
-        return Trajectory.through(times, motors, held)
+        sides = []
+        for at, beside in ((times, _SLACK), (times[1:], -_SLACK)):
+            motors = _late(hanging, at, beside)
+            for own in np.unique(lag):
+                joints = lag == own
+                motors[:, :, joints] += _late(windup, at - own, beside)[:, :, joints]
+            sides.append(motors)
+        return Trajectory.through(times, sides[0], held, sides[1])
 
     def _torques(
         self, link: Trajectory, moves: np.ndarray
@@ -381,9 +384,9 @@ def _sampled(motion: Trajectory) -> np.ndarray:
     return np.append(np.concatenate(inside), motion.duration)
 
 
-def _late(motion: Trajectory, at: np.ndarray) -> np.ndarray:
-    """A motion and its first three rates (4, K, n), at rest before and after."""
+def _late(motion: Trajectory, at: np.ndarray, beside: float) -> np.ndarray:
+    """A motion and its first three rates (4, K, n) just `beside` times; at rest around it."""
     inside = np.clip(at, 0.0, motion.duration)
     values = np.stack([motion(inside, k) for k in range(4)])
-    values[1:, (at < -_SLACK) | (at > motion.duration + _SLACK)] = 0.0
+    values[1:, (at + beside < 0.0) | (at + beside > motion.duration)] = 0.0
     return values

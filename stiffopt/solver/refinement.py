@@ -388,10 +388,10 @@ def _failed(raw: RawSolution) -> bool:
 
 
 def _excess(assessment: Assessment) -> dict[str, float]:
-    """Limits of the motion exceeded by more than the aim; targets cannot be tightened."""
-    fixed = ("start", "end", "via")
+    """Rows exceeded by more than the aim, by their names; start and end cannot be tightened."""
+    fixed = ("start", "end")
     return {
-        v.limit: v.value
+        v.limit.replace("via_", "via "): v.value
         for v in assessment.violations
         if v.value > _AIM and not v.limit.startswith(fixed) and not _of_arrival(v)
     }

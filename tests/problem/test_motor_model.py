@@ -141,6 +141,22 @@ def test_motors_of_links_that_hang_leave_less_after_arrival(planar, link):
     assert left[True] < 0.2 * left[False]
 
 
+def test_motors_whose_windup_is_late_wait_for_it(planar):
+    # The fifth derivative is not zero at the ends: there the wind-up's third rate jumps.
+    speed = 630.0 * Polynomial([0, 1]) ** 4 * Polynomial([1, -1]) ** 4
+    second = speed.deriv().coef / 0.7 ** (2.0 + np.arange(8))
+    change = np.array([0.9, -0.7])
+    link = Trajectory([0.0, 0.7], second[None, :, None] * change, [0.2, 0.5], np.zeros(2))
+    lag = np.array([6e-4, 8e-4])
+    motors = MotorLaw(planar.robot).motion(link, SMOOTHING, lag)
+    for j, own in enumerate(lag):
+        waiting = motors(np.linspace(0.0, 0.99 * own, 50), 3)[:, j]
+        # Meanwhile the links' own place moves a little.
+        assert np.abs(waiting).max() < 0.1 * np.abs(motors(own, 3)[j])
+    arrived = motors(np.linspace(0.7 + 1.001 * lag[0], motors.duration, 50), 3)[:, 0]
+    assert np.abs(arrived).max() < 1e-6 * np.abs(motors(lag[0], 3)[0])
+
+
 def test_the_command_makes_the_links_do_what_is_written(planar, link, tmp_path):
     motors = MotorLaw(planar.robot).motion(link, SMOOTHING)
     times = export_times(motors.duration)

@@ -144,3 +144,28 @@ def test_a_change_on_top_is_exact_where_breaks_are_microseconds_apart():
     # What is added may be the one of more powers.
     again = change.plus(motion)
     np.testing.assert_allclose(again(times, 3), both(times, 3), rtol=1e-9, atol=1e-9)
+
+
+def test_rounding_of_positions_is_no_jerk_over_short_steps():
+    times = np.array([0.0, 1e-3, 1e-3 + 5e-6, 2e-3])
+    # Far from zero, as joints are.
+    sine = [2.0 + np.sin(times), np.cos(times), -np.sin(times), -np.cos(times)]
+    still = Trajectory([0.0, 2e-3], np.zeros((1, 1, 1)), np.zeros(1), np.zeros(1))
+    motion = Trajectory.through(times, np.stack(sine)[:, :, None], still)
+    dense = np.linspace(0.0, 2e-3, 8001)
+    assert motion(dense, 0)[:, 0] == pytest.approx(2.0 + np.sin(dense), abs=1e-14)
+    assert motion(dense, 3)[:, 0] == pytest.approx(-np.cos(dense), abs=1e-3)
+
+
+def test_a_rate_that_jumps_at_a_sample_jumps_there_alone():
+    times = np.array([0.0, 1e-2, 2e-2])
+    # At rest, then with a constant jerk.
+    later = times - 1e-2
+    rates = [later**3 / 6.0, later**2 / 2.0, later, np.ones(3)]
+    starts = np.stack([np.where(later < 0.0, 0.0, each) for each in rates])[:, :, None]
+    ends = starts[:, 1:].copy()
+    ends[3, 0] = 0.0
+    still = Trajectory([0.0, 2e-2], np.zeros((1, 1, 1)), np.zeros(1), np.zeros(1))
+    motion = Trajectory.through(times, starts, still, ends)
+    dense = np.linspace(0.0, 2e-2, 401)
+    assert motion(dense, 3)[:, 0] == pytest.approx(np.where(dense < 1e-2, 0.0, 1.0), abs=1e-9)

@@ -133,3 +133,18 @@ def test_corners_get_wider_before_the_first_correction_of_a_spike(
     before = outcome.smoothing.corners
     assert len(tried) == 1
     assert (tried[0] > 1.3 * before) == wider
+
+
+def test_a_via_that_late_windup_would_miss_is_met(tmp_path):
+    # Much damping: motors lag behind by more than the via may be missed by.
+    write_robot(
+        tmp_path,
+        "planar",
+        [joint("shoulder", reducer(), damping=8.0), joint("elbow", reducer(), damping=8.0)],
+    )
+    path = tmp_path / "problem.toml"
+    via = "via = [{ joints = [0.1, 0.7], tolerance = 1e-5 }]"
+    goal = 'objective = "tool_deviation"'
+    path.write_text(problem_text("planar", motion=via, duration="0.8", minimise=goal))
+    found = solve(load_problem(path).problem, throw=False)
+    assert found.status is SolveStatus.OPTIMAL, found.message
