@@ -26,9 +26,12 @@ if TYPE_CHECKING:
 
 # Changes so often at most, until the simulated motion is this near to the plan, as a share of its
 # peak, or comes no nearer than to this share of before. The first may lead past a corner of the
-# stiffness at another speed, behind which the answer was not linear: the second knows it.
+# stiffness at another speed, behind which the answer was not linear: the second knows it. Where a
+# limit is exceeded yet, as many as twice: behind wide corners each takes away a third.
 _ROUNDS, _NEAR, _NEARER = 4, 3e-2, 0.9
 _FIRST = 1
+# What the tool after arrival counts for more at most: beyond, nothing holds the links in flight.
+_MOST_AFTER = 30.0
 # A deviation as good as none [m].
 _NOTHING = 1e-9
 
@@ -64,6 +67,14 @@ class Calmed:
         after = self.simulated.peak_after or 0.0
         return (abs(self.simulated.peak - self.planned) + after) / self.planned
 
+    def overshoot(self, problem: TrajectoryProblem) -> float:
+        """Share by which the arm goes too far after arrival for the problem's limits; 0 if none."""
+        limits, swing = problem.active_limits, self.assessment.swing
+        if swing is None or swing.peak_after is None:
+            return 0.0
+        beyond = [each.overshoot(limits, swing) for each in limits.kinds if each.of_arrival]
+        return max([0.0, *beyond])
+
     @property
     def reach(self) -> float:
         """How far the tool goes in flight and after arrival together [m]."""
@@ -90,17 +101,21 @@ def calmed(
         The arm cannot be simulated.
     """
     last = found = Calmed.of(problem, arm, motors)
-    kept = found.assessment.feasible(tolerance)
-    for attempt in range(1, _ROUNDS + 1):
-        if kept and found.off <= _NEAR:
+    kept, after = found.assessment.feasible(tolerance), 1.0
+    for attempt in range(1, 2 * _ROUNDS + 1):
+        if kept and (found.off <= _NEAR or attempt > _ROUNDS):
             break
-        # A limit of the swing after arrival may ask for more.
-        near = _NEAR * last.planned / (1.0 + max(last.assessment.worst_violation.value, 0.0))
-        changed = changed_motors(problem, arm, last.motors, last.assessment, last.simulated, near)
+        # A limit after arrival asks for more, the longer it is exceeded the more there.
+        beyond = 1.0 + last.overshoot(problem)
+        after = min(after * beyond, _MOST_AFTER)
+        near = _NEAR * last.planned / beyond
+        changed = changed_motors(
+            problem, arm, last.motors, last.assessment, last.simulated, near, after
+        )
         # What is not linear is met by simulating, and changing it again.
         before, last = last, Calmed.of(problem, arm, changed)
         if last.assessment.feasible(tolerance) and (last.off < found.off or not kept):
             found, kept = last, True
-        if attempt > _FIRST and last.off > _NEARER * before.off:
+        if kept and attempt > _FIRST and last.off > _NEARER * before.off:
             break
     return found

@@ -45,14 +45,6 @@ _EFFORT = 0.1
 _STAYS = 1e-3
 # Rows a knot at which the drives' limits hold, and the share of a limit kept free between them.
 _ROWS, _FREE = 4, 1e-2
-# The answer is simulated anyway. No step depends on a clock, as OSQP's own choice of rho does.
-_OSQP = {
-    "verbose": False,
-    "max_iter": 3000,
-    "eps_abs": 1e-4,
-    "eps_rel": 1e-4,
-    "adaptive_rho_interval": 50,
-}
 
 
 def changed_motors(
@@ -62,6 +54,7 @@ def changed_motors(
     assessment: Assessment,
     simulated: SimulatedMotion,
     near: float,
+    after: float = 1.0,
 ) -> Trajectory:
     """The motors with the change that brings tool and deviation nearest to the plan.
 
@@ -77,10 +70,12 @@ def changed_motors(
         What the arm does with them.
     near : float
         Deviation from the plan that is near enough [m].
+    after : float
+        What deviations after arrival count for more than they do anyway.
     """
     joints = np.flatnonzero(arm.elastic)
     splines = _Splines(motors.duration)
-    answer, wanted = _answer(arm, motors, assessment, simulated, splines)
+    answer, wanted = _answer(arm, motors, assessment, simulated, splines, _AFTER * after)
     rows, lower, upper = _rows(problem, assessment, splines, joints)
     used = np.max(np.abs(assessment.jerk), axis=0)
     allowed = np.asarray(problem.active_limits.jerk, dtype=float)
@@ -158,6 +153,7 @@ def _answer(
     assessment: Assessment,
     simulated: SimulatedMotion,
     splines: _Splines,
+    after: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """What the tool and its deviation do by every coefficient (K, m k), and should do (K,) [m].
 
@@ -180,7 +176,7 @@ def _answer(
     at = slice(None, None, _EVERY)
     jacobian = np.stack([arm.bodies.jacobian(arm.robot.tool, row)[:3, joints] for row in q[at]])
     flying = times[at] <= duration
-    weight = np.where(flying, 1.0, _AFTER)[:, None]
+    weight = np.where(flying, 1.0, after)[:, None]
     columns = []
     for k, joint in enumerate(joints):
         push = springs[:, k, None] * moved + arm.damping[joint] * rate
@@ -306,9 +302,11 @@ def _least(
     )
     dense = ca.DM(hessian)
     shapes: dict[str, Any] = {"h": dense.sparsity(), "a": places}
-    options: dict[str, Any] = {"osqp": _OSQP, "error_on_fail": False}
-    programme = ca.conic("change", "osqp", shapes, options)
-    answer = programme(h=dense, g=towards, a=ca.DM(places, rows.data), lba=lower, uba=upper)
-    found = array_of(answer["x"]).ravel()
-    # One that is infeasible has numbers beyond all limits.
-    return found if np.all(np.abs(found) < 1e3) else np.zeros_like(found)
+    # An interior point method: first-order ones end with most of a small swing still there.
+    programme = ca.conic("change", "piqp", shapes, {"error_on_fail": False})
+    # What is exceeded has to give way, or else to get no worse.
+    for least, most in ((lower, upper), (np.minimum(lower, 0.0), np.maximum(upper, 0.0))):
+        answer = programme(h=dense, g=towards, a=ca.DM(places, rows.data), lba=least, uba=most)
+        if programme.stats()["success"]:
+            return array_of(answer["x"]).ravel()
+    return np.zeros(len(towards))

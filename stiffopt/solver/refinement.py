@@ -56,9 +56,9 @@ _CORRECTIONS = 12
 _LARGEST_STEP = 0.15
 # Share of an excess that the exact rows have to show where it is theirs.
 _SEEN = 0.5
-# Shares of these limits that are left to motors which have to calm their links, doubled each time.
+# Shares of these limits that are left to motors which have to calm their links, at first.
 _OF_DRIVES, _ROOM = ("velocity", "acceleration", "jerk", "torque"), 0.04
-# And of the jerk, which corners of the stiffness take most of, each time.
+# And of the jerk, which corners of the stiffness take most of, each time after.
 _ROOM_OF_JERK = 0.15
 # How far an arm may be from its plan, in flight and after arrival, over the plan's peak.
 _OFF = 5e-2
@@ -196,15 +196,16 @@ def _asked_of(
 
     `late` are the limits that it exceeds after arrival.
     """
+    wide = outcome.smoothing.corners > 1.0
     if any(block.rows.name in late for block in nlp.rows.items):
-        # The size that rows know is more than the arm's: it gives way slowly.
-        return {name: excess * 2.0**again for name, excess in late.items()}
+        # The size that rows know is more than the arm's: it gives way slowly. What wide corners
+        # leave they do not know at all.
+        return {} if wide else {name: excess * 2.0**again for name, excess in late.items()}
     if late:
         # The plan is at rest, the arm is not: its motors lack the room to calm it.
-        asked = dict.fromkeys(_OF_DRIVES, _ROOM * 2.0**again)
-        return asked | ({"jerk": _ROOM_OF_JERK} if again else {})
+        return {"jerk": _ROOM_OF_JERK} if again else dict.fromkeys(_OF_DRIVES, _ROOM)
     swings = any(each.kind.plans_links for each in run.problem.objectives)
-    if swings and outcome.smoothing.corners > 1.0 and off > _OFF:
+    if swings and wide and off > _OFF:
         return {"jerk": _ROOM_OF_JERK}
     return {}
 

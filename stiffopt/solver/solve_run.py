@@ -109,9 +109,15 @@ class SolveRun:
 
     @cached_property
     def end_modes(self) -> tuple[Mode, ...]:
-        """Modes in which the links may swing on after arrival; none where they may not."""
+        """Modes in which the links may swing on after arrival; none where they may not.
+
+        Where corners of the motors' law are wide, what they leave is more than limits allow, and
+        only links that a plan brings to rest can be calmed.
+        """
         problem = self.problem
         if self.at_rest or not problem.plans_links or problem.arrives_at_rest:
+            return ()
+        if self.corners > 1.0:
             return ()
         return modes(self.arm, self.motion.end)
 

@@ -1,9 +1,9 @@
 """Motors whose law has wide corners, changed so that the links do what is planned."""
 
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.sparse import csc_matrix
 from small_arms import CONSTANT, joint, problem_text, reducer, write_robot
 
 from stiffopt.certificate.violations import CERTIFIED
@@ -141,7 +141,8 @@ def test_a_first_change_that_leads_astray_is_changed_again(monkeypatch):
         def __init__(self, *_):
             self.off, self.assessment = next(away), self
 
-        worst_violation = SimpleNamespace(value=-1.0)
+        def overshoot(self, _):
+            return 0.0
 
         def feasible(self, _):
             return True
@@ -153,23 +154,50 @@ def test_a_first_change_that_leads_astray_is_changed_again(monkeypatch):
 
 
 def test_links_near_their_plan_are_calmed_on_while_they_exceed_a_limit_after_arrival(monkeypatch):
-    away, nears = iter([(0.02, 3.0), (0.015, 1.0), (0.01, -0.1)]), []
+    away, given = iter([(0.02, 3.0), (0.015, 1.0), (0.01, 0.0)]), []
 
     class Judged:
         planned, motors, simulated = 1.0, None, None
 
         def __init__(self, *_):
-            self.off, excess = next(away)
-            self.worst_violation, self.assessment = SimpleNamespace(value=excess), self
+            self.off, self.excess = next(away)
+            self.assessment = self
+
+        def overshoot(self, _):
+            return self.excess
 
         def feasible(self, _):
-            return self.worst_violation.value <= 0.0
+            return self.excess <= 0.0
 
     monkeypatch.setattr(calming.Calmed, "of", Judged)
-    monkeypatch.setattr(calming, "changed_motors", lambda *given: nears.append(given[-1]))
+    monkeypatch.setattr(calming, "changed_motors", lambda *asked: given.append(asked[-2:]))
     assert calming.calmed(None, None, None, CERTIFIED).off == 0.01
-    # By how much it is exceeded, the change is to be nearer.
-    np.testing.assert_allclose(nears, [calming._NEAR / 4.0, calming._NEAR / 2.0])
+    # By how much it is exceeded, the change is to be nearer, and after arrival the more.
+    near = calming._NEAR
+    np.testing.assert_allclose(given, [(near / 4.0, 4.0), (near / 2.0, 8.0)])
+
+
+def test_a_limit_after_arrival_gets_more_rounds_than_a_motion_that_is_not_near(monkeypatch):
+    # Nearer and further by turns, until it holds.
+    away, made = iter([0.2, 0.15, 0.16, 0.14, 0.15, 0.12, 0.05]), []
+
+    class Judged:
+        planned, motors, simulated = 1.0, None, None
+
+        def __init__(self, *_):
+            self.off = next(away)
+            self.assessment = self
+
+        def overshoot(self, _):
+            return 0.5
+
+        def feasible(self, _):
+            return self.off < 0.1
+
+    monkeypatch.setattr(calming.Calmed, "of", Judged)
+    monkeypatch.setattr(calming, "changed_motors", lambda *_: made.append(1))
+    assert calming.calmed(None, None, None, CERTIFIED).off == 0.05
+    assert len(made) == 6
 
 
 def test_of_a_limit_that_is_nearly_used_up_nothing_is_left_to_add():
@@ -212,3 +240,21 @@ def test_a_least_duration_leaves_motors_the_room_to_calm_their_links(tmp_path):
     found = swing(problem, solution)
     late = found.time > solution.trajectory.duration + 0.04
     assert np.linalg.norm(found.deviation[late], axis=1).max() < 20e-6
+
+
+def test_what_is_left_goes_however_flat_the_programme_is():
+    # A small swing costs little beside what the tool does in flight.
+    rng = np.random.default_rng(4)
+    turned, _ = np.linalg.qr(rng.normal(size=(60, 60)))
+    hessian = turned * np.logspace(-3, 4, 60) @ turned.T
+    wanted = rng.normal(size=60)
+    rows = csc_matrix(rng.normal(size=(300, 60)))
+    # Bounds that nothing reaches, and one that is.
+    most = np.full(300, 1e2)
+    found = motor_change._least(hessian, -hessian @ wanted, rows, -most, most)
+    assert found == pytest.approx(wanted, abs=1e-3)
+    # Where a row cannot give way it gets no worse.
+    rows, most = csc_matrix(np.eye(60)[[0, 0]]), np.array([1e2, -1.0])
+    stays = motor_change._least(hessian, -hessian @ wanted, rows, np.array([0.0, -1e2]), most)
+    assert stays[0] == pytest.approx(0.0, abs=1e-6)
+    assert np.abs(stays).max() > 0.1
