@@ -60,6 +60,8 @@ from stiffopt.transcription.ocp import Guess
 
 # Share of the best objective within which an optimum counts as the same.
 _NEAR = 0.01
+# How a solve ends where the duration may be too short for any motion.
+_TOO_FAST = (SolveStatus.CERTIFICATE_FAILED, SolveStatus.INFEASIBLE, SolveStatus.ITERATION_LIMIT)
 
 
 def solve(
@@ -324,7 +326,7 @@ def solution_of(
     slipping = slips(problem.robot, assessment)
     if slipping and slip_text(slipping) not in end.message:
         notes = (*notes, f"In this motion {slip_text(slipping)}")
-    if not slipping and end.status in (SolveStatus.CERTIFICATE_FAILED, SolveStatus.INFEASIBLE):
+    if not slipping and end.status in _TOO_FAST and not assessment.feasible(CERTIFIED):
         advice = slower_advice(run, outcome)
         end = replace(end, message=f"{end.message} {advice}".rstrip())
     value = objective_value(problem, assessment)

@@ -18,14 +18,19 @@ from stiffopt.elastic.simulate import simulate
 from stiffopt.errors import InputError
 from stiffopt.problem.arrival import Arrival
 from stiffopt.problem.files import load_problem
+from stiffopt.problem.formulation import Scales
 from stiffopt.problem.limit import LIMITS
 from stiffopt.problem.objective import OBJECTIVES
+from stiffopt.problem.resolve import resolve
+from stiffopt.problem.smoothing import Smoothing
 from stiffopt.report.solve.wording import objective_phrase
 from stiffopt.result.store import result_document
+from stiffopt.solver import refinement
 from stiffopt.solver import solve as solve_module
 from stiffopt.solver.other_damping import exceeded_otherwise, other_damping_note
 from stiffopt.solver.refinement import refined
 from stiffopt.solver.solve import solve
+from stiffopt.solver.solve_run import SolveRun
 
 FREE = "{ lower = 0.1, upper = 1.0 }"
 DURATION = 'objective = "duration"'
@@ -271,3 +276,29 @@ def test_an_arm_simulated_for_less_than_the_limit_is_judged_by_its_last_instant(
     assert LIMITS["settling_time"].overshoot(limits, swing) == pytest.approx(
         1.0 if simulated else 3.0
     )
+
+
+def test_links_are_brought_to_rest_at_once_where_corners_are_wide(tmp_path):
+    limited = load(
+        tmp_path,
+        "swivel",
+        duration="{ upper = 2.0 }",
+        minimise='objective = "duration"',
+        limits='residual_vibration = "50 um"',
+    )
+    for corners, swings in ((1.0, True), (4.0, False)):
+        run = SolveRun(limited, resolve(limited), Scales(), None)
+        run.__dict__["corners"] = corners
+        assert bool(run.end_modes) == swings
+
+
+def test_room_to_calm_is_taken_from_all_drives_once_and_then_from_the_jerk():
+    outcome = SimpleNamespace(smoothing=Smoothing(1.0, 8.0))
+    blocks = SimpleNamespace(rows=SimpleNamespace(items=[]))
+    first, then = (
+        refinement._asked_of(None, outcome, blocks, {"settling_time": 2.0}, 0.0, again)
+        for again in (0, 1)
+    )
+    # Of torque no more: it holds the arm's weight as well.
+    assert set(first) == set(refinement._OF_DRIVES)
+    assert set(then) == {"jerk"}

@@ -1,6 +1,5 @@
 """Motors whose law has wide corners, changed so that the links do what is planned."""
 
-
 import numpy as np
 import pytest
 from scipy.sparse import csc_matrix

@@ -9,7 +9,7 @@ from small_arms import joint, problem_text, reducer, write_robot
 from stiffopt.problem.files import load_problem
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.slower import slower_advice
-from stiffopt.solver.solve import solve, solve_keeping
+from stiffopt.solver.solve import solution_of, solve, solve_keeping
 
 DEVIATION = 'objective = "tool_deviation"'
 
@@ -40,3 +40,11 @@ def test_nothing_is_said_where_the_duration_is_free(hurried):
     _, kept = solve_keeping(free)
     assert kept is not None
     assert slower_advice(*kept) == ""
+
+
+def test_a_solve_that_met_its_iteration_limit_names_a_duration_too(hurried):
+    _, (run, outcome) = solve_keeping(hurried)
+    met = replace(outcome, raw=replace(outcome.raw, status="iteration_limit"))
+    found = solution_of(run, met, {}, ())
+    assert found.status is SolveStatus.ITERATION_LIMIT
+    assert "motion.duration = " in found.message
