@@ -49,6 +49,18 @@ def compiler() -> str | None:
     return shutil.which(os.environ.get("CC") or "cc")
 
 
+def compiles(program: str) -> bool:
+    """Whether a compiler makes a library that this process can load."""
+    with tempfile.TemporaryDirectory() as folder:
+        source, made = Path(folder) / "code.c", Path(folder) / "code.so"
+        source.write_text("int one(void) { return 1; }\n", encoding="ascii")
+        try:
+            build(program, source, made, "-O0")
+        except (OSError, subprocess.CalledProcessError):
+            return False
+        return _loads(made)
+
+
 def library(
     kind: str, given: str, made_by: Sequence[str] = (), module: str = __name__
 ) -> Path | None:

@@ -9,14 +9,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from cyclopts import CycloptsError
+from cyclopts import CycloptsError, UnusedCliTokensError
 
 from stiffopt import folders
 
 # In the order in which help lists them; importing registers them.
 from stiffopt.cli import cache, exports, motions, recordings, schemas, starters, sweeps, swings
 from stiffopt.cli.base import app
-from stiffopt.errors import InputError, NoSolutionFound
+from stiffopt.errors import InputError, NoSolutionFound, shortened
 
 __all__ = [
     "app",
@@ -38,6 +38,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     try:
         code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+    except UnusedCliTokensError as error:
+        print(f"stiffopt: {_too_many(error)}", file=sys.stderr)
+        return 2
     except (InputError, CycloptsError) as error:
         print(f"stiffopt: {error}", file=sys.stderr)
         return 2
@@ -55,3 +58,13 @@ def run(arguments: Sequence[str] | None = None) -> int:
         print(f"stiffopt: {place}{error.strerror or error}", file=sys.stderr)
         return 2
     return code if isinstance(code, int) else 0
+
+
+def _too_many(error: UnusedCliTokensError) -> str:
+    """Name what was given beyond what a command takes."""
+    command, unused = " ".join(error.command_chain or ()), error.unused_tokens or []
+    known = error.app.assemble_argument_collection() if error.app else ()
+    options = {name for argument in known for name in argument.names}
+    meant = [f" Did you mean --{token}?" for token in unused if f"--{token}" in options]
+    more = f"`stiffopt {command} --help` tells what it takes."
+    return f"{command}: {shortened(' '.join(unused))} is more than it takes.{''.join(meant)} {more}"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from stiffopt.cli.base import app
 
+_WITHOUT = "solves take three to seven times as long (same results)."
+
 
 @app.command
 def cache(*, clear: bool = False) -> int:
@@ -27,8 +29,11 @@ def cache(*, clear: bool = False) -> int:
         print(f"Removed {held}")
         return 0
     print(held)
-    if program := compiler.compiler():
+    program = compiler.compiler()
+    if program is None:
+        print(f"C compiler: none; {_WITHOUT}")
+    elif compiler.compiles(program):
         print(f"C compiler: {program}")
     else:
-        print("C compiler: none; solves take three to seven times as long (same results).")
+        print(f"C compiler: {program} makes no library; {_WITHOUT} CC names another.")
     return 0

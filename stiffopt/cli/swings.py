@@ -246,6 +246,8 @@ def _pose(text: str, robot: Robot) -> np.ndarray:
     """Joint angles (n,) [rad] of a text such as "0 45deg -0.3", or with commas."""
     import numpy as np
 
+    from stiffopt.problem.limit import Limits
+    from stiffopt.problem.resolve import check_range
     from stiffopt.units import fit_joint, joint_to_si
 
     values = text.split(",") if "," in text else text.split()
@@ -258,4 +260,6 @@ def _pose(text: str, robot: Robot) -> np.ndarray:
     for value, name, slides in zip(values, robot.joint_names, robot.prismatic, strict=True):
         angle = joint_to_si(number_or_text(value), "angle", f"--at, {name}")
         angles.append(fit_joint(angle, bool(slides), "angle", f"--at, {name}"))
-    return np.array(angles)
+    pose = np.array(angles)
+    check_range(robot, Limits.of(robot), "--at", pose, "; bare numbers are rad, degrees 20deg")
+    return pose

@@ -20,6 +20,7 @@ from stiffopt.robot.rotations import rotation_between, rotation_from_rpy, rpy_fr
 from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
+    from stiffopt.problem.limit import Limits
     from stiffopt.robot.robot import Robot
 
 
@@ -75,12 +76,12 @@ def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
         ("motion.end", problem.end, end),
     ):
         if target.fixes_pose:
-            _check_range(problem, where, angles)
+            check_range(problem.robot, problem.active_limits, where, angles)
             _check_rest(problem, where, angles)
     _check_boundary_velocity(problem)
     for number, (via, angles) in enumerate(zip(problem.vias, vias, strict=True), start=1):
         if via.joints is not None:
-            _check_range(problem, f"motion.via[{number}]", angles)
+            check_range(problem.robot, problem.active_limits, f"motion.via[{number}]", angles)
     return motion
 
 
@@ -141,24 +142,26 @@ def _resolve_path(problem: TrajectoryProblem) -> ResolvedMotion:
             f"array of shape {path.shape}."
         )
     for number, angles in enumerate(path, start=1):
-        _check_range(problem, f"motion.path[{number}]", angles)
+        check_range(problem.robot, problem.active_limits, f"motion.path[{number}]", angles)
     _check_rest(problem, "motion.path[1]", path[0])
     _check_rest(problem, f"motion.path[{len(path)}]", path[-1])
     return ResolvedMotion(path[0], path[-1], (), True, True)
 
 
-def _check_range(problem: TrajectoryProblem, where: str, angles: np.ndarray) -> None:
-    limits = problem.active_limits
+def check_range(
+    robot: Robot, limits: Limits, where: str, angles: np.ndarray, remedy: str = ""
+) -> None:
+    """Raise `ProblemError` where a joint of a pose (n,) [rad] is outside its position limits."""
     for j, angle in enumerate(angles):
         low, high = limits.position_lower[j], limits.position_upper[j]
         if not low - 1e-9 <= angle <= high + 1e-9:
             key = "position_lower" if angle < low else "position_upper"
             at, lower, upper = (
-                _place(value, bool(problem.robot.prismatic[j])) for value in (angle, low, high)
+                _place(value, bool(robot.prismatic[j])) for value in (angle, low, high)
             )
             raise ProblemError(
                 f"{where}: joint {j + 1} at {at} is outside its range {lower} to {upper}. Choose a "
-                f"pose within the range, or change limits.{key}."
+                f"pose within the range{remedy or f', or change limits.{key}'}."
             )
 
 

@@ -158,6 +158,7 @@ def test_modes_of_a_robot_a_problem_and_a_motion(solved, capsys):
         (["planar.toml"], "modes belong to a pose: give --at with an angle for each of shoulder"),
         (["planar.toml", "--at", "0.1"], "--at needs 2 values"),
         (["planar.toml", "--at", "0.1, 20mm"], "--at, elbow"),
+        (["planar.toml", "--at", "20 20deg"], "joint 1 at 20 rad (1146 deg) is outside its range"),
         (["nowhere"], "no robot"),
         (["out", "--at", "0 0"], "has its own poses"),
     ],
