@@ -18,6 +18,8 @@ from stiffopt.symbolic import Quantity
 # Angular frequency of the acceleration's rises and falls times the duration, for the scales of its
 # derivatives.
 _RISES = 40.0
+# Travel of a joint that velocity and acceleration of slow motions are scaled for [rad].
+_TRAVEL = 20.0
 
 
 def coordinates_of(problem: TrajectoryProblem) -> Coordinates:
@@ -80,11 +82,14 @@ class JointCoordinates(Coordinates):
             f"{what} of joint {j + 1}" for what in ("position", "velocity") for j in range(n)
         )
         self.control_names = tuple(f"acceleration of joint {j + 1}" for j in range(n))
+        duration = _typical(problem.duration)
         speed = np.where(np.isfinite(self.limits.velocity), self.limits.velocity, 1.0)
+        speed = np.minimum(speed, _TRAVEL / duration)
         self.state_scale = np.concatenate([np.ones(n), speed])
-        fallback = 6.0 * speed / _typical(problem.duration)
         self.control_scale = np.where(
-            np.isfinite(self.limits.acceleration), self.limits.acceleration, fallback
+            np.isfinite(self.limits.acceleration),
+            np.minimum(self.limits.acceleration, 6.0 * _TRAVEL / duration**2),
+            6.0 * speed / duration,
         )
 
     def joint_motion(self, x: Quantity, u: Quantity) -> tuple[Quantity, Quantity, Quantity]:

@@ -109,7 +109,7 @@ def formulate(
         vias=tuple(
             _via_waypoint(problem, via, k, p) for k, via in enumerate(problem.vias, start=1)
         ),
-        static_lower=np.zeros(len(goal.variables)),
+        static_lower=np.array(goal.static_lower),
         static_upper=np.full(len(goal.variables), np.inf),
         static_scale=np.array(goal.static_scales),
         chains=tuple((*(k * size + i for k in range(order)), i) for i in range(size)),
@@ -226,6 +226,7 @@ class _WeightedSum:
     def __init__(self, problem: TrajectoryProblem, model: StageModel, scales: Scales) -> None:
         self.variables: list[StaticVariable] = []
         self.static_scales: list[float] = []
+        self.static_lower: list[float] = []
         self.integrands: list[Quantity] = []
         self.path_rows: list[PathRows] = []
         # With the number of the first integral of the objective that the row belongs to.
@@ -244,6 +245,7 @@ class _WeightedSum:
             self._values.append((sign * objective.weight * unit, start, terms))
             self.variables += variables
             self.static_scales += [scale if v.scale is None else v.scale for v in variables]
+            self.static_lower += [objective.kind.enough(scale)] * len(variables)
             self.integrands += terms.integrands
             self.path_rows += terms.path_rows
             self.integral_rows += [(start, row) for row in terms.integral_rows]

@@ -50,6 +50,10 @@ class Bound:
     degenerate: bool
 
 
+# Share of a typical value down to which one is lowered, however negligible it is.
+_GAINED = 1.0 / 3.0
+
+
 class ObjectiveKind(ABC):
     """All that is known about the objectives of one name.
 
@@ -85,6 +89,9 @@ class ObjectiveKind(ABC):
         Whether the motion is averaged over a swing of the arm's lowest mode.
     chosen_for_other_arms : bool
         Whether `terms` says what to prefer, of motions about as good, on arms not as modelled.
+    negligible : float
+        Value that need not be lowered, in `unit`; such a kind has one static variable, a bound on
+        its value.
     comparatives : (str, str)
         Of a smaller and of a larger value.
     compared_as_ratio : bool
@@ -106,8 +113,13 @@ class ObjectiveKind(ABC):
     of_drives = False
     shaped = False
     chosen_for_other_arms = False
+    negligible = 0.0
     comparatives = ("less", "more")
     compared_as_ratio = True
+
+    def enough(self, typical: float) -> float:
+        """Value down to which it is minimised, where a typical one is known."""
+        return min(self.negligible, _GAINED * typical)
 
     def check(self, objective: Objective, problem: TrajectoryProblem) -> None:
         """Raise `ProblemError` where the problem has nothing for this objective to change."""

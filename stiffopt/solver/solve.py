@@ -62,6 +62,8 @@ from stiffopt.transcription.ocp import Guess
 _NEAR = 0.01
 # How a solve ends where the duration may be too short for any motion.
 _TOO_FAST = (SolveStatus.CERTIFICATE_FAILED, SolveStatus.INFEASIBLE, SolveStatus.ITERATION_LIMIT)
+# Of what an objective need not be below, within which it counts as lowered to that.
+_LOW = 1.1
 
 
 def solve(
@@ -350,7 +352,12 @@ def solution_of(
         baselines=beside,
         ratio_to_better_baseline=ratio,
         solver=solver_record(run, len(outcome.transcription.intervals)),
-        notes=(*notes, *run.notes, *below_the_base(problem, assessment)),
+        notes=(
+            *notes,
+            *run.notes,
+            *_low_enough(run, value.value),
+            *below_the_base(problem, assessment),
+        ),
         inputs_hash=inputs_hash(problem),
         versions=versions(),
         strict_baseline=strict,
@@ -360,6 +367,18 @@ def solution_of(
             else improvement(problem, value.value, strict.objective)
         ),
     )
+
+
+def _low_enough(run: SolveRun, value: float) -> list[str]:
+    """That a lower objective was not asked for, where that is so."""
+    kind = run.problem.objectives[0].kind
+    enough = kind.enough(run.scales.of(kind.name))
+    if len(run.problem.objectives) > 1 or not 0.0 < value <= _LOW * enough:
+        return []
+    return [
+        f"The {kind.phrase} was lowered to {1e3 * enough:.2g} mm and no further: no arm repeats "
+        "its path better, and less takes detours of the wrist."
+    ]
 
 
 def _strict(run: SolveRun, beside: dict[str, Baseline]) -> Baseline | None:

@@ -37,7 +37,8 @@ class ToolDeviation(ToolDeflection):
             "dynamic",
             phrase="deviation of the elastic arm's tool",
             description="Deviation of the tool from where it would hang at the same motor "
-            "position, with the links' swing: planned for the links, at rest after arrival.",
+            "position, with the links' swing: planned for the links, at rest after arrival; "
+            "lowered as far as dynamic_deflection.",
         )
         self.name = "tool_deviation"
 
