@@ -17,9 +17,9 @@ from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.swung_run import with_links
 
-# Times that starts are told anew: springs bend. They are not what is missing where more than this
-# share of the squares stays.
-_ROUNDS, _WON = 2, 0.9
+# Times that starts are told anew: springs bend. And squares that a swing takes away over those of
+# one row that stay, by which it is more than what chance gives beside all that is missing.
+_ROUNDS, _CHANCE = 2, 3.0
 
 
 def begun(comparison: Comparison) -> tuple[PreparedRun, ...]:
@@ -41,7 +41,8 @@ def begun(comparison: Comparison) -> tuple[PreparedRun, ...]:
         ]
         moved = comparison.along(runs)
         now = _left(moved)
-        if not now < _WON * left:
+        rows, swings = comparison.columns.unknown.shape
+        if left - now <= _CHANCE * swings * now / rows:
             break
         comparison, left = moved, now
     return comparison.nominal_runs
