@@ -162,6 +162,17 @@ def test_verify(tmp_path, capsys):
     assert code == 0
 
 
+def test_verify_takes_several_paths_and_each_file_once(tmp_path, capsys):
+    right, wrong = tmp_path / "right", tmp_path / "wrong"
+    for folder, value in ((right, 12.0 / 0.8**3), (wrong, 1.0)):
+        folder.mkdir()
+        verify(folder, capsys, value)
+    code = run(["verify", str(right / "problem.toml"), str(right), str(wrong), "--quiet"])
+    text = capsys.readouterr().out
+    assert code == 1
+    assert (text.count(" ok "), text.count("OFF")) == (1, 1)
+
+
 def test_without_out_a_changed_file_leaves_the_answer_of_the_unchanged(
     tmp_path, monkeypatch, capsys
 ):

@@ -162,7 +162,7 @@ def preload(
 
 
 @app.command
-def verify(problems: Path, *, changes: Changes = (), quiet: bool = False) -> int:
+def verify(problems: Path, *more: Path, changes: Changes = (), quiet: bool = False) -> int:
     """Solve problem and study files anew and compare with the values they expect.
 
     With --set the expected values stay those of the file: to see what a change does to them.
@@ -171,6 +171,8 @@ def verify(problems: Path, *, changes: Changes = (), quiet: bool = False) -> int
     ----------
     problems
         A trajectory problem or preload study file, or a folder of them.
+    more
+        Further ones.
     quiet
         No progress display.
     """
@@ -182,7 +184,8 @@ def verify(problems: Path, *, changes: Changes = (), quiet: bool = False) -> int
     )
 
     checks: list[verification.Check] = []
-    paths = verification.problem_files(problems)
+    named = [path for each in (problems, *more) for path in verification.problem_files(each)]
+    paths = list(dict.fromkeys(named))
     # A fault in the last file must not cost the time of the others.
     for path in paths:
         verification.check_problem(path, changes)
