@@ -195,7 +195,9 @@ def modes(
     source
         A robot (shipped name, robot TOML or URDF), a problem file, or the folder of a solve.
     """
+    from stiffopt.elastic.arm import questionable_springs
     from stiffopt.elastic.survey import modes_along, modes_at, write_modes_csv
+    from stiffopt.report.common.terminal import print_lines
     from stiffopt.report.solve.modes import print_modes, write_modes_figure
     from stiffopt.solver.stored import read_result
 
@@ -215,6 +217,8 @@ def modes(
         return 0
     robot, poses = _poses(source, at, changes)
     print_modes(modes_at(robot, poses))
+    if soft := questionable_springs(robot, next(iter(poses.values()))):
+        print_lines([soft])
     return 0
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from stiffopt.elastic.springs import joint_springs
 from stiffopt.errors import NotSimulatedError, RobotError
 from stiffopt.robot.along_motion import places_along
+from stiffopt.units import joint_unit
 
 if TYPE_CHECKING:
     from stiffopt.elastic.uncertainty import Departure
@@ -26,6 +27,9 @@ _REVERSAL = 0.04
 # Above it [Hz] a joint that swings alone is taken to follow its motor: the motions of an arm excite
 # up to a tenth of it.
 FAST = 1200.0
+# Below it [Hz] a joint that swings alone is most likely given in another unit: arms have 3 Hz and
+# more, and springs of N m/arcmin taken for N m/rad a 59th of it.
+_SLOW, _USUAL = 1.0, 3.0
 _SETTLED = 1e-12
 _ITERATIONS = 50
 # Up to which a damping is the critical one.
@@ -234,9 +238,10 @@ class ElasticArm:
             moving = moving[change > _SETTLED]
             if not moving.size:
                 return q
+        advice = questionable_springs(self.robot, motor[0]) or "Check stiffness and masses."
         raise NotSimulatedError(
             "the arm does not hang at rest on its springs: their weight winds them up further and "
-            "further. Check stiffness and masses."
+            f"further. {advice}"
         )
 
     def tool(self, q: np.ndarray) -> np.ndarray:
@@ -251,6 +256,32 @@ class ElasticArm:
         # Of rigid joints, behind which nothing may be: infinity times zero.
         with np.errstate(invalid="ignore"):
             return np.asarray(2.0 * np.sqrt(stiffness * inertia))
+
+
+def questionable_springs(robot: Robot, at: np.ndarray) -> str:
+    """A sentence on joints so soft that their stiffness is most likely in another unit.
+
+    Each swinging alone, at rest with the motors at `at` (n,); "" where there is no such joint.
+    """
+    bodies = robot.rigid_bodies()
+    weight, inertia = bodies.gravity_torque(at), np.diag(bodies.inertia_matrix(at))
+    slow = []
+    for j, spring in enumerate(joint_springs(robot)):
+        if spring is None:
+            continue
+        stiffness = spring.torque_at(float(spring.windup(weight[j : j + 1])[0]))[1]
+        if stiffness < (2.0 * np.pi * _SLOW) ** 2 * inertia[j]:
+            slow.append((np.sqrt(stiffness / inertia[j]) / (2.0 * np.pi), stiffness, j))
+    if not slow:
+        return ""
+    frequency, stiffness, j = min(slow)
+    more = f" ({len(slow)} joints below {_SLOW:g} Hz)" if len(slow) > 1 else ""
+    own = joint_unit("N m/rad", bool(robot.prismatic[j]))
+    return (
+        f"{robot.joint_names[j]} alone would swing at {frequency:.2g} Hz with {stiffness:.3g} {own}"
+        f"{more}; joints of arms do at {_USUAL:g} Hz or more. Check the unit of its stiffness: "
+        "1 N m/arcmin is 3438 N m/rad, 1 N/um is 1e6 N/m."
+    )
 
 
 def rigid_arm(robot: Robot) -> NotSimulatedError:

@@ -23,6 +23,7 @@ from stiffopt.certificate.objective_value import (
 )
 from stiffopt.certificate.slipping import slip_text, slips
 from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.elastic.arm import questionable_springs
 from stiffopt.errors import NoSolutionFound, ProblemError
 from stiffopt.interrupts import delivered
 from stiffopt.problem.bounds import check_bounds, shortest_duration
@@ -215,6 +216,8 @@ def notes_before(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[st
     """What can be said of a problem before it is solved; refuses those that are degenerate."""
     chosen = (problem.chosen,) if problem.chosen else ()
     doubted = questionable_bodies(problem.robot)
+    if soft := questionable_springs(problem.robot, motion.start):
+        doubted = (*doubted, soft)
     return (*chosen, *problem.remarks, *doubted, *_held(problem), *check_bounds(problem, motion))
 
 

@@ -6,10 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from swinging_arms import RATE, arm
+from small_arms import CONSTANT, joint, write_robot
+from swinging_arms import INERTIA, RATE, STIFFNESS, arm
 
+from stiffopt.cli import run
+from stiffopt.elastic.arm import ElasticArm, questionable_springs
 from stiffopt.elastic.modes import Mode, modes
-from stiffopt.errors import RobotError
+from stiffopt.errors import NotSimulatedError, RobotError
+from stiffopt.robot.files import load_robot
 
 
 def test_one_joint_has_the_mode_of_a_mass_on_a_spring(tmp_path):
@@ -55,3 +59,23 @@ def test_springs_that_do_not_hold_the_arm_are_told(tmp_path):
     heavy = replace(pendulum.robot)
     with pytest.raises(RobotError, match="springs"):
         modes(type(pendulum)(heavy, np.array([-1.5])), np.array([-1.5]))
+
+
+def test_springs_in_another_unit_are_questioned_by_name(tmp_path, capsys):
+    right = write_robot(tmp_path, "swivel")
+    assert questionable_springs(load_robot(right), np.zeros(1)) == ""
+    # As given in N m/arcmin, read as N m/rad.
+    wrong = STIFFNESS * np.pi / (180.0 * 60.0)
+    path = write_robot(tmp_path, "swivel", [joint("swivel", CONSTANT.format(stiffness=wrong))])
+    sentence = questionable_springs(load_robot(path), np.zeros(1))
+    frequency = np.sqrt(wrong / INERTIA) / (2.0 * np.pi)
+    assert f"swivel alone would swing at {frequency:.2g} Hz with {wrong:.3g} N m/rad;" in sentence
+    assert run(["modes", str(path), "--at", "0"]) == 0
+    assert "1 N m/arcmin is 3438 N m/rad" in " ".join(capsys.readouterr().out.split())
+
+
+def test_an_arm_that_does_not_hang_has_its_softest_joint_named(tmp_path):
+    soft = joint("shoulder", CONSTANT.format(stiffness=1.0))
+    robot = load_robot(write_robot(tmp_path, "pendulum", [soft]))
+    with pytest.raises(NotSimulatedError, match=r"hang .* shoulder alone would swing at 0\.\d+ Hz"):
+        ElasticArm(robot, np.zeros(1))
