@@ -55,7 +55,7 @@ from stiffopt.solver.unsolved import (
     pinned_by_a_bound,
     solver_record,
 )
-from stiffopt.solver.verdict import beyond_limits, verdict
+from stiffopt.solver.verdict import baseline_above, beyond_limits, verdict
 from stiffopt.solver.way_around import led_around
 from stiffopt.transcription.ocp import Guess
 
@@ -160,6 +160,7 @@ def solve_keeping(
                 random = np.random.default_rng([problem.method.seed, start])
                 begin = _perturbed(begin, problem, random)
             outcome = _best_of_starts(run, begin, rival)
+            outcome = _from_baseline_above(run, outcome, beside, rival)
             kept = (run, outcome)
             if problem.avoids_collisions:
                 outcome = led_around(run, outcome, rival, searches=problem.method.starts)
@@ -256,6 +257,22 @@ def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outc
     if len(made) > 1:
         run.notes.append(_spread(problem, made))
     return best
+
+
+def _from_baseline_above(
+    run: SolveRun, outcome: Outcome, beside: dict[str, Baseline], rival: Baseline | None
+) -> Outcome:
+    """The better of an outcome and one begun from a baseline that is better than it."""
+    above = baseline_above(run.problem, outcome, beside)
+    late = run.elapsed > run.problem.method.time_limit
+    if above is None or above.assessment is None or late or outcome.raw.status == "interrupted":
+        return outcome
+    guess = guess_along(run.problem, run.motion, above.assessment)
+    try:
+        found = _certified_solve(run, guess, rival)
+    except KeyboardInterrupt:
+        return stopped(outcome)
+    return min(outcome, found, key=lambda each: rank(run.problem, each))
 
 
 def _spread(problem: TrajectoryProblem, made: list[Outcome]) -> str:

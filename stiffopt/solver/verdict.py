@@ -67,7 +67,7 @@ def verdict(
     """
     own = Verdict(_status(outcome), _message(problem, outcome, motion))
     found = _by_belief(problem, outcome, motion, own)
-    better = _better_baseline(problem, outcome, beside)
+    better = baseline_above(problem, outcome, beside)
     if better is None or found.status is SolveStatus.INFEASIBLE:
         return found
     optimal = found.status is SolveStatus.OPTIMAL
@@ -173,7 +173,7 @@ def _contact_laws(problem: TrajectoryProblem) -> set[object]:
     return {e.contact_law for e in elements if hasattr(e, "contact_law")}
 
 
-def _better_baseline(
+def baseline_above(
     problem: TrajectoryProblem, outcome: Outcome, beside: dict[str, Baseline]
 ) -> Baseline | None:
     """A baseline that keeps every limit, its own method's or not, and is better."""

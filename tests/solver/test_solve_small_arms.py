@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from small_arms import load
 
+import stiffopt.solver.solve as solve_module
 from stiffopt import SolveStatus, solve
+from stiffopt.baseline.baselines import baselines
 from stiffopt.errors import NoSolutionFound
 from stiffopt.solver.ipopt import IpoptSolver
 
@@ -320,6 +322,31 @@ def test_several_starts_are_no_worse(tmp_path):
         load(tmp_path, minimise=OBJECTIVES["dynamic peak"], method="intervals = 16\nstarts = 3")
     )
     assert three.objective.value <= one.objective.value * (1 + 1e-6)
+
+
+def test_an_optimum_behind_a_baseline_is_sought_again_from_there(tmp_path, monkeypatch):
+    problem = load(tmp_path, minimise='objective = "torque_squared"')
+    begun = []
+    best_of_starts, certified_solve = solve_module._best_of_starts, solve_module._certified_solve
+
+    def behind(run, guess, rival):
+        found = best_of_starts(run, guess, rival)
+        quintic = baselines(problem, run.motion)["quintic"].assessment
+        assert quintic.feasible(EXCESS)
+        poor = {name: 1.1 * value for name, value in quintic.integrals.items()}
+        return replace(found, assessment=replace(quintic, integrals=poor))
+
+    def counted(run, guess, rival):
+        begun.append(guess)
+        return certified_solve(run, guess, rival)
+
+    expected = solve(problem).objective.value
+    monkeypatch.setattr(solve_module, "_best_of_starts", behind)
+    monkeypatch.setattr(solve_module, "_certified_solve", counted)
+    solution = solve(problem)
+    assert len(begun) == 2
+    assert solution.status is SolveStatus.OPTIMAL
+    assert solution.objective.value == pytest.approx(expected, rel=1e-6)
 
 
 def test_how_far_apart_several_starts_end_is_told(tmp_path):
