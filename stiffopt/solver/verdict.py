@@ -73,8 +73,8 @@ def verdict(
     optimal = found.status is SolveStatus.OPTIMAL
     return Verdict(
         SolveStatus.ACCEPTABLE if optimal else found.status,
-        f"{found.message} But the {better.name} motion beside it is better and keeps all limits as "
-        "well: run that one, or raise method.intervals or method.starts.",
+        f"{found.message} But the {better.name} motion beside it {_virtue(outcome)}: run that one, "
+        "or raise method.intervals or method.starts.",
     )
 
 
@@ -176,17 +176,24 @@ def _contact_laws(problem: TrajectoryProblem) -> set[object]:
 def baseline_above(
     problem: TrajectoryProblem, outcome: Outcome, beside: dict[str, Baseline]
 ) -> Baseline | None:
-    """A baseline that keeps every limit, its own method's or not, and is better."""
+    """A baseline that keeps every limit, its own method's or not, and is better, or alone in it."""
+    certified = outcome.assessment.feasible(CERTIFIED)
     value = objective_value(problem, outcome.assessment).value
     sign = -1.0 if is_maximised(problem) else 1.0
     for baseline in beside.values():
         motion, rival = baseline.assessment, baseline.objective
         if not baseline.feasible or motion is None or rival is None:
             continue
-        gain = sign * (value - rival)
-        if motion.feasible(CERTIFIED) and gain > _WORSE * max(abs(value), abs(rival)):
+        better = sign * (value - rival) > _WORSE * max(abs(value), abs(rival))
+        if motion.feasible(CERTIFIED) and (better or not certified):
             return baseline
     return None
+
+
+def _virtue(outcome: Outcome) -> str:
+    if outcome.assessment.feasible(CERTIFIED):
+        return "is better and keeps all limits as well"
+    return "keeps all limits"
 
 
 def _status(outcome: Outcome) -> SolveStatus:

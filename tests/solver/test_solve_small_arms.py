@@ -10,6 +10,7 @@ import stiffopt.solver.solve as solve_module
 from stiffopt import SolveStatus, solve
 from stiffopt.baseline.baselines import baselines
 from stiffopt.errors import NoSolutionFound
+from stiffopt.result.assessment import Violation
 from stiffopt.solver.ipopt import IpoptSolver
 
 EXCESS = 5e-3
@@ -324,7 +325,8 @@ def test_several_starts_are_no_worse(tmp_path):
     assert three.objective.value <= one.objective.value * (1 + 1e-6)
 
 
-def test_an_optimum_behind_a_baseline_is_sought_again_from_there(tmp_path, monkeypatch):
+@pytest.mark.parametrize("why", ["worse", "exceeds a limit"])
+def test_a_motion_behind_a_baseline_is_sought_again_from_there(tmp_path, monkeypatch, why):
     problem = load(tmp_path, minimise='objective = "torque_squared"')
     begun = []
     best_of_starts, certified_solve = solve_module._best_of_starts, solve_module._certified_solve
@@ -333,6 +335,9 @@ def test_an_optimum_behind_a_baseline_is_sought_again_from_there(tmp_path, monke
         found = best_of_starts(run, guess, rival)
         quintic = baselines(problem, run.motion)["quintic"].assessment
         assert quintic.feasible(EXCESS)
+        if why == "exceeds a limit":
+            exceeded = (Violation(0.1, "velocity", 1, 0.2),)
+            return replace(found, assessment=replace(found.assessment, violations=exceeded))
         poor = {name: 1.1 * value for name, value in quintic.integrals.items()}
         return replace(found, assessment=replace(quintic, integrals=poor))
 
