@@ -199,6 +199,9 @@ class Effect:
     usual : bool
         Whether every real robot has a little of it, so that it is fitted from the start where
         nobody vouches for the nominal model.
+    lags : bool
+        Whether what it does to a wind-up follows the load later: the spring's slope is then that of
+        a load that changes at once.
     only_changed : bool
         Whether it is sought only as a change since an extended model was made: a form so free fits
         something of all that a nominal model lacks.
@@ -256,6 +259,7 @@ class Effect:
     applies: Callable[[Any], bool] | None = None
     possible: Callable[[Sequence[float], Any], bool] | None = None
     usual: bool = False
+    lags: bool = False
     only_changed: bool = False
     separate: str = ""
     log_prior: Callable[[Any], float] | None = None

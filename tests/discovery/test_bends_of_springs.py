@@ -1,9 +1,17 @@
-"""Links are followed past a bend of their springs about which the motion goes to and fro."""
+"""Links are followed past a bend of their springs, and with springs that lag their load."""
+
+from dataclasses import replace
 
 import numpy as np
-from simulated_sets import simulated
+import pytest
+from simulated_sets import COULOMB, simulated
 
 from benchmarks.simulator import CaseSpec, write_case
+from stiffopt.discovery.catalogue import effect
+from stiffopt.discovery.comparison import swung_run
+from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
+from stiffopt.discovery.comparison.extension_change import softer_by
+from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import train
 from stiffopt.recording.recording_set import load_recordings
@@ -31,3 +39,49 @@ def test_to_and_fro_by_less_than_is_let_be_is_a_motion(tmp_path):
     true = case.trace.link[0, :: spec.substeps][: len(run.time)]
     off = (run.signals.link_position - true) / training.noise.channels.deflection
     assert np.sqrt(np.mean(off**2)) < 1.5
+
+
+@pytest.fixture(scope="module")
+def creeping(tmp_path_factory):
+    """A run with nothing missing, its robot and a belt as soft as the joint that creeps."""
+    case = simulated(replace(COULOMB, effects=()))
+    training = train(
+        load_recordings(write_case(case, tmp_path_factory.mktemp("creep"))), Settings()
+    )
+    run = training.runs[0]
+    compliance = float(training.robot.compliance(0.0 * run.torque[:1])[0, 1])
+    belt = EstimatedEffect(
+        located=LocatedEffect(effect=effect("belt_creep"), joint=1, shapes=(0.15,)),
+        amplitudes=(0.1 * compliance, 0.4 * compliance),
+    )
+    return run, training.robot, Extension(effects=(belt,))
+
+
+def test_a_belt_is_as_soft_as_it_is_at_once(creeping):
+    run, robot, extension = creeping
+    softer = softer_by(run, robot, extension)
+    quick = 0.5 * (1.0 - np.exp(-run.signals.dt / 0.15))
+    nominal = robot.compliance(run.signals.spring_torque) / robot.compliance(0.0 * run.torque)
+    np.testing.assert_allclose(softer[:, 0], 1.0)
+    added = (softer[1:, 1] - 1.0) * nominal[1:, 1]
+    off = np.abs(added / (0.1 + 0.4 * quick) - 1.0)
+    # A step over a corner of the reducer has the slope of neither side.
+    assert np.mean(off < 0.05) > 0.98
+    assert np.max(off) < 0.5
+
+
+def test_links_are_followed_with_a_belt_that_creeps_in_a_few_rounds(creeping, monkeypatch):
+    """With the slope of a belt that has settled it took hundreds, and some found no motion."""
+    run, robot, extension = creeping
+    rounds, change_of = [], swung_run.change_of
+
+    def counted(*given):
+        rounds.append(1)
+        return change_of(*given)
+
+    monkeypatch.setattr(swung_run, "change_of", counted)
+    found = swung_run.swung(run, robot, extension)
+    (added,) = (e.located.contribution(found, e.amplitudes) for e in extension.effects)
+    assert np.max(np.abs(added.deflection)) > 1e-4
+    np.testing.assert_allclose(found.beside, added.deflection, atol=1e-6)
+    assert len(rounds) < 60

@@ -73,6 +73,7 @@ BELT_CREEP = Effect(
     report=_belt,
     units={"C": "rad/(N m)"},
     applies=_may_have_belt,
+    lags=True,
     separate="Run one path fast and slowly: creep shows in the difference, a plain change of"
     " stiffness and hysteresis do not.",
 )

@@ -21,6 +21,8 @@ from stiffopt.recording.nominal import Tolerance
 
 # Of the slope of a spring's law, over the rated torque.
 _SLOPE_STEP = 0.01
+# Of that step: a first one to which what lags has settled, and which is forgotten soon.
+_HARDLY = 1e-3
 
 # Between inertia matrices, which change with posture only [s].
 _POSTURE = 0.02
@@ -108,12 +110,27 @@ def softer_by(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.n
     effects = tuple(e for e in extension.effects if not damps(e))
     if not any(e.located.effect.family == "elastic" for e in effects):
         effects = ()
-    extension = replace(extension, effects=effects)
     step = _SLOPE_STEP * np.array([j.torque_rated for j in run.signals.constants.joints])
-    loaded = with_link_torque(run, robot, np.broadcast_to(step, run.torque.shape))
+    steps = np.broadcast_to(step, run.torque.shape)
+    at_once = replace(extension, effects=tuple(e for e in effects if not e.located.effect.lags))
+    softer = 1.0 + _compliance_added(run, robot, at_once, steps)
+    lagging = tuple(e for e in effects if e.located.effect.lags)
+    if lagging:
+        # To and fro from sample to sample: what lags does not follow, but for where it begins.
+        sign = np.where(np.arange(len(steps)) % 2, -1.0, 1.0)
+        sign[0] = _HARDLY
+        softer += _compliance_added(run, robot, Extension(effects=lagging), sign[:, None] * steps)
+    return softer
+
+
+def _compliance_added(
+    run: PreparedRun, robot: RobotModel, extension: Extension, steps: np.ndarray
+) -> np.ndarray:
+    """Compliance that an extension adds over the nominal one, by steps of the load (K, n)."""
+    loaded = with_link_torque(run, robot, steps)
     ends = [change_of(each, robot, extension).deflection for each in (run, loaded)]
     nominal = loaded.signals.windup - run.signals.windup
-    return np.asarray(1.0 + (ends[1] - ends[0]) / nominal)
+    return np.asarray((ends[1] - ends[0]) / nominal)
 
 
 def heavier_by(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.ndarray | float:
