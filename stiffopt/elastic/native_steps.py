@@ -72,7 +72,13 @@ class NativeSteps:
         return new
 
     def march(
-        self, links: np.ndarray, torque: np.ndarray, begin: np.ndarray | None, *, accelerated: bool
+        self,
+        links: np.ndarray,
+        torque: np.ndarray,
+        begin: np.ndarray | None,
+        *,
+        accelerated: bool,
+        within: np.ndarray | None = None,
     ) -> Swung:
         """See `Steps`."""
         many, count = torque.shape[:2]
@@ -82,7 +88,9 @@ class NativeSteps:
             begin = np.zeros((many, 2 * self._n))
         arrays = (
             np.ascontiguousarray(links, dtype=np.int64),
-            *(np.ascontiguousarray(each, dtype=float) for each in (torque, begin)),
+            np.ascontiguousarray(torque, dtype=float),
+            None if within is None else np.ascontiguousarray(within, dtype=float),
+            np.ascontiguousarray(begin, dtype=float),
             *(z, velocity, acceleration),
         )
         self._made.march(

@@ -178,9 +178,9 @@ static void accelerated(const Response *r, long long k, const double *z, const d
 }
 
 /* m swings (m, steps + 1, n) under torques (m, steps + 1, links), each on links of its own (m, links),
-   from states (m, 2 n): displacements, velocities and, where asked for, accelerations. */
+   and beside them, where given, others at begin and end of every step (m, steps, 2, links), from states (m, 2 n): displacements, velocities and, where asked for, accelerations. */
 void march(const Response *r, long long m, long long links, const long long *link,
-           const double *torque, const double *begin, double *z, double *velocity,
+           const double *torque, const double *within, const double *begin, double *z, double *velocity,
            double *acceleration) {
   long long count = r->steps + 1;
   int n = r->n, s = 2 * n, fours = r->rows / 4;
@@ -211,8 +211,11 @@ void march(const Response *r, long long m, long long links, const long long *lin
         }
         if (k == r->steps) continue;
         for (int i = 0; i < s; i++) shifted[i] = state[i];
+        const double *beside = within ? within + ((first + c) * r->steps + k) * 2 * links : 0;
         for (long long q = 0; q < links; q++) {
-          double now = own[q], next = own[links + q], ramp = (next - now) / r->dt;
+          double now = own[q], next = own[links + q];
+          if (beside) now += beside[q], next += beside[links + q];
+          double ramp = (next - now) / r->dt;
           if (now == 0.0 && next == 0.0) continue;
           const double *soft = r->soft + (k * n + on[q]) * n;
           const double *lag = r->lag + (k * n + on[q]) * n;

@@ -87,11 +87,19 @@ class SwingResponse:
         return np.moveaxis(z, 0, 2), np.moveaxis(velocity, 0, 2), np.moveaxis(acceleration, 0, 2)
 
     def driven(
-        self, torque: np.ndarray, z: np.ndarray, velocity: np.ndarray
+        self,
+        torque: np.ndarray,
+        z: np.ndarray,
+        velocity: np.ndarray,
+        within: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Swing under torques (K, n) that begins at a displacement and a velocity (n,)."""
+        """Swing under torques (K, n) that begins at a displacement and a velocity (n,).
+
+        And, where given, under others at the begin and the end of every step (K - 1, 2, n).
+        """
         begin = np.concatenate([z, velocity / self._unit])[None]
-        found = self._marched(np.arange(self.n)[None], torque[None], begin)
+        beside = None if within is None else within[None]
+        found = self._marched(np.arange(self.n)[None], torque[None], begin, beside)
         return found[0][0], found[1][0], found[2][0]
 
     def moved(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -142,8 +150,14 @@ class SwingResponse:
         return rates / (2.0 * np.pi), shapes
 
     def _marched(
-        self, links: np.ndarray, torque: np.ndarray, begin: np.ndarray | None = None
+        self,
+        links: np.ndarray,
+        torque: np.ndarray,
+        begin: np.ndarray | None = None,
+        within: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        z, velocity, acceleration = self._steps.march(links, torque, begin, accelerated=True)
+        z, velocity, acceleration = self._steps.march(
+            links, torque, begin, accelerated=True, within=within
+        )
         assert acceleration is not None
         return z, velocity, acceleration

@@ -55,7 +55,13 @@ class Steps(Protocol):
         """Steps that may be taken anew with springs (K, n, n) in another place of memory."""
 
     def march(
-        self, links: np.ndarray, torque: np.ndarray, begin: np.ndarray | None, *, accelerated: bool
+        self,
+        links: np.ndarray,
+        torque: np.ndarray,
+        begin: np.ndarray | None,
+        *,
+        accelerated: bool,
+        within: np.ndarray | None = None,
     ) -> Swung:
         """Displacements, velocities and, if `accelerated`, accelerations (m, K, n) of m swings.
 
@@ -66,6 +72,8 @@ class Steps(Protocol):
             Each on links of its own [N m].
         begin : array (m, 2 n) or None
             Displacements [rad], then velocities over `unit`; None is at rest.
+        within : array (m, K - 1, 2, l), optional
+            Torques beside those, at the begin and at the end of every step [N m].
         """
 
 
@@ -120,20 +128,28 @@ class ArraySteps:
         return new
 
     def march(
-        self, links: np.ndarray, torque: np.ndarray, begin: np.ndarray | None, *, accelerated: bool
+        self,
+        links: np.ndarray,
+        torque: np.ndarray,
+        begin: np.ndarray | None,
+        *,
+        accelerated: bool,
+        within: np.ndarray | None = None,
     ) -> Swung:
         """See `Steps`."""
         added = np.zeros((*torque.shape[:2], 2 * self._n))
         if begin is not None:
             added[:, 0] = begin
         # One after another: that is faster than all together.
-        for state, on, each in zip(added, links, torque, strict=True):
+        beside = np.zeros(len(torque)) if within is None else within
+        for state, on, each, own in zip(added, links, torque, beside, strict=True):
+            ends = np.stack([each[:-1], each[1:]], axis=1) + own
             if len(on) == self._n:
-                state += self._forced(each)
+                state += self._forced(ends)
                 continue
-            for link, own in zip(on.tolist(), each.T, strict=True):
+            for link, (first, last) in zip(on.tolist(), ends.T, strict=True):
                 begin_of, end_of = self._gains
-                state[1:] += begin_of[link] * own[:-1, None] + end_of[link] * own[1:, None]
+                state[1:] += begin_of[link] * first[:, None] + end_of[link] * last[:, None]
         state = self._solved(added)
         of, n = self._of, self._n
         z, velocity = state[..., :n], of.unit * state[..., n:]
@@ -144,16 +160,19 @@ class ArraySteps:
             each[:, on] += own
         return z, velocity, (of.mobility @ left[..., None])[..., 0]
 
-    def _forced(self, torque: np.ndarray) -> np.ndarray:
-        """What each step adds to the state (K, 2 n): a torque (K, n) that is linear within it."""
-        many, dt, unit = torque[..., None], self._of.dt, self._of.unit
-        ramp = (many[1:] - many[:-1]) / dt
-        held, late = self._soft @ many[:-1], self._lag @ ramp
+    def _forced(self, ends: np.ndarray) -> np.ndarray:
+        """What each step adds to the state (K, 2 n): a torque that is linear within it.
+
+        Of its ends (K - 1, 2, n).
+        """
+        first, last, dt, unit = ends[:, 0, :, None], ends[:, 1, :, None], self._of.dt, self._of.unit
+        ramp = (last - first) / dt
+        held, late = self._soft @ first, self._lag @ ramp
         moving = self._soft @ ramp
         speed = moving / unit
         begin = np.concatenate([held - late, speed], axis=1)
         end = np.concatenate([held + dt * moving - late, speed], axis=1)
-        added = np.zeros((len(torque), 2 * self._n))
+        added = np.zeros((len(ends) + 1, 2 * self._n))
         added[1:] = (end - self._step @ begin)[..., 0]
         return added
 
