@@ -202,6 +202,8 @@ class Effect:
     lags : bool
         Whether what it does to a wind-up follows the load later: the spring's slope is then that of
         a load that changes at once.
+    is_play : bool
+        Whether it is free travel of a joint, by its spring torque alone: links are followed across.
     only_changed : bool
         Whether it is sought only as a change since an extended model was made: a form so free fits
         something of all that a nominal model lacks.
@@ -260,6 +262,7 @@ class Effect:
     possible: Callable[[Sequence[float], Any], bool] | None = None
     usual: bool = False
     lags: bool = False
+    is_play: bool = False
     only_changed: bool = False
     separate: str = ""
     log_prior: Callable[[Any], float] | None = None

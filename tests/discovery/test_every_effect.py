@@ -132,14 +132,7 @@ def test_effect_is_named_at_its_place_before_anything_else(trial: Trial) -> None
     assert finding.probability >= max((r.probability for r in finding.rivals), default=0.0)
 
 
-@pytest.mark.parametrize(
-    "trial",
-    trials(
-        backlash="what is left of a link that flies through a wide gap (1.65 times the noise) is "
-        "taken for hysteresis or damping: with seed 8, and in three of four others",
-    ),
-    scope="module",
-)
+@pytest.mark.parametrize("trial", trials(), scope="module")
 def test_nothing_is_named_beside_the_effect(trial: Trial) -> None:
     diagnosis = diagnosed(trial.spec)
     assert len(diagnosis.findings) == 1, said(diagnosis)

@@ -20,7 +20,7 @@ from stiffopt.symbolic import Quantity, is_symbolic
 # Exponents nearer to one than this are taken as a series; of the limit, what counts as reached.
 _NEAR_ONE, _LEAST_LEFT = 1e-3, 1e-9
 # Of the rated torque, over which a flank at least takes up the load.
-_SHARPEST = 0.0005
+_SHARPEST = 5e-5
 
 
 def backlash_term(
@@ -109,6 +109,7 @@ BACKLASH = Effect(
     confused_with=("k1_softening", "preload_loss"),
     reference="NordinGutman2002",
     term=backlash_term,
+    is_play=True,
     amplitudes=(Amplitude(name="width", unit="rad", scale=3e-4, lower=0.0, upper=10.0),),
     shapes=(Shape(name="rounding", unit="", starts=_roundings, lower=1e-7, upper=0.08),),
     report=lambda amplitudes, shapes, constants: {"width": amplitudes[0]},

@@ -12,6 +12,7 @@ from stiffopt.discovery.comparison.extension_change import (
     damping_with,
     heavier_by,
     softer_by,
+    spring_laws,
 )
 from stiffopt.discovery.comparison.filtering import derivative
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
@@ -90,11 +91,12 @@ def around(
         return bent, change.link_torque, wound
     whole = start.followed_by(found)
     moved = swung(run, robot, whole)
-    softer = softer_by(moved, robot, whole)
+    laws, rest = spring_laws([moved.of_joint(j) for j in range(robot.n)], whole)
+    softer = softer_by(moved, robot, rest)
     heavier = heavier_by(moved, robot, whole)
-    springs = moved.springs(robot, damping_with(robot, whole))
+    springs = moved.springs(robot, damping_with(robot, whole), laws)
     own = springs.swing(moved.links, softer, heavier, moved.swing)
-    moved = replace(moved, swing=own)
+    moved = replace(moved, swing=own, play=springs.play(moved.links))
     change = change_of(moved, robot, found)
     torque, deflection = moved.answer(robot, change.link_torque, change.deflection)
     assert torque is not None

@@ -16,13 +16,19 @@ from stiffopt.discovery.comparison.nuisance import (
     nuisance_columns,
 )
 from stiffopt.discovery.comparison.prepare import PreparedRun, with_link_torque
-from stiffopt.discovery.comparison.swing import damping_of
+from stiffopt.discovery.comparison.signals import JointSignals
+from stiffopt.discovery.comparison.spring_law import SpringLaw
+from stiffopt.discovery.comparison.springs import damping_of
 from stiffopt.recording.nominal import Tolerance
 
 # Of the slope of a spring's law, over the rated torque.
 _SLOPE_STEP = 0.01
 # Of that step: a first one to which what lags has settled, and which is forgotten soon.
 _HARDLY = 1e-3
+
+# Torques of a spring's table over the largest one met, the least above zero and the largest, and
+# how many a decade: between them a wind-up is straight to far below any encoder's noise.
+_LEAST, _LARGEST, _A_DECADE = 1e-6, 1e2, 200
 
 # Between inertia matrices, which change with posture only [s].
 _POSTURE = 0.02
@@ -131,6 +137,42 @@ def _compliance_added(
     ends = [change_of(each, robot, extension).deflection for each in (run, loaded)]
     nominal = loaded.signals.windup - run.signals.windup
     return np.asarray((ends[1] - ends[0]) / nominal)
+
+
+def spring_laws(
+    joints: Sequence[JointSignals], extension: Extension
+) -> tuple[dict[int, SpringLaw], Extension]:
+    """Springs with a play by their joints (from 0), and what of an extension is not in them.
+
+    Parameters
+    ----------
+    joints : sequence of JointSignals
+    extension : Extension
+    """
+    found = [e for e in extension.effects if e.located.effect.is_play]
+    laws = {}
+    for joint in {e.located.joint for e in found if e.located.joint is not None}:
+        own = [e for e in found if e.located.joint == joint]
+        laws[joint] = _law(joints[joint], own)
+    return laws, replace(extension, effects=tuple(e for e in extension.effects if e not in found))
+
+
+def _law(signals: JointSignals, own: Sequence[EstimatedEffect]) -> SpringLaw:
+    """Nominal spring of a joint with effects in it."""
+    constants = signals.constants
+    decades = np.log10(_LARGEST / _LEAST)
+    above = constants.largest_torque * np.geomspace(_LEAST, _LARGEST, round(decades * _A_DECADE))
+    above = np.unique(np.concatenate([above, constants.corners or ()]))
+    carried = np.concatenate([-above[::-1], [0.0], above])
+    windup = np.asarray(constants.windup(carried))
+    along = replace(signals, spring_torque=carried, windup=windup)
+    deflection = windup.copy()
+    for each in own:
+        term = each.located.effect.term(along, each.amplitudes, each.located.shapes)
+        deflection += np.asarray(term.deflection)
+    # A play below zero, as a fit on its way may have it, is none.
+    kept = np.flatnonzero(deflection > np.maximum.accumulate(np.append(-np.inf, deflection[:-1])))
+    return SpringLaw(carried[kept], deflection[kept], windup[kept])
 
 
 def heavier_by(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.ndarray | float:

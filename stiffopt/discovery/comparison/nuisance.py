@@ -129,10 +129,10 @@ def _of_spring(run: PreparedRun, j: int, sd: float, asked: Asked) -> Iterator[Nu
         return
     if not np.any(signals.windup[:, j]):
         return
-    # Relative to the joint as it is: of all its deflection where the links swing.
+    # Relative to the joint as it is: of all its deflection where the links swing, but for a play.
     values = signals.windup[:, j]
     if run.swing is not None:
-        values = (signals.motor_position - signals.link_position)[:, j]
+        values = (signals.motor_position - signals.link_position - run.play)[:, j]
 
     def single(j: int, values: np.ndarray) -> np.ndarray:
         column = np.zeros_like(signals.spring_torque)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
@@ -17,12 +18,9 @@ from stiffopt.discovery.comparison.signals import (
     RobotSignals,
     smooth_sign,
 )
-from stiffopt.discovery.comparison.swing import (
-    LinkMotion,
-    Springs,
-    Swing,
-    slow_filter,
-)
+from stiffopt.discovery.comparison.spring_law import SpringLaw
+from stiffopt.discovery.comparison.springs import Springs
+from stiffopt.discovery.comparison.swing import LinkMotion, Swing, slow_filter
 from stiffopt.discovery.settings import Settings
 from stiffopt.recording.clock import GAP
 from stiffopt.recording.run import RecordedRun
@@ -63,6 +61,8 @@ class PreparedRun:
         How links answer small changes; None where they follow at once, by the springs alone.
     beside : array (K, n) or float
         Deflection beside the nominal wind-up of the spring torque, of what an extension adds [rad].
+    play : array (K, n) or float
+        Of the deflection, what is free travel between flanks [rad].
     begun : array (2 n,), optional
         Displacement and speed by which links are known to begin beside their slow motion.
     swung : dict
@@ -83,6 +83,7 @@ class PreparedRun:
     followed: ZeroPhaseFilter
     swing: Swing | None = None
     beside: np.ndarray | float = 0.0
+    play: np.ndarray | float = 0.0
     begun: np.ndarray | None = None
     swung: dict[tuple[object, ...], PreparedRun] = field(default_factory=dict, init=False)
     _joints: dict[int, JointSignals] = field(default_factory=dict, init=False)
@@ -136,10 +137,15 @@ class PreparedRun:
             beside=self.beside[:count] if isinstance(self.beside, np.ndarray) else self.beside,
         )
 
-    def springs(self, robot: RobotModel, damping: np.ndarray | None = None) -> Springs:
-        """Springs between the motors and the links of this run, as damped as given or nominal."""
+    def springs(
+        self,
+        robot: RobotModel,
+        damping: np.ndarray | None = None,
+        laws: Mapping[int, SpringLaw] | None = None,
+    ) -> Springs:
+        """Springs between the motors and the links of this run, with damping and laws as given."""
         s = self.signals
-        return Springs(robot, s.motor_position, s.motor_velocity, s.dt, damping)
+        return Springs(robot, s.motor_position, s.motor_velocity, s.dt, damping, laws)
 
     def answer(
         self, robot: RobotModel, link_torque: np.ndarray | None, deflection: np.ndarray | None

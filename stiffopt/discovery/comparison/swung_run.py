@@ -14,6 +14,7 @@ from stiffopt.discovery.comparison.extension_change import (
     heavier_by,
     moves_links,
     softer_by,
+    spring_laws,
     values_of,
 )
 from stiffopt.discovery.comparison.filtering import derivative
@@ -92,12 +93,13 @@ def _followed(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prep
     near by.
     """
     assert run.swing is not None
-    springs = run.springs(robot, damping_with(robot, extension))
+    laws, rest = spring_laws([run.of_joint(j) for j in range(robot.n)], extension)
+    springs = run.springs(robot, damping_with(robot, extension), laws)
     bodies = values_of(extension, OF_BODIES)
     sprung = replace(
         extension,
         calibration=values_of(extension, OF_SPRINGS).calibration,
-        effects=tuple(e for e in extension.effects if not damps(e)),
+        effects=tuple(e for e in rest.effects if not damps(e)),
     )
     effects = replace(sprung, calibration={})
     heavier = heavier_by(run, robot, effects)
@@ -115,7 +117,8 @@ def _followed(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prep
         def added(
             links: LinkMotion, moved: PreparedRun = moved, weight: np.ndarray = weight
         ) -> tuple[np.ndarray, np.ndarray]:
-            change = change_of(with_links(moved, robot, links), robot, sprung)
+            here = replace(with_links(moved, robot, links), play=springs.play(links))
+            change = change_of(here, robot, sprung)
             known = len(links.position)
             if isinstance(heavier, np.ndarray):
                 away = links.acceleration - moved.signals.link_acceleration[:known]
@@ -148,7 +151,7 @@ def _slowly(run: PreparedRun, robot: RobotModel, extension: Extension, swing: Sw
         here = _with_regressor(here, robot)
     change = change_of(here, robot, extension)
     low_pass = slow_filter(run.signals.dt)
-    wound = low_pass(change.link_torque / swing.stiffness + change.deflection)
+    wound = low_pass(change.link_torque / swing.carrying + change.deflection)
     rate = derivative(wound, run.signals.dt)
     return slow.moved(-wound, -rate, -derivative(rate, run.signals.dt))
 

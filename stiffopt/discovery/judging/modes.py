@@ -71,8 +71,8 @@ def mode_shifts(comparison: Comparison, fit: Fit) -> tuple[ModeShift, ...]:
     names = comparison.nuisance[0]
     places = [names.index(f"stiffness {j + 1}") for j in range(comparison.robot.n)]
     spread = fit.posterior.covariance[np.ix_(places, places)]
-    before, _ = nominal.swing.response.modes(middle)
-    frequencies, shapes = run.swing.response.modes(middle)
+    before, _ = nominal.swing.modes(middle)
+    frequencies, shapes = run.swing.modes(middle)
     found = []
     for frequency, was, shape in zip(frequencies, before, shapes.T, strict=True):
         if frequency > _SEEN * run.low_pass.cutoff:
@@ -99,7 +99,7 @@ def is_mode(comparison: Comparison, fit: Fit, period: float) -> bool:
 def _ranges(runs: tuple[PreparedRun, ...]) -> Iterator[tuple[float, float]]:
     """Lowest and highest frequency of every mode over the postures of the runs [Hz]."""
     found = [
-        run.swing.response.modes(int(k))[0]
+        run.swing.modes(int(k))[0]
         for run in runs
         if run.swing is not None
         for k in np.linspace(0, len(run.time) - 1, _POSTURES)
