@@ -117,6 +117,7 @@ def test_swings_about_a_motion_are_those_without_a_compiler(made, monkeypatch, n
     stiffness = grown * (random.normal(size=(n, n)) + 2e4 * np.diag(1.0 + np.arange(n)))
     torque = random.normal(size=(len(time), n, 3))
     torque[:50] = torque[300:, 0] = 0.0
+    within = random.normal(size=(len(time) - 1, 2, n))
 
     def answers():
         response = SwingResponse(inertia, rate, stiffness, 0.002)
@@ -127,6 +128,7 @@ def test_swings_about_a_motion_are_those_without_a_compiler(made, monkeypatch, n
             *changed(torque[..., 0]),
             *response.moved(torque[..., 1]),
             *changed.pushed(np.array([n - 1, 0, 0]), torque[:, 0].T),
+            *changed.driven(torque[..., 0], *torque[:2, :, 1], within),
             *response.free(random.normal(size=(2 * n, 2 * n))),
         ]
 

@@ -32,6 +32,19 @@ def test_a_step_of_torque_makes_the_swing_of_one_mass(spring):
     )
 
 
+@pytest.mark.parametrize("compiled", ["", "never"])
+def test_torques_at_both_ends_of_steps_are_as_those_at_samples(monkeypatch, compiled):
+    monkeypatch.setenv("STIFFOPT_COMPILE", compiled)
+    torque = np.random.default_rng(2).normal(size=(COUNT, 1))
+    within = np.stack([torque[:-1], torque[1:]], axis=1)
+    response, still = _one(2.0, 9.0, 8e4), np.zeros(1)
+    expected = response.driven(torque, still, still)
+    for parts in ((0.0, 1.0), (0.4, 0.6)):
+        z, velocity, _ = response.driven(parts[0] * torque, still, still, parts[1] * within)
+        np.testing.assert_allclose(z, expected[0], atol=1e-12 * np.max(np.abs(expected[0])))
+        np.testing.assert_allclose(velocity, expected[1], atol=1e-12 * np.max(np.abs(expected[1])))
+
+
 def test_what_is_left_alone_keeps_its_energy_without_damping():
     z, velocity, _ = _one(3.0, 0.0, 1.2e4).free(np.array([[1e-3], [0.02]]))
     energy = 0.5 * 3.0 * velocity[:, 0, 0] ** 2 + 0.5 * 1.2e4 * z[:, 0, 0] ** 2
