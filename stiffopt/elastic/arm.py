@@ -6,11 +6,12 @@ The springs' far ends follow the motors; rotors are not part of what swings. Rig
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.elastic.springs import joint_springs
+from stiffopt.elastic.springs import JointSpring, joint_springs
 from stiffopt.errors import NotSimulatedError, RobotError
 from stiffopt.robot.along_motion import places_along
 from stiffopt.units import joint_unit
@@ -143,9 +144,7 @@ class ElasticArm:
         Each swinging alone, judged with the motors at `at` (n,). Such a joint stays within a
         hundred-thousandth of a degree of its motor, and would take an integrator minutes.
         """
-        q = self.hanging(np.asarray(at, dtype=float)[None])[0]
-        inertia = np.diag(self.bodies.inertia_matrix(q))
-        stiffness = self.stiffness(self.held_torque(q))
+        stiffness, inertia = self._alone(np.asarray(at, dtype=float))
         fast = self.elastic & (stiffness > (2.0 * np.pi * FAST) ** 2 * inertia)
         if not fast.any() or np.all(fast == self.elastic):
             return self
@@ -198,13 +197,7 @@ class ElasticArm:
 
     def stiffness(self, torque: np.ndarray) -> np.ndarray:
         """Tangent stiffness (n,) [N m/rad] at spring torques (n,); infinite for rigid joints."""
-        windup = self.windup(np.asarray(torque)[None])[0]
-        return np.array(
-            [
-                np.inf if spring is None else spring.torque_at(angle)[1]
-                for spring, angle in zip(self.springs, windup, strict=True)
-            ]
-        )
+        return _tangent_stiffness(self.springs, torque)
 
     def lag(self, motor: np.ndarray) -> np.ndarray:
         """Time (n,) [s] by which damping delays each wind-up, at rest at a motor position (n,)."""
@@ -250,12 +243,24 @@ class ElasticArm:
 
     def _critical_damping(self, at: np.ndarray) -> np.ndarray:
         """Critical damping (n,) of each joint swinging alone, at rest with the motors at `at`."""
-        q = self.hanging(at[None])[0]
-        stiffness = self.stiffness(self.held_torque(q))
-        inertia = np.diag(self.bodies.inertia_matrix(q))
+        stiffness, inertia = self._alone(at)
         # Of rigid joints, behind which nothing may be: infinity times zero.
         with np.errstate(invalid="ignore"):
             return np.asarray(2.0 * np.sqrt(stiffness * inertia))
+
+    def _alone(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Stiffness and inertia (n,) of each joint alone, at rest with the motors at `at` (n,)."""
+        q = self.hanging(at[None])[0]
+        return self.stiffness(self.held_torque(q)), np.diag(self.bodies.inertia_matrix(q))
+
+
+def _tangent_stiffness(springs: Sequence[JointSpring | None], torque: np.ndarray) -> np.ndarray:
+    return np.array(
+        [
+            np.inf if spring is None else spring.torque_at(float(spring.windup(own)))[1]
+            for spring, own in zip(springs, torque, strict=True)
+        ]
+    )
 
 
 def questionable_springs(robot: Robot, at: np.ndarray) -> str:
@@ -264,22 +269,18 @@ def questionable_springs(robot: Robot, at: np.ndarray) -> str:
     Each swinging alone, at rest with the motors at `at` (n,); "" where there is no such joint.
     """
     bodies = robot.rigid_bodies()
-    weight, inertia = bodies.gravity_torque(at), np.diag(bodies.inertia_matrix(at))
-    slow = []
-    for j, spring in enumerate(joint_springs(robot)):
-        if spring is None:
-            continue
-        stiffness = spring.torque_at(float(spring.windup(weight[j : j + 1])[0]))[1]
-        if stiffness < (2.0 * np.pi * _SLOW) ** 2 * inertia[j]:
-            slow.append((np.sqrt(stiffness / inertia[j]) / (2.0 * np.pi), stiffness, j))
-    if not slow:
+    stiffness = _tangent_stiffness(joint_springs(robot), bodies.gravity_torque(at))
+    inertia = np.diag(bodies.inertia_matrix(at))
+    slow = np.flatnonzero(stiffness < (2.0 * np.pi * _SLOW) ** 2 * inertia)
+    if not slow.size:
         return ""
-    frequency, stiffness, j = min(slow)
+    j = slow[np.argmin(stiffness[slow] / inertia[slow])]
+    frequency = np.sqrt(stiffness[j] / inertia[j]) / (2.0 * np.pi)
+    given = f"{stiffness[j]:.3g} {joint_unit('N m/rad', bool(robot.prismatic[j]))}"
     more = f" ({len(slow)} joints below {_SLOW:g} Hz)" if len(slow) > 1 else ""
-    own = joint_unit("N m/rad", bool(robot.prismatic[j]))
     return (
-        f"{robot.joint_names[j]} alone would swing at {frequency:.2g} Hz with {stiffness:.3g} {own}"
-        f"{more}; joints of arms do at {_USUAL:g} Hz or more. Check the unit of its stiffness: "
+        f"{robot.joint_names[j]} alone would swing at {frequency:.2g} Hz with {given}{more}; "
+        f"joints of arms do at {_USUAL:g} Hz or more. Check the unit of its stiffness: "
         "1 N m/arcmin is 3438 N m/rad, 1 N/um is 1e6 N/m."
     )
 

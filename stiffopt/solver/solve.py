@@ -140,6 +140,9 @@ def solve_keeping(
     if simulate:
         check_simulation(problem, motion)
     notes = notes_before(problem, motion)
+    # Their tables are those of the simulation.
+    if simulate and (soft := questionable_springs(problem.robot, motion.start)):
+        notes = (*notes, soft)
     beside = baselines(problem, motion)
     run = SolveRun(problem, motion, _scales(problem, beside), progress, beside.get("quintic"))
     needed, why = shortest_duration(problem, motion)
@@ -217,8 +220,6 @@ def notes_before(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[st
     """What can be said of a problem before it is solved; refuses those that are degenerate."""
     chosen = (problem.chosen,) if problem.chosen else ()
     doubted = questionable_bodies(problem.robot)
-    if soft := questionable_springs(problem.robot, motion.start):
-        doubted = (*doubted, soft)
     return (*chosen, *problem.remarks, *doubted, *_held(problem), *check_bounds(problem, motion))
 
 
