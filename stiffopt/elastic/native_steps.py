@@ -10,7 +10,7 @@ import numpy as np
 
 from stiffopt.c_code import ARRAY, REAL, WHOLE, Struct
 from stiffopt.elastic import native
-from stiffopt.elastic.steps import Matrices, Swung
+from stiffopt.elastic.steps import Load, Matrices, Swung
 
 # Joints that the C code has room for.
 _MOST = 16
@@ -71,32 +71,24 @@ class NativeSteps:
         new._point_to(replace(self._of, stiffness=stiffness))
         return new
 
-    def march(
-        self,
-        links: np.ndarray,
-        torque: np.ndarray,
-        begin: np.ndarray | None,
-        *,
-        accelerated: bool,
-        within: np.ndarray | None = None,
-    ) -> Swung:
+    def march(self, load: Load, begin: np.ndarray | None, *, accelerated: bool) -> Swung:
         """See `Steps`."""
-        many, count = torque.shape[:2]
+        many, count = load.torque.shape[:2]
         z, velocity = np.empty((2, many, count, self._n))
         acceleration = np.empty(z.shape) if accelerated else None
         if begin is None:
             begin = np.zeros((many, 2 * self._n))
         arrays = (
-            np.ascontiguousarray(links, dtype=np.int64),
-            np.ascontiguousarray(torque, dtype=float),
-            None if within is None else np.ascontiguousarray(within, dtype=float),
+            np.ascontiguousarray(load.links, dtype=np.int64),
+            np.ascontiguousarray(load.torque, dtype=float),
+            None if load.within is None else np.ascontiguousarray(load.within, dtype=float),
             np.ascontiguousarray(begin, dtype=float),
             *(z, velocity, acceleration),
         )
         self._made.march(
             ctypes.byref(self._own),
             WHOLE(many),
-            WHOLE(links.shape[1]),
+            WHOLE(load.links.shape[1]),
             *(ARRAY(None if each is None else each.ctypes.data) for each in arrays),
         )
         return z, velocity, acceleration

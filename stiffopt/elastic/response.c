@@ -177,11 +177,12 @@ static void accelerated(const Response *r, long long k, const double *z, const d
   }
 }
 
-/* m swings (m, steps + 1, n) under torques (m, steps + 1, links), each on links of its own (m, links),
-   and beside them, where given, others at begin and end of every step (m, steps, 2, links), from states (m, 2 n): displacements, velocities and, where asked for, accelerations. */
+/* m swings (m, steps + 1, n) from states (m, 2 n): displacements, velocities and, where asked for,
+   accelerations. Under torques (m, steps + 1, links), each on links of its own (m, links), and
+   beside them, where given, others at begin and end of every step (m, steps, 2, links). */
 void march(const Response *r, long long m, long long links, const long long *link,
-           const double *torque, const double *within, const double *begin, double *z, double *velocity,
-           double *acceleration) {
+           const double *torque, const double *within, const double *begin, double *z,
+           double *velocity, double *acceleration) {
   long long count = r->steps + 1;
   int n = r->n, s = 2 * n, fours = r->rows / 4;
   for (long long first = 0; first < m; first += LANES) {

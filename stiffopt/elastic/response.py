@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from stiffopt.elastic import native_steps
-from stiffopt.elastic.steps import ArraySteps, Matrices, Steps
+from stiffopt.elastic.steps import ArraySteps, Load, Matrices, Steps
 
 
 class SwingResponse:
@@ -81,7 +81,9 @@ class SwingResponse:
             [rad], [rad/s], [rad/s^2].
         """
         many = np.moveaxis(torque, 2, 0) if torque.ndim == 3 else torque[None]
-        z, velocity, acceleration = self._marched(np.tile(np.arange(self.n), (len(many), 1)), many)
+        z, velocity, acceleration = self._marched(
+            Load(np.tile(np.arange(self.n), (len(many), 1)), many)
+        )
         if torque.ndim == 2:
             return z[0], velocity[0], acceleration[0]
         return np.moveaxis(z, 0, 2), np.moveaxis(velocity, 0, 2), np.moveaxis(acceleration, 0, 2)
@@ -99,7 +101,7 @@ class SwingResponse:
         """
         begin = np.concatenate([z, velocity / self._unit])[None]
         beside = None if within is None else within[None]
-        found = self._marched(np.arange(self.n)[None], torque[None], begin, beside)
+        found = self._marched(Load(np.arange(self.n)[None], torque[None], beside), begin)
         return found[0][0], found[1][0], found[2][0]
 
     def moved(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -108,16 +110,14 @@ class SwingResponse:
         The same as a call gives; what a step does with a torque is kept from call to call.
         """
         links = np.flatnonzero(torque.any(axis=0))
-        z, velocity, _ = self._steps.march(
-            links[None], torque[None][..., links], None, accelerated=False
-        )
+        load = Load(links[None], torque[None][..., links])
+        z, velocity, _ = self._steps.march(load, None, accelerated=False)
         return z[0], velocity[0]
 
     def pushed(self, links: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Swing and its velocity (m, K, n) under m torques (m, K), each on one link (m,)."""
-        z, velocity, _ = self._steps.march(
-            links[:, None], torque[..., None], None, accelerated=False
-        )
+        load = Load(links[:, None], torque[..., None])
+        z, velocity, _ = self._steps.march(load, None, accelerated=False)
         return z, velocity
 
     def free(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -130,7 +130,7 @@ class SwingResponse:
         """
         begin = state.T / np.repeat([1.0, self._unit], self.n)
         nothing = np.zeros((len(begin), len(self._stiffness), 0))
-        found = self._marched(np.zeros((len(begin), 0), dtype=int), nothing, begin)
+        found = self._marched(Load(np.zeros((len(begin), 0), dtype=int), nothing), begin)
         z, velocity, acceleration = (np.moveaxis(each, 0, 2) for each in found)
         return z, velocity, acceleration
 
@@ -150,14 +150,8 @@ class SwingResponse:
         return rates / (2.0 * np.pi), shapes
 
     def _marched(
-        self,
-        links: np.ndarray,
-        torque: np.ndarray,
-        begin: np.ndarray | None = None,
-        within: np.ndarray | None = None,
+        self, load: Load, begin: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        z, velocity, acceleration = self._steps.march(
-            links, torque, begin, accelerated=True, within=within
-        )
+        z, velocity, acceleration = self._steps.march(load, begin, accelerated=True)
         assert acceleration is not None
         return z, velocity, acceleration

@@ -45,6 +45,24 @@ class Matrices:
         return int(self.mobility.shape[1])
 
 
+@dataclass(frozen=True)
+class Load:
+    """Torques on m swings, each on l links of its own.
+
+    Attributes
+    ----------
+    links : array (m, l) of int
+    torque : array (m, K, l)
+        At every sample, linear in between [N m].
+    within : array (m, K - 1, 2, l), optional
+        Beside those, at the begin and at the end of every step [N m].
+    """
+
+    links: np.ndarray
+    torque: np.ndarray
+    within: np.ndarray | None = None
+
+
 class Steps(Protocol):
     """Steps from each sample to the next."""
 
@@ -54,26 +72,14 @@ class Steps(Protocol):
     def copy(self, stiffness: np.ndarray) -> Steps:
         """Steps that may be taken anew with springs (K, n, n) in another place of memory."""
 
-    def march(
-        self,
-        links: np.ndarray,
-        torque: np.ndarray,
-        begin: np.ndarray | None,
-        *,
-        accelerated: bool,
-        within: np.ndarray | None = None,
-    ) -> Swung:
+    def march(self, load: Load, begin: np.ndarray | None, *, accelerated: bool) -> Swung:
         """Displacements, velocities and, if `accelerated`, accelerations (m, K, n) of m swings.
 
         Parameters
         ----------
-        links : array (m, l) of int
-        torque : array (m, K, l)
-            Each on links of its own [N m].
+        load : Load
         begin : array (m, 2 n) or None
             Displacements [rad], then velocities over `unit`; None is at rest.
-        within : array (m, K - 1, 2, l), optional
-            Torques beside those, at the begin and at the end of every step [N m].
         """
 
 
@@ -127,21 +133,14 @@ class ArraySteps:
             setattr(new, name, getattr(self, name).copy())
         return new
 
-    def march(
-        self,
-        links: np.ndarray,
-        torque: np.ndarray,
-        begin: np.ndarray | None,
-        *,
-        accelerated: bool,
-        within: np.ndarray | None = None,
-    ) -> Swung:
+    def march(self, load: Load, begin: np.ndarray | None, *, accelerated: bool) -> Swung:
         """See `Steps`."""
+        links, torque = load.links, load.torque
         added = np.zeros((*torque.shape[:2], 2 * self._n))
         if begin is not None:
             added[:, 0] = begin
         # One after another: that is faster than all together.
-        beside = np.zeros(len(torque)) if within is None else within
+        beside = np.zeros(len(torque)) if load.within is None else load.within
         for state, on, each, own in zip(added, links, torque, beside, strict=True):
             ends = np.stack([each[:-1], each[1:]], axis=1) + own
             if len(on) == self._n:

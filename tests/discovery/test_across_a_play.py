@@ -31,7 +31,7 @@ def played(tmp_path_factory):
 def law_of(played):
     _, training, play = played
     run = training.runs[0]
-    (law,) = spring_laws([run.of_joint(j) for j in range(training.robot.n)], play)[0].values()
+    (law,) = spring_laws(run, play)[0].values()
     return law, run.of_joint(1).constants
 
 

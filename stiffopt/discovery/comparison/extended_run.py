@@ -91,7 +91,7 @@ def around(
         return bent, change.link_torque, wound
     whole = start.followed_by(found)
     moved = swung(run, robot, whole)
-    laws, rest = spring_laws([moved.of_joint(j) for j in range(robot.n)], whole)
+    laws, rest = spring_laws(moved, whole)
     softer = softer_by(moved, robot, rest)
     heavier = heavier_by(moved, robot, whole)
     springs = moved.springs(robot, damping_with(robot, whole), laws)

@@ -139,22 +139,18 @@ def _compliance_added(
     return np.asarray((ends[1] - ends[0]) / nominal)
 
 
-def spring_laws(
-    joints: Sequence[JointSignals], extension: Extension
-) -> tuple[dict[int, SpringLaw], Extension]:
-    """Springs with a play by their joints (from 0), and what of an extension is not in them.
-
-    Parameters
-    ----------
-    joints : sequence of JointSignals
-    extension : Extension
-    """
-    found = [e for e in extension.effects if e.located.effect.is_play]
-    laws = {}
-    for joint in {e.located.joint for e in found if e.located.joint is not None}:
-        own = [e for e in found if e.located.joint == joint]
-        laws[joint] = _law(joints[joint], own)
-    return laws, replace(extension, effects=tuple(e for e in extension.effects if e not in found))
+def spring_laws(run: PreparedRun, extension: Extension) -> tuple[dict[int, SpringLaw], Extension]:
+    """Springs with a play by their joints (from 0), and what of an extension is not in them."""
+    by_joint: dict[int, list[EstimatedEffect]] = {}
+    others = []
+    for each in extension.effects:
+        joint = each.located.joint
+        if each.located.effect.is_play and joint is not None:
+            by_joint.setdefault(joint, []).append(each)
+        else:
+            others.append(each)
+    laws = {joint: _law(run.of_joint(joint), own) for joint, own in by_joint.items()}
+    return laws, replace(extension, effects=tuple(others))
 
 
 def _law(signals: JointSignals, own: Sequence[EstimatedEffect]) -> SpringLaw:

@@ -125,6 +125,10 @@ class PreparedRun:
 
     def until(self, count: int) -> PreparedRun:
         """Its first samples, for what is asked of the signals of each."""
+        beside, play = (
+            each[:count] if isinstance(each, np.ndarray) else each
+            for each in (self.beside, self.play)
+        )
         return replace(
             self,
             time=self.time[:count],
@@ -134,7 +138,8 @@ class PreparedRun:
             torque_used=self.torque_used[:count],
             deflection_used=self.deflection_used[:count],
             moving=self.moving[:count],
-            beside=self.beside[:count] if isinstance(self.beside, np.ndarray) else self.beside,
+            beside=beside,
+            play=play,
         )
 
     def springs(

@@ -229,9 +229,9 @@ class Springs:
             What it makes of the springs.
         """
         before, growing, changed, swing = np.inf, 0, 0, swing.copy()
-        count = end = len(self.motor)
+        end = len(self.motor)
         reached = [0]
-        settled = np.full(count, _SETTLED)
+        settled = np.full(end, _SETTLED)
         torque = np.zeros_like(self.motor)
         away = links.less(slow)
         force = swing.force(away)
@@ -243,20 +243,16 @@ class Springs:
             # None of it counts where it runs away.
             if not np.all(np.abs(links.acceleration) < _ABSURD):
                 return None
-            for known in (min(end + _FEWEST, count), count):
-                # What comes much later is not asked for before all until then is settled.
-                own, gaps = self._gaps(links.until(known), torque[:known], added)
-                sizes = np.max(np.abs(gaps), axis=1)
-                if known == count or np.any(sizes[:end] >= settled[:known][:end]):
-                    break
-            if np.all(sizes < settled[:known]):
+            own, gaps = self._gaps_up_to(end, links, torque, added, settled)
+            sizes = np.max(np.abs(gaps), axis=1)
+            if np.all(sizes < settled[: len(sizes)]):
                 return own
-            first = int(np.argmax(sizes >= settled[:known]))
+            first = int(np.argmax(sizes >= settled[: len(sizes)]))
             reached.append(first)
-            stays = len(reached) > _PATIENCE and first <= reached[-_PATIENCE]
-            if stays and sizes[first] > _STEP:
-                return None
-            settled[first] = _STEP if stays else settled[first]
+            if len(reached) > _PATIENCE and first <= reached[-_PATIENCE]:
+                if sizes[first] > _STEP:
+                    return None
+                settled[first] = _STEP
             onward = first >= end
             # Behind a play what comes later may be far off, as long as more and more is settled.
             if onward or (self.laws and first > max(reached[:-1])):
@@ -312,6 +308,22 @@ class Springs:
         ratio = np.broadcast_to(swing.softer, self.motor.shape)[:k]
         stiffness = self._stiffness(links, ratio if softer is None else softer(links))
         return share * stiffness + (1.0 - share) * swing.stiffness[:k]
+
+    def _gaps_up_to(
+        self,
+        end: int,
+        links: LinkMotion,
+        torque: np.ndarray,
+        added: Added | None,
+        settled: np.ndarray,
+    ) -> tuple[LinkMotion, np.ndarray]:
+        """As `_gaps`, not much beyond `end` before all until then is below `settled` (K,) [rad]."""
+        count = len(self.motor)
+        known = min(end + _FEWEST, count)
+        found = self._gaps(links.until(known), torque[:known], added)
+        if known == count or np.any(np.max(np.abs(found[1][:end]), axis=1) >= settled[:end]):
+            return found
+        return self._gaps(links, torque, added)
 
     def _gaps(
         self, links: LinkMotion, torque: np.ndarray, added: Added | None

@@ -93,7 +93,7 @@ def _followed(run: PreparedRun, robot: RobotModel, extension: Extension) -> Prep
     near by.
     """
     assert run.swing is not None
-    laws, rest = spring_laws([run.of_joint(j) for j in range(robot.n)], extension)
+    laws, rest = spring_laws(run, extension)
     springs = run.springs(robot, damping_with(robot, extension), laws)
     bodies = values_of(extension, OF_BODIES)
     sprung = replace(
