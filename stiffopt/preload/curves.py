@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -11,6 +12,7 @@ from stiffopt.errors import ProblemError
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.sensitivity import largest_torque
+from stiffopt.preload.utilisation import governing_safety
 
 # Curves run from this share of the largest permissible preload to this one.
 _SHOWN = (0.05, 1.1)
@@ -42,6 +44,8 @@ class PreloadCurve:
         Slip torque with the least preload over torque [-]; infinite without torque.
     utilisation : mapping of limit name to array (K,)
         Of every limit that depends on the preload, 1 where it ends it [-].
+    safety : mapping of symbol to array (K,)
+        Safety factors of VDI 2230 under all load cases, of bolts whose joint has them [-].
     limits : mapping of name to float
         Preload at which each requirement binds [N]: "slip safety" and "least preload" from below,
         the fastener's limits from above; "slip" is where the connection begins to hold at all.
@@ -57,6 +61,7 @@ class PreloadCurve:
     stiffness_high: np.ndarray
     slip_safety: np.ndarray
     utilisation: Mapping[str, np.ndarray]
+    safety: Mapping[str, np.ndarray]
     limits: Mapping[str, float]
 
     @property
@@ -128,8 +133,21 @@ def _curve(
             for limit in element.limits
             if limit.depends_on_preload
         },
+        safety=_safety(model, preloads, index, force),
         limits=binding_preloads(model, index, abs(torque)),
     )
+
+
+def _safety(
+    model: PreloadModel, preloads: np.ndarray, index: int, forces: np.ndarray
+) -> dict[str, np.ndarray]:
+    found = [governing_safety(model, _with(model, preloads, index, f), index) for f in forces]
+    return {
+        symbol: np.array(
+            [math.nan if not (s := rows[symbol].safety) else s.value for rows in found]
+        )
+        for symbol in found[0]
+    }
 
 
 def binding_preloads(model: PreloadModel, index: int, torque: float) -> dict[str, float]:
@@ -192,6 +210,7 @@ def curve_rows(
         Units are part of the names of the columns; a limit that an element does not have is nan.
     """
     names = tuple(dict.fromkeys(name for curve in curves for name in curve.utilisation))
+    symbols = tuple(dict.fromkeys(symbol for curve in curves for symbol in curve.safety))
     columns = (
         "element",
         "joint",
@@ -202,10 +221,13 @@ def curve_rows(
         "stiffness at largest preload [N m/rad]",
         "slip safety",
         *names,
+        *symbols,
     )
     rows: list[tuple[str | float, ...]] = []
     for curve in curves:
-        used = [curve.utilisation.get(n, np.full(len(curve.preload), np.nan)) for n in names]
+        missing = np.full(len(curve.preload), np.nan)
+        used = [curve.utilisation.get(name, missing) for name in names]
+        used += [curve.safety.get(symbol, missing) for symbol in symbols]
         numbers = zip(
             curve.preload,
             curve.stiffness,

@@ -104,7 +104,8 @@ class Choice:
         tuple[Annotated[str, Named("bolt")], ...], Doc("Sizes of bolts, such as M5.")
     ] = ()
     grades: Annotated[
-        tuple[Annotated[str, Named("bolt grade")], ...], Doc("Strength classes, such as 12.9.")
+        tuple[Annotated[str, Named("bolt grade")], ...],
+        Doc("Property classes, such as 12.9 or A2-70."),
     ] = ()
     counts: Annotated[tuple[int, ...], Bounds(least=1), Doc("Numbers of bolts in the ring.")] = ()
     circles: Annotated[
@@ -125,6 +126,13 @@ class Choice:
     ] = ()
     washers: Annotated[
         bool, Doc("Whether hardened washers under the heads are to be tried as well.")
+    ] = False
+    nuts: Annotated[
+        bool,
+        Doc(
+            "Whether through-bolts with nuts are to be tried as well; what the nut presses on is "
+            "`thread_material`."
+        ),
     ] = False
     redrill: Annotated[
         bool,

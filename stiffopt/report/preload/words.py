@@ -79,7 +79,8 @@ def fasteners(element: FreeElement) -> str:
     """Count, size and grade: "9 × M5 12.9"."""
     connection = element.stage.element
     if isinstance(connection, BoltedFlange) and connection.bolt is not None:
-        return f"{element.count} × {connection.bolt.size} {connection.bolt.grade}"
+        bolt = connection.bolt
+        return " ".join(filter(None, (f"{element.count} × {bolt.size} {bolt.grade}", bolt.added)))
     if isinstance(connection, ClampingPins) and connection.screw is not None:
         return f"{element.count} × {connection.screw.size} set screw"
     return f"{element.count} pins"
