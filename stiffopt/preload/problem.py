@@ -219,6 +219,12 @@ class FreeElement:
         """Inverse of `least` [N]."""
         return self.scatter * (least + self.loss)
 
+    @property
+    def preload_known(self) -> bool:
+        """Whether somebody states the present preload, rather than a number to begin with."""
+        flange = self.stage.element
+        return not (isinstance(flange, BoltedFlange) and flange.preload_is == "assumed")
+
     def as_present(self, tightening: Tightening) -> FreeElement:
         """The element as it is in the robot, its preload taken for what the robot file means.
 
@@ -227,7 +233,7 @@ class FreeElement:
         known.
         """
         flange = self.stage.element
-        if not isinstance(flange, BoltedFlange) or flange.preload_is == "assembly":
+        if not isinstance(flange, BoltedFlange) or flange.preload_is != "net":
             return self
         assert flange.preload is not None
         largest = flange.preload
