@@ -204,8 +204,16 @@ def _panel(axes: Axes, views: Sequence[PreloadView]) -> None:
             linestyle=(0, (1.5, 1.2)),
             label="present preload, least to largest",
         )
-    axes.set_xlim(0.0, 1.03 * max(shown) / 1e3)
-    _draw_bounds(axes, {name: force / 1e3 for name, force in main.bounds.items()}, main.binding)
+    # Room for the names of limits from above, each line beside the limit that it names or before.
+    right = 1.03 * max(shown)
+    ceilings = sorted(f for n, f in main.bounds.items() if n not in FLOORS and f <= right)
+    for lines, force in enumerate(reversed(ceilings), start=1):
+        right = max(right, force / (1.0 - lines * _MERGE))
+    axes.set_xlim(0.0, 1.001 * right / 1e3)
+    drawn = {n: f / 1e3 for n, f in main.bounds.items() if n in FLOORS or f in ceilings}
+    _draw_bounds(axes, drawn, main.binding)
+    # Without a common power of ten, which would lie on the title.
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:.6g}")
     axes.locator_params(axis="x", nbins=7)
     axes.locator_params(axis="y", nbins=5)
 
@@ -223,7 +231,9 @@ def _stiffness_range(stiffness: np.ndarray, ends: np.ndarray) -> tuple[float, fl
     if top <= 0.0:  # another connection of the joint slips, whatever this one's preload
         return 0.0, 1.0
     held = stiffness[stiffness > 0.97 * top]
-    bottom = min(float(held.min()), float(ends[-1])) if held.size else 0.0
+    # Both ends of the scatter are shown, but for one that slips.
+    shown = ends[ends > 0.0]
+    bottom = min(float(held.min()), float(shown.min())) if held.size and shown.size else 0.0
     return min(bottom, 0.99 * top), top
 
 
@@ -244,7 +254,8 @@ def _draw_bounds(axes: Axes, bounds: Mapping[str, float], binding: Collection[st
         style = {"linewidth": 1.8} if name in binding else {"linewidth": 1.0, "dashes": (4, 2)}
         axes.axvline(force, color=colour, zorder=1, **style)
         # A label is as wide as it has lines.
-        near = groups and force - groups[-1][0] < len(groups[-1][1]) * _MERGE * (right - left)
+        line = _MERGE * (right - left)
+        near = groups and force - groups[-1][0] < len(groups[-1][1]) * line
         if near and name not in FLOORS and groups[-1][1][0] not in FLOORS:
             groups[-1][1].append(name)
         else:
