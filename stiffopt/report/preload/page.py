@@ -112,7 +112,7 @@ def _written(study: PreloadStudy, directory: str | Path) -> Path:
         "mark": EstimateMarks(problem).of,
         "changes": stiffness_changes(problem, solution),
         "posed": any(case.jacobian is not None for case in solution.cases),
-        "cautions": cautions(solution),
+        "cautions": cautions(problem, solution),
         "most_used": most_used(solution.rows),
         "matrix": utilisation_matrix(solution.rows),
         "loosened": loosened_connections(study.loosening),
