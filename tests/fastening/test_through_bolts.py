@@ -37,7 +37,7 @@ def test_bolt_compliance_of_vdi_example_b1():
     """VDI 2230 example B1: delta_S = 2.95e-6 mm/N, three digits.
 
     M12 x 60 - 12.9 of ISO 4762 in a tapped hole, l_K = 42 mm; b = 36 mm of thread leave 24 mm of
-    shank. The loads of the same example are in `test_vdi_steps.py`.
+    shank. These sizes are not re-read from the guideline; its loads are in `test_vdi_steps.py`.
     """
     bolt = catalogue.bolt("M12")
     shanked = catalogue.shanked(bolt, 12e-3, 24e-3)
@@ -87,7 +87,7 @@ def test_bolt_of_shigley_with_a_nut():
 def test_amplitude_of_shigleys_m30():
     """Prob. 8-37 there: M30 x 3.5 8.8, P = 80 kN from zero, C = 0.33, A_t = 561 mm^2.
 
-    sigma_a = C P/(2 A_t) = 23.53 MPa, four digits.
+    Inputs as printed there; its Eq. sigma_a = C P/(2 A_t) gives 23.53 MPa.
     """
     bolt = replace(catalogue.bolt("M24"), stress_area=561e-6)
     assert stress_amplitude(bolt, 0.33 * 80e3, 0.0) == pytest.approx(23.53e6, rel=1e-3)
