@@ -149,6 +149,7 @@ def flange(
     grade: str = "12.9",
     count: int = 8,
     circle: Amount = "50 mm",
+    nut: bool = False,
     axial_force: Amount = "0 N",
     shear_force: Amount = "0 N",
     tilting_moment: Amount = "0 N*m",
@@ -164,11 +165,13 @@ def flange(
     size
         Of the bolts, `stiffopt catalogue bolts`, or one's own.
     grade
-        8.8, 10.9 or 12.9.
+        8.8, 10.9 or 12.9; stainless A2-50 to A4-80.
     count
         Number of bolts.
     circle
         Diameter of the circle they lie on.
+    nut
+        Through-bolts with nuts, in place of tapped holes.
     axial_force
         Along the axis of the circle, beside the torque.
     shear_force
@@ -189,6 +192,7 @@ def flange(
         grade=grade,
         count=count,
         circle=to_si(number_or_text(circle), "length", "--circle"),
+        nut=nut,
         axial_force=to_si(number_or_text(axial_force), "force", "--axial-force"),
         shear_force=to_si(number_or_text(shear_force), "force", "--shear-force"),
         tilting_moment=to_si(number_or_text(tilting_moment), "torque", "--tilting-moment"),

@@ -55,10 +55,11 @@ class BoltedFlange(ContactConnection):
         Doc("What one of the bolts is; sets its limits and its loss of preload, not stiffness."),
     ] = None
     preload_is: Annotated[
-        Literal["assembly", "net"],
+        Literal["assembly", "net", "assumed"],
         Doc(
             "What `preload` means: the largest that assembly leaves, or the least that is there in "
-            "service, scatter and embedding taken off, as a maker's transmissible torque implies."
+            "service, scatter and embedding taken off, as a maker's transmissible torque implies; "
+            "or a number to begin with, at assembly, where nobody knows the present one."
         ),
     ] = "assembly"
     tightening_torque: Annotated[

@@ -15,22 +15,25 @@ from dataclasses import dataclass
 from stiffopt.contact.surface import Material, SurfacePair
 from stiffopt.declaration import Named
 from stiffopt.drivetrain.fasteners import BoltData as BoltData
+from stiffopt.drivetrain.fasteners import BoltGrade as BoltGrade
 from stiffopt.drivetrain.fasteners import ClampedMaterial as ClampedMaterial
+from stiffopt.drivetrain.fasteners import HexagonData as HexagonData
 from stiffopt.drivetrain.fasteners import SetScrewData as SetScrewData
 from stiffopt.drivetrain.fasteners import bolt as bolt
-from stiffopt.drivetrain.fasteners import bolt_expansion as bolt_expansion
+from stiffopt.drivetrain.fasteners import bolt_grade as bolt_grade
 from stiffopt.drivetrain.fasteners import bolt_grades as bolt_grades
-from stiffopt.drivetrain.fasteners import bolt_modulus as bolt_modulus
 from stiffopt.drivetrain.fasteners import bolt_sizes as bolt_sizes
 from stiffopt.drivetrain.fasteners import clamped_material as clamped_material
 from stiffopt.drivetrain.fasteners import coating as coating
 from stiffopt.drivetrain.fasteners import coating_names as coating_names
+from stiffopt.drivetrain.fasteners import hexagon as hexagon
 from stiffopt.drivetrain.fasteners import proof_stress as proof_stress
 from stiffopt.drivetrain.fasteners import set_screw as set_screw
+from stiffopt.drivetrain.fasteners import set_screw_modulus as set_screw_modulus
 from stiffopt.drivetrain.fasteners import set_screw_sizes as set_screw_sizes
 from stiffopt.drivetrain.fasteners import shaft_proof_stress as shaft_proof_stress
+from stiffopt.drivetrain.fasteners import shanked as shanked
 from stiffopt.drivetrain.fasteners import tensile_strength as tensile_strength
-from stiffopt.drivetrain.fasteners import waisted as waisted
 from stiffopt.drivetrain.fasteners import washer as washer
 from stiffopt.drivetrain.tables import Entry as Entry
 from stiffopt.drivetrain.tables import find, own_entries, read_table, rows, source_text

@@ -35,8 +35,10 @@ class BoltData(Entry):
         d_w, of the flat under the head [m].
     hole : float
         d_h, of the clearance hole [m].
-    waist : float or None
-        d_T of a necked-down shank over the clamp length [m]; `waisted` makes such a bolt.
+    shank_diameter : float or None
+        d_T of the part beside the thread [m]; `shanked` makes such a bolt.
+    shank_length : float
+        l of that part within the clamp length [m]; infinite: all of it.
     """
 
     diameter: float
@@ -47,19 +49,29 @@ class BoltData(Entry):
     head_diameter: float
     bearing_diameter: float
     hole: float
-    waist: float | None = None
+    shank_diameter: float | None = None
+    shank_length: float = 0.0
 
     @property
     def stress_diameter(self) -> float:
-        """d_S = (d2 + d3)/2, of the circle with the stress area, or d_T of a waist [m]."""
-        if self.waist is not None:
-            return self.waist
-        return (self.pitch_diameter + self.minor_diameter) / 2
+        """d_S = (d2 + d3)/2 of the thread, or that of a thinner shank [m]."""
+        return self._thinner((self.pitch_diameter + self.minor_diameter) / 2)
 
     @property
     def core_diameter(self) -> float:
-        """d_3 of the thread, or d_T of a waist: what bends and shears between the ends [m]."""
-        return self.minor_diameter if self.waist is None else self.waist
+        """d_3 of the thread, or d_T of a thinner shank: what shears between the ends [m]."""
+        return self._thinner(self.minor_diameter)
+
+    def _thinner(self, diameter: float) -> float:
+        """Smaller one of a diameter and that of the shank [m]."""
+        return diameter if self.shank_diameter is None else min(diameter, self.shank_diameter)
+
+    def sections(self, length: float) -> tuple[tuple[float, float], ...]:
+        """Length and diameter of the cylinders within a clamp length: shank, thread at d_3 [m]."""
+        if self.shank_diameter is None:
+            return ((length, self.minor_diameter),)
+        shank = min(self.shank_length, length)
+        return ((shank, self.shank_diameter), (length - shank, self.minor_diameter))
 
     @property
     def core_area(self) -> float:
@@ -87,9 +99,41 @@ class BoltData(Entry):
         return (self.bearing_diameter + self.hole) / 2
 
 
-def waisted(bolt: BoltData, waist: float) -> BoltData:
-    """The same bolt with a necked-down shank, which then is the weakest section [m]."""
-    return replace(bolt, waist=waist, stress_area=math.pi / 4 * waist**2)
+def shanked(bolt: BoltData, diameter: float, length: float = math.inf) -> BoltData:
+    """The same bolt with a shank beside its thread [m]; a thinner one is the weakest section."""
+    area = min(bolt.stress_area, math.pi / 4 * diameter**2)
+    return replace(bolt, shank_diameter=diameter, shank_length=length, stress_area=area)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoltGrade(Entry):
+    """Property class of bolts.
+
+    Parameters
+    ----------
+    proof_stress, tensile_strength : float
+        R_p0.2 and R_m, least [Pa].
+    modulus : float
+        Young's modulus [Pa].
+    expansion : float
+        Thermal, for 1 K.
+    heat_treated : bool
+        Quenched and tempered; stainless bolts are work-hardened instead.
+    """
+
+    proof_stress: float
+    tensile_strength: float
+    modulus: float
+    expansion: float
+    heat_treated: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class HexagonData(Entry):
+    """Hexagon head or nut: d_w of its face and width across corners [m]."""
+
+    bearing_diameter: float
+    corners: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +162,7 @@ class ClampedMaterial(Entry):
     head_pressure : float
         Permissible under a bolt head [Pa].
     engagement : mapping of grade to float
-        Length of thread needed, in bolt diameters.
+        Length of thread needed, in bolt diameters; see `engagement_for`.
     engagement_assumed : float
         Length of thread where none is given, in bolt diameters.
     strength, yield_stress : float
@@ -141,6 +185,12 @@ class ClampedMaterial(Entry):
     yield_stress: float
     expansion: float
     key_pressure: Mapping[str, float] = field(default_factory=dict)
+
+    def engagement_for(self, grade: str) -> float:
+        """Length of thread needed, in diameters: of the weakest grade tried that is no weaker."""
+        strength = tensile_strength(grade)
+        tried = [name for name in self.engagement if tensile_strength(name) >= strength]
+        return self.engagement[min(tried, key=tensile_strength)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,23 +223,41 @@ def bolt(size: str) -> BoltData:
 
 def bolt_grades() -> list[str]:
     """Names of the packaged bolt grades, weak to strong."""
-    return [
-        name for name, value in read_table("bolts")["grades"].items() if isinstance(value, float)
-    ]
+    return list(read_table("bolts")["grade"])
+
+
+def bolt_grade(name: str) -> BoltGrade:
+    """Look up a property class, for example "12.9" or "A2-70"."""
+    table = read_table("bolts")
+    row = dict(find("bolt grade", name, table["grade"]))
+    made_of = dict(table["material"][row.pop("material")])
+    source = f"{source_text(table, row.pop('source'))}; {made_of.pop('source')}"
+    return BoltGrade(name=name, provenance="catalogue", source=source, **row, **made_of)
 
 
 def proof_stress(grade: str) -> float:
     """Yield strength R_p0.2 of a bolt grade such as "12.9" [Pa]."""
-    if grade not in bolt_grades():
-        raise InputError(
-            f"no bolt grade {grade!r} in the catalogue. {nearest(grade, bolt_grades())}"
-        )
-    return float(read_table("bolts")["grades"][grade])
+    return bolt_grade(grade).proof_stress
 
 
-def bolt_modulus() -> float:
-    """Young's modulus of bolts and set screws [Pa]."""
-    return float(read_table("bolts")["material"]["modulus"])
+def set_screw_modulus() -> float:
+    """Young's modulus of set screws [Pa]."""
+    return float(read_table("bolts")["material"]["steel"]["modulus"])
+
+
+def hexagon(size: str) -> HexagonData:
+    """Look up the hexagon head or nut for the thread diameter of a bolt."""
+    table = read_table("bolts")["hexagons"]
+    diameter = bolt(size).diameter
+    for name, row in table.items():
+        if isinstance(row, dict) and bolt(name).diameter == diameter:
+            return HexagonData(
+                name=size, provenance=table["provenance"], source=table["source"], **row
+            )
+    raise InputError(
+        f"bolt {size}: no hexagon head or nut is packaged for {1e3 * diameter:g} mm. Take a "
+        'packaged size, or `head = "socket"` in a tapped hole (`nut = false`).'
+    )
 
 
 def set_screw_sizes() -> list[str]:
@@ -206,13 +274,7 @@ def set_screw(size: str) -> SetScrewData:
 
 def tensile_strength(grade: str) -> float:
     """Least tensile strength R_m of a bolt grade such as "12.9" [Pa]."""
-    proof_stress(grade)  # refuses grades that are not known
-    return float(read_table("bolts")["strengths"][grade])
-
-
-def bolt_expansion() -> float:
-    """Thermal expansion of bolts, for 1 K."""
-    return float(read_table("bolts")["material"]["expansion"])
+    return bolt_grade(grade).tensile_strength
 
 
 def washer(size: str) -> WasherData:

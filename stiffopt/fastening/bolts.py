@@ -10,7 +10,12 @@ from stiffopt.connection import Bolt, BoltedFlange
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.catalogue import BoltData
 from stiffopt.errors import InputError
-from stiffopt.fastening.compliance import bolt_compliance, clamped_compliance
+from stiffopt.fastening.bolt_geometry import bolt_data, clamp_length
+from stiffopt.fastening.compliance import (
+    bolt_compliance,
+    clamped_compliance,
+    through_bolted_compliance,
+)
 from stiffopt.fastening.embedding import flange_embedding
 from stiffopt.fastening.head_pressure import head_bearing
 from stiffopt.fastening.preload_limit import PreloadLimit
@@ -19,8 +24,6 @@ from stiffopt.fastening.thread_engagement import stripping_length
 from stiffopt.fastening.tightening import Tightening, WorkshopTorque, tightening_torque
 from stiffopt.symbolic import Quantity
 
-# Clamp length where none is given, in bolt diameters.
-_CLAMP_LENGTH = 2.0
 # Room between two heads, as a share of the head: the closest screw circles at reducers (nine M3 on
 # 17 mm) leave 5.7 %.
 _HEAD_GAP = 0.05
@@ -35,20 +38,6 @@ def flange_bolt(flange: BoltedFlange) -> Bolt:
             "element in the robot file."
         )
     return flange.bolt
-
-
-def bolt_data(bolt: Bolt) -> BoltData:
-    """Sizes of a bolt; those of its core are of the waist where it has one (tables A3 and A4)."""
-    data = catalogue.bolt(bolt.size)
-    if bolt.waist is None:
-        return data
-    if not bolt.waist < data.minor_diameter:
-        raise InputError(
-            f"bolt {bolt.size}: waist = {1e3 * bolt.waist:g} mm is no less than the core of the "
-            f"thread, {1e3 * data.minor_diameter:g} mm. Give the diameter of the necked-down "
-            "shank, or leave it out."
-        )
-    return catalogue.waisted(data, bolt.waist)
 
 
 def permissible_preload(flange: BoltedFlange, tightening: Tightening) -> float:
@@ -75,7 +64,7 @@ def limits(flange: BoltedFlange, tightening: Tightening) -> tuple[PreloadLimit, 
             provenance=data.provenance,
             source=(
                 f"VDI 2230, {bolt.size} {bolt.grade}: 90 % of R_p0.2 in tension and torsion while "
-                "tightening; ISO 898-1"
+                f"tightening; {catalogue.bolt_grade(bolt.grade).source}"
             ),
             remedy="a larger bolt, a higher grade or less thread friction",
         ),
@@ -86,18 +75,24 @@ def limits(flange: BoltedFlange, tightening: Tightening) -> tuple[PreloadLimit, 
             source=bearing.source,
             remedy="a harder part or a hard washer under the head, or a larger bolt",
         ),
-        _engagement_limit(bolt, data),
+        *_engagement_limits(bolt, data),
         *_spacing_limits(flange, data),
     )
 
 
-def _engagement_limit(bolt: Bolt, data: catalogue.BoltData) -> PreloadLimit:
+def _engagement_limits(bolt: Bolt, data: catalogue.BoltData) -> tuple[PreloadLimit, ...]:
+    """None with a nut: one of the bolt's class bears what the bolt does (ISO 898-2, 3506-2)."""
+    if bolt.nut:
+        return ()
     thread = catalogue.clamped_material(bolt.thread_material)
     strength = catalogue.tensile_strength(bolt.grade)
     strips = stripping_length(catalogue.bolt(bolt.size), strength, thread) / data.diameter
-    needed, present = max(thread.engagement[bolt.grade], strips), engagement(bolt) / data.diameter
+    needed, present = (
+        max(thread.engagement_for(bolt.grade), strips),
+        engagement(bolt) / data.diameter,
+    )
     how = "assumed" if bolt.engagement is None else "given"
-    return PreloadLimit(
+    limit = PreloadLimit(
         name="thread engagement",
         capacity=math.inf,
         fixed=needed / present,
@@ -108,6 +103,7 @@ def _engagement_limit(bolt: Bolt, data: catalogue.BoltData) -> PreloadLimit:
         ),
         remedy="a deeper thread, a thread insert, a harder part or a lower grade",
     )
+    return (limit,)
 
 
 def _spacing_limits(flange: BoltedFlange, data: catalogue.BoltData) -> tuple[PreloadLimit, ...]:
@@ -130,20 +126,19 @@ def _spacing_limits(flange: BoltedFlange, data: catalogue.BoltData) -> tuple[Pre
         PreloadLimit(
             name="bolt spacing",
             capacity=math.inf,
-            fixed=(1 + _HEAD_GAP) * data.head_diameter / chord,
+            fixed=(1 + _HEAD_GAP) * _room(flange_bolt(flange), data) / chord,
             provenance="estimated",
-            source=f"heads by ISO 4762 with {100 * _HEAD_GAP:g} % of their diameter between them",
+            source=f"heads and nuts with {100 * _HEAD_GAP:g} % of their diameter between them",
             remedy="fewer or smaller bolts, or a larger bolt circle",
         ),
         in_ring,
     )
 
 
-def clamp_length(bolt: Bolt) -> float:
-    """l_K in use [m]."""
-    if bolt.clamp_length is not None:
-        return bolt.clamp_length
-    return _CLAMP_LENGTH * catalogue.bolt(bolt.size).diameter
+def _room(bolt: Bolt, data: BoltData) -> float:
+    """Diameter that head and nut take [m]."""
+    nut = catalogue.hexagon(bolt.size).corners if bolt.nut else 0.0
+    return max(data.head_diameter, nut)
 
 
 def engagement(bolt: Bolt) -> float:
@@ -157,7 +152,9 @@ def engagement(bolt: Bolt) -> float:
 def assumed_lengths(flange: BoltedFlange) -> dict[str, float]:
     """Lengths in use that the flange does not give [m]."""
     bolt = flange_bolt(flange)
-    present = {"clamp_length": clamp_length(bolt), "engagement": engagement(bolt)}
+    present = {"clamp_length": clamp_length(bolt)}
+    if not bolt.nut:
+        present["engagement"] = engagement(bolt)
     return {name: value for name, value in present.items() if getattr(bolt, name) is None}
 
 
@@ -171,10 +168,14 @@ def joint_compliances(flange: BoltedFlange) -> tuple[float, float]:
     # Each bolt has its share of the ring: as wide as the ring, as long as the way to the next one.
     count = flange.bolt_count * flange.sectors
     share = min(flange.outer_radius - flange.inner_radius, math.pi * flange.circle_diameter / count)
-    return (
-        bolt_compliance(data, length, catalogue.bolt_modulus(), thread.modulus),
-        clamped_compliance(data, length, share, head.modulus),
-    )
+    modulus = catalogue.bolt_grade(bolt.grade).modulus
+    around = modulus if bolt.nut else thread.modulus
+    delta_s = bolt_compliance(data, length, modulus, around, head=bolt.head, nut=bolt.nut)
+    if not bolt.nut:
+        return delta_s, clamped_compliance(data, length, share, head.modulus)
+    nut = catalogue.hexagon(bolt.size).bearing_diameter
+    moduli = (head.modulus, thread.modulus)
+    return delta_s, through_bolted_compliance(data, nut, length, share, moduli)
 
 
 def preload_loss(flange: BoltedFlange, tightening: Tightening) -> float:
@@ -188,10 +189,12 @@ def preload_loss(flange: BoltedFlange, tightening: Tightening) -> float:
 def thermal_preload(flange: BoltedFlange, tightening: Tightening) -> float:
     """|Delta F_Vth| for the change of temperature, one way a loss, the other way a gain [N]."""
     bolt = flange_bolt(flange)
+    ends = (bolt.head_material, bolt.thread_material if bolt.nut else bolt.head_material)
+    parts = [catalogue.clamped_material(name).expansion for name in ends]
     change = thermal_change(
         clamp_length(bolt),
-        catalogue.bolt_expansion(),
-        catalogue.clamped_material(bolt.head_material).expansion,
+        catalogue.bolt_grade(bolt.grade).expansion,
+        sum(parts) / 2.0,
         tightening.temperature_change,
         sum(joint_compliances(flange)),
     )
@@ -200,12 +203,12 @@ def thermal_preload(flange: BoltedFlange, tightening: Tightening) -> float:
 
 def scatter(flange: BoltedFlange, tightening: Tightening) -> float:
     """alpha_A of one bolt [-] (R1)."""
-    return tightening.alpha_of(catalogue.bolt(flange_bolt(flange).size))
+    return tightening.alpha_of(bolt_data(flange_bolt(flange)))
 
 
 def workshop_torque(flange: BoltedFlange, preload: float, tightening: Tightening) -> WorkshopTorque:
     """Wrench setting for the largest preload [N] of one bolt."""
-    data = catalogue.bolt(flange_bolt(flange).size)
+    data = bolt_data(flange_bolt(flange))
     thread, head = tightening.thread_friction, tightening.head_friction
     nominal = float(tightening_torque(data, preload, thread, head))
     # The thread's pitch takes its part of the torque whatever the friction.
@@ -224,8 +227,8 @@ def permissible_assembly_preload(
 ) -> Quantity:
     """Preload at which tightening uses the permitted share of the yield strength.
 
-    F_M,zul = nu R_p0.2 A_0 / sqrt(1 + 3 [3/2 d2/d_S (P/(pi d2) + mu_G/cos 30 deg)]^2), with the
-    stress area A_0 = A_S: socket head bolts as they are used at reducers have no thinner shank.
+    F_M,zul = nu R_p0.2 A_0 / sqrt(1 + 3 [3/2 d2/d_0 (P/(pi d2) + mu_G/cos 30 deg)]^2), with the
+    stress area A_0 = A_S, or that of a thinner shank.
 
     Parameters
     ----------
@@ -240,8 +243,6 @@ def permissible_assembly_preload(
     Returns
     -------
     scalar [N]
-
-    Necked-down bolts: A_0 and d_0 of the waist in place of A_S and d_S.
 
     References
     ----------

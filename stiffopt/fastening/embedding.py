@@ -12,8 +12,10 @@ _TABLE = {
 }
 
 
-def embedding(roughness: float, interfaces: int, load: str = "shear") -> float:
-    """f_Z of a bolt in a tapped hole [m]: thread, head and inner faces (Table 5).
+def embedding(
+    roughness: float, interfaces: int, load: str = "shear", *, nut: bool = False
+) -> float:
+    """f_Z of a bolt [m]: thread, head, nut where there is one, and inner faces (Table 5).
 
     Parameters
     ----------
@@ -23,14 +25,19 @@ def embedding(roughness: float, interfaces: int, load: str = "shear") -> float:
         Inner faces, those at washers among them.
     load : {"shear", "axial"}
         Working load; shear settles more and is taken where there are both.
+    nut : bool
+        Settles as a head does; in a tapped hole nothing does but the thread.
     """
     for bound, thread, head, inner in _TABLE[load]:
         if roughness < bound:
-            return 1e-6 * (thread + head + interfaces * inner)
+            bearing = 2 if nut else 1
+            return 1e-6 * (thread + bearing * head + interfaces * inner)
     raise OutOfValidityError("roughness", roughness, 0.0, 160e-6, "Table 5 of VDI 2230 ends there.")
 
 
 def flange_embedding(flange: BoltedFlange) -> float:
     """f_Z of a flange's bolts [m]; torque is a shear load of the face."""
-    washers = 1 if flange.bolt is not None and flange.bolt.washer else 0
-    return embedding(flange.roughness, flange.interfaces + washers)
+    bolt = flange.bolt
+    nut = bolt is not None and bolt.nut
+    washers = (2 if nut else 1) if bolt is not None and bolt.washer else 0
+    return embedding(flange.roughness, flange.interfaces + washers, nut=nut)

@@ -75,7 +75,7 @@ def pin_compliance(pins: ClampingPins) -> float:
         area = math.pi / 4 * (_DIAMETER * pins.tip_diameter) ** 2
     else:
         area = catalogue.set_screw(pins.screw.size).minor_area
-    screw = screw_length(pins) / (catalogue.bolt_modulus() * area)
+    screw = screw_length(pins) / (catalogue.set_screw_modulus() * area)
     return screw + tip_compliance(pins.surface.contact_modulus, pins.tip_diameter)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stiffopt.fastening.safety_factor import SafetyFactor
+
 # A row this close to its limit is called active: less than reports show of a utilisation, more than
 # the optimiser leaves.
 ACTIVE = 1e-4
@@ -33,6 +35,8 @@ class UtilisationRow:
         What to change where this row stops a study.
     equation : str
         Step of VDI 2230, where it is one.
+    safety : SafetyFactor or None
+        Where the step has one.
     binding : bool
         False: tells, but stops no design.
     warns : str
@@ -51,6 +55,7 @@ class UtilisationRow:
     source: str = ""
     remedy: str = ""
     equation: str = ""
+    safety: SafetyFactor | None = None
     binding: bool = True
     warns: str = ""
 

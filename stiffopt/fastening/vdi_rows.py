@@ -8,18 +8,19 @@ from collections.abc import Iterator
 import numpy as np
 
 from stiffopt.drivetrain import catalogue
-from stiffopt.fastening import bolts
+from stiffopt.fastening.bolt_geometry import clamp_length
 from stiffopt.fastening.bolt_stress import working_stress
 from stiffopt.fastening.endurance import SAFETY as ENDURANCE_SAFETY
 from stiffopt.fastening.endurance import endurance_limit
 from stiffopt.fastening.flange_load import transverse_forces
 from stiffopt.fastening.head_pressure import head_bearing
+from stiffopt.fastening.safety_factor import SafetyFactor
 from stiffopt.fastening.self_loosening import transverse_slip_limit
 from stiffopt.fastening.utilisation_row import UtilisationRow
 from stiffopt.fastening.verification import SLIP_ALTERNATING, Verification
 
-# Safety against shear and bearing after slip (VDI 2230 R12).
-SHEAR = 1.1
+# Required safety against yield in service (R8), surface pressure (R10), shear after slip (R12).
+YIELD, PRESSURE, SHEAR = 1.0, 1.0, 1.1
 # Shear over tensile strength of bolts, and the extent of a face over the head's for which its
 # pressure still is even (limit G'' of a tapped hole: 1.5 to 2, the near end).
 _SHEAR_STRENGTH, _EXTENT = 0.6, 1.5
@@ -68,12 +69,14 @@ def _clamp(steps: Verification, least: float) -> Iterator[UtilisationRow]:
     if not steps.loads.more_than_torque:
         # The torque alone: the slip safety of the connection says the same.
         return
+    # Faces that open rub no more.
+    slips = max(left, 0.0) / friction if friction > 0.0 else math.inf
     extra = 100 * (steps.friction_radius / (steps.flange.circle_diameter / 2) - 1)
     yield UtilisationRow(
         kind="slip under the whole load",
         equation="R12/4",
-        # Faces that open rub no more.
-        value=max(left, 0.0) / friction if friction > 0.0 else math.inf,
+        safety=SafetyFactor("S_G", slips, steps.slip_safety),
+        value=slips,
         limit=steps.slip_safety,
         unit="",
         utilisation=_share(most, least),
@@ -109,12 +112,13 @@ def _stress(steps: Verification, preload: float, least: float) -> Iterator[Utili
     yield UtilisationRow(
         kind="working stress",
         equation="R8/5",
+        safety=SafetyFactor("S_F", steps.proof_stress / stress, YIELD),
         value=stress,
         limit=steps.proof_stress,
         unit="Pa",
         utilisation=stress / steps.proof_stress,
         case=case,
-        source=f"R_p0.2 of {steps.bolt.grade}, half of the torsion of tightening, safety 1.0",
+        source=f"R_p0.2 of {steps.bolt.grade}, half of the torsion of tightening, safety {YIELD:g}",
         provenance="catalogue",
         remedy="a larger bolt, a higher grade or less load",
     )
@@ -123,6 +127,7 @@ def _stress(steps: Verification, preload: float, least: float) -> Iterator[Utili
     yield UtilisationRow(
         kind="head pressure in service",
         equation="R10/2",
+        safety=SafetyFactor("S_P", bearing.capacity / force, PRESSURE),
         value=force,
         limit=bearing.capacity,
         unit="N",
@@ -139,16 +144,17 @@ def _stress(steps: Verification, preload: float, least: float) -> Iterator[Utili
         yield UtilisationRow(
             kind="alternating stress",
             equation="R9/4",
+            safety=SafetyFactor("S_D", limit / amplitude, ENDURANCE_SAFETY),
             value=amplitude,
             limit=limit / ENDURANCE_SAFETY,
             unit="Pa",
             utilisation=ENDURANCE_SAFETY * amplitude / limit,
             case=case,
             source=(
-                f"thread rolled {steps.bolt.rolled} heat treatment, endurance limit over "
-                f"{ENDURANCE_SAFETY:g}; load on and off among what alternates"
+                f"{_thread_words(steps)}, endurance limit over {ENDURANCE_SAFETY:g}; load on and"
+                " off among what alternates"
             ),
-            provenance="catalogue",
+            provenance="catalogue" if steps.grade.heat_treated else "estimated",
             remedy="a larger bolt, a longer one, more bolts, or threads rolled at the end",
         )
 
@@ -163,11 +169,12 @@ def _after_slip(steps: Verification) -> Iterator[UtilisationRow]:
     most = float(sizes[index].max())
     if most <= 0.0:
         return
-    strength = _SHEAR_STRENGTH * catalogue.tensile_strength(steps.bolt.grade)
+    strength = _SHEAR_STRENGTH * steps.grade.tensile_strength
     stress = most / steps.data.core_area
     yield UtilisationRow(
         kind="bolt shear",
         equation="R12",
+        safety=SafetyFactor("S_A", strength / stress, SHEAR),
         value=stress,
         limit=strength / SHEAR,
         unit="Pa",
@@ -178,7 +185,7 @@ def _after_slip(steps: Verification) -> Iterator[UtilisationRow]:
         remedy="more or larger bolts, or a larger circle",
     )
     part = catalogue.clamped_material(steps.bolt.head_material)
-    pressure = most / (steps.data.diameter * bolts.clamp_length(steps.bolt))
+    pressure = most / (steps.data.diameter * clamp_length(steps.bolt))
     yield UtilisationRow(
         kind="hole bearing",
         equation="R12",
@@ -216,9 +223,10 @@ def _warnings(steps: Verification, least: float, shift: float) -> Iterator[Utili
     if math.isfinite(shift):
         limit = transverse_slip_limit(
             steps.data,
-            bolts.clamp_length(steps.bolt),
+            clamp_length(steps.bolt),
             max(least, 0.0),
             steps.tightening.head_friction,
+            steps.grade.modulus,
         )
         yield UtilisationRow(
             kind="self-loosening",
@@ -236,6 +244,12 @@ def _warnings(steps: Verification, least: float, shift: float) -> Iterator[Utili
                 " loose where the load comes again and again. Both count: tighten so, and lock"
             ),
         )
+
+
+def _thread_words(steps: Verification) -> str:
+    if steps.grade.heat_treated:
+        return f"thread rolled {steps.bolt.rolled} heat treatment"
+    return "formula of heat-treated bolts, no published one for stainless"
 
 
 def _share(needed: float, present: float) -> float:

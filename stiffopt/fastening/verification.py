@@ -15,6 +15,7 @@ from stiffopt.connection import BoltedFlange
 from stiffopt.drivetrain import catalogue
 from stiffopt.errors import InputError
 from stiffopt.fastening import bolts
+from stiffopt.fastening.bolt_geometry import bolt_data
 from stiffopt.fastening.bolt_stress import largest_working_preload
 from stiffopt.fastening.clamp_load import friction_clamp_load, ring_opening_load
 from stiffopt.fastening.elastic_ring import elastic_ring
@@ -56,7 +57,7 @@ class Verification:
         self.flange, self.tightening = flange, tightening
         self.loads = loads if flange.bearing == "none" else loads.torque_alone()
         self.bolt = bolts.flange_bolt(flange)
-        self.data = bolts.bolt_data(self.bolt)
+        self.data = bolt_data(self.bolt)
         self.count = flange.bolt_count * flange.sectors
         if self.count < 3 and self.loads.tilting.any():
             raise InputError(
@@ -65,7 +66,8 @@ class Verification:
             )
         usual = SLIP_ALTERNATING if loads.alternating else SLIP_STATIC
         self.slip_safety = usual if slip_safety is None else slip_safety
-        self.proof_stress = catalogue.proof_stress(self.bolt.grade)
+        self.grade = catalogue.bolt_grade(self.bolt.grade)
+        self.proof_stress = self.grade.proof_stress
 
     # ---- what comes to a bolt
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,9 +16,11 @@ from stiffopt.fastening.flange_load import (
     transverse_forces,
 )
 from stiffopt.fastening.tilting import tilting_flange
+from stiffopt.fastening.utilisation_row import UtilisationRow
 from stiffopt.fastening.verification import Verification
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.tightening_draws import SlipProbability, slip_probability
+from stiffopt.preload.utilisation import governing_safety
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,6 +65,8 @@ class BoltSheet:
         That a bolt is left with less than its share of the load asks for.
     loads : FlangeLoads
         What all load cases bring to the face.
+    safety : mapping of symbol to UtilisationRow
+        Step of each safety factor of VDI 2230 that is least over what is required.
     """
 
     key: str
@@ -87,6 +92,7 @@ class BoltSheet:
     tilt: float
     chance: SlipProbability
     loads: FlangeLoads
+    safety: Mapping[str, UtilisationRow]
 
 
 def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, ...]:
@@ -128,6 +134,7 @@ def bolt_sheets(model: PreloadModel, preloads: np.ndarray) -> tuple[BoltSheet, .
                 tilt=tilting.rotation(float(steps.loads.tilting.max())) if tilting else np.inf,
                 chance=slip_probability(steps, largest),
                 loads=steps.loads,
+                safety=governing_safety(model, preloads, index),
             )
         )
     return tuple(found)

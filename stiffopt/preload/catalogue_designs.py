@@ -97,13 +97,13 @@ class CatalogueDesign:
 
     @property
     def bolts(self) -> str:
-        """Such as "9 x M5 12.9", "9 x M5 12.9 with washers"."""
+        """Such as "9 x M5 12.9", "9 x M5 12.9 with nuts and washers"."""
         held = self.stage.element
-        washer = isinstance(held, BoltedFlange) and held.bolt is not None and held.bolt.washer
+        bolt = held.bolt if isinstance(held, BoltedFlange) else None
         parts = (
             f"{self.count} x {self.size}",
             self.grade,
-            "with washers" if washer else "",
+            "" if bolt is None else bolt.added,
             "" if self.circle is None else f"on {1e3 * self.circle:g} mm",
         )
         return " ".join(part for part in parts if part)
@@ -184,14 +184,23 @@ def _variants(stage: Stage, choose: Choice) -> Iterator[Stage]:
         set((choose.sizes if free else ()) or (bolt.size,)),
         key=lambda size: catalogue.bolt(size).diameter,
     )
-    grades = sorted(set(choose.grades or (bolt.grade,)), key=catalogue.proof_stress)
+    grades = sorted(set(choose.grades or (bolt.grade,)), key=catalogue.bolt_grades().index)
     counts = sorted(set((choose.counts if free else ()) or (flange.bolt_count,)))
     circles = sorted(set((choose.circles if free else ()) or (flange.circle_diameter,)))
     washers = (False, True) if choose.washers else (bolt.washer,)
-    for size, grade, count, circle, washer in product(sizes, grades, counts, circles, washers):
-        # A waist belongs to a size.
-        waist = bolt.waist if size == bolt.size else None
-        held = replace(bolt, size=size, grade=grade, washer=washer, waist=waist)
+    # Tapped holes of a purchased part stay what they are.
+    nuts = (False, True) if choose.nuts and free else (bolt.nut,)
+    for size, grade, count, circle, washer, nut in product(
+        sizes, grades, counts, circles, washers, nuts
+    ):
+        held = replace(bolt, size=size, grade=grade, washer=washer, nut=nut)
+        if size != bolt.size:
+            # A shank belongs to a size.
+            held = replace(held, shank_diameter=None, shank_length=None)
+        if nut:
+            held = replace(held, engagement=None)
+        if not catalogue.bolt_grade(grade).heat_treated:
+            held = replace(held, rolled="before")
         changed = replace(flange, bolt=held, bolt_count=count, circle_diameter=circle)
         yield replace(stage, element=changed)
 

@@ -176,7 +176,7 @@ def _digits(designs: Sequence[CatalogueDesign]) -> np.ndarray:
     """Count, rank of size and rank of grade (m, 3); set screws keep size and have no grade."""
     bolts = [d for d in designs if d.grade]
     sizes = sorted({d.size for d in bolts}, key=lambda s: catalogue.bolt(s).diameter)
-    grades = sorted({d.grade for d in bolts}, key=catalogue.proof_stress)
+    grades = sorted({d.grade for d in bolts}, key=catalogue.bolt_grades().index)
     return np.array(
         [
             (d.count, sizes.index(d.size), grades.index(d.grade)) if d.grade else (d.count, 0, 0)

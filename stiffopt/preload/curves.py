@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from stiffopt.errors import ProblemError
+from stiffopt.fastening.vdi_rows import vdi_rows
+from stiffopt.fastening.verification import Verification
 from stiffopt.preload.load_case import LoadCase
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.sensitivity import largest_torque
+from stiffopt.preload.utilisation import governing_safety
 
+# Requirements that bound a preload from below.
+FLOORS = (
+    "slip safety",
+    "slip under the whole load",
+    "one-sided opening",
+    "least preload",
+    "joint stiffness",
+    "tool deflection",
+)
 # Curves run from this share of the largest permissible preload to this one.
 _SHOWN = (0.05, 1.1)
 
@@ -42,9 +55,11 @@ class PreloadCurve:
         Slip torque with the least preload over torque [-]; infinite without torque.
     utilisation : mapping of limit name to array (K,)
         Of every limit that depends on the preload, 1 where it ends it [-].
+    safety : mapping of symbol to array (K,)
+        Safety factors of VDI 2230 under all load cases, of bolts whose joint has them [-].
     limits : mapping of name to float
-        Preload at which each requirement binds [N]: "slip safety" and "least preload" from below,
-        the fastener's limits from above; "slip" is where the connection begins to hold at all.
+        Preload at which each requirement binds [N]: those of `FLOORS` from below, others from
+        above; "slip" is where the connection begins to hold at all.
     """
 
     key: str
@@ -57,6 +72,7 @@ class PreloadCurve:
     stiffness_high: np.ndarray
     slip_safety: np.ndarray
     utilisation: Mapping[str, np.ndarray]
+    safety: Mapping[str, np.ndarray]
     limits: Mapping[str, float]
 
     @property
@@ -113,6 +129,7 @@ def _curve(
     slip = np.array([model.slip_torque(_with(model, preloads, index, f), index) for f in force])
     with np.errstate(divide="ignore"):
         safety = slip / abs(torque)
+    stiffness = _stiffness(model, preloads, index, torque, force)
     return PreloadCurve(
         key=element.key,
         joint=element.joint,
@@ -120,7 +137,7 @@ def _curve(
         torque=torque,
         design=own,
         preload=force,
-        stiffness=_stiffness(model, preloads, index, torque, force),
+        stiffness=stiffness,
         stiffness_high=_stiffness(model, preloads, index, torque, element.largest(force)),
         slip_safety=safety,
         utilisation={
@@ -128,8 +145,24 @@ def _curve(
             for limit in element.limits
             if limit.depends_on_preload
         },
-        limits=binding_preloads(model, index, abs(torque)),
+        safety=_safety(model, preloads, index, force),
+        limits={
+            **binding_preloads(model, index, abs(torque)),
+            **_yielding(model, preloads, index, force, stiffness),
+        },
     )
+
+
+def _safety(
+    model: PreloadModel, preloads: np.ndarray, index: int, forces: np.ndarray
+) -> dict[str, np.ndarray]:
+    found = [governing_safety(model, _with(model, preloads, index, f), index) for f in forces]
+    return {
+        symbol: np.array(
+            [math.nan if not (s := rows[symbol].safety) else s.value for rows in found]
+        )
+        for symbol in found[0]
+    }
 
 
 def binding_preloads(model: PreloadModel, index: int, torque: float) -> dict[str, float]:
@@ -156,7 +189,56 @@ def binding_preloads(model: PreloadModel, index: int, torque: float) -> dict[str
         "slip safety": float(element.largest(model.slip_safety(element.joint) * torque / unit)),
         "least preload": needs.least_preload * element.capacity,
         **element.ends(needs.bolt_utilisation),
+        **_loaded(model.verifications[index]),
     }
+
+
+def _loaded(steps: Verification | None) -> dict[str, float]:
+    """Preload at which a step of VDI 2230 under the load binds, the first of each side [N]."""
+    if steps is None:
+        return {}
+    found = {}
+    if steps.loads.more_than_torque:
+        opening = float(steps.clamp_against_opening.max())
+        governs = opening >= float(steps.clamp_needed.max())
+        found["one-sided opening" if governs else "slip under the whole load"] = steps.least_preload
+    above = {row.kind: row.utilisation for row in vdi_rows(steps, steps.largest_preload)}
+    kinds = ("working stress", "head pressure in service", "alternating stress")
+    found[max(kinds, key=lambda kind: above.get(kind, 0.0))] = steps.largest_preload
+    return found
+
+
+def _yielding(
+    model: PreloadModel,
+    preloads: np.ndarray,
+    index: int,
+    forces: np.ndarray,
+    stiffness: np.ndarray,
+) -> dict[str, float]:
+    """Preload below which joint or tool yield more than is allowed, within `forces` [N]."""
+    needs, found = model.problem.requirements, {}
+    needed = needs.joint_stiffness.get(model.elements[index].joint)
+    if needed is not None and stiffness.min() < needed <= stiffness.max():
+        found["joint stiffness"] = _crossing(stiffness, forces, needed)
+    if needs.tool_deflection is not None:
+        sizes = [
+            np.nanmax(np.linalg.norm(model.exact_deflection(each), axis=1))
+            for each in (_with(model, preloads, index, force) for force in forces)
+        ]
+        compliant = -np.array(sizes)
+        if compliant.min() < -needs.tool_deflection <= compliant.max():
+            found["tool deflection"] = _crossing(compliant, forces, -needs.tool_deflection)
+    return found
+
+
+def _crossing(values: np.ndarray, forces: np.ndarray, level: float) -> float:
+    """First force at which rising values reach a level, between two points on a straight line."""
+    after = int(np.argmax(values >= level))
+    low, high = values[after - 1], values[after]
+    if not np.isfinite(low):
+        return float(forces[after])
+    share = (level - low) / (high - low)
+    return float(forces[after - 1] + share * (forces[after] - forces[after - 1]))
 
 
 def _with(model: PreloadModel, preloads: np.ndarray, index: int, force: float) -> np.ndarray:
@@ -192,6 +274,7 @@ def curve_rows(
         Units are part of the names of the columns; a limit that an element does not have is nan.
     """
     names = tuple(dict.fromkeys(name for curve in curves for name in curve.utilisation))
+    symbols = tuple(dict.fromkeys(symbol for curve in curves for symbol in curve.safety))
     columns = (
         "element",
         "joint",
@@ -202,10 +285,13 @@ def curve_rows(
         "stiffness at largest preload [N m/rad]",
         "slip safety",
         *names,
+        *symbols,
     )
     rows: list[tuple[str | float, ...]] = []
     for curve in curves:
-        used = [curve.utilisation.get(n, np.full(len(curve.preload), np.nan)) for n in names]
+        missing = np.full(len(curve.preload), np.nan)
+        used = [curve.utilisation.get(name, missing) for name in names]
+        used += [curve.safety.get(symbol, missing) for symbol in symbols]
         numbers = zip(
             curve.preload,
             curve.stiffness,

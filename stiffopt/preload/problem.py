@@ -104,7 +104,8 @@ class Choice:
         tuple[Annotated[str, Named("bolt")], ...], Doc("Sizes of bolts, such as M5.")
     ] = ()
     grades: Annotated[
-        tuple[Annotated[str, Named("bolt grade")], ...], Doc("Strength classes, such as 12.9.")
+        tuple[Annotated[str, Named("bolt grade")], ...],
+        Doc("Property classes, such as 12.9 or A2-70."),
     ] = ()
     counts: Annotated[tuple[int, ...], Bounds(least=1), Doc("Numbers of bolts in the ring.")] = ()
     circles: Annotated[
@@ -125,6 +126,13 @@ class Choice:
     ] = ()
     washers: Annotated[
         bool, Doc("Whether hardened washers under the heads are to be tried as well.")
+    ] = False
+    nuts: Annotated[
+        bool,
+        Doc(
+            "Whether through-bolts with nuts are to be tried as well; what the nut presses on is "
+            "`thread_material`."
+        ),
     ] = False
     redrill: Annotated[
         bool,
@@ -211,6 +219,12 @@ class FreeElement:
         """Inverse of `least` [N]."""
         return self.scatter * (least + self.loss)
 
+    @property
+    def preload_known(self) -> bool:
+        """Whether somebody states the present preload, rather than a number to begin with."""
+        flange = self.stage.element
+        return not (isinstance(flange, BoltedFlange) and flange.preload_is == "assumed")
+
     def as_present(self, tightening: Tightening) -> FreeElement:
         """The element as it is in the robot, its preload taken for what the robot file means.
 
@@ -219,7 +233,7 @@ class FreeElement:
         known.
         """
         flange = self.stage.element
-        if not isinstance(flange, BoltedFlange) or flange.preload_is == "assembly":
+        if not isinstance(flange, BoltedFlange) or flange.preload_is != "net":
             return self
         assert flange.preload is not None
         largest = flange.preload

@@ -22,7 +22,8 @@ class StepCost:
     bolt: Annotated[Ratio, NOT_NEGATIVE, Doc("Of one bolt: hole, thread, tightening.")] = 0.0
     size: Annotated[Ratio, NOT_NEGATIVE, Doc("Of each bolt, for one place up in `sizes`.")] = 0.0
     grade: Annotated[Ratio, NOT_NEGATIVE, Doc("Of each bolt, for one place up in `grades`.")] = 0.0
-    washer: Annotated[Ratio, NOT_NEGATIVE, Doc("Of one washer.")] = 0.0
+    washer: Annotated[Ratio, NOT_NEGATIVE, Doc("Of the washers of one bolt.")] = 0.0
+    nut: Annotated[Ratio, NOT_NEGATIVE, Doc("Of one nut.")] = 0.0
     circle: Annotated[
         Ratio, NOT_NEGATIVE, Doc("Of a flange with another pitch circle than at present.")
     ] = 0.0
@@ -53,9 +54,9 @@ def design_cost(choose: Choice, stage: Stage, present: Stage) -> float:
     assert flange.bolt is not None
     cost, bolt = choose.cost, flange.bolt
     sizes = sorted(set(choose.sizes), key=lambda size: catalogue.bolt(size).diameter)
-    grades = sorted(set(choose.grades), key=catalogue.proof_stress)
+    grades = sorted(set(choose.grades), key=catalogue.bolt_grades().index)
     one = cost.bolt + cost.size * _place(sizes, bolt.size) + cost.grade * _place(grades, bolt.grade)
-    one += cost.washer * bolt.washer
+    one += cost.washer * bolt.washer + cost.nut * bolt.nut
     moved = flange.circle_diameter != before.circle_diameter
     return flange.bolt_count * one + cost.circle * moved
 

@@ -15,6 +15,8 @@ import numpy as np
 
 from stiffopt.connection import Bolt
 from stiffopt.drivetrain.tables import with_own
+from stiffopt.fastening.safety_factor import SAFETY_FACTORS
+from stiffopt.fastening.utilisation_row import UtilisationRow
 from stiffopt.files import atomic_write, plain, write_csv
 from stiffopt.preload.bolt_sheet import BoltSheet, bolt_sheets
 from stiffopt.preload.catalogue_choice import CatalogueChoice
@@ -76,7 +78,7 @@ def _document(study: PreloadStudy) -> dict[str, Any]:
         "kkt_residual": solution.kkt_residual,
         "iterations": solution.iterations,
         "values": {name: value for name, (value, _) in named_values(study).items()},
-        "rows": [{"name": row.name, **_fields(row), "active": row.active} for row in solution.rows],
+        "rows": [_row(row) for row in solution.rows],
         "bolts": {sheet.key: _sheet(sheet) for sheet in _sheets(study)},
         "stoppers": [_fields(stop) for stop in solution.stoppers],
         "load_cases": [
@@ -172,11 +174,32 @@ def _sheets(study: PreloadStudy) -> tuple[BoltSheet, ...]:
 
 def _sheet(sheet: BoltSheet) -> dict[str, Any]:
     """Forces of one bolt step by step, and the load of each."""
-    left_out = ("key", "flange", "loads", "chance")
+    left_out = ("key", "flange", "loads", "chance", "safety")
     own = {key: value for key, value in vars(sheet).items() if key not in left_out}
     loads = dict(zip(sheet.loads.names, sheet.loads.values, strict=True))
     own |= {"slip_probability": _fields(sheet.chance)}
-    return {**own, "loads": loads, "alternating": sheet.loads.alternating}
+    safety = {symbol: _safety(row) for symbol, row in sheet.safety.items()}
+    alternating = sheet.loads.alternating
+    return {**own, "safety_factors": safety, "loads": loads, "alternating": alternating}
+
+
+def _row(row: UtilisationRow) -> dict[str, Any]:
+    safety = None if row.safety is None else _fields(row.safety)
+    return {"name": row.name, **_fields(row), "safety": safety, "active": row.active}
+
+
+def _safety(row: UtilisationRow) -> dict[str, Any]:
+    """One safety factor with its formula and the load case that it is least in."""
+    assert row.safety is not None  # rows without one are not asked for
+    against, formula = SAFETY_FACTORS[row.safety.symbol]
+    return {
+        "value": row.safety.value,
+        "required": row.safety.required,
+        "against": against,
+        "formula": formula,
+        "equation": row.equation,
+        "case": row.case,
+    }
 
 
 def _front(front: ParetoFront) -> dict[str, Any]:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from stiffopt.connection import Key
 from stiffopt.fastening.limits import key_pressure_limit
+from stiffopt.fastening.safety_factor import SafetyFactor, governing_rows
 from stiffopt.fastening.utilisation_row import UtilisationRow
+from stiffopt.fastening.vdi_rows import vdi_rows
 from stiffopt.preload.model import PreloadModel
 
 # Share of the largest torque of a joint below which one is zero but for rounding, and no reversal.
@@ -25,7 +27,7 @@ def utilisation_rows(model: PreloadModel, preloads: np.ndarray) -> tuple[Utilisa
         Largest preloads [N].
     """
     return (
-        *_slip(model, preloads),
+        *_slip(model, preloads, range(len(model.elements))),
         *_fasteners(model, preloads),
         *(row for index in range(len(model.elements)) for row in model.vdi_rows(preloads, index)),
         *_keys(model),
@@ -34,22 +36,40 @@ def utilisation_rows(model: PreloadModel, preloads: np.ndarray) -> tuple[Utilisa
     )
 
 
-def _slip(model: PreloadModel, preloads: np.ndarray) -> Iterator[UtilisationRow]:
-    for index, element in enumerate(model.elements):
+def governing_safety(
+    model: PreloadModel, preloads: np.ndarray, index: int
+) -> dict[str, UtilisationRow]:
+    """Steps of VDI 2230 with the least of each safety factor of an element, by symbol."""
+    steps = model.verifications[index]
+    if steps is None:
+        return {}
+    own = np.asarray(model.of_element(preloads, index))
+    least = float(model.elements[index].least(float(own.min())))
+    rows = vdi_rows(steps, float(own.max()), least=least)
+    return governing_rows((*_slip(model, preloads, (index,)), *rows))
+
+
+def _slip(
+    model: PreloadModel, preloads: np.ndarray, indices: Iterable[int]
+) -> Iterator[UtilisationRow]:
+    for index in indices:
+        element = model.elements[index]
         needed = model.slip_safety(element.joint)
         slip = float(model.slip_torque(preloads, index))
         for case in model.cases:
             torque = abs(float(case.torque[element.joint - 1]))
+            holds = slip / torque if torque else np.inf
             yield UtilisationRow(
                 kind="slip safety",
                 joint=element.joint,
                 element=element.key,
                 case=case.name,
-                value=slip / torque if torque else np.inf,
+                value=holds,
                 limit=needed,
                 unit="",
                 utilisation=needed * torque / slip if slip > 0.0 else np.inf,
                 equation="R12/4",
+                safety=SafetyFactor("S_G", holds, needed),
                 remedy="more friction, more or larger bolts, a larger circle, or less scatter",
             )
 

@@ -128,7 +128,7 @@ _TABLES: dict[str, Callable[[], Table]] = {
 }
 _WHERE = {
     "reducers": 'catalogue = "NAME" of an element of type "reducer"',
-    "bolts": 'bolt = { size = "SIZE", grade = "12.9" } of a flange',
+    "bolts": 'bolt = { size = "SIZE", grade = "12.9" or "A2-70" } of a flange',
     "keys": 'width and height of an element of type "key"',
     "belts": 'profile = "NAME" of an element of type "timing_belt"',
     "surfaces": 'surface = "NAME" of keys, flanges and pins',

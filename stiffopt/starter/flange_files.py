@@ -22,6 +22,7 @@ def write_flange(
     grade: str,
     count: int,
     circle: float,
+    nut: bool = False,
     axial_force: float = 0.0,
     shear_force: float = 0.0,
     tilting_moment: float = 0.0,
@@ -35,10 +36,12 @@ def write_flange(
     torque : float
         That the flange has to carry [N m].
     size, grade : str
-        Of its bolts, such as "M5" and "12.9".
+        Of its bolts, such as "M5" and "12.9" or "A2-70".
     count : int
     circle : float
         Diameter of the bolts' circle [m].
+    nut : bool
+        Through-bolts with nuts in place of tapped holes.
     axial_force, shear_force : float
         Along the axis of the circle and across it, magnitudes [N].
     tilting_moment : float
@@ -67,6 +70,7 @@ def write_flange(
             grade=grade,
             count=count,
             circle=circle,
+            nut=nut,
             beside_torque=beside_torque,
             catalogue_line="" if own is None else f"catalogue = {quoted(beside(own, folder))}\n",
         )
@@ -80,6 +84,7 @@ def _texts(
     grade: str,
     count: int,
     circle: float,
+    nut: bool,
     beside_torque: Mapping[str, float],
     catalogue_line: str,
 ) -> dict[str, str]:
@@ -95,11 +100,13 @@ def _texts(
             raise InputError(f"{name} must be above 0, got {value:g}.")
     PART.check("--circle", circle)
     room = circle * math.sin(math.pi / count) if count > 1 else circle
-    if room < data.head_diameter:
+    corners = catalogue.hexagon(size).corners if nut else 0.0
+    wide = max(data.head_diameter, corners)
+    if room < wide:
         raise InputError(
-            f"--count: {count} heads of {1e3 * data.head_diameter:g} mm do not fit on a circle of"
-            f" {1e3 * circle:g} mm: {1e3 * room:.3g} mm from bolt to bolt. Fewer or smaller bolts,"
-            " or a larger circle."
+            f"--count: {count} {'heads' if wide > corners else 'nuts'} of {1e3 * wide:g} mm do not"
+            f" fit on a circle of {1e3 * circle:g} mm: {1e3 * room:.3g} mm from bolt to bolt."
+            " Fewer or smaller bolts, or a larger circle."
         )
     if circle <= 4.0 * bolt:
         raise InputError(f"--circle: {circle:g} m is too small for {count} bolts {size}.")
@@ -122,6 +129,7 @@ def _texts(
             grade=quoted(grade),
             count=count,
             circle=number(circle),
+            nut=", nut = true" if nut else "",
             # Somewhat below what the bolt bears: a study only needs where to start.
             preload=number(round(0.4 * catalogue.proof_stress(grade) * data.stress_area, -1)),
         ),
@@ -162,10 +170,11 @@ type = "bolted_flange"
 ratio = 1.0
 inner_radius = {inner}       # [m] of the ring that touches; estimated: as far inside
 outer_radius = {outer}       # as outside of the circle
-bolt = {{ size = {size}, grade = {grade}, count = {count}, circle_diameter = {circle} }}
+bolt = {{ size = {size}, grade = {grade}, count = {count}, circle_diameter = {circle}{nut} }}
 surface = "fine_steel"          # `stiffopt catalogue surfaces`; estimated
 friction = 0.15                 # of the faces; estimated
-preload = {preload}             # [N] of one bolt now; the study changes it
+preload = {preload}             # [N] of one bolt, to begin with; the study finds it
+preload_is = "assumed"          # with the present preload in its place: "assembly"
 provenance = "estimated"
 source = "init flange"
 """

@@ -53,7 +53,9 @@ def test_bolts():
     assert catalogue.bolt_sizes() == [
         *("M3", "M4", "M5", "M6", "M8", "M10", "M12", "M16", "M20", "M24")
     ]
-    assert catalogue.bolt_grades() == ["8.8", "10.9", "12.9"]
+    assert catalogue.bolt_grades()[-3:] == ["8.8", "10.9", "12.9"]
+    stress = [catalogue.proof_stress(grade) for grade in catalogue.bolt_grades()]
+    assert stress == sorted(stress)
     assert catalogue.proof_stress("12.9") == 1100e6
     for size in catalogue.bolt_sizes():
         bolt = catalogue.bolt(size)
@@ -82,7 +84,9 @@ def test_set_screws_and_materials():
     assert aluminium.modulus == catalogue.material("aluminium").modulus
     for name in ("steel", "iron", "aluminium"):
         data = catalogue.clamped_material(name)
-        assert list(data.engagement) == catalogue.bolt_grades()
+        lengths = [data.engagement_for(grade) for grade in catalogue.bolt_grades()]
+        assert lengths == sorted(lengths)
+        assert data.engagement_for("A2-70") == data.engagement["8.8"]
         assert data.key_pressure["reversing"] < data.key_pressure["steady"]
         assert data.provenance == "estimated"
 

@@ -71,10 +71,11 @@ def test_grades_and_sizes_are_ordered() -> None:
         ]
         for g in catalogue.bolt_grades()
     ]
-    assert (np.diff(forces, axis=0) > 0).all()
+    # A2 and A4 of one class bear the same.
+    assert (np.diff(forces, axis=0) >= 0).all()
     assert (np.diff(forces, axis=1) > 0).all()
     assert permissible_assembly_preload(catalogue.bolt("M5"), 1100e6, 0.12, 0.45) == pytest.approx(
-        forces[2][2] / 2
+        forces[-1][2] / 2
     )
 
 

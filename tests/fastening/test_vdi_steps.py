@@ -258,7 +258,7 @@ def test_washer_spreads_the_head():
 def test_transverse_slip_limit_is_that_of_a_clamped_beam():
     bolt = catalogue.bolt("M6")
     length, preload = 20e-3, 8000.0
-    moved = transverse_slip_limit(bolt, length, preload, 0.1)
+    moved = transverse_slip_limit(bolt, length, preload, 0.1, 205e9)
     inertia = math.pi * (4.773e-3 / 2) ** 4 / 4
     # Force of a beam clamped at both ends that is moved across.
     assert 12 * 205e9 * inertia * moved / length**3 == pytest.approx(0.1 * preload, rel=1e-9)

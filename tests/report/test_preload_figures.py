@@ -1,4 +1,5 @@
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -102,3 +103,40 @@ def test_loosening_bars_end_where_rim_and_ring_slip():
     axes = loosening_figure({"ring": 0.7, "bush": 1.4}, {"ring": 0.5, "bush": 1.1}).axes[0]
     widths = [bar.get_width() for bar in axes.patches if bar.get_width() > 0]
     assert widths == pytest.approx([50.0, 20.0, 30.0, 100.0])
+
+
+def test_binding_limit_is_drawn_within_the_frame():
+    for study in (flange(), stiff(), cannot(), several()):
+        figure = curves_of(study)
+        for axes, element in zip(figure.axes, study.problem.elements, strict=False):
+            curve = max(
+                (each for each in study.curves if each.key == element.key),
+                key=lambda each: abs(each.torque),
+            )
+            view = preload_view(study.problem, study.solution, element, curve)
+            bold = {line.get_xdata()[0] for line in axes.lines if line.get_linewidth() == 1.8}
+            assert bold == {view.bounds[name] / 1e3 for name in view.binding}
+            left, right = axes.get_xlim()
+            drawn = [line.get_xdata()[0] for line in axes.lines if len(line.get_xdata()) == 2]
+            assert all(left <= force < right for force in drawn)
+            assert min(view.bounds.values()) / 1e3 in drawn
+
+
+def test_required_stiffness_is_a_limit_of_the_figure():
+    study = stiff()
+    _, view = view_of(study)
+    assert "joint stiffness" in view.binding
+    assert view.bounds["joint stiffness"] == pytest.approx(view.least, rel=1e-3)
+
+
+def test_present_preload_is_drawn_only_where_it_is_stated():
+    study = flange()
+    element, view = view_of(study)
+    assert view.present == (
+        pytest.approx(float(element.least(element.stage.element.preload))),
+        element.stage.element.preload,
+    )
+    ring = replace(element.stage.element, preload_is="assumed")
+    begun = replace(element, stage=replace(element.stage, element=ring))
+    curve = study.curves[0]
+    assert preload_view(study.problem, study.solution, begun, curve).present is None

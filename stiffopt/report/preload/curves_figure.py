@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from stiffopt.preload.curves import FLOORS
 from stiffopt.report.common.robot import JointUnits
 from stiffopt.report.common.svg import (
     BLACK,
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
     from stiffopt.preload.problem import FreeElement, PreloadProblem
     from stiffopt.preload.solution import PreloadSolution
 
-# Requirements on the preload from below; all others bound it from above.
-_FLOORS = ("slip safety", "least preload")
 # Of the width of a panel: lines closer than this share one label.
 _MERGE = 0.055
 _LABEL = 7.0
@@ -50,19 +49,21 @@ class PreloadView:
         Of its joint [N m/rad]; 0 where the element slips.
     least, largest : float
         [N]
-    present_least, present_largest : float
-        With the robot's own preload [N].
+    present : (float, float) or None
+        Least and largest with the preload that the robot file states [N].
     bounds : mapping of limit name to float
         On the least preload where the limit is one from below, else on the largest [N].
+    binding : frozenset of limit name
+        Limits at which the design lies.
     """
 
     preload: np.ndarray
     stiffness: np.ndarray
     least: float
     largest: float
-    present_least: float
-    present_largest: float
+    present: tuple[float, float] | None
     bounds: Mapping[str, float]
+    binding: frozenset[str]
 
 
 def preload_view(
@@ -78,18 +79,24 @@ def preload_view(
     stiffness = np.concatenate([curve.stiffness, curve.stiffness_high])
     order = np.argsort(preload)
     present = present_preload(element)
-    floors = {name: least(curve.limits[name]) for name in _FLOORS}
+    floors = {name: least(curve.limits[name]) for name in FLOORS if name in curve.limits}
     floor = max(floors, key=lambda name: floors[name])
     # "slip" is where the curve falls to nothing anyway.
-    ceilings = {n: f for n, f in curve.limits.items() if n not in (*_FLOORS, "slip")}
+    ceilings = {n: f for n, f in curve.limits.items() if n not in (*FLOORS, "slip")}
+    active = {
+        row.kind
+        for row in solution.rows
+        if row.active and row.element in ("", element.key) and row.joint in (None, element.joint)
+    }
+    bounds = {floor: floors[floor], **ceilings}
     return PreloadView(
         preload=preload[order],
         stiffness=stiffness[order],
         least=least(solution.preloads[element.key]),
         largest=solution.preloads[element.key],
-        present_least=least(present),
-        present_largest=present,
-        bounds={floor: floors[floor], **ceilings},
+        present=None if present is None else (least(present), present),
+        bounds=bounds,
+        binding=frozenset(active & set(bounds)),
     )
 
 
@@ -128,8 +135,17 @@ def curves_figure(
             axes.set_title(f"{readable(element.key).capitalize()} [{_unit(units, element)}]")
             if place + columns >= count:
                 axes.set_xlabel("preload of one bolt or pin [kN]")
-        handles, labels = grid[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="lower left", ncols=4, bbox_to_anchor=(0.05, 0.0))
+        drawn = [axes.get_legend_handles_labels() for axes in grid[:count]]
+        legend = {
+            name: line for lines, names in drawn for line, name in zip(lines, names, strict=True)
+        }
+        figure.legend(
+            list(legend.values()),
+            list(legend),
+            loc="lower left",
+            ncols=4,
+            bbox_to_anchor=(0.05, 0.0),
+        )
         figure.subplots_adjust(
             left=0.07,
             right=0.995,
@@ -175,20 +191,38 @@ def _panel(axes: Axes, views: Sequence[PreloadView]) -> None:
     # Room above for the names of limits from below, and at the foot for the present preload.
     room = top - bottom
     axes.set_ylim(bottom - 0.2 * room, top + 0.5 * room)
-    axes.plot(
-        [main.present_least / 1e3, main.present_largest / 1e3],
-        [bottom - 0.1 * room] * 2,
-        color=INK,
-        linewidth=1.2,
-        marker="|",
-        markersize=7,
-        linestyle=(0, (1.5, 1.2)),
-        label="present preload, least to largest",
-    )
-    axes.set_xlim(0.0, 1.03 * max(main.preload[-1], main.largest) / 1e3)
-    _draw_bounds(axes, {name: force / 1e3 for name, force in main.bounds.items()})
+    shown = [main.preload[-1], main.largest, *_nearest_bounds(main.bounds)]
+    if main.present is not None:
+        shown += main.present
+        axes.plot(
+            [force / 1e3 for force in main.present],
+            [bottom - 0.1 * room] * 2,
+            color=INK,
+            linewidth=1.2,
+            marker="|",
+            markersize=7,
+            linestyle=(0, (1.5, 1.2)),
+            label="present preload, least to largest",
+        )
+    # Room for the names of limits from above, each line beside the limit that it names or before.
+    right = 1.03 * max(shown)
+    ceilings = sorted(f for n, f in main.bounds.items() if n not in FLOORS and f <= right)
+    for lines, force in enumerate(reversed(ceilings), start=1):
+        right = max(right, force / (1.0 - lines * _MERGE))
+    axes.set_xlim(0.0, 1.001 * right / 1e3)
+    drawn = {n: f / 1e3 for n, f in main.bounds.items() if n in FLOORS or f in ceilings}
+    _draw_bounds(axes, drawn, main.binding)
+    # Without a common power of ten, which would lie on the title.
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:.6g}")
     axes.locator_params(axis="x", nbins=7)
     axes.locator_params(axis="y", nbins=5)
+
+
+def _nearest_bounds(bounds: Mapping[str, float]) -> list[float]:
+    """Limit from below and the first one from above, which every panel shows [N]."""
+    floors = [force for name, force in bounds.items() if name in FLOORS]
+    ceilings = [force for name, force in bounds.items() if name not in FLOORS]
+    return [*floors, *([min(ceilings)] if ceilings else [])]
 
 
 def _stiffness_range(stiffness: np.ndarray, ends: np.ndarray) -> tuple[float, float]:
@@ -197,38 +231,43 @@ def _stiffness_range(stiffness: np.ndarray, ends: np.ndarray) -> tuple[float, fl
     if top <= 0.0:  # another connection of the joint slips, whatever this one's preload
         return 0.0, 1.0
     held = stiffness[stiffness > 0.97 * top]
-    bottom = min(float(held.min()), float(ends[-1])) if held.size else 0.0
+    # Both ends of the scatter are shown, but for one that slips.
+    shown = ends[ends > 0.0]
+    bottom = min(float(held.min()), float(shown.min())) if held.size and shown.size else 0.0
     return min(bottom, 0.99 * top), top
 
 
-def _draw_bounds(axes: Axes, bounds: Mapping[str, float]) -> None:
+def _draw_bounds(axes: Axes, bounds: Mapping[str, float], binding: Collection[str]) -> None:
     """Vertical lines at the limits, the forbidden side shaded, names on that side."""
     left, right = axes.get_xlim()
     for name, force in bounds.items():
-        if name in _FLOORS and force > left:
+        if name in FLOORS and force > left:
             axes.axvspan(left, min(force, right), color=PALE, alpha=0.5, linewidth=0, zorder=0)
-    ceilings = [force for name, force in bounds.items() if name not in _FLOORS]
+    ceilings = [force for name, force in bounds.items() if name not in FLOORS]
     if ceilings and min(ceilings) < right:
         axes.axvspan(min(ceilings), right, color=PALE, alpha=0.5, linewidth=0, zorder=0)
     groups: list[tuple[float, list[str]]] = []
     for name, force in sorted(bounds.items(), key=lambda each: each[1]):
         if not left <= force <= right:
             continue
-        colour = VERMILLION if name in _FLOORS else GREY
-        axes.axvline(force, color=colour, linewidth=1.0, linestyle=(0, (4, 2)), zorder=1)
-        near = groups and force - groups[-1][0] < _MERGE * (right - left)
-        if near and name not in _FLOORS and groups[-1][1][0] not in _FLOORS:
+        colour = VERMILLION if name in FLOORS else GREY
+        style = {"linewidth": 1.8} if name in binding else {"linewidth": 1.0, "dashes": (4, 2)}
+        axes.axvline(force, color=colour, zorder=1, **style)
+        # A label is as wide as it has lines.
+        line = _MERGE * (right - left)
+        near = groups and force - groups[-1][0] < len(groups[-1][1]) * line
+        if near and name not in FLOORS and groups[-1][1][0] not in FLOORS:
             groups[-1][1].append(name)
         else:
             groups.append((force, [name]))
     for force, names in groups:
-        _label(axes, force, names, beside_left=names[0] in _FLOORS)
+        _label(axes, force, names, names[0] in FLOORS, any(name in binding for name in names))
 
 
-def _label(axes: Axes, force: float, names: Sequence[str], beside_left: bool) -> None:
+def _label(axes: Axes, force: float, names: Sequence[str], beside_left: bool, binds: bool) -> None:
     """Names along a line: at the top of limits from below, at the foot of those from above."""
     left, right = axes.get_xlim()
-    floor = names[0] in _FLOORS
+    floor = names[0] in FLOORS
     room = _MERGE * (right - left) * len(names)
     if beside_left and force - left < room:
         beside_left = False
@@ -244,6 +283,7 @@ def _label(axes: Axes, force: float, names: Sequence[str], beside_left: bool) ->
         ha="right" if beside_left else "left",
         va="top" if floor else "bottom",
         fontsize=_LABEL,
+        fontweight="bold" if binds else "normal",
         linespacing=1.1,
         color=VERMILLION if floor else GREY,
     )

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stiffopt.drivetrain.tables import with_own
+from stiffopt.fastening.safety_factor import SAFETY_FACTORS
 from stiffopt.preload.bolt_sheet import bolt_sheets
 from stiffopt.preload.model import PreloadModel
 from stiffopt.preload.problem import OBJECTIVES
@@ -111,7 +112,7 @@ def _written(study: PreloadStudy, directory: str | Path) -> Path:
         "mark": EstimateMarks(problem).of,
         "changes": stiffness_changes(problem, solution),
         "posed": any(case.jacobian is not None for case in solution.cases),
-        "cautions": cautions(solution),
+        "cautions": cautions(problem, solution),
         "most_used": most_used(solution.rows),
         "matrix": utilisation_matrix(solution.rows),
         "loosened": loosened_connections(study.loosening),
@@ -119,6 +120,7 @@ def _written(study: PreloadStudy, directory: str | Path) -> Path:
         "sheets": sheets,
         "drawn": [sheet.key for sheet in drawn],
         "steps": vdi_steps(solution.rows),
+        "safety_factors": SAFETY_FACTORS,
         "limit_sources": limit_sources(solution.rows),
         "estimated": study_estimates(problem),
         "references": preload_references(study),

@@ -79,7 +79,8 @@ def fasteners(element: FreeElement) -> str:
     """Count, size and grade: "9 × M5 12.9"."""
     connection = element.stage.element
     if isinstance(connection, BoltedFlange) and connection.bolt is not None:
-        return f"{element.count} × {connection.bolt.size} {connection.bolt.grade}"
+        bolt = connection.bolt
+        return " ".join(filter(None, (f"{element.count} × {bolt.size} {bolt.grade}", bolt.added)))
     if isinstance(connection, ClampingPins) and connection.screw is not None:
         return f"{element.count} × {connection.screw.size} set screw"
     return f"{element.count} pins"
@@ -97,8 +98,10 @@ def fastener_words(elements: Iterable[FreeElement]) -> str:
     return f"{counts[name]} {name}{'s' if counts[name] > 1 else ''}"
 
 
-def present_preload(element: FreeElement) -> float:
-    """Preload that the robot file gives one bolt or pin of a connection [N]."""
+def present_preload(element: FreeElement) -> float | None:
+    """Preload that the robot file states for one bolt or pin [N]; None: only one to begin with."""
+    if not element.preload_known:
+        return None
     preload = element.stage.element.preload
     assert preload is not None  # bolted flanges and pins are not built without
     return preload
@@ -206,20 +209,21 @@ def stiffness_sentence(
     """
     if not solution.status.usable:
         return ""
+    compared = all(element.preload_known for element in problem.elements)
     gains = stiffness_gains(problem, solution)
     slipping = [f"joint {joint}" for joint, gain in gains.items() if np.isnan(gain)]
     known = {joint: gain for joint, gain in gains.items() if not np.isnan(gain)}
     parts = []
-    if slipping:
+    if slipping and compared:
         verb = "slips" if len(slipping) == 1 else "slip"
         parts.append(
             "The present preload is not enough: where tightening scatters to its least, "
             f"{listed(slipping)} {verb}."
         )
-    if known:
+    if known and compared:
         parts.append(_changes(known))
     room = front_gain(front)
-    small = [abs(gain - 1.0) < _SMALL for gain in known.values()]
+    small = [abs(gain - 1.0) < _SMALL for gain in known.values()] if compared else []
     if room is not None:
         small.append(room < _SMALL)
     if small and all(small) and _slip_decides(solution):
