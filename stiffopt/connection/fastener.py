@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from stiffopt.declaration import PART, POSITIVE, Bounds, Doc, Length, Named, check_fields
+from stiffopt.declaration import DETAIL, Bounds, Doc, Length, Named, check_fields
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,12 +20,12 @@ class Bolt:
     grade: Annotated[str, Named("bolt grade"), Doc("Strength class of ISO 898-1.")] = "12.9"
     clamp_length: Annotated[
         Length | None,
-        POSITIVE,
+        DETAIL,
         Doc("Thickness l_K that the bolt clamps; default two bolt diameters, an estimate."),
     ] = None
     engagement: Annotated[
         Length | None,
-        POSITIVE,
+        DETAIL,
         Doc(
             "Length m_eff of thread that carries; default by the material of the thread, an "
             "estimate."
@@ -36,7 +36,7 @@ class Bolt:
     ] = False
     waist: Annotated[
         Length | None,
-        POSITIVE,
+        DETAIL,
         Doc("Diameter d_T of a necked-down shank, usually 0.9 d3; default none, a full thread."),
     ] = None
     rolled: Annotated[
@@ -58,7 +58,7 @@ class Bolt:
 class FlangeRing:
     """Flange that is not rigid: a ring, and how its link is joined to it."""
 
-    thickness: Annotated[Length, PART, Doc("Thickness of the flange, along the joint's axis.")]
+    thickness: Annotated[Length, DETAIL, Doc("Thickness of the flange, along the joint's axis.")]
     supports: Annotated[
         int,
         Bounds(least=3),
@@ -76,7 +76,7 @@ class SetScrew:
     size: Annotated[str, Named("set screw"), Doc("Size, such as M4.")]
     length: Annotated[
         Length | None,
-        POSITIVE,
+        DETAIL,
         Doc("Length; default one and a half diameters, an estimate."),
     ] = None
     shaft_material: Annotated[
