@@ -301,11 +301,11 @@ def read_table(
         )
     for number, row in enumerate(rows, start=1):
         # What is beyond the header is under None.
-        if any(cell.strip() for cell in row.get(None, ())):  # type: ignore[call-overload]
+        if any(cell.strip() for cell in row.get(None, ())):
             raise InputFileError(
                 path,
                 f"row {number}",
-                f"has {len(row) - 1 + len(row[None])} cells, the header names {len(row) - 1}."  # type: ignore[index]
+                f"has {len(row) - 1 + len(row[None])} cells, the header names {len(row) - 1}."
                 " Name every column, or write decimals with a point.",
             )
     wanted = [*columns, *(name for name in optional if name in rows[0])]

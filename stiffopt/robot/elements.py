@@ -92,8 +92,8 @@ def _check_inputs(sections: Sequence[ElementSection]) -> None:
             continue
         turns = catalogue.reducer(name).ratio
         # Teeth between the element's own shaft and the reducer.
-        geared = getattr(before, "teeth_driven", None) or getattr(before, "teeth", 1.0)
-        geared /= getattr(before, "teeth", 1.0)
+        teeth = float(getattr(before, "teeth", 1.0))
+        geared = float(getattr(before, "teeth_driven", None) or teeth) / teeth
         wanted = reducer.ratio * turns * geared
         if abs(before.ratio - wanted) > 1.001 * reducer.ratio * geared:
             raise InputError(
