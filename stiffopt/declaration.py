@@ -27,45 +27,123 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
-from stiffopt.errors import InputError, OutOfValidityError, nearest
+from stiffopt.errors import ImplausibleError, InputError, OutOfValidityError, nearest
 
 
 @dataclass(frozen=True)
 class Dimension:
-    """A kind of quantity: its name, SI unit, an example for messages, and its power of angle."""
+    """A kind of quantity.
+
+    Parameters
+    ----------
+    name, unit, example : str
+        Unit in SI; an example for messages.
+    angle : int
+        Power of angle.
+    plausible : (float, float)
+        Between which magnitudes a quantity of a machine lies, from micro-gripper to crane, unless
+        a field's `Bounds` say otherwise; zero is always plausible.
+    slips : mapping of str to float
+        Units that a bare number is given in by mistake, the usual one first, and their factors.
+    """
 
     name: str
     unit: str
     example: str
     angle: int = 0
+    plausible: tuple[float, float] = (0.0, math.inf)
+    slips: Mapping[str, float] = dataclasses.field(default_factory=dict, compare=False)
 
+    def ask(
+        self,
+        number: float,
+        plausible: tuple[float, float],
+        *,
+        where: str = "",
+        si_only: bool = False,
+        bounds: Sequence[Bounds] = (),
+    ) -> None:
+        """Raise `ImplausibleError` for a bare number in SI whose magnitude is beyond `plausible`.
+
+        `si_only` says that its file takes no texts with units, which are always meant. `bounds` are
+        those that it has to keep besides: a number beyond them in every unit is left to them.
+        """
+        if _is_within(number, plausible) or not math.isfinite(number):
+            return
+        unit = self.unit and f" {self.unit}"
+        shares = ((name, factor * number) for name, factor in self.slips.items())
+        meant = next((name for name, share in shares if _is_within(share, plausible)), "")
+        kept = all(bound.contains(number) for bound in bounds)
+        if not (kept or meant):
+            return
+        if si_only:
+            slip = f" ({number:g} {meant} meant?)" if meant else ""
+            advice = f"Numbers of this file are in SI: correct it{slip}."
+        else:
+            advice = f'Write "{number:g} {meant}" if that is meant' if meant else "Correct it"
+            if kept:
+                advice += f', or write "{number:g}{unit}" to keep it'
+            advice += "."
+        place = f"{where}: " if where else ""
+        raise ImplausibleError(
+            f"{place}{number:g}{unit} is not plausible, {range_text(plausible)}{unit} is. {advice}"
+        )
+
+
+def _is_within(number: float, plausible: tuple[float, float]) -> bool:
+    return number == 0.0 or plausible[0] <= abs(number) <= plausible[1]
+
+
+def range_text(plausible: Sequence[float]) -> str:
+    """Words of a range of magnitudes.
+
+    >>> range_text((0.001, 1.0)), range_text((0.0, 20.0))
+    ('0.001 to 1', 'up to 20')
+    """
+    low, high = plausible
+    return f"{low:g} to {high:g}" if low > 0.0 else f"up to {high:g}"
+
+
+_DEGREES = math.pi / 180.0
+_ARC_MINUTES = 10800.0 / math.pi
 
 DIMENSIONS = {
     d.name: d
     for d in (
-        Dimension("length", "m", "0.3 mm"),
-        Dimension("angle", "rad", "45 deg", 1),
-        Dimension("mass", "kg", "1.5 kg"),
-        Dimension("inertia", "kg*m^2", "0.3 kg*m^2"),
-        Dimension("force", "N", "12 kN"),
-        Dimension("torque", "N*m", "45 N*m"),
-        Dimension("time", "s", "1.6 s"),
-        Dimension("frequency", "Hz", "20 Hz"),
-        Dimension("pressure", "Pa", "0.1 MPa"),
-        Dimension("area", "m^2", "1 cm^2"),
-        Dimension("speed", "m/s", "1.5 m/s"),
-        Dimension("acceleration", "m/s^2", "9.81 m/s^2"),
-        Dimension("jerk", "m/s^3", "50 m/s^3"),
-        Dimension("angular velocity", "rad/s", "230 deg/s", 1),
-        Dimension("angular acceleration", "rad/s^2", "20 rad/s^2", 1),
-        Dimension("angular jerk", "rad/s^3", "400 rad/s^3", 1),
-        Dimension("stiffness", "N*m/rad", "5 N*m/arcmin", -1),
-        Dimension("linear stiffness", "N/m", "20 N/um"),
-        Dimension("stiffness per width", "N/m^2", "20 N/(mm*um)"),
-        Dimension("viscous friction", "N*m*s/rad", "5 N*m*s/rad", -1),
-        Dimension("linear viscous friction", "N*s/m", "5 N*s/m"),
-        Dimension("temperature", "degC", "22 degC"),
-        Dimension("ratio", "", "0.12"),
+        Dimension("length", "m", "0.3 mm", 0, (0.0, 100.0), {"mm": 1e-3, "um": 1e-6}),
+        Dimension("angle", "rad", "45 deg", 1, (0.0, 20.0), {"deg": _DEGREES}),
+        Dimension("mass", "kg", "1.5 kg", 0, (0.0, 2e4), {"g": 1e-3}),
+        Dimension(
+            "inertia", "kg*m^2", "0.3 kg*m^2", 0, (0.0, 1e5), {"kg*cm^2": 1e-4, "kg*mm^2": 1e-6}
+        ),
+        Dimension("force", "N", "12 kN", 0, (0.0, 1e7), {"mN": 1e-3}),
+        Dimension("torque", "N*m", "45 N*m", 0, (0.0, 1e6), {"N*mm": 1e-3}),
+        Dimension("time", "s", "1.6 s", 0, (1e-7, 1e7), {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}),
+        Dimension("frequency", "Hz", "20 Hz", 0, (1e-3, 1e6), {"kHz": 1e3, "mHz": 1e-3}),
+        Dimension("pressure", "Pa", "0.1 MPa", 0, (1.0, 2e12), {"MPa": 1e6, "GPa": 1e9}),
+        Dimension("area", "m^2", "1 cm^2", 0, (0.0, 10.0), {"mm^2": 1e-6}),
+        Dimension("speed", "m/s", "1.5 m/s", 0, (0.0, 50.0), {"mm/s": 1e-3}),
+        Dimension("acceleration", "m/s^2", "9.81 m/s^2", 0, (0.0, 1e4), {"mm/s^2": 1e-3}),
+        Dimension("jerk", "m/s^3", "50 m/s^3", 0, (0.0, 1e7), {"mm/s^3": 1e-3}),
+        Dimension("angular velocity", "rad/s", "230 deg/s", 1, (0.0, 100.0), {"deg/s": _DEGREES}),
+        Dimension(
+            "angular acceleration", "rad/s^2", "20 rad/s^2", 1, (0.0, 1e5), {"deg/s^2": _DEGREES}
+        ),
+        Dimension("angular jerk", "rad/s^3", "400 rad/s^3", 1, (0.0, 1e8), {"deg/s^3": _DEGREES}),
+        Dimension(
+            "stiffness", "N*m/rad", "5 N*m/arcmin", -1, (1e-3, 1e11), {"N*m/arcmin": _ARC_MINUTES}
+        ),
+        Dimension("linear stiffness", "N/m", "20 N/um", 0, (1e-1, 1e12), {"N/mm": 1e3}),
+        Dimension(
+            *("stiffness per width", "N/m^2", "20 N/(mm*um)", 0),
+            (1e5, 1e12),
+            {"N/(mm*um)": 1e9},
+        ),
+        Dimension("viscous friction", "N*m*s/rad", "5 N*m*s/rad", -1, (0.0, 1e6)),
+        Dimension("linear viscous friction", "N*s/m", "5 N*s/m", 0, (0.0, 1e7)),
+        # Kelvin are refused with it.
+        Dimension("temperature", "degC", "22 degC", 0, (0.0, 200.0)),
+        Dimension("ratio", "", "0.12", 0, (0.0, 1e12)),
     )
 }
 
@@ -90,6 +168,11 @@ class Doc:
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
         return {**handler(core), "description": self.text}
+
+
+# Keys of a plausible range and of bounds in pydantic's metadata of a quantity; the former also in
+# JSON Schema.
+_PLAUSIBLE, _BOUNDS = "plausible", "bounds"
 
 
 @dataclass(frozen=True)
@@ -117,20 +200,46 @@ class Unit:
         """SI unit, of a revolute joint where it is one of a joint; "1" for a plain ratio."""
         return DIMENSIONS[self.dimension].unit or "1"
 
+    @property
+    def plausible(self) -> tuple[float, float]:
+        """Plausible magnitudes, of either kind of joint where it is one of a joint."""
+        low, high = DIMENSIONS[self.dimension].plausible
+        if self.joint:
+            other_low, other_high = DIMENSIONS[PRISMATIC[self.dimension]].plausible
+            low, high = min(low, other_low), max(high, other_high)
+        return low, high
+
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         from pydantic_core import core_schema
 
+        # `Bounds` around this marker add themselves, and may bring a range of their own.
+        metadata: dict[str, Any] = {_PLAUSIBLE: self.plausible, _BOUNDS: []}
+        kind = DIMENSIONS[self.dimension]
+        read = None if self.bare else Unit.reader(self)
+
+        def read_and_ask(value: Any) -> float:
+            number: float = value if read is None else read(value)
+            if not isinstance(value, str):
+                asked = metadata[_PLAUSIBLE]
+                kind.ask(number, asked, si_only=self.bare, bounds=metadata[_BOUNDS])
+            return number
+
         if self.bare:
-            return handler(source)
-        return core_schema.no_info_plain_validator_function(Unit.reader(self))
+            return core_schema.no_info_after_validator_function(
+                read_and_ask, handler(source), metadata=metadata
+            )
+        return core_schema.no_info_plain_validator_function(read_and_ask, metadata=metadata)
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
-        schema: dict[str, Any] = {"type": "number"}
+        kind = DIMENSIONS[self.dimension]
+        schema: dict[str, Any] = {"type": "number", _PLAUSIBLE: list(kind.plausible)}
         if not self.bare:
             schema = {"anyOf": [schema, {"type": "string"}]}
         schema["unit"] = self.unit
         if self.joint:
-            schema["unit_prismatic"] = DIMENSIONS[PRISMATIC[self.dimension]].unit
+            sliding = DIMENSIONS[PRISMATIC[self.dimension]]
+            schema["unit_prismatic"] = sliding.unit
+            schema["plausible_prismatic"] = list(sliding.plausible)
         return schema
 
 
@@ -148,6 +257,8 @@ class Bounds:
         Whether it must be finite.
     hint : str
         Sentence on what is usually meant by a number beyond them.
+    plausible : (float, float) or None
+        Magnitudes beyond which a bare number of a file is asked about; default those of its unit.
     """
 
     above: float = -math.inf
@@ -156,14 +267,19 @@ class Bounds:
     below: float = math.inf
     finite: bool = True
     hint: str = ""
+    plausible: tuple[float, float] | None = None
 
     def check(self, name: str, value: object) -> None:
         """Raise `InputError` unless every number in `value` lies within; others pass."""
         for number in _numbers(value):
-            low = self.above < number and self.least <= number
-            high = number <= self.most and (number < self.below or self.below == math.inf)
-            if not (low and high and (math.isfinite(number) or not self.finite)):
+            if not self.contains(number):
                 self._refuse(name, number)
+
+    def contains(self, number: float) -> bool:
+        """Whether a number lies within."""
+        low = self.above < number and self.least <= number
+        high = number <= self.most and (number < self.below or self.below == math.inf)
+        return low and high and (math.isfinite(number) or not self.finite)
 
     def _refuse(self, name: str, number: float) -> None:
         if math.isfinite(self.above) and math.isfinite(self.below):
@@ -194,7 +310,11 @@ class Bounds:
             self.check(info.field_name or "value", value)
             return value
 
-        return core_schema.with_info_after_validator_function(check, handler(source))
+        inside = handler(source)
+        for metadata in _quantities(inside):
+            metadata[_BOUNDS].append(self)
+            metadata[_PLAUSIBLE] = self.plausible or metadata[_PLAUSIBLE]
+        return core_schema.with_info_after_validator_function(check, inside)
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
         words = {
@@ -203,11 +323,27 @@ class Bounds:
             "maximum": self.most,
             "exclusiveMaximum": self.below,
         }
-        limits = {word: bound for word, bound in words.items() if math.isfinite(bound)}
+        limits: dict[str, Any] = {
+            word: bound for word, bound in words.items() if math.isfinite(bound)
+        }
+        if self.plausible is not None:
+            limits[_PLAUSIBLE] = list(self.plausible)
         return _limited(handler(core), limits)
 
 
-def _limited(schema: dict[str, Any], limits: dict[str, float]) -> dict[str, Any]:
+def _quantities(schema: Any) -> Iterator[dict[str, Any]]:
+    """Metadata of every quantity in a schema of pydantic's core."""
+    if isinstance(schema, dict):
+        if _PLAUSIBLE in schema.get("metadata", ()):
+            yield schema["metadata"]
+        for word in ("schema", "items_schema", "values_schema", "choices"):
+            yield from _quantities(schema.get(word))
+    elif isinstance(schema, list | tuple):
+        for form in schema:
+            yield from _quantities(form)
+
+
+def _limited(schema: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
     """Schema with the limits at every form of it that is a number."""
     if schema.get("type") in ("number", "integer"):
         return {**schema, **limits}
@@ -252,7 +388,25 @@ class Named:
 
 POSITIVE = Bounds(above=0.0)
 # A length of a machine part [m]: larger ones were written in millimetres without saying so.
-PART = Bounds(above=0.0, most=3.0, hint='A bare number is in m: write a text such as "63 mm".')
+PART = Bounds(
+    above=0.0,
+    most=3.0,
+    hint='A bare number is in m: write a text such as "63 mm".',
+    plausible=(1e-5, 1.5),
+)
+# A length of a bolt, or of what is smaller on a part: teeth, keys, threads [m].
+DETAIL = dataclasses.replace(PART, plausible=(1e-5, 0.5))
+# Of a technical surface [m].
+ROUGHNESS = Bounds(above=0.0, most=1e-2, plausible=(1e-9, 1e-3))
+# Young's modulus, shear modulus or hardness, from rubber to diamond [Pa].
+MODULUS = Bounds(above=0.0, plausible=(1e5, 2e12))
+# Coefficient of friction.
+FRICTION = Bounds(
+    above=0.0,
+    most=5.0,
+    hint="Metals have 0.05 to 0.3, rubber up to 1.5.",
+    plausible=(0.005, 1.5),
+)
 NOT_NEGATIVE = Bounds(least=0.0)
 FRACTION = Bounds(above=0.0, most=1.0)
 

@@ -46,6 +46,10 @@ class UnitError(InputError):
     """A quantity has a unit of the wrong kind, or none that is known."""
 
 
+class ImplausibleError(InputError):
+    """A bare number of a file that is hardly meant in SI: asked back instead of believed."""
+
+
 class RobotError(InputError):
     """A robot description cannot be used."""
 

@@ -299,6 +299,15 @@ def read_table(
         raise InputFileError(
             path, "", f"needs at least two rows and the columns {', '.join(columns)}."
         )
+    for number, row in enumerate(rows, start=1):
+        # What is beyond the header is under None.
+        if any(cell.strip() for cell in row.get(None, ())):
+            raise InputFileError(
+                path,
+                f"row {number}",
+                f"has {len(row) - 1 + len(row[None])} cells, the header names {len(row) - 1}."
+                " Name every column, or write decimals with a point.",
+            )
     wanted = [*columns, *(name for name in optional if name in rows[0])]
     return {
         name: [_number(path, k, name, row[name]) for k, row in enumerate(rows, start=1)]

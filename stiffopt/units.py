@@ -225,7 +225,7 @@ def joint_to_si(value: object, dimension: str, where: str = "") -> JointNumber:
 
 def fit_joint(value: float, prismatic: bool, dimension: str, where: str = "") -> float:
     """Value as a plain float, after a check that its unit fits the kind of joint."""
-    written = getattr(value, "dimension", "")
+    written = getattr(value, "dimension", None)
     wanted = PRISMATIC[dimension] if prismatic else dimension
     if written and written != wanted:
         kind = "prismatic" if prismatic else "revolute"
@@ -234,6 +234,8 @@ def fit_joint(value: float, prismatic: bool, dimension: str, where: str = "") ->
             f"Give a number [{DIMENSIONS[wanted].unit}] or a text such as "
             f"{DIMENSIONS[wanted].example!r}."
         )
+    if written == "":
+        DIMENSIONS[wanted].ask(float(value), DIMENSIONS[wanted].plausible, where=where)
     return float(value)
 
 

@@ -205,7 +205,10 @@ PROBLEMS = {
         {"start": "{ joints = [1e300, 0] }"},
         ["motion.start.joints[1]", "1e+300", "at most 1e+15"],
     ),
-    "position of 1e9": ({"end": "{ position = [1e9, 0, 0] }"}, ["motion.end", "out of reach"]),
+    "position of 1e9": (
+        {"end": "{ position = [1e9, 0, 0] }"},
+        ["motion.end", "1e+09 m is not plausible"],
+    ),
     "negative payload": ({"extra": "[payload]\nmass = '-1 kg'"}, ["payload.mass", "0 or above"]),
     "payload of 1e300": ({"extra": "[payload]\nmass = 1e300"}, ["payload.mass", "1e+300"]),
     "impossible inertia": (

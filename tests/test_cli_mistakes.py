@@ -75,7 +75,7 @@ def test_bare_millimetres_of_a_bolt_circle_in_a_robot_file(tmp_path, capsys):
     path = folder / "flange_robot.toml"
     path.write_text(path.read_text().replace("circle_diameter = 0.063", "circle_diameter = 63"))
     assert run(["preload", str(folder / "flange.toml"), "--out", str(tmp_path / "out")]) == 2
-    assert 'write a text such as "63 mm"' in capsys.readouterr().err
+    assert 'Write "63 mm" if that is meant' in capsys.readouterr().err
 
 
 def test_loads_that_decide_nothing_are_asked_about(tmp_path, capsys):

@@ -98,7 +98,8 @@ def test_the_schema_has_unit_bounds_words_and_sentence():
     assert schema["description"] == "Beam between two walls."
     length, cuts = schema["properties"]["length"], schema["properties"]["cuts"]
     assert (length["unit"], length["description"]) == ("m", "Distance of the walls.")
-    assert length["anyOf"][0] == {"type": "number", "exclusiveMinimum": 0.0}
+    number = {"type": "number", "plausible": [0.0, 100.0], "exclusiveMinimum": 0.0}
+    assert length["anyOf"][0] == number
     assert cuts["items"]["anyOf"][0]["minimum"] == 0.0
     assert schema["properties"]["ends"]["enum"] == ["held", "free"]
     support = schema["properties"]["supports"]["additionalProperties"]

@@ -13,7 +13,17 @@ from stiffopt.contact.shear import ShearLaw, shear_softening, shear_travel
 from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
 from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
 from stiffopt.contact.validate import require_ordered
-from stiffopt.declaration import PART, POSITIVE, Bounds, Doc, Length, Ratio, Torque
+from stiffopt.declaration import (
+    FRICTION,
+    PART,
+    POSITIVE,
+    ROUGHNESS,
+    Bounds,
+    Doc,
+    Length,
+    Ratio,
+    Torque,
+)
 from stiffopt.symbolic import Quantity
 
 # Ring faces of reducers are pressed harder than key flanks.
@@ -46,7 +56,9 @@ class BoltedFlange(ContactConnection):
     outer_radius: Annotated[Length, PART, Doc("Outer radius Ro of the pressed ring.")]
     surface: Annotated[SurfacePair, Doc("Pair of surfaces of the ring.")]
     friction: Annotated[
-        Ratio | None, Doc("Coefficient of friction of the ring; default that of the surface.")
+        Ratio | None,
+        FRICTION,
+        Doc("Coefficient of friction of the ring; default that of the surface."),
     ] = None
     shear: ShearLaw = "mindlin"
     contact_law: LawName | ContactLaw = "log_cubic"
@@ -83,7 +95,7 @@ class BoltedFlange(ContactConnection):
         Doc("Whether a purchased part fixes size, number and circle of the bolts."),
     ] = False
     roughness: Annotated[
-        Length, PART, Doc("Rz of the faces; sets how far they settle, not the stiffness.")
+        Length, ROUGHNESS, Doc("Rz of the faces; sets how far they settle, not the stiffness.")
     ] = 16e-6
     interfaces: Annotated[
         int, Bounds(least=1), Doc("Faces between the clamped parts that settle.")

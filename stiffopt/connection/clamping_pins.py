@@ -12,7 +12,18 @@ from stiffopt.connection.fastener import SetScrew
 from stiffopt.contact.shear import ShearLaw, shear_softening, shear_travel
 from stiffopt.contact.surface import SurfacePair
 from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
-from stiffopt.declaration import NOT_NEGATIVE, PART, POSITIVE, Angle, Bounds, Doc, Length, Ratio
+from stiffopt.declaration import (
+    DETAIL,
+    FRICTION,
+    NOT_NEGATIVE,
+    PART,
+    POSITIVE,
+    Angle,
+    Bounds,
+    Doc,
+    Length,
+    Ratio,
+)
 from stiffopt.symbolic import Quantity
 
 # Pin tips work at hundreds of MPa, up to indentation of a hardened shaft.
@@ -37,10 +48,12 @@ class ClampingPins(ContactConnection):
     needs_preload: ClassVar[bool] = True
     count: Annotated[int, POSITIVE, Doc("Number of pins.")]
     shaft_diameter: Annotated[Length, PART, Doc("Diameter of the shaft that they press on.")]
-    tip_diameter: Annotated[Length, PART, Doc("Diameter of the flat tip of a pin.")]
+    tip_diameter: Annotated[Length, DETAIL, Doc("Diameter of the flat tip of a pin.")]
     surface: Annotated[SurfacePair, Doc("Pair of surfaces of tip and shaft.")]
     friction: Annotated[
-        Ratio | None, Doc("Coefficient of friction of a tip; default that of the surface.")
+        Ratio | None,
+        FRICTION,
+        Doc("Coefficient of friction of a tip; default that of the surface."),
     ] = None
     both_sides: Annotated[
         bool,

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from stiffopt.declaration import (
+    DETAIL,
     NOT_NEGATIVE,
-    PART,
-    POSITIVE,
     Bounds,
     Doc,
     Length,
@@ -33,12 +32,12 @@ class Bolt:
     ] = "12.9"
     clamp_length: Annotated[
         Length | None,
-        POSITIVE,
+        DETAIL,
         Doc("Thickness l_K that the bolt clamps; default two bolt diameters, an estimate."),
     ] = None
     engagement: Annotated[
         Length | None,
-        POSITIVE,
+        DETAIL,
         Doc(
             "Length m_eff of thread that carries; default by the material of the thread, an "
             "estimate."
@@ -68,7 +67,7 @@ class Bolt:
     ] = None
     shank_diameter: Annotated[
         Length | None,
-        POSITIVE,
+        DETAIL,
         Doc(
             "Diameter d_T of the part without thread; default the bolt's own, of necked-down bolts "
             "usually 0.9 d3."
@@ -101,7 +100,7 @@ class Bolt:
 class FlangeRing:
     """Flange that is not rigid: a ring, and how its link is joined to it."""
 
-    thickness: Annotated[Length, PART, Doc("Thickness of the flange, along the joint's axis.")]
+    thickness: Annotated[Length, DETAIL, Doc("Thickness of the flange, along the joint's axis.")]
     supports: Annotated[
         int,
         Bounds(least=3),
@@ -119,7 +118,7 @@ class SetScrew:
     size: Annotated[str, Named("set screw"), Doc("Size, such as M4.")]
     length: Annotated[
         Length | None,
-        POSITIVE,
+        DETAIL,
         Doc("Length; default one and a half diameters, an estimate."),
     ] = None
     shaft_material: Annotated[

@@ -13,7 +13,17 @@ from stiffopt.connection.connection import ContactConnection
 from stiffopt.contact.hertz import mean_pressure
 from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
 from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
-from stiffopt.declaration import PART, POSITIVE, Angle, Bounds, Doc, Length, Ratio, WidthStiffness
+from stiffopt.declaration import (
+    DETAIL,
+    PART,
+    POSITIVE,
+    Angle,
+    Bounds,
+    Doc,
+    Length,
+    Ratio,
+    WidthStiffness,
+)
 from stiffopt.symbolic import Quantity
 
 _HIGHEST_PRESSURE = 2e9
@@ -35,7 +45,7 @@ class GearPair(ContactConnection):
     """
 
     kind: ClassVar[str] = "gear_pair"
-    module: Annotated[Length, PART, Doc("Module: pitch diameter over number of teeth.")]
+    module: Annotated[Length, DETAIL, Doc("Module: pitch diameter over number of teeth.")]
     teeth: Annotated[int, POSITIVE, Doc("Teeth of the first gear, on the motor's side.")]
     teeth_driven: Annotated[int, POSITIVE, Doc("Teeth of the second gear.")]
     face_width: Annotated[Length, PART, Doc("Width of the teeth in mesh.")]

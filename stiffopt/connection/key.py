@@ -12,7 +12,7 @@ from stiffopt.connection.connection import ContactConnection
 from stiffopt.contact.surface import LOWEST_PRESSURE, SurfacePair
 from stiffopt.contact.surrogate import ContactLaw, LawName, contact_law
 from stiffopt.contact.validate import require_ordered
-from stiffopt.declaration import NOT_NEGATIVE, PART, Doc, Length, Named, Pressure
+from stiffopt.declaration import DETAIL, NOT_NEGATIVE, PART, Doc, Length, Named, Pressure
 from stiffopt.symbolic import Quantity
 
 # Flanks in parallel have no sum of integrals: six Gauss-Legendre points in ln(1 + T/Tc), to 1e-9.
@@ -35,8 +35,10 @@ class Key(ContactConnection):
     kind: ClassVar[str] = "key"
     shaft_diameter: Annotated[Length, PART, Doc("Diameter d of the shaft.")]
     length: Annotated[Length, PART, Doc("Bearing length of the key.")]
-    shaft_flank_height: Annotated[Length, PART, Doc("Bearing height h1 of the flank in the shaft.")]
-    hub_flank_height: Annotated[Length, PART, Doc("Bearing height h2 of the flank in the hub.")]
+    shaft_flank_height: Annotated[
+        Length, DETAIL, Doc("Bearing height h1 of the flank in the shaft.")
+    ]
+    hub_flank_height: Annotated[Length, DETAIL, Doc("Bearing height h2 of the flank in the hub.")]
     surface: Annotated[SurfacePair, Doc("Pair of surfaces of the flanks.")]
     prepressure: Annotated[
         Pressure,

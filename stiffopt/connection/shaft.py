@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 
 from stiffopt.connection.linear import LinearConnection
 from stiffopt.contact.validate import require_ordered
-from stiffopt.declaration import NOT_NEGATIVE, PART, POSITIVE, Doc, Length, Pressure
+from stiffopt.declaration import MODULUS, NOT_NEGATIVE, PART, Doc, Length, Pressure
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +18,7 @@ class Shaft(LinearConnection):
     kind: ClassVar[str] = "shaft"
     diameter: Annotated[Length, PART, Doc("Outer diameter d.")]
     length: Annotated[Length, PART, Doc("Length L between the two ends that twist.")]
-    shear_modulus: Annotated[Pressure, POSITIVE, Doc("Shear modulus G; default steel.")] = 80e9
+    shear_modulus: Annotated[Pressure, MODULUS, Doc("Shear modulus G; default steel.")] = 80e9
     bore: Annotated[Length, NOT_NEGATIVE, Doc("Inner diameter d_i, 0 for a solid shaft.")] = 0.0
 
     def __post_init__(self) -> None:

@@ -9,9 +9,23 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from stiffopt.connection.linear import LinearConnection
-from stiffopt.declaration import PART, POSITIVE, Angle, Bounds, Doc, Force, Length, Pressure, Ratio
+from stiffopt.declaration import (
+    DETAIL,
+    MODULUS,
+    PART,
+    POSITIVE,
+    Angle,
+    Bounds,
+    Doc,
+    Force,
+    Length,
+    Pressure,
+    Ratio,
+)
 from stiffopt.symbolic import Quantity
 
+# Force per unit strain [N], from rubber of 1 mm^2 to wide steel.
+_SPAN = Bounds(above=0.0, plausible=(1.0, 1e9))
 _TURN = Bounds(above=0.0, below=2 * math.pi)
 
 
@@ -34,11 +48,11 @@ class TimingBelt(LinearConnection):
     takes_preload: ClassVar[bool] = True
     teeth: Annotated[int, POSITIVE, Doc("Teeth of the first pulley, on the motor's side.")]
     teeth_driven: Annotated[int, POSITIVE, Doc("Teeth of the second pulley.")]
-    pitch: Annotated[Length, PART, Doc("Pitch of the belt.")]
+    pitch: Annotated[Length, DETAIL, Doc("Pitch of the belt.")]
     width: Annotated[Length, PART, Doc("Width b of the belt.")]
-    tooth_height: Annotated[Length, PART, Doc("Height h of a belt tooth.")]
-    tooth_root_width: Annotated[Length, PART, Doc("Width w of a belt tooth at its root.")]
-    span_stiffness: Annotated[Force, POSITIVE, Doc("Force per unit strain of one span.")]
+    tooth_height: Annotated[Length, DETAIL, Doc("Height h of a belt tooth.")]
+    tooth_root_width: Annotated[Length, DETAIL, Doc("Width w of a belt tooth at its root.")]
+    span_stiffness: Annotated[Force, _SPAN, Doc("Force per unit strain of one span.")]
     span_length: Annotated[Length, PART, Doc("Free length of one span.")]
     wrap: Annotated[Angle, _TURN, Doc("Wrap angle on the first pulley.")] = math.pi
     wrap_driven: Annotated[Angle, _TURN, Doc("Wrap angle on the second pulley.")] = math.pi
@@ -47,7 +61,7 @@ class TimingBelt(LinearConnection):
         Bounds(above=-0.1, below=math.pi / 2),
         Doc("Angle beta between the normal of a flank and the tangent."),
     ] = math.pi / 9
-    tooth_modulus: Annotated[Pressure, POSITIVE, Doc("Young's modulus of the tooth.")] = 60e6
+    tooth_modulus: Annotated[Pressure, MODULUS, Doc("Young's modulus of the tooth.")] = 60e6
     tooth_poisson: Annotated[
         Ratio, Bounds(above=0.0, below=0.5), Doc("Poisson's ratio of the tooth.")
     ] = 0.48

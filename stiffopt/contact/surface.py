@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Literal, get_args
 
@@ -11,7 +12,8 @@ import numpy as np
 from stiffopt.contact.spots import Loading, SpotLaw, spot_laws, total_force
 from stiffopt.contact.validate import require_one_of
 from stiffopt.declaration import (
-    NOT_NEGATIVE,
+    FRICTION,
+    MODULUS,
     POSITIVE,
     Area,
     Bounds,
@@ -34,10 +36,10 @@ class Material:
     """One of two bodies in contact."""
 
     name: Annotated[str, Doc("Name, for messages.")] = "material"
-    modulus: Annotated[Pressure, POSITIVE, Doc("Young's modulus.")]
+    modulus: Annotated[Pressure, MODULUS, Doc("Young's modulus.")]
     poisson: Annotated[Ratio, Bounds(above=0.0, below=0.5), Doc("Poisson's ratio.")]
     hardness: Annotated[
-        Pressure, POSITIVE, Doc("Indentation hardness, about 2.8 times the yield stress.")
+        Pressure, MODULUS, Doc("Indentation hardness, about 2.8 times the yield stress.")
     ]
 
     def __post_init__(self) -> None:
@@ -47,6 +49,11 @@ class Material:
     def shear_modulus(self) -> float:
         """E/(2 (1 + nu)) [Pa]."""
         return self.modulus / (2 * (1 + self.poisson))
+
+
+_FRICTION = replace(FRICTION, above=-math.inf, least=0.0)
+# Of measured surfaces 1e-13 to 1e-8 m.
+FRACTAL_ROUGHNESS = Bounds(above=0.0, plausible=(0.0, 1e-3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,10 +74,8 @@ class SurfacePair:
         Bounds(above=2.0, below=3.0),
         Doc("Fractal dimension D of the surface: that of a profile plus one."),
     ]
-    fractal_roughness: Annotated[Length, POSITIVE, Doc("Fractal roughness G.")]
-    friction: Annotated[Ratio, NOT_NEGATIVE, Doc("Coefficient of friction of the interface.")] = (
-        0.15
-    )
+    fractal_roughness: Annotated[Length, FRACTAL_ROUGHNESS, Doc("Fractal roughness G.")]
+    friction: Annotated[Ratio, _FRICTION, Doc("Coefficient of friction of the interface.")] = 0.15
     reference_area: Annotated[
         Area,
         POSITIVE,

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from stiffopt.contact.validate import require_positive
-from stiffopt.declaration import NOT_NEGATIVE, Bounds, Doc, Length, Ratio, check_fields
+from stiffopt.declaration import FRICTION, Bounds, Doc, Length, Ratio, check_fields
 from stiffopt.drivetrain.catalogue import BoltData
 from stiffopt.symbolic import Quantity
 
@@ -29,7 +29,7 @@ SCATTER = {
 _WRENCH = 1.05 / 0.95
 
 # Customary are 0.08 to 0.2.
-_FRICTION = Bounds(above=0.0, below=1.0)
+_FRICTION = Bounds(above=0.0, below=1.0, plausible=FRICTION.plausible)
 
 # Preferred numbers R20 of ISO 3 between 1 and 10.
 _R20 = (
@@ -56,7 +56,7 @@ class Tightening:
     ] = "torque_wrench"
     scatter: Annotated[
         Ratio | None,
-        Bounds(least=1.0),
+        Bounds(least=1.0, plausible=(1.0, 10.0)),
         Doc("alpha_A, largest over least preload at assembly; default that of the method."),
     ] = None
     thread_friction: Annotated[
@@ -79,7 +79,7 @@ class Tightening:
     ] = None
     embedding: Annotated[
         Length | None,
-        NOT_NEGATIVE,
+        Bounds(least=0.0, most=1e-2, plausible=(1e-8, 3e-4)),
         Doc(
             "f_Z, by which all faces of one fastener together settle after assembly; default by "
             "roughness and number of faces (VDI 2230 Table 5)."
@@ -87,7 +87,7 @@ class Tightening:
     ] = None
     temperature_change: Annotated[
         Ratio,
-        NOT_NEGATIVE,
+        Bounds(least=0.0, most=3000.0, plausible=(0.0, 200.0)),
         Doc("Kelvin, up or down from assembly: parts that expand otherwise change the preload."),
     ] = 30.0
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from stiffopt.connection import TimingBelt
 from stiffopt.errors import ProblemError
 from stiffopt.problem.trajectory import Target, TrajectoryProblem
 from stiffopt.robot.frames import link_frame, link_names
@@ -66,6 +67,25 @@ def questionable_bodies(robot: Robot) -> tuple[str, ...]:
         f"with what moves behind {', '.join(wrong)}. Torques and swings rest on them: look at the "
         "URDF and the [[link]] sections.",
     )
+
+
+def questionable_belts(robot: Robot) -> tuple[str, ...]:
+    """A sentence on each belt whose tension does not carry the largest torque of its joint."""
+    found = []
+    for joint, chain in zip(robot.joint_names, robot.chains, strict=True):
+        for belt in () if chain is None else chain.elements.values():
+            if not isinstance(belt, TimingBelt) or belt.preload is None:
+                continue
+            slack = float(belt.slack_torque())
+            if slack < belt.torque_max:
+                needed = belt.preload * belt.torque_max / slack
+                found.append(
+                    f"Joint {joint}, belt {belt.name}: with a tension of {belt.preload:g} N one"
+                    f" span goes slack at {slack:.3g} N m on the pulley, below the"
+                    f" {belt.torque_max:.3g} N m of the largest joint torque; beyond it the belt is"
+                    f" half as stiff as reported. Give it {needed:.3g} N, or lower torque_max."
+                )
+    return tuple(found)
 
 
 def reach_of(robot: Robot) -> float:

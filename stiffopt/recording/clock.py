@@ -18,6 +18,8 @@ _DROPPED = 1.7
 _UNEVEN = 0.05
 _FEWEST = 20
 _LONGEST_STEP = 0.5
+# No drive samples faster than at 1 MHz, no log of one holds less than a thousandth of a second.
+_SHORTEST_STEP, _SHORTEST_RUN = 1e-6, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +83,15 @@ def read_clock(stamps: np.ndarray, path: Path, column: str) -> Clock:
             where,
             f"its usual spacing is {step:g}; in seconds that is too slow to hold a motion "
             f"(allowed: up to {_LONGEST_STEP:g} s). Convert the column to seconds.",
+        )
+    if step < _SHORTEST_STEP or stamps[rows[-1]] - stamps[rows[0]] < _SHORTEST_RUN:
+        raise InputFileError(
+            path,
+            where,
+            f"its usual spacing is {step:g} and all of it {stamps[rows[-1]] - stamps[rows[0]]:g};"
+            f" in seconds that is no motion of a robot (allowed: from {_SHORTEST_STEP:g} s a sample"
+            f" and {_SHORTEST_RUN:g} s in all). Convert the column to seconds, or say its unit in"
+            " signals.scale.time.",
         )
     faults = [*_lost(stamps, finite, rows), *_spacing(spacing, step)]
     return Clock(_complete(stamps, finite), rows, step, tuple(faults))

@@ -26,9 +26,9 @@ def explained(key: str) -> Iterator[str]:
         close = nearest(wanted.rpartition(".")[2], names).partition(" Allowed")[0]
         hint = close if close.startswith("Did") else ""
         raise InputError(f"no key {key!r} in any file. {hint}".strip())
-    told: dict[tuple[str, str, str, str], list[str]] = {}
+    told: dict[tuple[str, str, str, str, str], list[str]] = {}
     for kind, each in found:
-        about = (each.value, each.unit, each.default, each.sentence)
+        about = (each.value, each.unit, each.plausible, each.default, each.sentence)
         told.setdefault(about, []).append(f"{each.place} ({kind})")
     for number, (about, places) in enumerate(told.items()):
         if number:
@@ -43,12 +43,13 @@ def _fits(place: str, wanted: str) -> bool:
     return bare == wanted or bare.endswith(f".{wanted}") or place.endswith(f".{wanted}")
 
 
-def _about(value: str, unit: str, default: str, sentence: str) -> Iterator[str]:
+def _about(value: str, unit: str, plausible: str, default: str, sentence: str) -> Iterator[str]:
     if sentence:
         yield f"  {sentence}"
     yield (
         f"  {value.replace('`', '')}"
         + (f" [{unit}]" if unit else "")
+        + (f", plausible {plausible}" if plausible else "")
         + ("; required" if default == "required" else f"; default {default}" if default else "")
     )
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from stiffopt.declaration import range_text
 from stiffopt.discovery.extended.schema import ExtendedFile
 from stiffopt.preload.schema import PreloadFile
 from stiffopt.problem.schema import problem_file
@@ -27,7 +28,8 @@ Every key of the files that people write, generated from their declarations; `st
 gives the same as JSON Schema, for editors. A bare number is SI; where a unit is given, a text with
 another unit of the same kind is converted: `"45 deg"`, `"0.3 mm"`, `"12 kN"`, `"5 N*m/arcmin"`
 (not in recordings). A second unit in brackets is that of prismatic joints. Joints count from 1.
-Unknown keys are errors that name the nearest known one."""
+Unknown keys are errors that name the nearest known one. A bare number whose magnitude lies outside
+the plausible range, which is in SI, is asked about: written with its unit, it is taken as meant."""
 
 _TITLES = {
     "trajectory": "Trajectory problem",
@@ -87,6 +89,17 @@ def units(field: dict[str, Any]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
+def plausible(field: dict[str, Any]) -> str:
+    """Plausible magnitudes in the SI unit, in brackets behind them those of a prismatic joint."""
+    ranges = {
+        word: [range_text(form[word]) for form in forms(field) if word in form]
+        for word in ("plausible", "plausible_prismatic")
+    }
+    turning, sliding = ranges["plausible"], ranges["plausible_prismatic"]
+    texts = [f"{own} ({other})" for own, other in zip(turning, sliding, strict=False)]
+    return ", ".join(dict.fromkeys(texts or turning))
+
+
 def forms(field: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """A key's schema and all that it may hold."""
     yield field
@@ -105,6 +118,7 @@ class FileKey:
     place: str
     value: str
     unit: str
+    plausible: str
     default: str
     sentence: str
 
@@ -175,21 +189,21 @@ def _described(section: dict[str, Any]) -> str:
 
 
 def _table(section: dict[str, Any], definitions: dict[str, Any]) -> str:
-    rows = ["| key | value | unit | default | |", "|---|---|---|---|---|"]
+    rows = ["| key | value | unit | plausible | default | |", "|---|---|---|---|---|---|"]
     for cells in _rows(section, definitions):
         rows.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |")
     return "\n".join(rows)
 
 
 def _rows(section: dict[str, Any], definitions: dict[str, Any]) -> Iterator[tuple[str, ...]]:
-    """Key, value, unit, default and sentence of every key of a section."""
+    """Key, value, unit, plausible range, default and sentence of every key of a section."""
     required = section.get("required", ())
     for key, field in section["properties"].items():
         if "const" in field and key == "type":
             continue
         default = "required" if key in required else _default(field)
         text = sentence(field, definitions) + _names(field)
-        yield f"`{key}`", _value(field), ", ".join(units(field)), default, text
+        yield f"`{key}`", _value(field), ", ".join(units(field)), plausible(field), default, text
 
 
 def _value(field: dict[str, Any]) -> str:

@@ -17,7 +17,7 @@ from pydantic import create_model
 from stiffopt.connection import Bolt, Connection
 from stiffopt.connection.bolted_flange import BoltCount, CircleDiameter
 from stiffopt.contact.surface import SurfacePair
-from stiffopt.declaration import POSITIVE, Declared, Doc, Length, Named, declared
+from stiffopt.declaration import DETAIL, Declared, Doc, Length, Named, declared
 from stiffopt.drivetrain import catalogue
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.errors import InputError
@@ -74,8 +74,8 @@ class KeyLookUp(ElementSection):
     """Flank heights default to those of DIN 6885 for the width and height of the key."""
 
     looked_up = ("shaft_flank_height", "hub_flank_height")
-    width: Annotated[Length, POSITIVE, Doc("Width of the key.")]
-    height: Annotated[Length, POSITIVE, Doc("Height of the key.")]
+    width: Annotated[Length, DETAIL, Doc("Width of the key.")]
+    height: Annotated[Length, DETAIL, Doc("Height of the key.")]
 
     def connection_fields(self) -> dict[str, Any]:
         """Refuse flanks that are higher together than the key."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -47,6 +47,7 @@ class ElementBuilder:
             with located(self.path, f"joint[{joint.name}].element[{section.name}]"):
                 stages.append(self._stage(section, torque_max, prismatic))
         with located(self.path, f"joint[{joint.name}]"):
+            _check_inputs(joint.element)
             return Chain(tuple(stages), reflect=self.assembly.reflect)
 
     def _stage(self, section: ElementSection, torque_max: float, prismatic: bool) -> Stage:
@@ -77,6 +78,30 @@ class ElementBuilder:
         if name not in known:
             raise InputError(f"surface: no surface {name!r}. {nearest(name, known)}")
         return catalogue.surface(name)
+
+
+def _check_inputs(sections: Sequence[ElementSection]) -> None:
+    """Raise `InputError` for an element that turns unlike the input of the reducer after it.
+
+    Only a reducer of the catalogue says how often its input turns. The one after or before it by a
+    turn is that of a strain-wave gear whose other part is held.
+    """
+    for reducer, before in zip(sections[1:], sections, strict=False):
+        name = getattr(reducer, "catalogue", None)
+        if name is None or before.parallel is not None:
+            continue
+        turns = catalogue.reducer(name).ratio
+        # Teeth between the element's own shaft and the reducer.
+        teeth = float(getattr(before, "teeth", 1.0))
+        geared = float(getattr(before, "teeth_driven", None) or teeth) / teeth
+        wanted = reducer.ratio * turns * geared
+        if abs(before.ratio - wanted) > 1.001 * reducer.ratio * geared:
+            raise InputError(
+                f"element[{before.name}].ratio = {before.ratio:g}, but the input of"
+                f" {reducer.name!r} ({name}) after it turns {turns} times for one turn of its"
+                f" output: give ratio = {wanted:g}, list the belt or gears between the two, or give"
+                " K1, K2, K3, T1 and T2 in place of `catalogue`."
+            )
 
 
 def _surface(name: str, section: SurfaceSection) -> SurfacePair:

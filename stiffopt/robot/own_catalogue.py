@@ -10,11 +10,16 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from stiffopt.contact.surface import FRACTAL_ROUGHNESS
 from stiffopt.declaration import (
+    DETAIL,
+    FRICTION,
+    MODULUS,
     PART,
     POSITIVE,
     Angle,
     Area,
+    Bounds,
     Doc,
     Force,
     JointStiffness,
@@ -31,6 +36,8 @@ from stiffopt.files import read_document
 from stiffopt.robot.element_sections import Cited
 from stiffopt.validation import Section
 
+# Of bolts from M1 to M240 [m^2].
+_STRESS_AREA = Bounds(above=0.0, plausible=(1e-7, 0.05))
 # Of an ISO metric thread: pitch and core diameter are d less so many pitches.
 _PITCH_DIAMETER, _CORE_DIAMETER = 0.649519, 1.226869
 
@@ -87,13 +94,13 @@ class OwnBolt(OwnPart):
     kind = "bolt"
     size: Annotated[str, Doc("What robot and study files call it.")]
     diameter: Annotated[Length, PART, Doc("Nominal diameter d.")]
-    pitch: Annotated[Length, PART, Doc("Pitch P.")]
-    pitch_diameter: Annotated[Length | None, PART, Doc("d2; default d - 0.6495 P.")] = None
-    minor_diameter: Annotated[Length | None, PART, Doc("d3; default d - 1.2269 P.")] = None
-    stress_area: Annotated[Area | None, POSITIVE, Doc("A_S; default of (d2 + d3)/2.")] = None
-    head_diameter: Annotated[Length, PART, Doc("d_k, room that the head takes.")]
-    bearing_diameter: Annotated[Length, PART, Doc("d_w, of the flat under the head.")]
-    hole: Annotated[Length, PART, Doc("d_h, of the clearance hole.")]
+    pitch: Annotated[Length, DETAIL, Doc("Pitch P.")]
+    pitch_diameter: Annotated[Length | None, DETAIL, Doc("d2; default d - 0.6495 P.")] = None
+    minor_diameter: Annotated[Length | None, DETAIL, Doc("d3; default d - 1.2269 P.")] = None
+    stress_area: Annotated[Area | None, _STRESS_AREA, Doc("A_S; default of (d2 + d3)/2.")] = None
+    head_diameter: Annotated[Length, DETAIL, Doc("d_k, room that the head takes.")]
+    bearing_diameter: Annotated[Length, DETAIL, Doc("d_w, of the flat under the head.")]
+    hole: Annotated[Length, DETAIL, Doc("d_h, of the clearance hole.")]
 
     @property
     def called(self) -> str:
@@ -133,9 +140,9 @@ class OwnWasher(OwnPart):
     kind = "washer"
     size: Annotated[str, Doc("Of the bolt that it is for, one's own or a packaged one.")]
     diameter: Annotated[Length, PART, Doc("Outer diameter.")]
-    thickness: Annotated[Length, PART, Doc("Thickness h_S.")]
+    thickness: Annotated[Length, DETAIL, Doc("Thickness h_S.")]
     pressure: Annotated[
-        Pressure | None, POSITIVE, Doc("That it bears under the head; default that of 300 HV.")
+        Pressure | None, MODULUS, Doc("That it bears under the head; default that of 300 HV.")
     ] = None
 
     @property
@@ -148,14 +155,14 @@ class OwnKey(OwnPart):
     """A parallel key, named by its width and height."""
 
     kind = "key"
-    width: Annotated[Length, PART, Doc("Width.")]
-    height: Annotated[Length, PART, Doc("Height.")]
+    width: Annotated[Length, DETAIL, Doc("Width.")]
+    height: Annotated[Length, DETAIL, Doc("Height.")]
     shaft_min: Annotated[Length, PART, Doc("Diameter of the shafts it belongs to, above.")]
     shaft_max: Annotated[Length, PART, Doc("And up to.")]
-    shaft_depth: Annotated[Length, PART, Doc("Depth of the keyway in the shaft.")]
-    hub_depth: Annotated[Length, PART, Doc("Depth of the keyway in the hub.")]
-    shaft_flank_height: Annotated[Length, PART, Doc("Height that bears in the shaft.")]
-    hub_flank_height: Annotated[Length, PART, Doc("Height that bears in the hub.")]
+    shaft_depth: Annotated[Length, DETAIL, Doc("Depth of the keyway in the shaft.")]
+    hub_depth: Annotated[Length, DETAIL, Doc("Depth of the keyway in the hub.")]
+    shaft_flank_height: Annotated[Length, DETAIL, Doc("Height that bears in the shaft.")]
+    hub_flank_height: Annotated[Length, DETAIL, Doc("Height that bears in the hub.")]
 
     @property
     def called(self) -> str:
@@ -177,10 +184,10 @@ class OwnBelt(OwnPart):
     kind = "belt"
     name: Annotated[str, Doc("Profile, as robot files call it.")]
     pitch: Annotated[Length, PART, Doc("Of the teeth.")]
-    tooth_height: Annotated[Length, PART, Doc("Height of a tooth.")]
-    tooth_root_width: Annotated[Length, PART, Doc("Width of a tooth at its root.")]
+    tooth_height: Annotated[Length, DETAIL, Doc("Height of a tooth.")]
+    tooth_root_width: Annotated[Length, DETAIL, Doc("Width of a tooth at its root.")]
     flank_angle: Annotated[Angle, POSITIVE, Doc("Of a flank against the height.")]
-    tooth_modulus: Annotated[Pressure, POSITIVE, Doc("Young's modulus of the teeth.")]
+    tooth_modulus: Annotated[Pressure, MODULUS, Doc("Young's modulus of the teeth.")]
     tooth_poisson: Annotated[Ratio, POSITIVE, Doc("Poisson's ratio of the teeth.")] = 0.48
     teeth_in_mesh_max: Annotated[float, POSITIVE, Doc("Teeth counted in mesh, at most.")] = 6.0
     span_stiffness: Annotated[
@@ -210,8 +217,8 @@ class OwnSurface(OwnPart):
     first: Annotated[str, Named("material"), Doc("Material of one body.")]
     second: Annotated[str, Named("material"), Doc("Material of the other.")]
     fractal_dimension: Annotated[float, Doc("D of the combined surface, above 2, below 3.")]
-    fractal_roughness: Annotated[Length, POSITIVE, Doc("G of the combined surface.")]
-    friction: Annotated[Ratio, POSITIVE, Doc("Coefficient of static friction.")]
+    fractal_roughness: Annotated[Length, FRACTAL_ROUGHNESS, Doc("G of the combined surface.")]
+    friction: Annotated[Ratio, FRICTION, Doc("Coefficient of static friction.")]
 
     def entry(self) -> dict[str, Any]:
         """A dimension of a surface."""

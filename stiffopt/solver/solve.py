@@ -30,7 +30,7 @@ from stiffopt.problem.bounds import check_bounds, shortest_duration
 from stiffopt.problem.clear_poses import check_clear_poses
 from stiffopt.problem.files import LoadedProblem
 from stiffopt.problem.formulation import Scales
-from stiffopt.problem.plausible import questionable_bodies
+from stiffopt.problem.plausible import questionable_belts, questionable_bodies
 from stiffopt.problem.resolve import ResolvedMotion, resolve
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
@@ -219,7 +219,7 @@ def _begin(
 def notes_before(problem: TrajectoryProblem, motion: ResolvedMotion) -> tuple[str, ...]:
     """What can be said of a problem before it is solved; refuses those that are degenerate."""
     chosen = (problem.chosen,) if problem.chosen else ()
-    doubted = questionable_bodies(problem.robot)
+    doubted = (*questionable_bodies(problem.robot), *questionable_belts(problem.robot))
     return (*chosen, *problem.remarks, *doubted, *_held(problem), *check_bounds(problem, motion))
 
 

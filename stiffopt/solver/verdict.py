@@ -6,6 +6,7 @@ what is true, and if no baseline that keeps all limits is better.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,6 +39,9 @@ TRUE_OBJECTIVE = 2e-2
 _WRONG = 6e-2
 # Share of a gap from which on it is told as the cause.
 _MOST = 0.5
+# Ratio of every baseline's deflection to its limit from which on that is told as out of reach: no
+# optimum has been seen so far below them.
+_OUT_OF_REACH = 10.0
 # A baseline may use what limits may be exceeded by.
 _WORSE = CERTIFIED
 # Bounds of states and controls in a programme are limits of the joints: "control rate, acceleration
@@ -67,6 +71,10 @@ def verdict(
     """
     own = Verdict(_status(outcome), _message(problem, outcome, motion))
     found = _by_belief(problem, outcome, motion, own)
+    if not motion.feasible(CERTIFIED) and (beyond := _out_of_reach(problem, beside)):
+        # Its general advice is to relax what is named, or to take more time.
+        rest = found.message.removeprefix(found.status.sentence)
+        found = Verdict(found.status, f"{beyond}{rest}")
     better = baseline_above(problem, outcome, beside)
     if better is None or found.status is SolveStatus.INFEASIBLE:
         return found
@@ -75,6 +83,29 @@ def verdict(
         SolveStatus.ACCEPTABLE if optimal else found.status,
         f"{found.message} But the {better.name} motion beside it {_virtue(outcome)}: run that one, "
         "or raise method.intervals or method.starts.",
+    )
+
+
+def _out_of_reach(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> str:
+    """What keeps a limit on the dynamic deflection out of reach, "" where nothing is seen to."""
+    cap = float(problem.active_limits.dynamic_deflection)
+    peaks = {
+        name: (float(np.linalg.norm(motion.deflection["dynamic"], axis=1).max()), motion.time[-1])
+        for name, baseline in beside.items()
+        if (motion := baseline.assessment) is not None
+    }
+    if not peaks or not math.isfinite(cap):
+        return ""
+    name = min(peaks, key=lambda each: peaks[each][0])
+    peak, lasted = peaks[name]
+    if peak < _OUT_OF_REACH * cap:
+        return ""
+    return (
+        f"limits.dynamic_deflection = {1e3 * cap:.3g} mm is hardly to be met: what accelerates the"
+        f" arm winds its joints up, by {1e3 * peak:.3g} mm at the tool in the {name} motion of"
+        f" {lasted:.3g} s. That falls with the square of the duration: allow about"
+        f" {lasted * math.sqrt(peak / cap):.2g} s, or raise the limit; more time to solve does not"
+        " help."
     )
 
 

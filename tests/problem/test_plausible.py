@@ -45,8 +45,8 @@ def test_bare_degrees_in_a_file_are_no_radians(tmp_path, capsys):
     path = changed(tmp_path, rpy, "rpy = [180, 0, 0]")
     assert run(["solve", str(path), "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
-    assert "motion.start.rpy[1] = 180 rad is more than a whole turn" in said
-    assert 'write "180 deg"' in said
+    assert "motion.start.rpy[1]: 180 rad is not plausible" in said
+    assert 'Write "180 deg" if that is meant' in said
 
 
 def test_joints_beyond_a_turn_are_asked_about_unless_the_joint_may():

@@ -81,7 +81,7 @@ assert "force_at_break" in schema["required"]
 
 page = reference_page()
 assert '### `[[joint.element]]`, `type = "leaf_spring"`' in page
-row = "| `force_at_break` | number above 0 | N | required | Force at which the leaf breaks. |"
+row = "| `force_at_break` | number above 0 | N | up to 1e+07 | required | Force at which the leaf "
 assert row in page
 """
 

@@ -171,7 +171,7 @@ surface = "honed"
 [[joint.element]]
 name = "shaft"
 type = "shaft"
-ratio = 30
+ratio = 50
 diameter = "8 mm"
 length = "60 mm"
 [[joint.element]]

@@ -308,6 +308,20 @@ def test_what_cannot_hold_is_named_though_the_time_is_up(tmp_path):
     assert named.startswith("dynamic_deflection, tool")
 
 
+def test_a_deflection_that_no_motion_of_the_duration_meets_names_a_longer_one(tmp_path):
+    pieces = {
+        "limits": "dynamic_deflection = '0.05 mm'",
+        "minimise": OBJECTIVES["torque"],
+        "method": "intervals = 10",
+    }
+    solution = solve(load(tmp_path, duration="0.5", **pieces), throw=False)
+    assert solution.status is SolveStatus.INFEASIBLE
+    assert "limits.dynamic_deflection = 0.05 mm is hardly to be met" in solution.message
+    assert "0.994 mm at the tool in the toppra motion of 0.5 s" in solution.message
+    assert "allow about 2.2 s" in solution.message
+    assert solve(load(tmp_path, duration="2.3", **pieces), throw=False).status.usable
+
+
 def test_an_iteration_limit_keeps_the_best_motion(tmp_path):
     problem = load(tmp_path, minimise=OBJECTIVES["dynamic peak"], method="max_iterations = 2")
     solution = solve(problem, throw=False)

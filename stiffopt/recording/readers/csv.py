@@ -34,6 +34,7 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     header = headers[mark]
     missing(path, wanted, header)
     check_numbers(path, body.count("\n"), len(wanted))
+    _check_widths(path, body, mark, len(header))
     places = [header.index(name) for name in wanted]
     try:
         table = np.loadtxt(
@@ -48,6 +49,21 @@ def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
 def _header(line: str, mark: str) -> list[str]:
     row = next(csv.reader([line.lstrip("# ").rstrip("\r")], delimiter=mark), [])
     return [name.strip() for name in row]
+
+
+def _check_widths(path: Path, body: str, mark: str, columns: int) -> None:
+    """Raise `InputFileError` for a line of more cells than the header; blank ones may be more."""
+    for number, line in enumerate(body.splitlines(), start=1):
+        if line.count(mark) < columns:
+            continue
+        cells = next(csv.reader([line], delimiter=mark), [])
+        if any(cell.strip() for cell in cells[columns:]):
+            raise InputFileError(
+                path,
+                f"row {number}",
+                f"has {len(cells)} cells, the header names {columns}. Name every column, or write"
+                " decimals with a point.",
+            )
 
 
 def _parse(
