@@ -6,9 +6,11 @@ Values are SI with full precision; what is not a finite number is null in JSON. 
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +20,8 @@ from stiffopt.errors import InputFileError
 from stiffopt.files import atomic_write, load_json, plain, write_csv
 from stiffopt.folders import check_result
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
-from stiffopt.result.compensation_store import compensation_document
+from stiffopt.result.compensation_store import COMMAND_FILE, compensation_document
+from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.simulation import ElasticMotion, SimulatedPart, Simulation
 from stiffopt.result.solution import Baseline, ObjectiveValue, Solution
 
@@ -81,8 +84,11 @@ def write_result(
     *,
     stated: TrajectoryProblem | None = None,
     home: str | Path | None = None,
+    changes: Sequence[str] = (),
+    model: str | Path | None = None,
+    effects: str | Path | None = None,
 ) -> Path:
-    """Write result.json into `directory`; return its path.
+    """Write result.json into `directory`, after the files of the motion; return its path.
 
     Parameters
     ----------
@@ -91,9 +97,14 @@ def write_result(
     problem : path, optional
         File that was solved; kept relative to the folder, so that both can move together.
     stated : TrajectoryProblem, optional
-        Its title and the names of its joints go with the motion.
+        Its title, the names of its joints, and the hashes of motion, robot, payload and limits go
+        with the motion.
     home : path, optional
         Folder where the file will lie, where it is another than `directory`.
+    changes : sequence of str, optional
+        Entries of the problem file that were changed, as --set has them.
+    model, effects : path, optional
+        Extended model that was planned with, and the file of its effects.
     """
     document = result_document(solution)
     if stated is not None:
@@ -102,12 +113,44 @@ def write_result(
             {"name": name, "slides": bool(slides)}
             for name, slides in zip(stated.robot.joint_names, stated.robot.prismatic, strict=True)
         ]
-    if problem is not None:
-        document["problem"] = Path(os.path.relpath(problem, home or directory)).as_posix()
+        document["seal"] = motion_seal(stated, directory)
+    named = {"problem": problem, "model": model, "effects": effects}
+    for key, file in named.items():
+        if file is not None:
+            document[key] = Path(os.path.relpath(file, home or directory)).as_posix()
+    if changes:
+        document["changes"] = list(changes)
     text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
     path = Path(directory) / RESULT_FILE
     atomic_write(path, text + "\n")
     return path
+
+
+def motion_seal(stated: TrajectoryProblem, directory: str | Path) -> dict[str, Any]:
+    """Hashes (SHA-256) of what a motion was judged by, and of the files that hold it.
+
+    Parameters
+    ----------
+    stated : TrajectoryProblem
+    directory : path
+        Of trajectory.csv and command.csv, as far as they were written.
+    """
+    return {
+        "robot": inputs_hash(stated.robot),
+        "payload": inputs_hash(getattr(stated.robot, "payload", None)),
+        "limits": inputs_hash(stated.active_limits),
+        "files": {
+            name: file_hash(Path(directory) / name)
+            for name in (TRAJECTORY_FILE, COMMAND_FILE)
+            if (Path(directory) / name).is_file()
+        },
+    }
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file's content."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def read_document(path: Path) -> dict[str, Any]:
