@@ -35,6 +35,35 @@ RESULT_FILE = "result.json"
 TRAJECTORY_FILE = "trajectory.csv"
 SIMULATION_FILE = "simulation.json"
 
+# Columns of trajectory.csv, and of command.csv as far as it has them; N counts joints from 1.
+COLUMNS = {
+    "t": ("s", "Time, every 2 ms and at the end."),
+    "qN, qdN, qddN": (
+        "rad, rad/s, rad/s^2 (m, m/s, m/s^2)",
+        "Motion of the motors; of motors and links alike where no linkN columns follow.",
+    ),
+    "tauN": (
+        "N m (N)",
+        "Drive torque: of links that do linkN, where those columns are there, else qN; rotor inertia "
+        "and friction of motors that do qN.",
+    ),
+    "tau_springN, kN, windupN": (
+        "N m, N m/rad, rad",
+        "Torque, tangent stiffness and wind-up of the joint's spring: of the links' motion, as tauN. "
+        "Inverse dynamics of qN gives other values where linkN columns follow.",
+    ),
+    "tool_x, tool_y, tool_z": ("m", "Planned position of the tool."),
+    "deflection_x ..., deflection_dynamic_x ...": (
+        "m",
+        "Deflection of the tool, all of it and what the motion adds.",
+    ),
+    "linkN": (
+        "rad (m)",
+        "Position of the links, where the motors lead them by the wind-up: tool_deviation, "
+        "shaped_deviation, limits after arrival, and command.csv.",
+    ),
+}
+
 
 def result_document(solution: Solution) -> dict[str, Any]:
     """Content of result.json.
@@ -136,8 +165,9 @@ def motion_seal(stated: TrajectoryProblem, directory: str | Path) -> dict[str, A
         Of trajectory.csv and command.csv, as far as they were written.
     """
     return {
-        "robot": inputs_hash(stated.robot),
+        # First what is part of the next: a payload is in the robot as well.
         "payload": inputs_hash(getattr(stated.robot, "payload", None)),
+        "robot": inputs_hash(stated.robot),
         "limits": inputs_hash(stated.active_limits),
         "files": {
             name: file_hash(Path(directory) / name)
@@ -216,7 +246,8 @@ def write_trajectory(assessment: Assessment, directory: str | Path) -> Path:
     """Write trajectory.csv into `directory`; return its path.
 
     Where the links are planned apart from the motors, their positions follow as further columns:
-    q is then the command that makes them do what they are planned to.
+    q is then the command that makes them do what they are planned to, and torques are of that
+    motion of theirs (`COLUMNS`).
 
     Parameters
     ----------
