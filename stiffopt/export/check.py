@@ -137,5 +137,5 @@ def _equal_numbers(one: str, other: str) -> bool:
         return True
     if _NUMBER.sub("#", one) != _NUMBER.sub("#", other):
         return False
-    numbers = (np.array(_NUMBER.findall(text), dtype=float) for text in (one, other))
-    return bool(np.allclose(*numbers, rtol=_NUMBER_TOLERANCE, atol=_NUMBER_TOLERANCE))
+    own, wanted = (np.array(_NUMBER.findall(text), dtype=float) for text in (one, other))
+    return bool(np.allclose(own, wanted, rtol=_NUMBER_TOLERANCE, atol=_NUMBER_TOLERANCE))

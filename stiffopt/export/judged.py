@@ -38,8 +38,8 @@ class SampledRows:
     Parameters
     ----------
     time : array (K,) [s]
-    position, velocity, acceleration : array (K, n)
-        The jerk is the slope of the acceleration from sample to sample: never above the largest of
+    rows : three of array (K, n)
+        Position, velocity and acceleration. The jerk is the slope of the acceleration from sample to sample: never above the largest of
         the motion that was sampled.
     link : CubicSpline or None
         Positions of the links, where their motion is planned apart.
@@ -48,11 +48,10 @@ class SampledRows:
     def __init__(
         self,
         time: np.ndarray,
-        position: np.ndarray,
-        velocity: np.ndarray,
-        acceleration: np.ndarray,
+        rows: Sequence[np.ndarray] | np.ndarray,
         link: CubicSpline | None = None,
     ) -> None:
+        position, velocity, acceleration = rows
         jerk = np.diff(acceleration, axis=0) / np.diff(time)[:, None]
         self.time, self.duration = time, float(time[-1])
         self._orders = (position, velocity, acceleration, np.vstack([jerk, jerk[-1:]]))

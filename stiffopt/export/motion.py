@@ -142,7 +142,7 @@ class StoredMotion:
         """
         rows = (motion.position, motion.velocity, motion.acceleration)
         return judge_samples(
-            self.problem, SampledRows(motion.time, *rows, self.link), f"{self.title}, sampled"
+            self.problem, SampledRows(motion.time, rows, self.link), f"{self.title}, sampled"
         )
 
     def require_rest(self, owner: str) -> None:
@@ -192,12 +192,12 @@ def read_motion(folder: Path, which: Which = "motor", problem: Path | None = Non
             file, "t", f"the motion lasts {time[-1]:.6g} s, but {path.name} says {duration:.6g} s: "
             "it was cut or scaled. Solve again."
         )  # fmt: skip
-    judge_plan(stated, SampledRows(time, *rows, link), file)
+    judge_plan(stated, SampledRows(time, rows, link), file)
     listed, command = sealed(path, document)["files"], folder / COMMAND_FILE
     if COMMAND_FILE in listed or command.is_file():
         check_result(folder, RESULT_FILE, COMMAND_FILE)
         moved = read_rows(command, path, document, stated)
-        judge_samples(stated, SampledRows(moved[0], *moved[1], moved[2]), str(command))
+        judge_samples(stated, SampledRows(*moved), str(command))
         if which == "motor":
             file, (time, rows, link) = command, moved
         elif link is None:

@@ -32,9 +32,10 @@ Unknown keys are errors that name the nearest known one."""
 
 _MOTIONS = """## Motions (`trajectory.csv` and `command.csv`, written by `stiffopt solve`)
 
-One row every 2 ms. `command.csv` has the columns t, q, qd, qdd, tau and link. `stiffopt export` writes
-qN, qdN and qddN of the motors, or the same of the links (`--of link`), without torques; the header of
-an exported file says whose they are (`of`) and has the hashes of motion, robot, payload and limits."""
+One row every 2 ms. `command.csv` has the columns t, q, qd, qdd, tau and link. `stiffopt export`
+writes qN, qdN and qddN of the motors, or the same of the links (`--of link`), without torques; the
+header of an exported file says whose they are (`of`) and has the hashes of motion, robot, payload
+and limits."""
 
 _TITLES = {
     "trajectory": "Trajectory problem",

@@ -44,13 +44,13 @@ COLUMNS = {
     ),
     "tauN": (
         "N m (N)",
-        "Drive torque: of links that do linkN, where those columns are there, else qN; rotor inertia "
-        "and friction of motors that do qN.",
+        "Drive torque: of links that do linkN, where those columns are there, else qN; rotor "
+        "inertia and friction of motors that do qN.",
     ),
     "tau_springN, kN, windupN": (
         "N m, N m/rad, rad",
-        "Torque, tangent stiffness and wind-up of the joint's spring: of the links' motion, as tauN. "
-        "Inverse dynamics of qN gives other values where linkN columns follow.",
+        "Torque, tangent stiffness and wind-up of the joint's spring: of the links' motion, as "
+        "tauN. Inverse dynamics of qN gives other values where linkN columns follow.",
     ),
     "tool_x, tool_y, tool_z": ("m", "Planned position of the tool."),
     "deflection_x ..., deflection_dynamic_x ...": (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import types
@@ -158,7 +159,7 @@ def test_an_exported_file_is_checked(folder, to, capsys):
         text = file.read_text(encoding="utf-8")
         entries, body = read_seal(text)
         entries.pop("content")
-        digit = body.rindex("0.") + 2
+        digit = max(match.end() for match in re.finditer(r"\.\d", body)) - 1
         changed = f"{body[:digit]}{(int(body[digit]) + 1) % 10}{body[digit + 1 :]}"
         for tampered, words in (
             (text.replace(body[-200:], changed[-200:]), "was changed since it was exported"),
