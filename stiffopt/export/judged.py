@@ -39,8 +39,8 @@ class SampledRows:
     ----------
     time : array (K,) [s]
     rows : three of array (K, n)
-        Position, velocity and acceleration. The jerk is the slope of the acceleration from sample to sample: never above the largest of
-        the motion that was sampled.
+        Position, velocity and acceleration. The jerk is the slope of the acceleration from sample
+        to sample: never above the largest of the motion that was sampled.
     link : CubicSpline or None
         Positions of the links, where their motion is planned apart.
     """
