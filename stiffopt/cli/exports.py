@@ -22,12 +22,16 @@ def export(
     ],
     rate: float | None = None,
     of: Literal["motor", "link"] = "motor",
+    problem: Path | None = None,
     recordings: Path | None = None,
     effects: Path | None = None,
     out: Out | None = None,
     changes: NoChanges = (),
 ) -> int:
     """Write a solved motion, or a robot with what was found, as others read it.
+
+    A motion is judged again before it leaves: hashes, duration, rows, and its limits at the samples
+    that are written. `stiffopt check FILE` reads such a file back.
 
     Parameters
     ----------
@@ -37,6 +41,8 @@ def export(
         Samples a second [Hz]; default 500, for krl-rsi 250.
     of
         What the motors are commanded (command.csv where there is one), or what the links shall do.
+    problem
+        Problem file of a solve, where the result does not name it or it has moved.
     recordings
         Recording set of a diagnosis: its robot is changed by what was found.
     effects
@@ -63,7 +69,7 @@ def export(
             )
         texts, maker = _found(result, to, recordings, effects), "diagnose"
     elif to in FORMATS:
-        texts, maker = FORMATS[to].export(read_motion(result, of), rate), "solve"
+        texts, maker = FORMATS[to].export(read_motion(result, of, problem), rate), "solve"
     else:
         names = [*FORMATS, *MODEL_FORMATS]
         raise InputError(f"--to {to}: unknown format. {nearest(to, names)}")
@@ -72,6 +78,43 @@ def export(
         for name, text in texts.items():
             atomic_write(stage / name, text)
     print(f"Wrote {', '.join(str(folder / name) for name in texts)}")
+    return 0
+
+
+@app.command
+def check(
+    file: Path,
+    *,
+    result: Path | None = None,
+    problem: Path | None = None,
+    changes: NoChanges = (),
+) -> int:
+    """Say whether an exported motion is whole, whose it is, and whether it keeps its limits.
+
+    The file's header names motion, robot, payload and limits by their hashes. They are held against
+    the result, whose motion is judged and sampled anew; every number of the file must be that of
+    the result.
+
+    Parameters
+    ----------
+    file
+        Of `stiffopt export`: ros2, urscript, csv or krl-rsi.
+    result
+        Folder of the solve that it is of; default: the folder of the file.
+    problem
+        Problem file, where the result does not name it or it has moved.
+    """
+    from stiffopt.export.check import check_file
+
+    refuse_changes(changes)
+    found = check_file(file, result or file.parent, problem)
+    print(f"{file}: whole and unchanged since `stiffopt export --to {found.format}`.")
+    print(
+        f"Motion of the {found.which}s of {found.title}, robot {found.robot}"
+        f"{'' if found.payload is None else f' with {found.payload:.4g} kg of payload'}, "
+        f"{found.duration:.6g} s, {found.samples} samples at {found.rate:g} Hz."
+    )
+    print(f"Keeps its limits; the tightest is {found.tightest}.")
     return 0
 
 

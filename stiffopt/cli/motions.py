@@ -107,7 +107,16 @@ def solve(
                     write_trajectory(exported, stage)
                 write_command(solution.compensation, stage)
                 write_solve_report(stated, solution, stage)
-                write_result(solution, stage, problem, home=folder, stated=stated)
+                write_result(
+                    solution,
+                    stage,
+                    problem,
+                    home=folder,
+                    stated=stated,
+                    changes=changes,
+                    model=model,
+                    effects=effects,
+                )
     print_solution(stated, solution, folder)
     show_report(folder, open_report)
     return solution.status.exit_code

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from scipy.interpolate import BPoly, CubicSpline
+from scipy.interpolate import BPoly, CubicSpline, make_interp_spline
 
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.errors import InputError, InputFileError, relative
-from stiffopt.files import read_table
+from stiffopt.export.judged import (
+    SampledRows,
+    judge_plan,
+    judge_samples,
+    read_rows,
+    sealed,
+    solved_problem,
+)
+from stiffopt.folders import check_result
 from stiffopt.result.compensation_store import COMMAND_FILE
 from stiffopt.result.store import (
     RESULT_FILE,
@@ -23,7 +30,15 @@ from stiffopt.result.store import (
     read_document,
 )
 
+if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.assessment import Violation
+
 Which = Literal["motor", "link"]
+
+
+# Share of a joint's largest velocity below which it counts as standing.
+_AT_REST = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +82,12 @@ class StoredMotion:
     prismatic : array (n,) of bool
     curve : BPoly or CubicSpline
         Position over time [s].
+    link : CubicSpline or None
+        Motion of the links, whose loads the motors bear, where this is that of the motors.
+    problem : TrajectoryProblem
+        By whose limits it is judged.
+    seal : dict
+        Hashes of the motion's file, the robot, its payload and the limits.
     """
 
     title: str
@@ -74,6 +95,9 @@ class StoredMotion:
     joint_names: tuple[str, ...]
     prismatic: np.ndarray
     curve: BPoly | CubicSpline
+    link: CubicSpline | None
+    problem: TrajectoryProblem
+    seal: dict[str, str]
 
     def sampled(self, rate: float, *, whole_steps: bool = False) -> SampledMotion:
         """Sample at a rate [Hz].
@@ -92,7 +116,11 @@ class StoredMotion:
         moving = times <= end
         inside = np.minimum(times, end)
         # Held at the end: at rest, whatever the curve's derivatives say of its last instant.
-        velocity, acceleration = (self.curve.derivative(k)(inside) for k in (1, 2))
+        velocity = self.curve.derivative(1)(inside)
+        # Straight from row to row: neither it nor its slope is above what the motion had, where a
+        # polynomial would swing over a jump.
+        breaks = self.curve.x
+        acceleration = make_interp_spline(breaks, self.curve.derivative(2)(breaks), k=1)(inside)
         return SampledMotion(
             title=self.title,
             which=self.which,
@@ -104,9 +132,38 @@ class StoredMotion:
             acceleration=np.where(moving[:, None], acceleration, 0.0),
         )
 
+    def judge(self, motion: SampledMotion) -> Violation:
+        """Return the tightest limit of the drives at the samples that leave.
 
-def read_motion(folder: Path, which: Which = "motor") -> StoredMotion:
-    """Motion of a result folder.
+        Raises
+        ------
+        InputError
+            A limit is exceeded.
+        """
+        rows = (motion.position, motion.velocity, motion.acceleration)
+        return judge_samples(
+            self.problem, SampledRows(motion.time, rows, self.link), f"{self.title}, sampled"
+        )
+
+    def require_rest(self, owner: str) -> None:
+        """Raise `InputError` unless the motion begins and ends at rest."""
+        velocity = self.curve.derivative(1)(self.curve.x)
+        moves = np.abs(velocity[[0, -1]]) > _AT_REST * np.max(np.abs(velocity), axis=0)
+        for k, side, stands in (
+            (0, "start", "begins with a move to rest"),
+            (1, "end", "stops there"),
+        ):
+            if np.any(moves[k]):
+                j = int(np.argmax(moves[k]))
+                raise InputError(
+                    f"joint {j + 1} ({self.joint_names[j]}) moves at the {side}, by "
+                    f"{velocity[-k, j]:.4g} rad/s; a program of {owner} {stands}. Export it with "
+                    "--to ros2 or csv, or plan without motion.boundary_velocity."
+                )
+
+
+def read_motion(folder: Path, which: Which = "motor", problem: Path | None = None) -> StoredMotion:
+    """Motion of a result folder, judged anew.
 
     Parameters
     ----------
@@ -114,20 +171,68 @@ def read_motion(folder: Path, which: Which = "motor") -> StoredMotion:
         Of `stiffopt solve`.
     which : "motor" or "link"
         What the drives are commanded (command.csv where there is one), or what the links shall do.
+    problem : Path, optional
+        Problem file in place of the one that the result names.
 
     Raises
     ------
-    InputFileError
-        No result, or none whose motion keeps its limits, or no columns of the links.
+    InputError
+        No result, or none whose motion is the certified one and keeps its limits, or no columns of
+        the links.
     """
     path = folder / RESULT_FILE
     document = read_document(path)
+    duration = _certified_duration(path, document)
+    names, prismatic = joints_of(document, path)
+    stated = solved_problem(path, document, problem)
+    file = folder / TRAJECTORY_FILE
+    time, rows, link = read_rows(file, path, document, stated)
+    if abs(time[-1] - duration) > 1e-9 * duration:
+        raise InputFileError(
+            file, "t", f"the motion lasts {time[-1]:.6g} s, but {path.name} says {duration:.6g} s: "
+            "it was cut or scaled. Solve again."
+        )  # fmt: skip
+    judge_plan(stated, SampledRows(time, rows, link), file)
+    listed, command = sealed(path, document)["files"], folder / COMMAND_FILE
+    if COMMAND_FILE in listed or command.is_file():
+        check_result(folder, RESULT_FILE, COMMAND_FILE)
+        moved = read_rows(command, path, document, stated)
+        judge_samples(stated, SampledRows(*moved), str(command))
+        if which == "motor":
+            file, (time, rows, link) = command, moved
+        elif link is None:
+            # The plan is the links' motion, where a command of the motors stands beside it.
+            link = CubicSpline(time, rows[0], bc_type="clamped")
+    if which == "link" and link is None:
+        raise InputFileError(
+            file,
+            "link1",
+            "one motion is planned for motors and links, so there is none of the links alone. "
+            "Export the motors'.",
+        )
+    curve = link if which == "link" else BPoly.from_derivatives(time, rows.transpose(1, 0, 2))
+    seal = {key: sealed(path, document)[key] for key in ("robot", "payload", "limits")}
+    return StoredMotion(
+        title=str(document.get("title") or folder.resolve().name),
+        which=which,
+        joint_names=names,
+        prismatic=prismatic,
+        curve=curve,
+        link=link if which == "motor" else None,
+        problem=stated,
+        seal={"motion": listed[file.name], **seal},
+    )
+
+
+def _certified_duration(path: Path, document: dict[str, Any]) -> float:
+    """Duration [s] of a result whose certificate holds, as result.json has it."""
     certificate = document.get("certificate")
     if not isinstance(certificate, dict):
         raise InputFileError(path, "certificate", "this solve found no motion to export.")
     try:
         worst = float(certificate["worst_violation"]["value"])
         limit = str(certificate["worst_violation"]["limit"])
+        duration = float(document["duration"])
     except (KeyError, TypeError, ValueError) as error:
         raise InputFileError(path, "certificate", f"has no usable {error}.") from error
     if not worst <= CERTIFIED:
@@ -137,53 +242,7 @@ def read_motion(folder: Path, which: Which = "motor") -> StoredMotion:
             f"the motion exceeds {limit.replace('_', ' ')} by {relative(worst)}, so it is not "
             "exported. Solve again until every limit holds.",
         )
-    names, prismatic = joints_of(document, path)
-    curve = _link_curve(folder, len(names)) if which == "link" else _motor_curve(folder, len(names))
-    return StoredMotion(
-        title=str(document.get("title") or folder.resolve().name),
-        which=which,
-        joint_names=names,
-        prismatic=prismatic,
-        curve=curve,
-    )
-
-
-def _motor_curve(folder: Path, joints: int) -> BPoly:
-    """Of command.csv where there is one, else of trajectory.csv."""
-    command = folder / COMMAND_FILE
-    return _curve(command if command.is_file() else folder / TRAJECTORY_FILE, joints)
-
-
-def _link_curve(folder: Path, joints: int) -> BPoly | CubicSpline:
-    """The links' columns; without them the plan, where a command of the motors stands beside it."""
-    path, names = folder / TRAJECTORY_FILE, [f"link{j}" for j in range(1, joints + 1)]
-    table = read_table(path, ["t"], names)
-    if all(name in table for name in names):
-        positions = np.array([table[name] for name in names]).T
-        return CubicSpline(_time(path, table), positions, bc_type="clamped")
-    if (folder / COMMAND_FILE).is_file():
-        return _curve(path, joints)
-    raise InputFileError(
-        path,
-        names[0],
-        "one motion is planned for motors and links, so there is none of the links alone. "
-        "Export the motors'.",
-    )
-
-
-def _curve(path: Path, joints: int) -> BPoly:
-    """Quintic between the rows: position, velocity and acceleration are those of the file."""
-    names = [[f"{quantity}{j}" for j in range(1, joints + 1)] for quantity in ("q", "qd", "qdd")]
-    table = read_table(path, ["t", *chain(*names)])
-    derivatives = np.array([[table[name] for name in own] for own in names])
-    return BPoly.from_derivatives(_time(path, table), derivatives.transpose(2, 0, 1))
-
-
-def _time(path: Path, table: dict[str, list[float]]) -> np.ndarray:
-    time = np.array(table["t"])
-    if time[0] != 0.0 or not np.all(np.diff(time) > 0.0):
-        raise InputFileError(path, "t", "the times must begin at 0 and increase.")
-    return time
+    return duration
 
 
 def check_rate(rate: float, most: float, owner: str) -> None:

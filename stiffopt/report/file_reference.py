@@ -14,6 +14,7 @@ from stiffopt.discovery.extended.schema import ExtendedFile
 from stiffopt.preload.schema import PreloadFile
 from stiffopt.problem.schema import problem_file
 from stiffopt.recording.schema import RecordingsFile, StaticFile
+from stiffopt.result.store import COLUMNS
 from stiffopt.robot.own_catalogue import CatalogueFile
 from stiffopt.robot.schema import robot_file
 from stiffopt.sweep.schema import SweepFile
@@ -30,6 +31,13 @@ another unit of the same kind is converted: `"45 deg"`, `"0.3 mm"`, `"12 kN"`, `
 (not in recordings). A second unit in brackets is that of prismatic joints. Joints count from 1.
 Unknown keys are errors that name the nearest known one. A bare number whose magnitude lies outside
 the plausible range, which is in SI, is asked about: written with its unit, it is taken as meant."""
+
+_MOTIONS = """## Motions (`trajectory.csv` and `command.csv`, written by `stiffopt solve`)
+
+One row every 2 ms. `command.csv` has the columns t, q, qd, qdd, tau and link. `stiffopt export`
+writes qN, qdN and qddN of the motors, or the same of the links (`--of link`), without torques; the
+header of an exported file says whose they are (`of`) and has the hashes of motion, robot, payload
+and limits."""
 
 _TITLES = {
     "trajectory": "Trajectory problem",
@@ -68,7 +76,15 @@ def reference_page() -> str:
     for kind, title in _TITLES.items():
         parts.append(f"## {title}")
         parts.extend(_sections(file_schema(kind)))
+    parts += [_MOTIONS, _columns()]
     return "\n\n".join(parts) + "\n"
+
+
+def _columns() -> str:
+    """Return the table of the columns of a motion."""
+    rows = ["| column | unit | |", "|---|---|---|"]
+    rows += [f"| `{name}` | {unit} | {text} |" for name, (unit, text) in COLUMNS.items()]
+    return "\n".join(rows)
 
 
 def sentence(field: dict[str, Any], definitions: dict[str, Any]) -> str:

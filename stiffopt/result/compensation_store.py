@@ -17,8 +17,9 @@ COMMAND_FILE = "command.csv"
 def write_command(compensation: Compensation | None, directory: str | Path) -> Path | None:
     """Write command.csv into `directory`; return its path.
 
-    Position, velocity, acceleration and drive torque of the motors every 2 ms. Where there is no
-    command, one of an earlier solve is removed: it is not of this motion.
+    Position, velocity and acceleration of the motors every 2 ms, the drive torque that the links'
+    motion then needs, and the links' positions. Where there is no command, one of an earlier solve
+    is removed: it is not of this motion.
     """
     path = Path(directory) / COMMAND_FILE
     if compensation is None or compensation.command is None:
@@ -34,6 +35,9 @@ def write_command(compensation: Compensation | None, directory: str | Path) -> P
         command.acceleration,
         command.torque,
     ]
+    if command.link is not None:
+        columns.append(command.link)
+        names += [f"link{j}" for j in joints]
     write_csv(path, names, np.hstack(columns).tolist())
     return path
 

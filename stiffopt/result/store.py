@@ -6,9 +6,11 @@ Values are SI with full precision; what is not a finite number is null in JSON. 
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +20,8 @@ from stiffopt.errors import InputFileError
 from stiffopt.files import atomic_write, load_json, plain, write_csv
 from stiffopt.folders import check_result
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
-from stiffopt.result.compensation_store import compensation_document
+from stiffopt.result.compensation_store import COMMAND_FILE, compensation_document
+from stiffopt.result.provenance import inputs_hash
 from stiffopt.result.simulation import ElasticMotion, SimulatedPart, Simulation
 from stiffopt.result.solution import Baseline, ObjectiveValue, Solution
 
@@ -31,6 +34,35 @@ EXPORT_RATE = 500.0
 RESULT_FILE = "result.json"
 TRAJECTORY_FILE = "trajectory.csv"
 SIMULATION_FILE = "simulation.json"
+
+# Columns of trajectory.csv, and of command.csv as far as it has them; N counts joints from 1.
+COLUMNS = {
+    "t": ("s", "Time, every 2 ms and at the end."),
+    "qN, qdN, qddN": (
+        "rad, rad/s, rad/s^2 (m, m/s, m/s^2)",
+        "Motion of the motors; of motors and links alike where no linkN columns follow.",
+    ),
+    "tauN": (
+        "N m (N)",
+        "Drive torque: of links that do linkN, where those columns are there, else qN; rotor "
+        "inertia and friction of motors that do qN.",
+    ),
+    "tau_springN, kN, windupN": (
+        "N m, N m/rad, rad",
+        "Torque, tangent stiffness and wind-up of the joint's spring: of the links' motion, as "
+        "tauN. Inverse dynamics of qN gives other values where linkN columns follow.",
+    ),
+    "tool_x, tool_y, tool_z": ("m", "Planned position of the tool."),
+    "deflection_x ..., deflection_dynamic_x ...": (
+        "m",
+        "Deflection of the tool, all of it and what the motion adds.",
+    ),
+    "linkN": (
+        "rad (m)",
+        "Position of the links, where the motors lead them by the wind-up: tool_deviation, "
+        "shaped_deviation, limits after arrival, and command.csv.",
+    ),
+}
 
 
 def result_document(solution: Solution) -> dict[str, Any]:
@@ -81,8 +113,11 @@ def write_result(
     *,
     stated: TrajectoryProblem | None = None,
     home: str | Path | None = None,
+    changes: Sequence[str] = (),
+    model: str | Path | None = None,
+    effects: str | Path | None = None,
 ) -> Path:
-    """Write result.json into `directory`; return its path.
+    """Write result.json into `directory`, after the files of the motion; return its path.
 
     Parameters
     ----------
@@ -91,9 +126,14 @@ def write_result(
     problem : path, optional
         File that was solved; kept relative to the folder, so that both can move together.
     stated : TrajectoryProblem, optional
-        Its title and the names of its joints go with the motion.
+        Its title, the names of its joints, and the hashes of motion, robot, payload and limits go
+        with the motion.
     home : path, optional
         Folder where the file will lie, where it is another than `directory`.
+    changes : sequence of str, optional
+        Entries of the problem file that were changed, as --set has them.
+    model, effects : path, optional
+        Extended model that was planned with, and the file of its effects.
     """
     document = result_document(solution)
     if stated is not None:
@@ -102,12 +142,45 @@ def write_result(
             {"name": name, "slides": bool(slides)}
             for name, slides in zip(stated.robot.joint_names, stated.robot.prismatic, strict=True)
         ]
-    if problem is not None:
-        document["problem"] = Path(os.path.relpath(problem, home or directory)).as_posix()
+        document["seal"] = motion_seal(stated, directory)
+    named = {"problem": problem, "model": model, "effects": effects}
+    for key, file in named.items():
+        if file is not None:
+            document[key] = Path(os.path.relpath(file, home or directory)).as_posix()
+    if changes:
+        document["changes"] = list(changes)
     text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
     path = Path(directory) / RESULT_FILE
     atomic_write(path, text + "\n")
     return path
+
+
+def motion_seal(stated: TrajectoryProblem, directory: str | Path) -> dict[str, Any]:
+    """Hashes (SHA-256) of what a motion was judged by, and of the files that hold it.
+
+    Parameters
+    ----------
+    stated : TrajectoryProblem
+    directory : path
+        Of trajectory.csv and command.csv, as far as they were written.
+    """
+    return {
+        # First what is part of the next: a payload is in the robot as well.
+        "payload": inputs_hash(getattr(stated.robot, "payload", None)),
+        "robot": inputs_hash(stated.robot),
+        "limits": inputs_hash(stated.active_limits),
+        "files": {
+            name: file_hash(Path(directory) / name)
+            for name in (TRAJECTORY_FILE, COMMAND_FILE)
+            if (Path(directory) / name).is_file()
+        },
+    }
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file's content."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def read_document(path: Path) -> dict[str, Any]:
@@ -173,7 +246,8 @@ def write_trajectory(assessment: Assessment, directory: str | Path) -> Path:
     """Write trajectory.csv into `directory`; return its path.
 
     Where the links are planned apart from the motors, their positions follow as further columns:
-    q is then the command that makes them do what they are planned to.
+    q is then the command that makes them do what they are planned to, and torques are of that
+    motion of theirs (`COLUMNS`).
 
     Parameters
     ----------

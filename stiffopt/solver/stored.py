@@ -82,31 +82,13 @@ def read_result(
     """
     path = folder / RESULT_FILE
     document = read_document(path)
-    if problem is None:
-        named = document.get("problem")
-        if not isinstance(named, str):
-            raise InputFileError(
-                path,
-                "problem",
-                "this result does not say which problem file it solved. Give it as --problem, or "
-                "solve again.",
-            )
-        problem = folder / named
-        if not problem.is_file():
-            raise InputFileError(
-                path, "problem", f"there is no problem file {problem}. Give it as --problem."
-            )
-    stated = load_problem(problem).problem
-    if inputs_hash(stated) != document.get("inputs_hash"):
-        raise InputFileError(
-            path,
-            "inputs_hash",
-            f"{problem} is not what was solved: it or its robot has changed since, or the solve "
-            "was with --model. Solve it again.",
-        )
+    problem = problem_file(path, document, problem)
+    solved = changes_of(path, document)
+    stated = load_problem(problem, solved).problem
+    check_inputs(path, document, problem, stated)
     unsure = stated.uncertainty
     if changes:
-        unsure = load_problem(problem, changes).problem.uncertainty
+        unsure = load_problem(problem, (*solved, *changes)).problem.uncertainty
     certificate = document.get("certificate")
     if not isinstance(certificate, dict):
         raise InputFileError(path, "certificate", "this solve found no motion to simulate.")
@@ -133,6 +115,54 @@ def read_result(
         windup=windup,
         command=_command(folder, document, own),
     )
+
+
+def problem_file(path: Path, document: dict[str, Any], given: Path | None = None) -> Path:
+    """Return the problem file of a result.json at `path`: the one given, else the one it names.
+
+    Raises
+    ------
+    InputFileError
+        It names none, or there is none.
+    """
+    if given is not None:
+        return given
+    named = document.get("problem")
+    if not isinstance(named, str):
+        raise InputFileError(
+            path,
+            "problem",
+            "this result does not say which problem file it solved. Give it as --problem, or "
+            "solve again.",
+        )
+    problem = path.parent / named
+    if not problem.is_file():
+        raise InputFileError(
+            path, "problem", f"there is no problem file {problem}. Give it as --problem."
+        )
+    return problem
+
+
+def changes_of(path: Path, document: dict[str, Any]) -> tuple[str, ...]:
+    """Return the entries of the problem file that the solve changed, as --set has them."""
+    changes = document.get("changes", [])
+    if not isinstance(changes, list) or not all(isinstance(each, str) for each in changes):
+        raise InputFileError(path, "changes", "is no list of texts KEY=VALUE. Solve again.")
+    return tuple(changes)
+
+
+def check_inputs(
+    path: Path, document: dict[str, Any], problem: Path, stated: TrajectoryProblem
+) -> None:
+    """Raise `InputFileError` unless a result at `path` is of this problem, read from a file."""
+    if inputs_hash(stated) != document.get("inputs_hash"):
+        with_model = ", or the solve was with --model" if "model" in document else ""
+        raise InputFileError(
+            path,
+            "inputs_hash",
+            f"{problem} is not what was solved: it or its robot has changed since{with_model}. "
+            "Solve it again.",
+        )
 
 
 def _command(folder: Path, document: dict[str, Any], planned: PlannedMotion) -> MadeCommand | None:

@@ -73,10 +73,7 @@ def solve_extended(
         The model is of another robot.
     """
     planner = planner_model(problem.robot, model)
-    unsure = of_deviations(
-        problem.uncertainty, planner.stiffness_deviation, planner.payload_deviation
-    )
-    changed = replace(problem, robot=planner.robot, uncertainty=unsure)
+    changed = extended_problem(problem, planner)
     nominal = solve(problem, progress=progress, throw=False)
     carried = None
     if nominal.trajectory is not None:
@@ -91,6 +88,14 @@ def solve_extended(
     )
     notes = (*solution.notes, *_changes(planner, model), *_comparison(loop))
     return replace(loop, solution=replace(solution, notes=notes))
+
+
+def extended_problem(problem: TrajectoryProblem, planner: PlannerModel) -> TrajectoryProblem:
+    """Return the problem with the extended robot, as uncertain as its findings."""
+    unsure = of_deviations(
+        problem.uncertainty, planner.stiffness_deviation, planner.payload_deviation
+    )
+    return replace(problem, robot=planner.robot, uncertainty=unsure)
 
 
 def _changes(planner: PlannerModel, model: ExtendedModel) -> tuple[str, ...]:

@@ -28,6 +28,7 @@ class KrlRsi(ExportFormat):
     rate = 250.0
     rate_max = 250.0
     whole_steps = True
+    from_rest = True
 
     def check(self, stored: StoredMotion, rate: float) -> None:
         """Six turning joints, at a whole number of cycles."""

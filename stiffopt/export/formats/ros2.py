@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterable
+from importlib import resources
 
 from stiffopt.export.format import FORMATS, ExportFormat
 from stiffopt.export.motion import SampledMotion
 
+MESSAGE_FILE, SCRIPT_FILE = "joint_trajectory.yaml", "publish_trajectory.py"
 _NANO = 1_000_000_000
 
 
@@ -31,8 +34,7 @@ class Ros2(ExportFormat):
         lines = [
             f"# {motion.title}: motion of the {motion.which}s at {rate:g} Hz, "
             "trajectory_msgs/msg/JointTrajectory. Run it with:",
-            "# ros2 topic pub --once /joint_trajectory_controller/joint_trajectory "
-            'trajectory_msgs/msg/JointTrajectory "$(cat joint_trajectory.yaml)"',
+            f"# python3 {SCRIPT_FILE}",
             'header: {stamp: {sec: 0, nanosec: 0}, frame_id: ""}',
             f"joint_names: {json.dumps(list(motion.joint_names), ensure_ascii=False)}",
             "points:",
@@ -49,7 +51,15 @@ class Ros2(ExportFormat):
                 "  effort: []",
                 f"  time_from_start: {{sec: {seconds}, nanosec: {rest}}}",
             ]
-        return {"joint_trajectory.yaml": "\n".join(lines) + "\n"}
+        return {MESSAGE_FILE: "\n".join(lines) + "\n"}
+
+    def programs(self, texts: dict[str, str]) -> dict[str, str]:
+        """The script that publishes the message: no command line holds it."""
+        script = (
+            resources.files("stiffopt.export").joinpath("publish_trajectory.py.txt").read_text()
+        )
+        content = hashlib.sha256(texts[MESSAGE_FILE].encode()).hexdigest()
+        return {SCRIPT_FILE: script.replace("@FILE@", MESSAGE_FILE).replace("@SHA256@", content)}
 
 
 def _numbers(values: Iterable[float]) -> str:

@@ -31,6 +31,7 @@ class UrScript(ExportFormat):
     rate = 500.0
     rate_max = 500.0
     whole_steps = True
+    from_rest = True
 
     def check(self, stored: StoredMotion, rate: float) -> None:
         """Six turning joints, within one turn, at a whole number of cycles."""

@@ -1,0 +1,141 @@
+"""An exported motion read back: whole or not, whose it is, and whether it keeps its limits."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.errors import InputFileError, relative
+from stiffopt.export.format import FORMATS
+from stiffopt.export.motion import read_motion
+from stiffopt.export.seal import is_whole, read_seal
+from stiffopt.files import read_text
+
+# Of the numbers of a file against those of its result: rounding of another processor.
+_NUMBER_TOLERANCE = 1e-9
+_NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
+# Subjects of the header, in the order in which they are told apart.
+_SUBJECTS = ("payload", "robot", "limits", "motion")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckedMotion:
+    """An exported motion that is whole and keeps its limits.
+
+    Parameters
+    ----------
+    format, which, title, robot : str
+        Of `--to`, "motor" or "link", of the result, and the robot's name.
+    payload : float or None [kg]
+    rate : float [Hz]
+    duration : float [s]
+    samples : int
+    tightest : str
+        The limit with the least margin, in words.
+    """
+
+    format: str
+    which: str
+    title: str
+    robot: str
+    payload: float | None
+    rate: float
+    duration: float
+    samples: int
+    tightest: str
+
+
+def check_file(file: Path, result: Path, problem: Path | None = None) -> CheckedMotion:
+    """Check an exported file against its result, which is judged anew.
+
+    Parameters
+    ----------
+    file : Path
+    result : Path
+        Folder of the solve.
+    problem : Path, optional
+        Problem file in place of the one that the result names.
+
+    Raises
+    ------
+    InputError
+        The file has no header, was changed, or is of another result; or the result's motion is not
+        the certified one.
+    """
+    entries, body = read_seal(read_text(file))
+    kind, which = entries.get("format", ""), entries.get("of", "")
+    rate = _rate_of(entries)
+    if kind not in FORMATS or which not in ("motor", "link") or rate is None:
+        raise InputFileError(
+            file, "", "has no header of `stiffopt export` that names its motion, so nothing is "
+            "known of it. Export the motion again."
+        )  # fmt: skip
+    if not is_whole(entries, body):
+        raise InputFileError(
+            file, "", "was changed since it was exported: its header has another hash of its "
+            "content. Export the motion again."
+        )  # fmt: skip
+    if not (result / "result.json").is_file():
+        raise InputFileError(
+            file, "", f"{result} holds no result.json to hold it against. Give the folder of its "
+            "solve as --result."
+        )  # fmt: skip
+    stored = read_motion(result, "link" if which == "link" else "motor", problem)
+    for subject in _SUBJECTS:
+        if entries.get(subject) != stored.seal[subject]:
+            verb = "are" if subject == "limits" else "is"
+            raise InputFileError(
+                file, "", f"its {subject} {verb} not that of {result}: it is of another solve. "
+                "Give that as --result, or export again."
+            )  # fmt: skip
+    texts = FORMATS[kind].export(stored, rate)
+    fresh = texts.get(entries.get("file", ""))
+    if fresh is None or not _equal_numbers(body, read_seal(fresh)[1]):
+        raise InputFileError(
+            file, "", f"is not the motion of {result}, though its header says so. Export the "
+            "motion again."
+        )  # fmt: skip
+    motion = stored.sampled(rate, whole_steps=FORMATS[kind].whole_steps)
+    tightest = stored.judge(motion)
+    payload = stored.problem.robot.payload
+    return CheckedMotion(
+        format=kind,
+        which=which,
+        title=stored.title,
+        robot=stored.problem.robot.name,
+        payload=None if payload is None else float(payload[0]),
+        rate=rate,
+        duration=float(motion.time[-1]),
+        samples=len(motion.time),
+        tightest=f"{tightest.limit.replace('_', ' ')} of joint {tightest.joint} at "
+        f"{tightest.time:.3f} s, {_margin(tightest.value)}",
+    )
+
+
+def _margin(value: float) -> str:
+    """Return a violation within the certificate's tolerance, in words."""
+    if value > 0.0:
+        return f"over by {relative(value)}, within the certificate's tolerance of {CERTIFIED:.1%}"
+    return f"{relative(-value)} left"
+
+
+def _rate_of(entries: dict[str, str]) -> float | None:
+    """Rate [Hz] of a header, None where it has no number."""
+    try:
+        return float(entries["rate"])
+    except (KeyError, ValueError):
+        return None
+
+
+def _equal_numbers(one: str, other: str) -> bool:
+    """Return whether two texts differ by no more than rounding of their numbers."""
+    if one == other:
+        return True
+    if _NUMBER.sub("#", one) != _NUMBER.sub("#", other):
+        return False
+    own, wanted = (np.array(_NUMBER.findall(text), dtype=float) for text in (one, other))
+    return bool(np.allclose(own, wanted, rtol=_NUMBER_TOLERANCE, atol=_NUMBER_TOLERANCE))

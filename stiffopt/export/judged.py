@@ -1,0 +1,228 @@
+"""The motion of a result folder, judged again before it leaves: what is in the files, not the page.
+
+A result says of its motion what was certified, and files can change after that. Rows are therefore
+held against the hashes, the duration and the limits of the problem, by the certificate's own model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from stiffopt.certificate.assess import assess, drive_violations
+from stiffopt.certificate.violations import CERTIFIED
+from stiffopt.discovery.extended.planner_model import planner_model
+from stiffopt.discovery.extended.planner_solve import extended_problem, read_model
+from stiffopt.errors import InputError, InputFileError
+from stiffopt.files import read_table
+from stiffopt.problem.files import load_problem
+from stiffopt.result.store import export_times, file_hash, motion_seal
+from stiffopt.solver.stored import changes_of, check_inputs, problem_file
+
+if TYPE_CHECKING:
+    from stiffopt.problem.trajectory import TrajectoryProblem
+    from stiffopt.result.assessment import Violation
+
+# Largest difference of an instant from its place in the grid of 2 ms [s]: rounding of the file.
+_TIME_ROUNDING = 1e-9
+
+
+class SampledRows:
+    """A motion at samples alone, as the certificate takes it.
+
+    Parameters
+    ----------
+    time : array (K,) [s]
+    rows : three of array (K, n)
+        Position, velocity and acceleration. The jerk is the slope of the acceleration from sample
+        to sample: never above the largest of the motion that was sampled.
+    link : CubicSpline or None
+        Positions of the links, where their motion is planned apart.
+    """
+
+    def __init__(
+        self,
+        time: np.ndarray,
+        rows: Sequence[np.ndarray] | np.ndarray,
+        link: CubicSpline | None = None,
+    ) -> None:
+        position, velocity, acceleration = rows
+        jerk = np.diff(acceleration, axis=0) / np.diff(time)[:, None]
+        self.time, self.duration = time, float(time[-1])
+        self._orders = (position, velocity, acceleration, np.vstack([jerk, jerk[-1:]]))
+        if link is not None:
+            end = float(link.x[-1])
+            self.link = lambda t, order=0: link(np.minimum(t, end), order)
+
+    def __call__(self, t: np.ndarray, order: int = 0) -> np.ndarray:
+        """Quantity of this order (K, n); `t` are the samples themselves."""
+        return self._orders[order]
+
+
+def solved_problem(
+    path: Path, document: dict[str, Any], given: Path | None = None
+) -> TrajectoryProblem:
+    """Return the problem that a result.json at `path` solved, with its changes and its model.
+
+    Raises
+    ------
+    InputFileError
+        A file is missing, or robot, payload, limits or problem are not those that were solved.
+    """
+    file = problem_file(path, document, given)
+    stated = load_problem(file, changes_of(path, document)).problem
+    named = [document.get(key) for key in ("model", "effects")]
+    if isinstance(named[0], str):
+        model, effects = (path.parent / each if isinstance(each, str) else None for each in named)
+        assert model is not None
+        stated = extended_problem(stated, planner_model(stated.robot, read_model(model, effects)))
+    seal = sealed(path, document)
+    for key, value in motion_seal(stated, path.parent).items():
+        if key != "files" and seal[key] != value:
+            raise InputFileError(
+                path,
+                f"seal.{key}",
+                f"the {key} of {file} {'are' if key == 'limits' else 'is'} not what this motion "
+                "was certified with. Solve again.",
+            )
+    check_inputs(path, document, file, stated)
+    return stated
+
+
+def sealed(path: Path, document: dict[str, Any]) -> dict[str, Any]:
+    """Return the hashes that a result.json at `path` holds of its motion.
+
+    Raises
+    ------
+    InputFileError
+        It is of an earlier version, which had none.
+    """
+    seal = document.get("seal")
+    texts = isinstance(seal, dict) and all(
+        isinstance(seal.get(key), str) for key in ("robot", "payload", "limits")
+    )
+    if not isinstance(seal, dict) or not texts or not isinstance(seal.get("files"), dict):
+        raise InputFileError(
+            path,
+            "seal",
+            "this result holds no hashes of its motion, robot, payload and limits, as those of an "
+            "earlier version. Solve again.",
+        )
+    return dict(seal)
+
+
+def read_rows(
+    file: Path, path: Path, document: dict[str, Any], problem: TrajectoryProblem
+) -> tuple[np.ndarray, np.ndarray, CubicSpline | None]:
+    """Return times (K,), derivatives 0 to 2 of the positions (3, K, n) and the links of a table.
+
+    Parameters
+    ----------
+    file : Path
+        trajectory.csv or command.csv.
+    path : Path
+        Of its result.json, whose content is `document`.
+    problem : TrajectoryProblem
+
+    Raises
+    ------
+    InputFileError
+        The table is not the one that was certified: another hash, rows missing, instants or
+        columns that do not fit together.
+    """
+    joints = problem.joints
+    names = [[f"{quantity}{j}" for j in range(1, joints + 1)] for quantity in ("q", "qd", "qdd")]
+    links = [f"link{j}" for j in range(1, joints + 1)]
+    table = read_table(file, ["t", *chain(*names)], links)
+    if file_hash(file) != sealed(path, document)["files"].get(file.name):
+        raise InputFileError(
+            file, "", f"is not the motion that was certified: {path.name} has another hash of it. "
+            "Solve again."
+        )  # fmt: skip
+    time = np.array(table["t"])
+    _check_times(file, time)
+    rows = np.array([[table[name] for name in own] for own in names]).transpose(0, 2, 1)
+    _check_derivatives(file, time, rows, ~np.isfinite(problem.active_limits.jerk))
+    if not all(name in table for name in links):
+        return time, rows, None
+    # The links' velocities at the ends: those of the motors, as the wind-up hardly changes there.
+    ends = ((1, rows[1, 0]), (1, rows[1, -1]))
+    moved = CubicSpline(time, np.array([table[name] for name in links]).T, bc_type=ends)
+    return time, rows, moved
+
+
+def _check_times(file: Path, time: np.ndarray) -> None:
+    """Raise `InputFileError` unless the instants are those of the grid that solves write."""
+    wanted = export_times(float(time[-1])) if time[-1] > 0.0 else np.zeros(0)
+    if len(wanted) == len(time) and np.all(np.abs(time - wanted) <= _TIME_ROUNDING):
+        return
+    if time[0] != 0.0 or not np.all(np.diff(time) > 0.0):
+        raise InputFileError(file, "t", "the times must begin at 0 and increase.")
+    row = int(np.argmax(np.abs(time[: len(wanted)] - wanted[: len(time)]) > _TIME_ROUNDING)) + 1
+    raise InputFileError(
+        file, f"row {row}, t", "is not every 2 ms: rows are missing or the times were changed. "
+        "Solve again."
+    )  # fmt: skip
+
+
+def _check_derivatives(file: Path, time: np.ndarray, rows: np.ndarray, jumps: np.ndarray) -> None:
+    """Raise `InputFileError` where velocities or accelerations are not those of the positions."""
+    step = np.diff(time)[:, None]
+    # What the acceleration may do between two rows: without a jerk limit it may jump and return.
+    bend = np.abs(np.diff(rows[2], axis=0))
+    bend = np.where(jumps, 2.0 * np.max(np.abs(rows[2]), axis=0), bend)
+    for order, quantity in ((0, "velocity"), (1, "acceleration")):
+        own, rate = rows[order], rows[order + 1]
+        mean = np.diff(own, axis=0) / step
+        # The mean of what runs monotonically from row to row lies between the two; the velocity,
+        # which bends by the acceleration, is off their mean by an eighth of that change at most.
+        off = bend * step / 8.0 if order == 0 else bend / 2.0
+        rounding = 1e-12 / step
+        room = CERTIFIED * np.max(np.abs(rate), axis=0) + off + rounding
+        beyond = np.abs(mean - 0.5 * (rate[:-1] + rate[1:])) - room
+        if np.any(beyond > 0.0):
+            k, j = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+            raise InputFileError(
+                file,
+                f"row {k + 1}",
+                f"the {quantity} of joint {j + 1} is not that of the motion to the next row at "
+                f"{time[k]:.3f} s: the file was changed. Solve again.",
+            )
+
+
+def judge_plan(problem: TrajectoryProblem, motion: SampledRows, file: Path) -> None:
+    """Raise `InputFileError` where the rows of a trajectory.csv exceed a limit or miss an end.
+
+    Vias are passed between rows, which a tool does not meet within their tolerance.
+    """
+    found = assess(problem, motion, times=motion.time).violations
+    _refuse([each for each in found if not each.limit.startswith("via_")], str(file))
+
+
+def judge_samples(problem: TrajectoryProblem, motion: SampledRows, name: str) -> Violation:
+    """Return the tightest limit of the drives at the samples.
+
+    Raises
+    ------
+    InputError
+        It is exceeded.
+    """
+    found = drive_violations(problem, motion, motion.time)
+    _refuse(found, name)
+    return found[0]
+
+
+def _refuse(found: Sequence[Violation], name: str) -> None:
+    """Raise `InputError` where a limit is exceeded by more than the certificate's tolerance."""
+    # `not <=`: what is not a number keeps no limit.
+    over = [each for each in found if not each.value <= CERTIFIED]
+    if over:
+        raise InputError(
+            f"{name}: the motion exceeds {over[0].describe()}, so it is not exported. Solve again "
+            "until every limit holds."
+        )
