@@ -14,6 +14,7 @@ from scipy.interpolate import BPoly, CubicSpline
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.errors import InputError, InputFileError, relative
 from stiffopt.files import read_table
+from stiffopt.folders import check_result
 from stiffopt.result.compensation_store import COMMAND_FILE
 from stiffopt.result.store import (
     RESULT_FILE,
@@ -151,6 +152,7 @@ def read_motion(folder: Path, which: Which = "motor") -> StoredMotion:
 def _motor_curve(folder: Path, joints: int) -> BPoly:
     """Of command.csv where there is one, else of trajectory.csv."""
     command = folder / COMMAND_FILE
+    check_result(folder, COMMAND_FILE)
     return _curve(command if command.is_file() else folder / TRAJECTORY_FILE, joints)
 
 
