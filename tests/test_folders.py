@@ -292,3 +292,47 @@ def test_where_nothing_can_be_written(place):
         output_folder(Path(place), "solve"),
     ):
         pass
+
+
+def test_in_the_working_folder_only_own_files_move(tmp_path, monkeypatch):
+    """`--out .` among files of the user: those stay the same files, and nothing is left beside."""
+    home = tmp_path / "home"
+    (home / "project").mkdir(parents=True)
+    (home / "project" / "model.step").write_text("mine")
+    (home / "notes.txt").write_text("mine")
+    monkeypatch.chdir(home)
+    before = {p: p.lstat().st_ino for p in home.rglob("*")}
+    write(Path("."), a="one")
+    write(Path("."), b="two")
+    assert {p: p.lstat().st_ino for p in before} == before
+    assert tree(home) == {"b.txt": "two", "notes.txt": "mine", "project/model.step": "mine"}
+    assert os.listdir(tmp_path) == ["home"]
+
+
+def test_a_stage_of_a_folder_that_was_replaced_is_cleared(tmp_path):
+    """Deleted or exchanged since the kill: what was to come belongs to another state of it."""
+    path = tmp_path / "out"
+    write(path, a="old")
+    assert killed(10, lambda: write(path, a="new"))
+    assert (tmp_path / ".out.stiffopt" / MANIFEST).is_file()
+    for each in path.iterdir():
+        each.unlink()
+    write(path, "preload", b="of somebody else")
+    assert tree(path) == {"b.txt": "of somebody else"}
+    assert hidden(path) == []
+
+
+def test_what_another_user_left_is_told(tmp_path, monkeypatch):
+    write(tmp_path / "out", a="old")
+    (tmp_path / ".out.stiffopt").mkdir()
+    check_result(tmp_path / "out", "a.txt")  # may be at work
+    monkeypatch.setattr(os, "geteuid", lambda: 4711)
+    with pytest.raises(InputFileError, match="of another user"):
+        write(tmp_path / "out", a="new")
+
+
+def test_a_name_that_no_manifest_may_list_changes_nothing(tmp_path):
+    write(tmp_path, a="old")
+    with pytest.raises(InputFileError, match="Rename what it was made from"):
+        write(tmp_path, **{"a\\b": "new"})
+    assert tree(tmp_path) == {"a.txt": "old"}

@@ -15,7 +15,7 @@ DIGEST = "0" * 64
 
 
 def listing(**files):
-    """Text of a manifest; entries by name, `__` for what stands in no identifier."""
+    """Text of a manifest with entries by name."""
     return json.dumps({"schema": 1, "files": files})
 
 
