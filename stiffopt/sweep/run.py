@@ -11,7 +11,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import atomic_write, load_json
@@ -219,11 +219,11 @@ def _read(folder: Path, key: str) -> dict[str, Any] | None:
         found = load_json(path) if is_regular(path.parent, path.name) else None
         # What a dying worker left undone is tried anew.
         if _is_document(found) and found["key"] == key and found["status"] != "failed":
-            return dict(found)
+            return found
     return None
 
 
-def _is_document(found: Any) -> bool:
+def _is_document(found: Any) -> TypeGuard[dict[str, Any]]:
     """Return whether a file has what tables and reports read of a case."""
     kinds = {"key": str, "status": str, "message": str, "values": dict, "maximised": bool}
     return (
