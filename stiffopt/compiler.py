@@ -15,6 +15,7 @@ import hashlib
 import os
 import platform
 import shutil
+import stat
 import subprocess
 import sys
 import tempfile
@@ -90,10 +91,12 @@ def library(
     path = cache_folder() / f"{kind}-{name}.so"
     # Without a place to keep it there is an answer all the same, only later.
     with contextlib.suppress(OSError):
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not _is_private(path.parent):
+            return None
         if _is_whole(path):
-            return path if _loads(path) else None
+            return path if _is_private(path) and _loads(path) else None
         if path not in _started:
-            path.parent.mkdir(parents=True, exist_ok=True)
             _start(path, given, program, module)
     return None
 
@@ -151,6 +154,7 @@ def make(path: Path, program: str, code: Callable[[str], str], optimise: str) ->
                 build(program, source, made, optimise)
                 # First, for who finds the library looks for it.
                 path.with_suffix(".lock").write_text(_digest(made), encoding="ascii")
+                made.chmod(0o700)
                 made.replace(path)
         finally:
             given.unlink(missing_ok=True)
@@ -192,6 +196,17 @@ def _held(path: Path) -> Iterator[bool]:
             yield False
         else:
             yield True
+
+
+@functools.cache
+def _is_private(path: Path) -> bool:
+    """Return whether only this user can have written a file or folder; say so once if not."""
+    state = path.stat()
+    if state.st_uid == os.geteuid() and not state.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        return True
+    print(f"stiffopt: {path} is not used: others may have written it. Remove it, or set "
+          "STIFFOPT_CACHE to a folder of your own.", file=sys.stderr)  # fmt: skip
+    return False
 
 
 def _is_whole(path: Path) -> bool:

@@ -1,24 +1,25 @@
 """Folders for results: a command's files appear together, and a manifest says which they are.
 
-Files are written into a hidden folder inside (`.stiffopt/new`). When all of them are whole, those
-of the earlier answer go out, then the new ones come in, the manifest last: no moment shows both. A
-list of what goes and comes is kept meanwhile, so that whoever next uses the folder ends what a
-killed process had begun, or clears what it had not. A lock keeps two processes apart. Files that no
-manifest lists, or that were changed since, are nobody's to overwrite: they keep their content under
-another name.
+Files are written to a hidden folder beside the target (inside it where the target's parent cannot
+be written or is another file system). When all are whole, the files of the earlier answer are
+removed and the new ones are renamed into place, the manifest last: no moment shows files of two
+answers. What a killed process left is completed from the two manifests, whose names and hashes are
+checked, and which reach nothing outside the target. Files that no manifest lists, or that were
+changed since, belong to the user: they keep their content under another name.
 """
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import os
+import re
 import shutil
+import stat
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from stiffopt.errors import InputFileError
@@ -28,9 +29,18 @@ from stiffopt.interrupts import uninterrupted
 MANIFEST = "manifest.json"
 # Folders that this process has written, in order.
 written: list[Path] = []
-# Inside the folder: lock, files to come, files that went, and the list of both.
-_DESK, _NEW, _OLD, _LOCK, _PLAN, _HALF = ".stiffopt", "new", "old", "lock", "plan", "half"
-_KEPT = ".kept"
+_LOCK_FILE, _INNER_STAGE, _KEPT_SUFFIX = ".stiffopt.lock", ".stiffopt.new", ".kept"
+# In a stage that is complete: hash of the manifest that it replaces.
+_READY_FILE = ".replaces"
+# Working folder of earlier versions, with a list of moves that those carried out unchecked.
+_OBSOLETE_FOLDER = ".stiffopt"
+# Relative, without empty, hidden or parent folders, backslashes and control characters.
+_PART = r"(?!\.)[^/\\\x00-\x1f\x7f-\x9f]+"
+_NAME = re.compile(rf"{_PART}(/{_PART})*")
+_COMMAND = re.compile(r"[a-z][a-z0-9 -]{0,60}")
+_DIGEST = re.compile(r"[0-9a-f]{64}")
+# Above any file that a command writes; hashing more takes seconds [bytes].
+_MAX_FILE_SIZE = 2**30
 
 
 @contextmanager
@@ -54,22 +64,22 @@ def output_folder(
     Raises
     ------
     InputFileError
-        The folder cannot be written, or another process is writing into it.
+        The folder cannot be written, another process is writing into it, or it holds what no
+        command writes, such as links under names that its manifest lists.
     """
     if "\0" in str(path):
         raise InputFileError(repr(str(path)), "", "is no name of a folder.")
     made = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
-        with ExitStack() as calm, _desk(path) as desk:
-            _listed(path)  # a manifest of somebody else is told before any long work
-            stage = desk / _NEW
-            stage.mkdir()
+        with ExitStack() as calm, _locked(path), _new_stage(path) as stage:
+            _check_regular(path, *_listed(path))
             try:
                 yield stage
             except InputFileError as error:
                 raise _from_stage(error, stage, path) from error
             calm.enter_context(uninterrupted())
-            _switch(path, desk, command, of, maybe)
+            _finish_stage(path, stage, command, of, maybe)
+            _put_in_place(path, stage)
             written.append(path)
     except BaseException:
         for folder in made:
@@ -78,168 +88,226 @@ def output_folder(
         raise
 
 
-def check_result(folder: Path, *names: str) -> None:
+def check_result(folder: Path, *names: str, edited: bool = False) -> None:
     """Raise `InputFileError` unless files of a result folder are what one command wrote together.
 
-    A folder without manifest, from an earlier version or written in Python, is taken as it is.
+    A folder without manifest, from an earlier version or written in Python, is taken as it is, but
+    for links, pipes and devices. Files that a user may have `edited` need only be regular files,
+    and those that the manifest does not list are not checked.
     """
-    if any((folder / _DESK / name).exists() for name in (_PLAN, _HALF)):
-        with _desk(folder):
-            pass  # what a killed process had begun is ended on the way
+    _check_control_files(folder)
+    if any(_is_ready(stage, folder) for stage in _stages(folder)):
+        with _locked(folder):
+            _complete(folder)
     listed = _listed(folder)
-    if not listed:
+    if edited:
+        _check_regular(folder, *(name for name in names if name in listed))
         return
-    writers = {listed[name]["by"] for name in names if name in listed}
-    for name in names:
+    _check_regular(folder, *names)
+    present = [name for name in names if is_regular(folder, name)]
+    for name in present if listed else ():
         path = folder / name
-        if name not in listed and path.exists():
+        if name not in listed:
             raise InputFileError(
                 path, "", f"is of another run than the rest of this folder: {MANIFEST} does not "
                 "list it. Make the result anew."
             )  # fmt: skip
-        if name in listed and path.exists() and _hash(path) != listed[name]["sha256"]:
+        if _hash(folder, name) != listed[name]["sha256"]:
             raise InputFileError(
                 path, "", f"was changed since `stiffopt {listed[name]['by']}` wrote it: {MANIFEST} "
                 "has another hash. Make the result anew."
             )  # fmt: skip
+    writers = {listed[name]["by"] for name in names if name in listed}
     if len(writers) > 1:
         raise InputFileError(
             folder, "", f"its files are of different commands: {', '.join(sorted(writers))}."
         )
 
 
-@contextmanager
-def _desk(path: Path) -> Iterator[Path]:
-    """The hidden folder, locked, and free of what killed processes left; removed at the end."""
-    desk = path / _DESK
-    try:
-        lock = _locked(desk, path)
-        try:
-            _finish(path, desk)
-        except BaseException:
-            os.close(lock)
-            raise
-    except OSError as error:
-        raise InputFileError(
-            path, "", f"the folder cannot be written: {error.strerror}. Give another as --out."
-        ) from error
-    try:
-        yield desk
-    finally:
-        _clear(desk)
-        # While it is locked: whoever waits for this file finds that it is no longer the one there.
-        with suppress(OSError):
-            (desk / _LOCK).unlink()
-            desk.rmdir()
-        os.close(lock)
+def is_regular(folder: Path, name: str) -> bool:
+    """Return whether a name is a regular file that is reached from the folder without links."""
+    return _blocking(folder, name) == name and stat.S_ISREG(_mode(folder / name))
 
 
-def _locked(desk: Path, path: Path) -> int:
-    """Descriptor of the lock file, which this process holds from now on."""
-    while True:
-        desk.mkdir(parents=True, exist_ok=True)
-        try:
-            lock = os.open(desk / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
-        except FileNotFoundError:  # another process has just removed the folder
-            continue
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.path.samestat(os.fstat(lock), os.stat(desk / _LOCK)):
-                return lock
-        except FileNotFoundError:
-            pass
-        except BlockingIOError as error:
-            os.close(lock)
+def _mode(path: Path) -> int:
+    """Kind and permissions of what a path names, links not followed; 0 where nothing is there."""
+    try:
+        return path.lstat().st_mode
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        return 0
+
+
+def _check_regular(folder: Path, *names: str) -> None:
+    """Raise `InputFileError` where a name is there as anything but a file of the folder itself."""
+    for name in names:
+        if _blocking(folder, name) and not is_regular(folder, name):
             raise InputFileError(
-                path, "", "another stiffopt is writing into this folder. Wait for it, or give "
-                "another as --out."
-            ) from error  # fmt: skip
-        except OSError:  # a file system without locks
-            return lock
-        os.close(lock)
+                folder / name, "", "is reached through a link, or is a folder, pipe or device; a "
+                "result's files are regular files of its own folder. Remove or rename it."
+            )  # fmt: skip
+        if is_regular(folder, name) and (folder / name).stat().st_size > _MAX_FILE_SIZE:
+            raise InputFileError(
+                folder / name, "", f"is larger than {_MAX_FILE_SIZE / 2**30:.0f} GiB, which no "
+                "file of a result is. Remove or rename it."
+            )  # fmt: skip
 
 
-def _finish(path: Path, desk: Path) -> None:
-    """End what a killed process had begun to put in place; clear what it had not."""
-    if (desk / _PLAN).exists() or (desk / _HALF).exists():
-        _carry_out(path, desk)
-    _clear(desk)
+def _check_control_files(path: Path) -> None:
+    """Raise `InputFileError` where lock or stage are not what commands of this version make."""
+    if _mode(path / _OBSOLETE_FOLDER):
+        raise InputFileError(
+            path / _OBSOLETE_FOLDER, "", "was left by an earlier version of stiffopt that was "
+            "killed, or came with a foreign folder; nothing of it is carried out. Remove it and "
+            "make the result anew."
+        )  # fmt: skip
+    for each, is_kind in (
+        (path / _LOCK_FILE, stat.S_ISREG),
+        *((stage, stat.S_ISDIR) for stage in _stages(path)),
+    ):
+        if _mode(each) and not is_kind(_mode(each)):
+            raise InputFileError(
+                each, "", "is a link or of another kind than what stiffopt makes under this name. "
+                "Remove it."
+            )  # fmt: skip
 
 
-def _clear(desk: Path) -> None:
-    """Remove everything but the lock; nothing where a plan could not be carried out."""
-    held = {each.name: each for each in desk.iterdir()} if desk.is_dir() else {}
-    if _PLAN in held or _HALF in held:
-        return
-    for name, each in held.items():
-        if each.is_dir():
-            shutil.rmtree(each, ignore_errors=True)
-        elif name != _LOCK:
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Hold the lock of a folder, which is made where it is missing."""
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(path / _LOCK_FILE, timeout=0)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        _check_control_files(path)
+        held = lock.acquire()
+    except Timeout as error:
+        raise InputFileError(
+            path, "", "another stiffopt is writing into this folder. Wait for it, or give another "
+            "as --out."
+        ) from error  # fmt: skip
+    except OSError as error:
+        raise _not_writable(path, error) from error
+    with held:
+        try:
+            yield
+        finally:
+            # While it is held: who has opened this file finds that it is no longer the one there.
             with suppress(OSError):
-                each.unlink()
+                (path / _LOCK_FILE).unlink()
 
 
-def _switch(path: Path, desk: Path, command: str, of: str, maybe: Sequence[str]) -> None:
-    """Files of the stage take the place of the earlier answer."""
-    stage = desk / _NEW
+def _not_writable(path: Path, error: OSError) -> InputFileError:
+    return InputFileError(
+        path, "", f"the folder cannot be written: {error.strerror}. Give another as --out."
+    )
+
+
+def _stages(path: Path) -> tuple[Path, Path]:
+    """Where new files are written: beside the folder, or inside it."""
+    real = Path(os.path.realpath(path))
+    return real.parent / f".{real.name}.stiffopt", real / _INNER_STAGE
+
+
+@contextmanager
+def _new_stage(path: Path) -> Iterator[Path]:
+    """An empty stage, after what a killed process left has been completed or cleared."""
+    beside, inside = _stages(path)
+    try:
+        _complete(path)
+        inside.mkdir(mode=0o700)
+    except OSError as error:
+        raise _not_writable(path, error) from error
+    stage = inside
+    # Fails where the parent cannot be written or files cannot be renamed from there.
+    with suppress(OSError):
+        stage = inside.rename(beside)
+    try:
+        yield stage
+    finally:
+        # A complete one stays: whoever next uses the folder puts it in place.
+        if not _is_ready(stage, path):
+            shutil.rmtree(stage, ignore_errors=True)
+
+
+def _is_ready(stage: Path, path: Path) -> bool:
+    """Return whether a stage is complete and replaces the answer that the folder holds."""
+    if not (is_regular(stage, MANIFEST) and is_regular(stage, _READY_FILE)):
+        return False
+    with (stage / _READY_FILE).open("rb") as stream:
+        return stream.read(65) == _hash(path, MANIFEST).encode()
+
+
+def _complete(path: Path) -> None:
+    """Put in place what a killed process had finished; clear what it had not."""
+    for stage in filter(_mode, _stages(path)):
+        if stage.lstat().st_uid != os.geteuid():
+            raise InputFileError(
+                stage, "", "was left by a stopped stiffopt of another user. Have it removed, or "
+                "give another folder as --out."
+            )  # fmt: skip
+        if _is_ready(stage, path):
+            _put_in_place(path, stage)
+        shutil.rmtree(stage)
+
+
+def _finish_stage(path: Path, stage: Path, command: str, of: str, maybe: Sequence[str]) -> None:
+    """Write manifest and mark of a stage: from here on the new answer is the one that counts."""
     coming = sorted(p.relative_to(stage).as_posix() for p in stage.rglob("*") if p.is_file())
     listed = _listed(path)
-    going = {
-        name
-        for name, entry in listed.items()
-        if name in coming or entry["by"] == command or entry.get("of") == command
-    }
-    # What is in the way and not as a manifest has it is the user's.
-    users = [
-        name
-        for name in sorted({*going, *coming, *(set(maybe) - set(listed))})
-        if (path / name).is_file()
-        and (name not in listed or _hash(path / name) != listed[name]["sha256"])
-    ]
-    files = {name: entry for name, entry in listed.items() if name not in going}
     for name in coming:
-        files[name] = {"by": command, "sha256": _hash(stage / name)} | ({"of": of} if of else {})
+        if not _NAME.fullmatch(name):
+            raise InputFileError(
+                path / name, "", "this name is hidden or has backslashes or control characters, "
+                "which no result may have. Rename what it was made from."
+            )  # fmt: skip
+    files = {
+        name: entry
+        for name, entry in listed.items()
+        if command not in (entry["by"], entry.get("of"))
+    }
+    for name in coming:
+        files[name] = {"by": command, "sha256": _hash(stage, name)} | ({"of": of} if of else {})
     document = {"schema": 1, "files": dict(sorted(files.items()))}
     atomic_write(stage / MANIFEST, json.dumps(document, indent=1) + "\n")
-    aside = {name: _free(path, name) for name in users}
-    out = [*sorted(going - set(users)), MANIFEST]
-    plan = {"kept": aside, "out": out, "in": [*coming, MANIFEST]}
-    for name, kept in aside.items():
-        print(f"stiffopt: {path / name} was not written by stiffopt, or was changed since: it is "
-              f"kept as {kept}.", file=sys.stderr)  # fmt: skip
-    atomic_write(desk / _PLAN, json.dumps(plan))
-    _carry_out(path, desk)
+    atomic_write(stage / _READY_FILE, _hash(path, MANIFEST))
+    for name in sorted({*maybe} - {*coming, *listed}):
+        _set_aside(path, name)
 
 
-def _carry_out(path: Path, desk: Path) -> None:
-    """First the old out, then the new in; begun anew after a kill, each step finds its place."""
-    if (desk / _PLAN).exists():
-        plan = json.loads((desk / _PLAN).read_text())
-        for name, kept in plan["kept"].items():
-            with suppress(FileNotFoundError):
-                os.replace(path / name, path / kept)
-        for name in plan["out"]:
-            (desk / _OLD / name).parent.mkdir(parents=True, exist_ok=True)
-            with suppress(FileNotFoundError):
-                os.replace(path / name, desk / _OLD / name)
-        os.replace(desk / _PLAN, desk / _HALF)
-    plan = json.loads((desk / _HALF).read_text())
-    for name in plan["in"]:
-        (path / name).parent.mkdir(parents=True, exist_ok=True)
-        with suppress(FileNotFoundError):
-            os.replace(desk / _NEW / name, path / name)
-    for name in plan["out"]:
-        with suppress(OSError):  # a folder that has become empty
-            parent = (path / name).parent
-            if parent != path:
-                parent.rmdir()
-    (desk / _HALF).unlink()
+def _put_in_place(path: Path, stage: Path) -> None:
+    """Remove the old answer, then rename the new one into place; begun anew after a kill."""
+    new, old = _listed(stage), _listed(path)
+    coming = {n for n, entry in new.items() if entry != old.get(n) or is_regular(stage, n)}
+    for name in coming:
+        if new[name]["sha256"] not in (_hash(stage, name), _hash(path, name)):
+            raise InputFileError(
+                stage, "", f"holds an answer that a stopped stiffopt left for {path}, whose {name} "
+                "was changed or removed since. Remove this folder and make the result anew."
+            )  # fmt: skip
+    for name in sorted(coming | (old.keys() - new.keys())):
+        digest = _hash(path, name)
+        if name in coming and not is_regular(stage, name) and digest == new[name]["sha256"]:
+            continue  # in place already
+        if digest and digest == old.get(name, {}).get("sha256"):
+            (path / name).unlink()
+        else:
+            _set_aside(path, name)
+    for name in sorted(coming):
+        if is_regular(stage, name):
+            (path / name).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(stage / name, path / name)
+    for parent in {(path / name).parent for name in old.keys() - new.keys()} - {path}:
+        with suppress(OSError):  # unless it has become empty
+            parent.rmdir()
+    os.replace(stage / MANIFEST, path / MANIFEST)
 
 
 def _listed(path: Path) -> dict[str, dict[str, Any]]:
     """Entries of a folder's manifest by file name; empty where there is none."""
     manifest = path / MANIFEST
-    if not manifest.is_file():
+    _check_regular(path, MANIFEST)
+    if not is_regular(path, MANIFEST):
         return {}
     document = load_json(manifest)
     files = document.get("files") if isinstance(document, dict) else None
@@ -247,10 +315,11 @@ def _listed(path: Path) -> dict[str, dict[str, Any]]:
         files = {"": None}
     sound = all(
         isinstance(entry, dict)
-        and isinstance(entry.get("by"), str)
-        and isinstance(entry.get("sha256"), str)
-        and not PurePosixPath(name).is_absolute()
-        and ".." not in PurePosixPath(name).parts
+        and _COMMAND.fullmatch(str(entry.get("by")))
+        and _COMMAND.fullmatch(str(entry.get("of", "none")))
+        and _DIGEST.fullmatch(str(entry.get("sha256")))
+        and _NAME.fullmatch(name)
+        and name != MANIFEST
         for name, entry in files.items()
     )
     if not sound:
@@ -258,18 +327,36 @@ def _listed(path: Path) -> dict[str, dict[str, Any]]:
     return {name: dict(entry) for name, entry in files.items()}
 
 
-def _hash(path: Path) -> str:
-    with path.open("rb") as stream:
+def _hash(folder: Path, name: str) -> str:
+    """SHA-256 of a regular file of a folder; empty where there is none."""
+    if not is_regular(folder, name):
+        return ""
+    with (folder / name).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _free(path: Path, name: str) -> str:
-    """A name beside `name` that no file has."""
-    number, kept = 1, name + _KEPT
-    while (path / kept).exists():
+def _blocking(folder: Path, name: str) -> str:
+    """Name itself or the first of its folders that is no folder; empty where nothing is there."""
+    parts = name.split("/")
+    for k in range(1, len(parts)):
+        above = "/".join(parts[:k])
+        if not stat.S_ISDIR(_mode(folder / above)):
+            return above if _mode(folder / above) else ""
+    return name if _mode(folder / name) else ""
+
+
+def _set_aside(path: Path, name: str) -> None:
+    """Rename what stands under a name and is the user's, or in the way of it."""
+    blocking = _blocking(path, name)
+    if not blocking:
+        return
+    number, kept = 1, blocking + _KEPT_SUFFIX
+    while _mode(path / kept):
         number += 1
-        kept = f"{name}{_KEPT}{number}"
-    return kept
+        kept = f"{blocking}{_KEPT_SUFFIX}{number}"
+    print(f"stiffopt: {path / blocking} was not written by stiffopt, or was changed since: it is "
+          f"kept as {kept}.", file=sys.stderr)  # fmt: skip
+    (path / blocking).rename(path / kept)
 
 
 def _from_stage(error: InputFileError, stage: Path, path: Path) -> InputFileError:

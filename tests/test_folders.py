@@ -6,6 +6,7 @@ import resource
 import signal
 import subprocess
 import sys
+from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
@@ -31,24 +32,43 @@ def write(path, command="solve", of="", **files):
             (stage / f"{name}.txt").write_text(text)
 
 
-def killed(path, moves, **files):
-    """A run that is killed after some of its renames."""
-    plain, count = os.replace, 0
+CHANGING = ("open", "replace", "rename", "unlink", "mkdir", "rmdir")
 
-    def replace(source, target):
-        nonlocal count
-        if count == moves:
-            os._exit(9)
-        plain(source, target)
-        count += 1
 
-    if pid := os.fork():
-        return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-    try:
-        os.replace = replace
-        write(path, **files)
-    finally:
-        os._exit(0)
+class Killed(BaseException):
+    """Raised by every change of the file system from a moment on."""
+
+
+def killed(step, work):
+    """Return whether `work` came as far as the given change of the file system, and died there.
+
+    Nothing changes any more once it is raised, as after a kill: what cleans up is stopped as well.
+    """
+    done = 0
+
+    def dying(call):
+        def counted(*arguments, **named):
+            nonlocal done
+            if done >= step:
+                raise Killed
+            done += 1
+            return call(*arguments, **named)
+
+        return counted
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in CHANGING:
+            patch.setattr(os, name, dying(getattr(os, name)))
+        try:
+            work()
+        except Killed:
+            return True
+    return False
+
+
+def hidden(path):
+    """Names of control files in a folder and beside it."""
+    return [p.name for p in (*path.rglob(".*"), *path.parent.glob(f".{path.name}.*"))]
 
 
 def test_a_folder_that_stays_empty_is_removed_with_those_above_it(tmp_path):
@@ -114,23 +134,66 @@ def test_nothing_of_an_earlier_version_stays_beside_a_new_answer(tmp_path):
     assert tree(tmp_path) == {"a.txt": "new", "b.txt.kept": "of a version without manifest"}
 
 
-@pytest.mark.parametrize("moves", range(10))
-def test_killed_between_renames(tmp_path, moves):
-    """Never old beside new; what was begun is ended by whoever comes next, and cleared."""
-    old, new = dict.fromkeys("abc", "old"), dict.fromkeys("abd", "new")
-    (tmp_path / "notes.txt").write_text("mine")
-    write(tmp_path, **old)
-    code = killed(tmp_path, moves, **new)
-    seen = {p.name: p.read_text() for p in tmp_path.iterdir() if p.suffix == ".txt"}
+OLD, NEW = dict.fromkeys("abc", "old"), dict.fromkeys("abd", "new")
+
+
+def by_file(answer):
+    return {f"{name}.txt": text for name, text in answer.items()}
+
+
+def laid_out(path, *, first):
+    """A folder with a user's notes and an edited file; an old answer where it is not the first."""
+    path.mkdir()
+    (path / "notes.txt").write_text("mine")
+    if not first:
+        write(path, **OLD)
+        write(path, "preload", e="of another command")
+    (path / "d.txt").write_text("edited")
+
+
+def own_files(path):
+    """Files of the answer, after those of others have been looked at."""
+    seen = {p.name: p.read_text() for p in path.iterdir() if ".txt" in p.name}
     assert seen.pop("notes.txt") == "mine"
-    assert len(set(seen.values())) <= 1
-    assert code == 9 or seen == {f"{name}.txt": "new" for name in new}
-    with pytest.raises(InputFileError), output_folder(tmp_path, "other"):
-        raise InputFileError(tmp_path, "", "the next command fails.")
-    ended = tree(tmp_path)
-    assert ended.pop("notes.txt") == "mine"
-    assert ended in ({f"{n}.txt": t for n, t in answer.items()} for answer in (old, new))
-    check_result(tmp_path, *ended)
+    assert seen.pop("e.txt", "of another command") == "of another command"
+    # The edited file stands where it stood, or under its other name.
+    if seen.get("d.txt") == "edited":
+        del seen["d.txt"]
+    else:
+        assert seen.pop("d.txt.kept") == "edited"
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("inside", "first", "reads"), [(False, False, False), (False, True, True), (True, False, True)]
+)
+def test_killed_before_each_change(tmp_path, monkeypatch, capsys, inside, first, reads):
+    """Never old beside new; whoever comes next, killed itself or not, completes or clears it."""
+    if inside:  # as where the folder's parent cannot be written
+        monkeypatch.setattr(folders, "_stages", lambda path: (Path("/proc/no"), path / ".s"))
+    old, ends = {} if first else OLD, Counter()
+    for step in range(200):
+        path = tmp_path / str(step)
+        laid_out(path, first=first)
+        died = killed(step, lambda path=path: write(path, **NEW))
+        killed(5 * step % 17, lambda path=path: write(path, "other"))
+        seen = own_files(path)
+        assert len(set(seen.values())) <= 1, (step, seen)
+        if reads:
+            check_result(path, "a.txt", "b.txt")
+        else:
+            with pytest.raises(KeyboardInterrupt), output_folder(path, "other"):
+                raise KeyboardInterrupt
+            assert hidden(path) == []
+        seen = own_files(path)
+        assert seen in (by_file(old), by_file(NEW)), step
+        check_result(path, *seen)
+        ends["new" if seen == by_file(NEW) else "old"] += 1
+        if not died:
+            break
+    assert not died
+    assert ends["old"] > 5, ends
+    assert ends["new"] > 5, ends
 
 
 def test_two_processes_never_mix(tmp_path):
@@ -229,3 +292,47 @@ def test_where_nothing_can_be_written(place):
         output_folder(Path(place), "solve"),
     ):
         pass
+
+
+def test_in_the_working_folder_only_own_files_move(tmp_path, monkeypatch):
+    """`--out .` among files of the user: those stay the same files, and nothing is left beside."""
+    home = tmp_path / "home"
+    (home / "project").mkdir(parents=True)
+    (home / "project" / "model.step").write_text("mine")
+    (home / "notes.txt").write_text("mine")
+    monkeypatch.chdir(home)
+    before = {p: p.lstat().st_ino for p in home.rglob("*")}
+    write(Path("."), a="one")
+    write(Path("."), b="two")
+    assert {p: p.lstat().st_ino for p in before} == before
+    assert tree(home) == {"b.txt": "two", "notes.txt": "mine", "project/model.step": "mine"}
+    assert os.listdir(tmp_path) == ["home"]
+
+
+def test_a_stage_of_a_folder_that_was_replaced_is_cleared(tmp_path):
+    """Deleted or exchanged since the kill: what was to come belongs to another state of it."""
+    path = tmp_path / "out"
+    write(path, a="old")
+    assert killed(10, lambda: write(path, a="new"))
+    assert (tmp_path / ".out.stiffopt" / MANIFEST).is_file()
+    for each in path.iterdir():
+        each.unlink()
+    write(path, "preload", b="of somebody else")
+    assert tree(path) == {"b.txt": "of somebody else"}
+    assert hidden(path) == []
+
+
+def test_what_another_user_left_is_told(tmp_path, monkeypatch):
+    write(tmp_path / "out", a="old")
+    (tmp_path / ".out.stiffopt").mkdir()
+    check_result(tmp_path / "out", "a.txt")  # may be at work
+    monkeypatch.setattr(os, "geteuid", lambda: 4711)
+    with pytest.raises(InputFileError, match="of another user"):
+        write(tmp_path / "out", a="new")
+
+
+def test_a_name_that_no_manifest_may_list_changes_nothing(tmp_path):
+    write(tmp_path, a="old")
+    with pytest.raises(InputFileError, match="Rename what it was made from"):
+        write(tmp_path, **{"a\\b": "new"})
+    assert tree(tmp_path) == {"a.txt": "old"}

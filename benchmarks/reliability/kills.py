@@ -45,6 +45,15 @@ objective = "torque_squared"
 [method]
 intervals = 8
 """
+_SWEEP = """
+schema = 1
+kind = "sweep"
+title = "{title}"
+base = "{base}"
+
+[grid]
+"motion.duration" = ["0.9 s", "1.0 s", "1.1 s"]
+"""
 # The command line, which makes a file when the work that Ctrl-C shall keep has begun.
 _MARKED = """
 import pathlib, signal, sys
@@ -99,23 +108,33 @@ class _Work:
 
 
 def hashes(folder: Path) -> dict[str, str]:
-    """Hash of every file that a user sees, by name; without the manifest."""
+    """Hash of every file that a user sees, by name; without the manifest and cases of a sweep."""
     return {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in folder.rglob("*")
-        if path.is_file() and ".stiffopt" not in path.parts and path.name != MANIFEST
+        if path.is_file() and path.name != MANIFEST and "cases" not in path.parts
+        if not any(part.startswith(".") for part in path.relative_to(folder).parts)
     }
 
 
 def judged(folder: Path, before: dict[str, str]) -> str:
-    """How a folder looks: "whole", "begun" (of one answer alone) or "mixed"."""
-    seen = hashes(folder)
+    """How a folder looks: "whole", "begun" (of one answer alone) or "mixed".
+
+    The manifest changes last: until then it lists the answer `before`, of which a part may be gone,
+    or all of it and a part of the new answer be there.
+    """
+    for case in folder.glob("cases/*.json"):
+        if json.loads(case.read_text())["key"] != case.stem:
+            return "mixed"
+    seen, listed = hashes(folder), {}
     if (folder / MANIFEST).is_file():
-        listed = json.loads((folder / MANIFEST).read_text())["files"]
-        whole = {name: entry["sha256"] for name, entry in listed.items()} == seen
-        return "whole" if whole else "mixed"
+        files = json.loads((folder / MANIFEST).read_text())["files"]
+        listed = {name: entry["sha256"] for name, entry in files.items()}
+        if listed == seen:
+            return "whole"
     old = {name for name, digest in seen.items() if before.get(name) == digest}
-    return "mixed" if old and len(old) < len(seen) else "begun"
+    sound = listed in ({}, before) and len(old) in (0, len(seen))
+    return "begun" if sound else "mixed"
 
 
 def ended(
@@ -126,7 +145,7 @@ def ended(
     first: int = 0,
     record: Path | None = None,
     seconds: float = math.inf,
-    kinds: Sequence[str] = ("solve", "preload", "diagnose"),
+    kinds: Sequence[str] = ("solve", "preload", "diagnose", "sweep"),
 ) -> Counter[str]:
     """Verdicts on the folders after each of so many commands that a signal ended, kinds in turn.
 
@@ -155,7 +174,8 @@ def ended(
                 stream.write(line + "\n")
     for work in works:
         code, *_ = work.run(0)
-        found["left behind"] += sum(path.name.startswith(".") for path in work.out.rglob("*"))
+        left = (*work.out.rglob(".*"), *place.glob(f".{work.out.name}.*"))
+        found["left behind"] += len(left)
         found[f"at the end {judged(work.out, {})}, exit {code}"] += 1
     return found
 
@@ -164,8 +184,10 @@ def _ended(work: _Work, k: int, after: float, sign: signal.Signals) -> tuple[str
     """Verdict on the folder of a command that a signal ended, and the exit code."""
     before, notes = hashes(work.out), work.out / "notes.txt"
     notes.write_text("mine")
+    if k % 8 < 4:  # a sweep begins anew, or goes on with the cases that are there
+        shutil.rmtree(work.out / "cases", ignore_errors=True)
     # Each kind by turns with its two inputs, whatever the number of kinds.
-    code, error, begun = work.run(k // 3 + k, after, sign)
+    code, error, begun = work.run(k // 4 + k, after, sign)
     kept = notes.is_file() and notes.read_text() == "mine"
     notes.unlink(missing_ok=True)
     verdict = judged(work.out, before) if kept else "user's file lost"
@@ -189,15 +211,18 @@ def _timed(work: _Work) -> float:
 
 
 def _works(place: Path) -> list[_Work]:
-    """A solve, a study of a flange and a diagnosis."""
+    """A solve, a study of a flange, a diagnosis and a sweep."""
     from stiffopt.cli import run
 
-    solves, studies, sets = [], [], []
+    solves, studies, sets, sweeps = [], [], [], []
     for k in range(2):
         problem = place / f"p{k}.toml"
         robot = ROOT / "problems" / "two_link_robot.toml"
         problem.write_text(_PROBLEM.format(title=f"number {k}", robot=robot, end=0.5 + k / 4))
         solves.append(("solve", str(problem)))
+        sweep = place / f"s{k}.toml"
+        sweep.write_text(_SWEEP.format(title=f"number {k}", base=problem.name))
+        sweeps.append(("sweep", str(sweep), "--workers", "2"))
         flange = place / f"flange{k}"
         with contextlib.redirect_stdout(io.StringIO()):
             run(["init", "flange", "--out", str(flange), "--torque", f"{100 + 20 * k} N*m"])
@@ -207,7 +232,7 @@ def _works(place: Path) -> list[_Work]:
         text = (folder / "recordings.toml").read_text()
         (folder / "recordings.toml").write_text(text.replace("1.7]", f"1.{7 + k}]"))
         sets.append(("diagnose", str(folder), "--no-experiment"))
-    turns = {"solve": solves, "preload": studies, "diagnose": sets}
+    turns = {"solve": solves, "preload": studies, "diagnose": sets, "sweep": sweeps}
     return [
         _Work(name, tuple(two), place / f"out_{name}", place / f"{name}.mark")
         for name, two in turns.items()

@@ -12,6 +12,7 @@ from stiffopt.discovery.extended.planner_model import planner_model
 from stiffopt.discovery.extended.planner_solve import read_model
 from stiffopt.discovery.store import MODEL_FILE
 from stiffopt.errors import InputFileError
+from stiffopt.folders import check_result
 from stiffopt.recording.recording_set import load_recordings
 from stiffopt.robot.robot import Robot
 
@@ -58,6 +59,7 @@ def read_found(diagnosis: Path, recordings: Path, effects: Path | None = None) -
     InputFileError
         A file is missing, or the set is of another robot.
     """
+    check_result(diagnosis, MODEL_FILE)
     model = read_model(diagnosis / MODEL_FILE, effects)
     loaded = load_recordings(recordings)
     if loaded.joints != model.joints:

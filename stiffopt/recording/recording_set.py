@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -251,6 +252,13 @@ def _entry(section: RunSection, n: int, number: int, path: Path) -> RunEntry:
 def _check_names(runs: tuple[RunEntry, ...], path: Path) -> None:
     seen: dict[str, int] = {}
     for number, entry in enumerate(runs, start=1):
+        if re.search(r"[\\\x00-\x1f\x7f-\x9f]", entry.name):
+            raise InputFileError(
+                path,
+                f"runs[{number}].file",
+                f"{entry.file!r} has a backslash or control character in its name, under which "
+                "results are filed: rename it.",
+            )
         if entry.name in seen:
             raise InputFileError(
                 path,

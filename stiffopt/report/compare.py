@@ -9,6 +9,7 @@ from typing import Any
 
 from stiffopt.errors import InputFileError, more
 from stiffopt.files import load_json
+from stiffopt.folders import check_result
 from stiffopt.report.common.text import DASH
 
 ANSWERS = ("result.json", "diagnosis.json", "study.json", "stiffness.json")
@@ -43,6 +44,7 @@ def compared(first: Path, second: Path) -> tuple[str, list[Row]]:
 
 def _answer(folder: Path) -> str:
     for name in ANSWERS:
+        check_result(folder, name)
         if (folder / name).is_file():
             return name
     raise InputFileError(

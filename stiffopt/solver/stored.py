@@ -218,6 +218,7 @@ def read_guess(folder: Path, problem: TrajectoryProblem) -> Assessment:
     InputFileError
         The folder has no motion of as many joints.
     """
+    check_result(folder, TRAJECTORY_FILE)
     time, position, velocity, _ = _trajectory(folder / TRAJECTORY_FILE, problem.joints)
     return assess(problem, _TableMotion(time, position, velocity), times=time)
 

@@ -11,10 +11,11 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from stiffopt.errors import InputFileError
 from stiffopt.files import atomic_write, load_json
+from stiffopt.folders import is_regular
 from stiffopt.sweep.cases import Case, Sweep
 from stiffopt.sweep.order import ordered, predecessors
 from stiffopt.sweep.solve_case import CaseResult, document, solve_case
@@ -23,6 +24,8 @@ from stiffopt.sweep.workers import Workers
 CASES = "cases"
 # Where cases ended; kept until the sweep is done.
 _WARM = "warm"
+# Above any state that a case starts from: 16 million variables and multipliers [bytes].
+_MAX_WARM_SIZE = 2**27
 # Deaths of a worker that had nothing else to do, after which the case is to blame.
 _DEATHS = 2
 
@@ -71,6 +74,12 @@ def run_sweep(
         Content of each case's file, None where Ctrl-C came before it.
     interrupted : bool
     """
+    for place in (folder / CASES, folder / CASES / _WARM):
+        if place.is_symlink() or (place.exists() and not place.is_dir()):
+            raise InputFileError(
+                place, "", "is a link or a file, where the sweep keeps its cases in a folder of "
+                "its own. Remove or rename it."
+            )  # fmt: skip
     own = {case.key: case for case in sweep.cases}
     results = {key: found for key in own if (found := _read(folder, key)) is not None}
     watch = _Watch(len(own), results, progress)
@@ -127,8 +136,9 @@ class _Queue:
         """Where the predecessor ended, or what that began from where it led nowhere."""
         before = self._before[case.key]
         while before is not None:
-            with suppress(OSError):
-                return self.file(before).read_bytes()
+            path = self.file(before)
+            if is_regular(path.parent, path.name) and path.stat().st_size <= _MAX_WARM_SIZE:
+                return path.read_bytes()
             before = self._before[before]
         return None
 
@@ -206,11 +216,26 @@ def _read(folder: Path, key: str) -> dict[str, Any] | None:
     """Content of a case's file; None where there is none, or none of this case."""
     path = _file(folder, key)
     with suppress(InputFileError):
-        found = load_json(path) if path.exists() else None
+        found = load_json(path) if is_regular(path.parent, path.name) else None
         # What a dying worker left undone is tried anew.
-        if isinstance(found, dict) and found.get("key") == key and found.get("status") != "failed":
+        if _is_document(found) and found["key"] == key and found["status"] != "failed":
             return found
     return None
+
+
+def _is_document(found: Any) -> TypeGuard[dict[str, Any]]:
+    """Return whether a file has what tables and reports read of a case."""
+    kinds = {"key": str, "status": str, "message": str, "values": dict, "maximised": bool}
+    return (
+        isinstance(found, dict)
+        and all(isinstance(found.get(name), kind) for name, kind in kinds.items())
+        and all(
+            isinstance(entry, dict)
+            and isinstance(entry.get("unit"), str)
+            and isinstance(entry.get("value"), float | int | str | None)
+            for entry in found["values"].values()
+        )
+    )
 
 
 def _write(folder: Path, found: dict[str, Any]) -> None:

@@ -177,6 +177,7 @@ WRONG = {
     ),
     "twice": ('["qd1", "qd2"]', '["q1", "qd2"]', r"'q1' already stands for position of joint 1"),
     "joint": ('"slide"]', '"slid"]', r"joints\[2\]: .* no moving joint 'slid'.*mean 'slide'"),
+    "run with a backslash": ('"one.npz"', '"o\\\\ne.npz"', "backslash or control character"),
     "joint twice": ('"slide"]', '"swing"]', r"'swing' is named twice"),
     "frame": ('"tool0"', '"tool"', r"tool_frame: .* no frame 'tool'.*mean 'tool0'"),
     "key": ("coulomb =", "coulom =", r"nominal\.coulom: unknown key.*mean 'coulomb'"),

@@ -10,6 +10,7 @@ import pytest
 from small_arms import write_problem, write_robot
 
 from stiffopt.cli import run
+from stiffopt.errors import InputError
 from stiffopt.report.scene.poses import stored_poses, tool_positions
 from stiffopt.robot.cell import Box, Cell, MeshObstacle
 from stiffopt.robot.files import load_robot
@@ -86,3 +87,46 @@ def test_view_of_a_folder(tmp_path, capsys, monkeypatch):
     largest = shown[0].deflection["total"].max()
     assert largest == pytest.approx(certificate["deflection"]["total"]["peak"], rel=0.02)
     assert run(["view", str(tmp_path)]) == 2
+
+
+OWN = "127.0.0.1:{port}"
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"Host": OWN}, 200),
+        ({"Host": "localhost:{port}", "Origin": "http://localhost:{port}"}, 200),
+        ({"Host": "localhost:9"}, 200),  # a port that is forwarded to this one
+        ({"Host": "evil.example:{port}"}, 403),  # whatever address that name has today
+        ({"Host": "127.0.0.1.evil.example"}, 403),
+        ({"Host": OWN, "Origin": "http://evil.example"}, 403),
+        ({"Host": OWN, "Origin": "http://localhost:{port}"}, 403),
+        ({"Host": OWN, "Origin": "null"}, 403),
+        ({}, 403),
+    ],
+)
+@pytest.mark.parametrize("upgrade", [False, True])
+def test_pages_of_others_are_refused(scene, headers, status, upgrade):
+    port = scene.server.get_port()
+    sent = {name: value.format(port=port) for name, value in headers.items()}
+    if upgrade:
+        sent |= {
+            "Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
+            "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+        }  # fmt: skip
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.putrequest("GET", "/", skip_host=True)
+    for name, value in sent.items():
+        connection.putheader(name, value)
+    connection.endheaders()
+    with connection.getresponse() as response:
+        assert response.status == (101 if upgrade and status == 200 else status)
+    connection.close()
+
+
+def test_a_viser_that_cannot_be_guarded_is_not_served():
+    from stiffopt.report.scene.live import _guarded_server
+
+    with pytest.raises(InputError, match="Install another"), _guarded_server(set()):
+        pass  # begins no server of websockets

@@ -235,3 +235,15 @@ def test_a_programme_may_have_any_number_of_points(cache: Path) -> None:
     for one, other in zip(*found, strict=True):
         assert one.sparsity() == other.sparsity()
         np.testing.assert_allclose(one.full(), other.full(), rtol=1e-13)
+
+
+@pytest.mark.parametrize("what", ["folder", "library"])
+def test_what_others_can_write_is_not_loaded(cache: Path, capsys, what: str) -> None:
+    light = numbered(*stage(3.7)).function
+    path = made(light)
+    assert not (cache.stat().st_mode | path.stat().st_mode) & 0o022
+    compiler._is_private.cache_clear()
+    (cache if what == "folder" else path).chmod(0o777)
+    assert compiled.library(light) is None
+    assert compiled.library(light) is None
+    assert capsys.readouterr().err.count("is not used: others may have written it") == 1

@@ -66,6 +66,7 @@ from stiffopt.discovery.extended.schema import (
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.files import read_document
+from stiffopt.folders import check_result
 from stiffopt.recording.nominal_files import as_chains, check_nominal
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.schema import NominalSection
@@ -166,6 +167,7 @@ def load_extended(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) 
     InputFileError
         What is wrong, where, and what is allowed.
     """
+    check_result(Path(path).parent, Path(path).name, edited=True)
     document = read_document(path, ExtendedFile, "extended")
     n = len(document.joints)
     check_nominal(document.nominal, document.joints, Path(path))

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,7 +41,8 @@ class LiveScene:
     cell : Cell or None
         What stands around the arm.
     host, port : str, int
-        Where the page is served; a port that is taken gives the next one.
+        Where the page is served; a port that is taken gives the next one. Requests for another
+        host, or from pages of another origin, are refused with status 403.
 
     Raises
     ------
@@ -63,7 +67,8 @@ class LiveScene:
                 "viewing needs viser. Install it: pip install 'stiffopt[view]'"
             ) from error
         self.robot, self.poses, self._ghost = robot, poses, ghost
-        self.server = viser.ViserServer(host=host, port=port, verbose=False)
+        with _guarded_server({host, "127.0.0.1", "localhost", "[::1]"}):
+            self.server = viser.ViserServer(host=host, port=port, verbose=False)
         self.server.scene.set_up_direction("+z")
         self.server.scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.1)
         self._arms = {
@@ -132,6 +137,45 @@ class LiveScene:
     def close(self) -> None:
         """Stop serving."""
         self.server.stop()
+
+
+@contextmanager
+def _guarded_server(hosts: set[str]) -> Iterator[None]:
+    """Have a server that viser begins refuse pages of others, for which it has no option."""
+    from websockets.asyncio import server
+
+    plain, guarded = server.serve, False
+
+    def serve(*arguments: Any, process_request: Callable[..., Any], **named: Any) -> Any:
+        nonlocal guarded
+        guarded = True
+
+        def answer(connection: Any, request: Any) -> Any:
+            if not is_own_request(request.headers, hosts):
+                return connection.respond(HTTPStatus.FORBIDDEN, "Not for this host or origin.\n")
+            return process_request(connection, request)
+
+        return plain(*arguments, process_request=answer, **named)
+
+    server.serve = serve  # type: ignore[assignment, misc]
+    try:
+        yield
+    finally:
+        server.serve = plain  # type: ignore[misc]
+    if not guarded:
+        raise InputError("this viser begins its server in a way not known here. Install another.")
+
+
+def is_own_request(headers: Any, hosts: set[str]) -> bool:
+    """Return whether a request names one of the hosts and comes from its page, or from none.
+
+    A name that an attacker's server resolves to this machine is none of the hosts, and a page of
+    another server has another origin.
+    """
+    named, origins = headers.get_all("Host"), headers.get_all("Origin")
+    if len(named) != 1 or re.sub(r":\d+$", "", named[0]).lower() not in hosts:
+        return False
+    return all(origin.lower() == f"http://{named[0].lower()}" for origin in origins)
 
 
 class _Arm:
