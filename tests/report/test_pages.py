@@ -159,6 +159,6 @@ def test_stiffness_page_and_its_plots(tmp_path):
     assert "Contacts take up to 55 % of the stiffness" in page.text
     assert "1.50" in page.text  # slip safety 45 N m / 30 N m
     names = {each.name for each in tmp_path.iterdir()}
-    kinds = ("tangent", "low_torque", "ratio", "shares")
+    kinds = ("tangent", "low_torque", "loss", "shares")
     drawn = {f"stiffness_{kind}.{end}" for kind in kinds for end in ("svg", "png")}
     assert names == drawn | {"stiffness.html"}
