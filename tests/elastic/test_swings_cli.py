@@ -61,7 +61,7 @@ def test_simulate_reads_a_solve_and_finds_what_the_solve_found(solved, capsys):
 
 def test_report_of_the_solve_shows_the_swing_beside_the_certificate(solved):
     page = (solved / "out" / "report.html").read_text()
-    assert "As the elastic arm does it" in page
+    assert "Deflection of the tool, simulated" in page
     assert "after arrival" in page
 
 
