@@ -221,7 +221,7 @@ def optimum_reach(problem: TrajectoryProblem, beside: dict[str, Baseline], start
     rivals = (
         f"no baseline that keeps every limit ({', '.join(kept)}) is better"
         if kept
-        else "no baseline keeps every limit"
+        else "no baseline keeps every limit within the duration"
     )
     return f"It is a local optimum, from {tried}; {rivals}. More method.starts look further."
 
