@@ -357,12 +357,12 @@ def _retimed(guess: Guess, skew: float) -> Guess:
 
     def states(t: np.ndarray) -> np.ndarray:
         w, rate = warped(np.asarray(t))
-        return np.asarray(guess.states(w)) * np.hstack([np.ones_like(rate), rate])
+        return np.asarray(guess.states(w) * np.hstack([np.ones_like(rate), rate]))
 
     def controls(t: np.ndarray) -> np.ndarray:
         w, rate = warped(np.asarray(t))
         speed = np.asarray(guess.states(w))[:, 1:]
-        return np.asarray(guess.controls(w)) * rate**2 - 2.0 * skew * speed / guess.duration
+        return np.asarray(guess.controls(w) * rate**2 - 2.0 * skew * speed / guess.duration)
 
     return replace(guess, states=states, controls=controls)
 
