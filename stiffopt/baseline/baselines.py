@@ -32,7 +32,12 @@ def baselines(problem: TrajectoryProblem, motion: ResolvedMotion) -> dict[str, B
     fixed = problem.duration[0] == problem.duration[1]
     duration = problem.duration[0] if fixed else None
     fastest = toppra_baseline(
-        problem.robot, problem.active_limits, path, duration, problem.process_force
+        problem.robot,
+        problem.active_limits,
+        path,
+        duration,
+        problem.process_force,
+        eased=problem.boundary_acceleration == "zero",
     )
     if duration is None:
         duration = float(np.clip(fastest.fastest or 1.0, *problem.duration))
@@ -54,7 +59,13 @@ def detour_baseline(problem: TrajectoryProblem, path: JointPath) -> Baseline:
     shortest, longest = problem.duration
     fixed = shortest if shortest == longest else None
     quick = toppra_baseline(
-        problem.robot, problem.active_limits, path, fixed, problem.process_force, intervals=200
+        problem.robot,
+        problem.active_limits,
+        path,
+        fixed,
+        problem.process_force,
+        intervals=200,
+        eased=problem.boundary_acceleration == "zero",
     )
     motion = quick.motion
     if motion is None:

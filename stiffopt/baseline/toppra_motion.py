@@ -63,6 +63,8 @@ def toppra_baseline(
     duration: float | None = None,
     process_force: object = (0.0, 0.0, 0.0),
     intervals: int = 1000,
+    *,
+    eased: bool = False,
 ) -> BaselineMotion:
     """Time-optimal rest-to-rest motion along `path`, slowed uniformly to `duration`.
 
@@ -83,6 +85,9 @@ def toppra_baseline(
         Acts on the tool, base axes. [N]
     intervals : int
         Of the path grid.
+    eased : bool
+        Let the acceleration rise from zero at the start and fall to zero at the end, each within
+        the first and the last interval of the grid.
 
     Returns
     -------
@@ -96,7 +101,7 @@ def toppra_baseline(
     still = rows.standing_still()
     if still:
         return _absent(f"No motion keeps the limits on this path. {still}")
-    law = _fastest_law(rows, path.joints)
+    law = _fastest_law(rows, path.joints, eased=eased)
     if law is None:
         return _absent(
             "No motion along this path keeps all limits: toppra finds no time law that starts and "
@@ -130,21 +135,24 @@ def _grid(knots: np.ndarray, intervals: int) -> np.ndarray:
         for low, high in pairwise(knots)
     ]
     even = np.append(np.concatenate(pieces), knots[-1])
-    graded = np.array([1.0 / 64.0, 1.0 / 16.0, 1.0 / 4.0])
+    graded = np.array([1.0 / 1024.0, 1.0 / 256.0, 1.0 / 64.0, 1.0 / 16.0, 1.0 / 4.0])
     return np.concatenate(
         [even[:1], even[1] * graded, even[1:-1], 1.0 - (1.0 - even[-2]) * graded[::-1], even[-1:]]
     )
 
 
-def _fastest_law(rows: PathLimits, joints: int) -> Trajectory | None:
+def _fastest_law(rows: PathLimits, joints: int, *, eased: bool) -> Trajectory | None:
     """Time law s(t) of the fastest motion; passes improve the bound of viscous friction."""
     squared = rows.squared_speed_max
     law = None
     for _ in range(_PASSES if np.any(rows.loss) else 1):
-        speed = _path_speed(rows, rows.linearised(squared), joints)
+        linear = rows.linearised(squared)
+        speed = _path_speed(rows, linear, joints)
+        if speed is not None and eased:
+            speed = _eased_speed(rows, linear, joints, speed)
         if speed is None:
             break
-        better = _law(rows.grid, speed)
+        better = _law(rows.grid, speed, eased=eased)
         settled = law is not None and law.duration - better.duration < _SETTLED * law.duration
         law = better if law is None or better.duration < law.duration else law
         if settled:
@@ -153,23 +161,52 @@ def _fastest_law(rows: PathLimits, joints: int) -> Trajectory | None:
     return law
 
 
-def _law(grid: np.ndarray, speed: np.ndarray) -> Trajectory:
-    """Time law with constant path acceleration between grid points."""
+def _law(grid: np.ndarray, speed: np.ndarray, *, eased: bool) -> Trajectory:
+    """Time law with constant path acceleration between grid points, or linear in the outer two."""
     step = np.diff(grid)
-    times = np.concatenate([[0.0], np.cumsum(2.0 * step / (speed[:-1] + speed[1:]))])
-    acceleration = np.diff(speed**2) / (2.0 * step)
-    return Trajectory.from_acceleration(times, acceleration[:, None, None], [0.0], speed[:1])
+    duration = 2.0 * step / (speed[:-1] + speed[1:])
+    acceleration = np.zeros((len(step), 2 if eased else 1, 1))
+    acceleration[:, 0, 0] = np.diff(speed**2) / (2.0 * step)
+    if eased:
+        # From rest at a rate r: s = r t^3 / 6 and ds/dt = r t^2 / 2, so that t = 3 s / (ds/dt).
+        duration[[0, -1]] *= 1.5
+        rate = 2.0 * speed[[1, -2]] / duration[[0, -1]] ** 2
+        acceleration[[0, -1], :, 0] = [[0.0, rate[0]], [-rate[1] * duration[-1], rate[1]]]
+    times = np.concatenate([[0.0], np.cumsum(duration)])
+    return Trajectory.from_acceleration(times, acceleration, [0.0], speed[:1])
+
+
+def _eased_speed(
+    rows: PathLimits,
+    linear: tuple[np.ndarray, np.ndarray, np.ndarray],
+    joints: int,
+    speed: np.ndarray,
+) -> np.ndarray | None:
+    """Path speed with which an acceleration that rises from zero and falls to it ends as high.
+
+    A ramp over a distance s to the speed v ends at 4 v^2 / (6 s), where a constant acceleration is
+    v^2 / (2 s): the square of the speed is three quarters. In between the path is as fast as it can
+    be from there.
+    """
+    outer = np.sqrt(0.75) * speed[[1, -2]]
+    inner = _path_speed(rows, linear, joints, slice(1, -1), (outer[0], outer[1]))
+    return None if inner is None else np.concatenate([speed[:1], inner, speed[-1:]])
 
 
 def _path_speed(
-    rows: PathLimits, linear: tuple[np.ndarray, np.ndarray, np.ndarray], joints: int
+    rows: PathLimits,
+    linear: tuple[np.ndarray, np.ndarray, np.ndarray],
+    joints: int,
+    part: slice = slice(None),
+    outer: tuple[float, float] = (0.0, 0.0),
 ) -> np.ndarray | None:
-    """Path speed ds/dt on the grid by toppra, or None."""
+    """Path speed ds/dt on a part of the grid by toppra, `outer` at its ends; None if it fails."""
     with _quiet():
         with _figures_later():
             from toppra.algorithm import TOPPRA
             from toppra.constraint import DiscretizationType, LinearConstraint
             from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
+        grid, ceiling = rows.grid[part], rows.squared_speed_max[part]
 
         class Rows(LinearConstraint):  # type: ignore[misc]
             """Given rows in toppra's form."""
@@ -182,13 +219,15 @@ def _path_speed(
 
             def compute_constraint_params(self, path: Any, gridpoints: Any) -> tuple[Any, ...]:
                 count = linear[0].shape[1]
-                bounds = np.column_stack([np.zeros(len(rows.grid)), rows.squared_speed_max])
+                bounds = np.column_stack([np.zeros(len(grid)), ceiling])
+                given = (each[part] for each in linear)
                 return canlinear_colloc_to_interpolate(  # type: ignore[no-any-return]
-                    *linear, np.eye(count), np.ones(count), None, bounds, rows.grid, identical=True
+                    *given, np.eye(count), np.ones(count), None, bounds, grid, identical=True
                 )
 
-        solver = TOPPRA([Rows()], _Interval(joints), gridpoints=rows.grid, solver_wrapper="seidel")
-        _, speed, _ = solver.compute_parameterization(0.0, 0.0)
+        whole = _Interval(joints, (grid[0], grid[-1]))
+        solver = TOPPRA([Rows()], whole, gridpoints=grid, solver_wrapper="seidel")
+        _, speed, _ = solver.compute_parameterization(*outer)
     if speed is None or not np.all(np.isfinite(speed)) or np.any(speed[:-1] + speed[1:] <= 0):
         return None
     return np.asarray(speed, dtype=float)
@@ -197,10 +236,8 @@ def _path_speed(
 class _Interval:
     """All that toppra asks of a path once its rows are given."""
 
-    path_interval = (0.0, 1.0)
-
-    def __init__(self, joints: int) -> None:
-        self.dof = joints
+    def __init__(self, joints: int, within: tuple[float, float]) -> None:
+        self.dof, self.path_interval = joints, within
 
 
 @contextmanager

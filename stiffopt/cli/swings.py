@@ -187,8 +187,8 @@ def modes(
 ) -> int:
     """Frequencies, damping and shapes of an arm's small swings about poses at rest.
 
-    Of a problem file in its start, vias and end; of the folder of a solve along the motion, which
-    writes modes.csv and modes.svg.
+    Of a problem file in its start, vias and end; of a robot at --at, else where a first problem of
+    it would start; of the folder of a solve along the motion, which writes modes.csv and modes.svg.
 
     Parameters
     ----------
@@ -225,11 +225,12 @@ def modes(
 def _poses(
     source: str, at: str | None, changes: Sequence[str]
 ) -> tuple[Robot, dict[str, np.ndarray]]:
-    """Robot and named joint angles: of a problem file, or of a robot at --at."""
+    """Robot and named joint angles: of a problem file, or of a robot at --at or its first start."""
     from stiffopt.files import load_toml
     from stiffopt.problem.files import load_problem
     from stiffopt.problem.resolve import resolve
     from stiffopt.robot.files import load_robot
+    from stiffopt.starter.first_motion import first_motion
 
     path = Path(source)
     if path.suffix == ".toml" and path.is_file() and load_toml(path).get("kind") == "trajectory":
@@ -241,8 +242,8 @@ def _poses(
         return problem.robot, {"start": motion.start, **vias, "end": motion.end}
     robot = load_robot(source, changes=changes)
     if at is None:
-        names = ", ".join(robot.joint_names)
-        raise InputError(f"modes belong to a pose: give --at with an angle for each of {names}.")
+        # The pose that `init` lets the robot's first problem start in.
+        return robot, {"start of its first problem": first_motion(robot).start}
     return robot, {at: _pose(at, robot)}
 
 

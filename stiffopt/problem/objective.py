@@ -67,6 +67,8 @@ class ObjectiveKind(ABC):
         One sentence, for the file reference.
     phrase : str
         As people say it, without the measure.
+    prefixed : bool
+        Whether its unit is read with a prefix, such as mm; not where it stands for an integral.
     maximised : bool
         Whether a larger value is better.
     measured : bool
@@ -103,6 +105,7 @@ class ObjectiveKind(ABC):
     description: str
     phrase: str
     maximised = False
+    prefixed = True
     measured = False
     ends_motion = False
     smoothing: tuple[float, ...] = UNSMOOTHED

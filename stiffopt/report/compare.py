@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,22 @@ from typing import Any
 from stiffopt.errors import InputFileError, more
 from stiffopt.files import load_json
 from stiffopt.folders import check_result
-from stiffopt.report.common.text import DASH
+from stiffopt.report.common.text import DASH, si, words
 
 ANSWERS = ("result.json", "diagnosis.json", "study.json", "stiffness.json")
 # Relative difference below which two numbers are the same; times of a solver never are.
 _SAME = 1e-9
 _LEFT_OUT = ("versions", "solver", "inputs_hash", "detection_limits", "faults", "homotopy")
+# SI units of entries that have one name in all answers.
+_UNITS = {
+    "duration": "s",
+    "time": "s",
+    "settling_time": "s",
+    "peak": "m",
+    "rms": "m",
+    "settling_band": "m",
+    "typical_hysteresis": "m",
+}
 
 Row = tuple[str, str, str, str]
 
@@ -33,13 +44,42 @@ def compared(first: Path, second: Path) -> tuple[str, list[Row]]:
         raise InputFileError(
             second, "", f"holds {names[1]}, {first} holds {names[0]}. Compare two of one kind."
         )
-    one, two = (dict(_leaves(load_json(folder / names[0]))) for folder in (first, second))
+    documents = [load_json(folder / names[0]) for folder in (first, second)]
+    one, two = (dict(_leaves(document)) for document in documents)
+    units = [_objective_unit(document) for document in documents]
     rows = []
     for key in dict.fromkeys((*one, *two)):
         a, b = one.get(key), two.get(key)
         if not _equal(a, b):
-            rows.append((key, _text(a), _text(b), _change(key, a, b)))
+            was, now = _text(a, _unit_of(key, units[0])), _text(b, _unit_of(key, units[1]))
+            rows.append((quantity(key), was, now, _change(key, a, b)))
     return names[0], rows
+
+
+def quantity(key: str) -> str:
+    """Place of an entry in words.
+
+    >>> quantity("certificate.violations[2].value"), quantity("baselines.toppra.duration")
+    ('certificate, violations 2, value', 'baselines, toppra, duration')
+    """
+    parts = [re.sub(r"\[(\d+)\]", r" \1", part) for part in key.split(".")]
+    return ", ".join(words(part).strip() for part in parts)
+
+
+def _objective_unit(document: Any) -> str:
+    """Unit of the objective's value in a document; "" where it says none."""
+    objective = document.get("objective") if isinstance(document, dict) else None
+    return str(objective.get("unit", "")) if isinstance(objective, dict) else ""
+
+
+def _unit_of(key: str, objective: str) -> str:
+    """SI unit of an entry as far as its name tells, `objective` of the objective's values."""
+    place = re.sub(r"\[\d+\]", "", key)
+    if place == "objective.value" or re.fullmatch(
+        r"(baselines\..+|strict_baseline)\.objective", place
+    ):
+        return objective
+    return _UNITS.get(place.rpartition(".")[2], "")
 
 
 def _answer(folder: Path) -> str:
@@ -70,11 +110,11 @@ def _equal(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-def _text(value: Any) -> str:
+def _text(value: Any, unit: str) -> str:
     if value is None:
         return DASH
     if isinstance(value, float):
-        return f"{value:.6g}"
+        return si(value, unit, 6)
     text = str(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 

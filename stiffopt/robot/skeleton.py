@@ -39,14 +39,25 @@ def reach(tree: BodyTree, tool: LinkFrame) -> float:
     return float(np.sum(steps) + np.linalg.norm(tool.offset))
 
 
+def mounting_distance(tree: BodyTree) -> float:
+    """Distance of the first joint from the origin where no link is as long [m]; else zero.
+
+    An arm under a ceiling or on a gantry is placed by it: there is no part of the arm between.
+    """
+    first, *others = (float(np.linalg.norm(body.translation)) for body in tree.bodies)
+    return first if others and first > max(others) else 0.0
+
+
 def capsules(tree: BodyTree, tool: LinkFrame) -> list[Capsule]:
-    """One from every joint to each joint behind it, and one to the tool."""
+    """One from every joint to each joint behind it, and one to the tool; none for a mounting."""
+    mounted = mounting_distance(tree) > 0.0
     radii = joint_radii(tree, tool)
     rods = [
         Capsule(
             body.parent, np.zeros(3), np.array(body.translation), radii[max(body.parent, 1) - 1]
         )
         for body in tree.bodies
+        if not (mounted and body.parent == 0)
     ]
     end = tool.offset
     if np.linalg.norm(end) <= 1e-9:
@@ -58,4 +69,5 @@ def capsules(tree: BodyTree, tool: LinkFrame) -> list[Capsule]:
 
 def joint_radii(tree: BodyTree, tool: LinkFrame) -> list[float]:
     """Radius of the link behind each joint (n,) [m]: thick at the base, thin at the tool."""
-    return [float(r) for r in reach(tree, tool) * np.linspace(_THICK, _THIN, tree.n)]
+    own = reach(tree, tool) - mounting_distance(tree)
+    return [float(r) for r in own * np.linspace(_THICK, _THIN, tree.n)]

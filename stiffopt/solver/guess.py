@@ -10,12 +10,15 @@ from stiffopt.problem.formulation import static_variables
 from stiffopt.problem.resolve import ResolvedMotion
 from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
+from stiffopt.result.joint_path import JointPath
 from stiffopt.result.solution import Baseline
 from stiffopt.transcription.ocp import Guess
 
 # Samples of a smoothed guess, and how many of the windows it is averaged over fill its duration.
 _FINE = 2000
 _WINDOWS = 25
+# Of a path where a motion's place on it is sought, and projections onto its tangent after that.
+_PATH_SAMPLES, _PROJECTIONS = 20001, 3
 
 
 def initial_guess(
@@ -29,11 +32,11 @@ def initial_guess(
 def guess_along(problem: TrajectoryProblem, motion: ResolvedMotion, source: Assessment) -> Guess:
     """A guess from an assessed motion, sampled; vias at the instants where it passes them.
 
-    Of a fixed path only the duration and the bounds are taken over, with uniform progress.
+    On a fixed path its time law is taken over.
     """
     statics = _statics(problem, motion, source)
     if problem.path is not None:
-        return _path_guess(source, statics)
+        return _path_guess(JointPath.through(problem.path), source, statics)
     states, controls = np.hstack([source.position, source.velocity]), source.acceleration
     s = source.time / source.duration
     if problem.plans_links:
@@ -83,19 +86,44 @@ def _sampler(s: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np.nda
     return sample
 
 
-def _path_guess(source: Assessment, statics: np.ndarray) -> Guess:
-    """Uniform progress with a smooth start and stop along the path coordinate."""
-    s = np.linspace(0.0, 1.0, 201)
-    duration = source.duration
-    states = np.stack([s**2 * (3 - 2 * s), 6 * s * (1 - s) / duration], axis=1)
-    controls = ((6 - 12 * s) / duration**2)[:, None]
+def _path_guess(path: JointPath, source: Assessment, statics: np.ndarray) -> Guess:
+    """Time law of the motion as a guess of the path coordinate."""
+    s, speed, acceleration = _time_law(path, source)
+    at = source.time / source.duration
     return Guess(
-        states=_sampler(s, states),
-        controls=_sampler(s, controls),
-        duration=duration,
+        states=_sampler(at, np.stack([s, speed], axis=1)),
+        controls=_sampler(at, acceleration[:, None]),
+        duration=source.duration,
         statics=statics,
         phase_fractions=np.ones(1),
     )
+
+
+def _time_law(path: JointPath, source: Assessment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Path coordinate of a motion along a path, its speed and its acceleration (K,).
+
+    Arc length tells the piece of the path, so that one that meets itself is followed in order;
+    projection on the tangent removes what chords are shorter than the path.
+    """
+    dense = np.linspace(0.0, 1.0, _PATH_SAMPLES)
+    covered, length = _arc_length(source.position), _arc_length(path(dense))
+    s = np.interp(covered / covered[-1], length / length[-1], dense)
+    for _ in range(_PROJECTIONS):
+        tangent = path(s, 1)
+        along = np.einsum("kj,kj->k", source.position - path(s), tangent)
+        s = np.clip(s + along / np.einsum("kj,kj->k", tangent, tangent), 0.0, 1.0)
+    s = np.maximum.accumulate(s)
+    tangent = path(s, 1)
+    square = np.einsum("kj,kj->k", tangent, tangent)
+    speed = np.einsum("kj,kj->k", source.velocity, tangent) / square
+    rest = source.acceleration - path(s, 2) * speed[:, None] ** 2
+    return s, np.maximum(speed, 0.0), np.einsum("kj,kj->k", rest, tangent) / square
+
+
+def _arc_length(points: np.ndarray) -> np.ndarray:
+    """Length of the polygon through the points up to each of them (K,)."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def _statics(problem: TrajectoryProblem, motion: ResolvedMotion, source: Assessment) -> np.ndarray:

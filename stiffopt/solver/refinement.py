@@ -30,6 +30,7 @@ from stiffopt.solver.stages import (
     Outcome,
     Programme,
     corrected,
+    finer_mesh,
     motors_of,
     outcome_of,
     run_stages,
@@ -40,7 +41,6 @@ from stiffopt.solver.verdict import TRUE_OBJECTIVE
 from stiffopt.transcription.between import Excess, KnownRows, drawn_in, excess_of, tightened
 from stiffopt.transcription.nlp import Nlp
 from stiffopt.transcription.point_function import PointFunction
-from stiffopt.transcription.refine import refine_mesh
 
 # Motions are tightened until the excess is below this, so that the certificate's tolerance is never
 # only just met.
@@ -94,15 +94,16 @@ def _on_finer_mesh(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> O
         true = _CLOSE if _is_behind(run.problem, outcome, rival) else TRUE_OBJECTIVE
         if not outcome.raw.converged or not (excess or outcome.objective_gap > true):
             break
+        if attempt > 1 and run.problem.path is not None:
+            # All limits are path rows: they are drawn in where they are exceeded, and only there.
+            return _within_rows(run, outcome, outcome.transcription.nlp)[0]
         if attempt > 1:
             for name, value in excess.items():
                 margins[name] = margins.get(name, 0.0) + value
-        intervals = int(np.ceil(run.problem.method.intervals * _GROWTH**attempt))
         before = outcome.transcription
-        guess, mesh = (
-            before.guess_from(outcome.raw.x),
-            refine_mesh(before, outcome.raw.x, intervals),
-        )
+        intervals = int(np.ceil(len(before.intervals) * _GROWTH))
+        guess = before.guess_from(outcome.raw.x)
+        mesh = finer_mesh(run.problem, before, outcome.raw.x, intervals)
         stage = SolveStage(intervals, outcome.smoothing)
         try:
             finer = run_stages(run, (stage,), guess, margins, mesh)

@@ -48,19 +48,25 @@ from stiffopt.solver.slower import slower_advice
 from stiffopt.solver.solve_run import LEAST_TIME, ProgressCallback, SolveRun
 from stiffopt.solver.stages import Outcome, run_stages
 from stiffopt.solver.unsolved import (
+    ON_PATH,
     as_good_as_can_be,
     below_the_base,
+    bound_reason,
+    fastest_on_path,
     hopeless,
     only_baseline,
     pinned_by_a_bound,
     solver_record,
 )
-from stiffopt.solver.verdict import baseline_above, beyond_limits, verdict
+from stiffopt.solver.verdict import baseline_above, beyond_limits, optimum_reach, verdict
 from stiffopt.solver.way_around import led_around
 from stiffopt.transcription.ocp import Guess
 
 # Share of the best objective within which an optimum counts as the same.
 _NEAR = 0.01
+# Standard deviation of a random start's detour [rad], and of the skew of its timing on a path; no
+# motion turns back within the range of the skew.
+_DETOUR, _SKEW, _SKEW_RANGE = 0.2, 0.4, (-0.9, 0.9)
 # How a solve ends where the duration may be too short for any motion.
 _TOO_FAST = (SolveStatus.CERTIFICATE_FAILED, SolveStatus.INFEASIBLE, SolveStatus.ITERATION_LIMIT)
 # Of what an objective need not be below, within which it counts as lowered to that.
@@ -153,7 +159,7 @@ def solve_keeping(
         inner = functools.partial(solve, progress=progress, guess=guess, throw=False)
         solution = solve_shaped(problem, motion, beside, notes, inner)
     elif (pinned := pinned_by_a_bound(run, beside)) is not None and not start:
-        solution = as_good_as_can_be(run, beside, notes, *pinned)
+        solution = as_good_as_can_be(run, beside, notes, pinned[0], bound_reason(pinned[1]))
     else:
         rival = better_baseline(problem, beside)
         try:
@@ -163,17 +169,21 @@ def solve_keeping(
                 random = np.random.default_rng([problem.method.seed, start])
                 begin = _perturbed(begin, problem, random)
             outcome = _best_of_starts(run, begin, rival)
-            outcome = _from_baseline_above(run, outcome, beside, rival)
+            rivals = _with_strict(beside, _strict(run, beside) if compare else None)
+            outcome = _from_baseline_above(run, outcome, rivals, rival)
             kept = (run, outcome)
             if problem.avoids_collisions:
                 outcome = led_around(run, outcome, rival, searches=problem.method.starts)
                 # Its rows are of this motion only: nothing else can be solved from there.
                 kept = None if run.avoidance else (run, outcome)
                 beside |= {} if run.detour is None else {run.detour.name: run.detour}
-            robust = robust_plan(run, outcome)
-            solution = solution_of(run, robust, beside, notes, compare=compare)
-            shaped = functools.partial(_shaped_over, run, beside, notes, guess)
-            solution = shaped_for_arms(run, solution, outcome, shaped)
+            if (fastest := fastest_on_path(problem, outcome, beside)) is not None:
+                solution, kept = as_good_as_can_be(run, beside, notes, fastest, ON_PATH), None
+            else:
+                robust = robust_plan(run, outcome)
+                solution = solution_of(run, robust, beside, notes, compare=compare)
+                shaped = functools.partial(_shaped_over, run, beside, notes, guess)
+                solution = shaped_for_arms(run, solution, outcome, shaped)
         except KeyboardInterrupt:
             solution = only_baseline(run, beside, notes)
     if simulate:
@@ -254,6 +264,7 @@ def _best_of_starts(run: SolveRun, guess: Guess, rival: Baseline | None) -> Outc
         except KeyboardInterrupt:
             return stopped(best)
         made.append(last)
+        run.starts_made = len(made)
         best = min(made, key=lambda outcome: rank(problem, outcome))
     if len(made) > 1:
         run.notes.append(_spread(problem, made))
@@ -267,6 +278,8 @@ def _from_baseline_above(
     above = baseline_above(run.problem, outcome, beside)
     late = run.elapsed > run.problem.method.time_limit
     if above is None or above.assessment is None or late or outcome.raw.status == "interrupted":
+        return outcome
+    if fastest_on_path(run.problem, outcome, beside) is not None:
         return outcome
     guess = guess_along(run.problem, run.motion, above.assessment)
     try:
@@ -319,9 +332,11 @@ def _done(outcome: Outcome) -> bool:
 
 
 def _perturbed(guess: Guess, problem: TrajectoryProblem, random: np.random.Generator) -> Guess:
-    """The guess with a smooth random detour that vanishes at both ends."""
-    n = problem.joints if problem.path is None else 1
-    amplitude = random.normal(scale=0.2 if problem.path is None else 0.0, size=n)
+    """The guess with a smooth random detour that vanishes at both ends; on a path, other timing."""
+    if problem.path is not None:
+        return _retimed(guess, float(np.clip(random.normal(scale=_SKEW), *_SKEW_RANGE)))
+    n = problem.joints
+    amplitude = random.normal(scale=_DETOUR, size=n)
 
     def moved(s: np.ndarray) -> np.ndarray:
         values = np.array(guess.states(s))
@@ -334,6 +349,24 @@ def _perturbed(guess: Guess, problem: TrajectoryProblem, random: np.random.Gener
     return replace(guess, states=moved)
 
 
+def _retimed(guess: Guess, skew: float) -> Guess:
+    """The guess on a path, at the scaled time w where it was at t: w = t + skew t (1 - t)."""
+
+    def warped(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return t + skew * t * (1.0 - t), (1.0 + skew * (1.0 - 2.0 * t))[:, None]
+
+    def states(t: np.ndarray) -> np.ndarray:
+        w, rate = warped(np.asarray(t))
+        return np.asarray(guess.states(w) * np.hstack([np.ones_like(rate), rate]))
+
+    def controls(t: np.ndarray) -> np.ndarray:
+        w, rate = warped(np.asarray(t))
+        speed = np.asarray(guess.states(w))[:, 1:]
+        return np.asarray(guess.controls(w) * rate**2 - 2.0 * skew * speed / guess.duration)
+
+    return replace(guess, states=states, controls=controls)
+
+
 def solution_of(
     run: SolveRun,
     outcome: Outcome,
@@ -344,7 +377,14 @@ def solution_of(
 ) -> Solution:
     """The solution of an outcome; `compare` looks for the baseline that keeps every limit."""
     problem, assessment = run.problem, with_collisions(run.problem, outcome.assessment)
-    found = verdict(problem, outcome, assessment, beside)
+    strict = None
+    if compare and outcome.raw.status != "infeasible":
+        strict = _strict(run, beside)
+    rivals = _with_strict(beside, strict)
+    found = verdict(problem, outcome, assessment, rivals)
+    if found.status is SolveStatus.OPTIMAL:
+        reach = optimum_reach(problem, rivals, run.starts_made)
+        found = replace(found, message=f"{found.message} {reach}")
     end = beyond_limits(problem, assessment, found, run.unavoided)
     slipping = slips(problem.robot, assessment)
     if slipping and slip_text(slipping) not in end.message:
@@ -361,9 +401,8 @@ def solution_of(
         and end.status is not SolveStatus.INFEASIBLE
     ):
         ratio = improvement(problem, value.value, rival.objective)
-    strict = None
-    if compare and end.status is not SolveStatus.INFEASIBLE:
-        strict = _strict(run, beside)
+    if end.status is SolveStatus.INFEASIBLE:
+        strict = None
     return Solution(
         status=end.status,
         message=end.message,
@@ -403,8 +442,13 @@ def _low_enough(run: SolveRun, value: float) -> list[str]:
 
 
 def _strict(run: SolveRun, beside: dict[str, Baseline]) -> Baseline | None:
-    """The baseline that keeps every limit; not looked for any more after Ctrl-C."""
-    try:
-        return strict_baseline(run.problem, run.motion, beside)
-    except KeyboardInterrupt:
-        return None
+    """The baseline that keeps every limit, sought once; not looked for any more after Ctrl-C."""
+    if run.strict is None:
+        with suppress(KeyboardInterrupt):
+            run.strict = strict_baseline(run.problem, run.motion, beside)
+    return run.strict
+
+
+def _with_strict(beside: dict[str, Baseline], strict: Baseline | None) -> dict[str, Baseline]:
+    """All motions that may be better than the optimised one."""
+    return beside if strict is None else beside | {strict.name: strict}

@@ -75,7 +75,8 @@ class SolveRun:
     `quintic` is the baseline by which corners of the motors' law are made wide enough;
     `at_rest` says that nothing may swing on after arrival, whatever limits allow; `avoidance`, once
     it is there, keeps the motion clear of collisions; `unavoided` says what was tried in vain,
-    `detour` is the motion along a path around; `command` is its command on uncertain arms, where
+    `detour` is the motion along a path around; `strict` is the best baseline that keeps every
+    limit, once it is known; `command` is its command on uncertain arms, where
     that has been asked for.
     """
 
@@ -88,11 +89,13 @@ class SolveRun:
     avoidance: Avoidance | None = None
     unavoided: str = ""
     detour: Baseline | None = None
+    strict: Baseline | None = None
     command: CommandOnArms | None = None
     begin: float = field(default_factory=time.perf_counter)
     build_s: float = 0.0
     solve_s: float = 0.0
     iterations: int = 0
+    starts_made: int = 1
     homotopy: list[dict[str, Any]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 

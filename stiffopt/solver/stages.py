@@ -15,6 +15,7 @@ from stiffopt.certificate.objective_value import is_maximised, objective_value
 from stiffopt.problem.formulation import formulate
 from stiffopt.problem.motor_model import WIDER
 from stiffopt.problem.smoothing import Smoothing
+from stiffopt.problem.trajectory import TrajectoryProblem
 from stiffopt.result.assessment import Assessment
 from stiffopt.result.joint_path import JointPath
 from stiffopt.result.trajectory import Trajectory
@@ -27,7 +28,7 @@ from stiffopt.solver.solve_run import SolveProgress, SolveRun
 from stiffopt.symbolic import array_of
 from stiffopt.transcription import compiled
 from stiffopt.transcription.build import CompiledLater, transcribe
-from stiffopt.transcription.mesh import Mesh, uniform_mesh
+from stiffopt.transcription.mesh import Mesh, split_counts, uniform_mesh
 from stiffopt.transcription.nlp import BlockScales, Nlp
 from stiffopt.transcription.ocp import Guess, OptimalControlProblem
 from stiffopt.transcription.refine import refine_mesh
@@ -48,6 +49,12 @@ _NEAR = 1.0
 _SPIKE = 10.0
 # Of a start whose bounds have been drawn in, from them.
 _PUSH = 1e-3
+# Intervals of a fixed path for each piece of its spline, at whose ends the rate of its curvature
+# jumps: limits that fewer do not see are exceeded between the nodes.
+_PER_PIECE = 3
+# Instants at which a guess is asked when it passes the knots of a path; and the time for a piece at
+# least, as a share of the average, where the guess is at rest.
+_PATH_INSTANTS, _LEAST_SHARE = 20001, 1e-2
 
 
 @dataclass(frozen=True)
@@ -157,11 +164,14 @@ def _solved(
     while index <= last:
         stage = plan[index]
         if made is None or raw is None:
-            made = build_programme(run, ocp, mesh or _uniform(ocp, stage, guess), guess)
+            first = mesh or _first_mesh(run.problem, ocp, stage, guess)
+            made = build_programme(run, ocp, first, guess)
             x = made.transcription.pack(guess)
         elif stage.new_mesh:
             guess = made.transcription.guess_from(raw.x)
-            finer = refine_mesh(made.transcription, raw.x, stage.intervals)
+            finer = finer_mesh(
+                run.problem, made.transcription, raw.x, _resolving(run.problem, stage)
+            )
             made = build_programme(run, ocp, finer, guess, smoothing=stage.smoothing)
             if run.problem.plans_links:
                 stage = _no_spike(stage, plan[index - 1], made.transcription, guess)
@@ -417,8 +427,47 @@ def _excess(transcription: Transcription, guess: Guess, smoothing: Smoothing) ->
     return float(nlp.violations(array_of(found)).max(initial=0.0))
 
 
-def _uniform(ocp: OptimalControlProblem, stage: SolveStage, guess: Guess) -> Mesh:
+def _first_mesh(
+    problem: TrajectoryProblem, ocp: OptimalControlProblem, stage: SolveStage, guess: Guess
+) -> Mesh:
+    """Even intervals within each phase, or within each piece of a fixed path."""
+    if problem.path is not None:
+        return _path_mesh(problem.path, guess, _resolving(problem, stage))
     return uniform_mesh(stage.intervals, ocp.phases, tuple(guess.phase_fractions))
+
+
+def finer_mesh(
+    problem: TrajectoryProblem, before: Transcription, x: np.ndarray, intervals: int
+) -> Mesh:
+    """Mesh for the motion `x`: short where its controls change, on a path between its waypoints."""
+    if problem.path is not None:
+        return _path_mesh(problem.path, before.guess_from(x), intervals)
+    return refine_mesh(before, x, intervals)
+
+
+def _path_mesh(waypoints: np.ndarray, guess: Guess, intervals: int) -> Mesh:
+    """Mesh with nodes where a motion passes the waypoints, at which the curvature's rate jumps.
+
+    Parameters
+    ----------
+    waypoints : array (m, n)
+    guess : Guess
+        The motion: path coordinate and its speed.
+    intervals : int
+    """
+    at = np.linspace(0.0, 1.0, _PATH_INSTANTS)
+    knots = JointPath.through(waypoints).knots
+    shares = np.diff(np.interp(knots, guess.states(at)[:, 0], at))
+    shares = np.maximum(shares, _LEAST_SHARE / len(shares))
+    shares /= shares.sum()
+    counts = split_counts(intervals, shares, _PER_PIECE)
+    return [np.repeat(shares / counts, counts)]
+
+
+def _resolving(problem: TrajectoryProblem, stage: SolveStage) -> int:
+    """Intervals of a stage, no fewer than show where the pieces of a fixed path bend."""
+    pieces = 0 if problem.path is None else len(problem.path) - 1
+    return max(stage.intervals, _PER_PIECE * pieces)
 
 
 def _trajectory(

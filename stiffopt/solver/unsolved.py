@@ -13,10 +13,16 @@ from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution, SolverRecord
 from stiffopt.result.status import SolveStatus
 from stiffopt.solver.solve_run import SolveRun
-from stiffopt.solver.verdict import Verdict, beyond_limits
+from stiffopt.solver.stages import Outcome
+from stiffopt.solver.verdict import Verdict, baseline_above, beyond_limits, has_one_optimum
 
 # Distance from a bound at which an objective is at it.
 _AT = 1e-3
+# Why toppra's motion on a fixed path is the answer, as the rest of a sentence.
+ON_PATH = (
+    "on a given path it is the fastest within limits on velocity, acceleration, drive torque and "
+    "tool speed. To be faster, change the path or the limits."
+)
 # A tool this far below the base's origin is told [m].
 _BELOW = 0.01
 
@@ -56,14 +62,36 @@ def pinned_by_a_bound(run: SolveRun, beside: dict[str, Baseline]) -> tuple[Basel
     return None
 
 
+def bound_reason(bound: Bound) -> str:
+    """Why a baseline at a bound is the answer, as the rest of a sentence."""
+    return (
+        f"no motion is better by more than {_AT:.1%}. {bound.text} To gain anything, choose other "
+        "poses or another objective."
+    )
+
+
+def fastest_on_path(
+    problem: TrajectoryProblem, outcome: Outcome, beside: dict[str, Baseline]
+) -> Baseline | None:
+    """The fastest motion on a fixed path, where it keeps all limits and the optimiser's is slower.
+
+    The time law of a given path has one optimum, which toppra's grid resolves better than
+    collocation on a path that is noisy.
+    """
+    if not has_one_optimum(problem, beside):
+        return None
+    above = baseline_above(problem, outcome, beside)
+    return above if above is not None and above.name == "toppra" else None
+
+
 def as_good_as_can_be(
     run: SolveRun,
     beside: dict[str, Baseline],
     notes: tuple[str, ...],
     best: Baseline,
-    bound: Bound,
+    reason: str,
 ) -> Solution:
-    """No solve where a given pose pins the objective to what a baseline has already."""
+    """The motion of a baseline as the optimum; `reason` says why none is better."""
     problem, motion = run.problem, best.assessment
     assert motion is not None
     end = beyond_limits(
@@ -71,9 +99,7 @@ def as_good_as_can_be(
         motion,
         Verdict(
             SolveStatus.OPTIMAL,
-            f"The {best.name} motion is the answer: it keeps every limit, and no motion is better "
-            f"by more than {_AT:.1%}. {bound.text} To gain anything, choose other poses or another "
-            "objective.",
+            f"The {best.name} motion is the answer: it keeps every limit, and {reason}",
         ),
     )
     return Solution(
@@ -85,7 +111,7 @@ def as_good_as_can_be(
         baselines=beside,
         ratio_to_better_baseline=1.0,
         solver=solver_record(run, 0),
-        notes=(*notes, *below_the_base(problem, motion)),
+        notes=(*notes, *run.notes, *below_the_base(problem, motion)),
         inputs_hash=inputs_hash(problem),
         versions=versions(),
         strict_baseline=best,

@@ -42,7 +42,7 @@ _MOST = 0.5
 # Ratio of every baseline's deflection to its limit from which on that is told as out of reach: no
 # optimum has been seen so far below them.
 _OUT_OF_REACH = 10.0
-# A baseline may use what limits may be exceeded by.
+# A baseline may use what limits may be exceeded by: it has to be better by more than that share.
 _WORSE = CERTIFIED
 # Bounds of states and controls in a programme are limits of the joints: "control rate, acceleration
 # of joint 1 (at 50 %)" is that of the jerk.
@@ -219,6 +219,42 @@ def baseline_above(
         if motion.feasible(CERTIFIED) and (better or not certified):
             return baseline
     return None
+
+
+def has_one_optimum(problem: TrajectoryProblem, beside: dict[str, Baseline]) -> bool:
+    """Return True where the problem is known to have no local optimum beside the global one.
+
+    That is the shortest duration on a fixed path, as far as limits go that toppra takes: they are
+    convex in the square of the path speed.
+    """
+    toppra = beside.get("toppra")
+    fastest = [each.name for each in problem.objectives] == ["duration"]
+    return (
+        problem.path is not None
+        and fastest
+        and toppra is not None
+        and toppra.feasible
+        and toppra.assessment is not None
+        and toppra.assessment.feasible(CERTIFIED)
+    )
+
+
+def optimum_reach(problem: TrajectoryProblem, beside: dict[str, Baseline], starts_made: int) -> str:
+    """Sentence on how far an optimum is known to be one: local or global, and what was tried."""
+    kept = [
+        each.name
+        for each in beside.values()
+        if each.feasible and each.assessment is not None and each.assessment.feasible(CERTIFIED)
+    ]
+    if has_one_optimum(problem, beside):
+        return "On a given path the shortest duration is the global optimum."
+    tried = "one start" if starts_made == 1 else f"the best of {starts_made} starts"
+    rivals = (
+        f"no baseline that keeps every limit ({', '.join(kept)}) is better"
+        if kept
+        else "no baseline keeps every limit within the duration"
+    )
+    return f"It is a local optimum, from {tried}; {rivals}. More method.starts look further."
 
 
 def _virtue(outcome: Outcome) -> str:

@@ -103,7 +103,8 @@ def test_one_entry_changed_for_a_run_and_the_answers_compared(tmp_path, capsys):
     capsys.readouterr()
     assert run(["compare", str(one), str(two)]) == 0
     said = capsys.readouterr().out
-    assert "objective.value" in said
+    assert "objective, value" in said
+    assert "objective.value" not in said
     assert "-87.5 %" in said
     assert run(["compare", str(one), str(one)]) == 0
     assert "the two answers are the same" in capsys.readouterr().out
@@ -118,7 +119,7 @@ def test_another_joint_is_no_percentage(tmp_path):
         answer = {"worst": {"joint": joint, "time": time}}
         (tmp_path / name / "result.json").write_text(json.dumps(answer))
     _, rows = compared(tmp_path / "one", tmp_path / "two")
-    assert rows == [("worst.joint", "6", "4", ""), ("worst.time", "1", "1.5", "+50 %")]
+    assert rows == [("worst, joint", "6", "4", ""), ("worst, time", "1 s", "1.5 s", "+50 %")]
 
 
 def test_the_report_opens_where_it_is_asked_for(tmp_path, monkeypatch):

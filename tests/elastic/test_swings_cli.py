@@ -11,6 +11,11 @@ import pytest
 from small_arms import joint, write_problem, write_robot
 
 from stiffopt.cli import run
+from stiffopt.elastic.arm import ElasticArm
+from stiffopt.elastic.modes import modes
+from stiffopt.report.common.text import significant
+from stiffopt.robot.files import load_robot
+from stiffopt.starter.first_motion import first_motion
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +61,7 @@ def test_simulate_reads_a_solve_and_finds_what_the_solve_found(solved, capsys):
 
 def test_report_of_the_solve_shows_the_swing_beside_the_certificate(solved):
     page = (solved / "out" / "report.html").read_text()
-    assert "As the elastic arm does it" in page
+    assert "Deflection of the tool, simulated" in page
     assert "after arrival" in page
 
 
@@ -137,6 +142,15 @@ def test_a_damping_above_critical_is_named_before_the_solve(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+def test_modes_of_a_robot_without_a_pose_are_those_where_its_first_problem_starts(solved, capsys):
+    path = solved / "planar.toml"
+    robot = load_robot(path)
+    start = first_motion(robot).start
+    expected = modes(ElasticArm(robot, start), start)[0].frequency
+    assert run(["modes", str(path)]) == 0
+    assert f"{significant(expected, 4)} Hz" in capsys.readouterr().out
+
+
 def test_modes_of_a_robot_a_problem_and_a_motion(solved, capsys):
     assert run(["modes", str(solved / "planar.toml"), "--at", "0.2 -20deg"]) == 0
     assert "joint 1 (" in capsys.readouterr().out
@@ -155,7 +169,6 @@ def test_modes_of_a_robot_a_problem_and_a_motion(solved, capsys):
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [
-        (["planar.toml"], "modes belong to a pose: give --at with an angle for each of shoulder"),
         (["planar.toml", "--at", "0.1"], "--at needs 2 values"),
         (["planar.toml", "--at", "0.1, 20mm"], "--at, elbow"),
         (["planar.toml", "--at", "20 20deg"], "joint 1 at 20 rad (1146 deg) is outside its range"),

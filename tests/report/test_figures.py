@@ -17,11 +17,13 @@ from stiffopt.report.solve.figures import (
 )
 from stiffopt.report.solve.space_figures import exaggeration, path_figure, windup_figure
 from stiffopt.report.stiffness.figures import (
-    relative_figure,
+    StiffnessCurve,
+    loss_figure,
     shares_figure,
     stiffness_curves,
     tangent_figure,
 )
+from stiffopt.report.stiffness.page import where_contacts_matter
 from stiffopt.robot.stiffness_study import StiffnessRow
 
 
@@ -144,9 +146,41 @@ def test_stiffness_figures_take_rows_and_draw():
     drawn = {
         "tangent": tangent_figure(curves, units, low_torque=False),
         "low": tangent_figure(curves, units, low_torque=True),
-        "ratio": relative_figure(curves, units),
+        "loss": loss_figure(curves, units),
         "shares": shares_figure(robot(3), units),
     }
     for name, figure in drawn.items():
         assert ET.fromstring(to_svg(figure, name, "a & b <c>")).tag.endswith("svg")
-    assert to_png(drawn["ratio"]).startswith(b"\x89PNG")
+    assert to_png(drawn["loss"]).startswith(b"\x89PNG")
+
+
+def curve(joint, first, last):
+    """A joint whose contacts take these shares of its stiffness at 0.1 and 100 % of its torque."""
+    ratio = np.array([0.001, 0.03, 1.0])
+    relative = 1.0 - np.array([first, min(first, last), last])
+    alone = np.full(3, 1e4)
+    return [
+        StiffnessCurve(
+            joint, "parallel", ratio, relative * alone, alone, relative, ratio, alone, alone
+        )
+    ]
+
+
+def test_where_contacts_matter_most_follows_from_each_joints_numbers():
+    curves = {1: curve(1, 0.0049, 0.0090), 2: curve(2, 0.026, 0.011)}
+    assert curves[1][0].ratio_of_largest_loss == 1.0
+    assert curves[2][0].ratio_of_largest_loss == 0.001
+    said = where_contacts_matter(curves, ["J1", "J2"])
+    largest, least = said.split("; ")
+    assert "J1 (0.49 % to 0.9 %)" in largest
+    assert "largest torque" in largest
+    assert "J2 (2.6 % to 1.1 %)" in least
+    assert "least torque" in least
+
+
+@pytest.mark.parametrize(("second", "scale"), [(0.009, "linear"), (0.5, "log")])
+def test_losses_far_apart_share_no_linear_axis(second, scale):
+    curves = {1: curve(1, 0.005, 0.009), 2: curve(2, second, second)}
+    axes = loss_figure(curves, joint_units(robot(2))).axes[0]
+    assert axes.get_yscale() == scale
+    assert axes.get_ylim()[1] < 200.0 * second

@@ -1,3 +1,4 @@
+import json
 from dataclasses import replace
 
 import pytest
@@ -8,8 +9,11 @@ from test_figures import stiffness_rows
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.problem.objective import Objective
 from stiffopt.report.common.citations import cited, references
+from stiffopt.report.common.text import si
+from stiffopt.report.compare import compared
+from stiffopt.report.explain import explained
 from stiffopt.report.solve.page import write_solve_report
-from stiffopt.report.solve.wording import amount, comparison
+from stiffopt.report.solve.wording import amount, comparison, objective_text
 from stiffopt.report.stiffness.page import write_stiffness_report
 from stiffopt.result.assessment import Violation
 from stiffopt.result.provenance import inputs_hash
@@ -159,6 +163,47 @@ def test_stiffness_page_and_its_plots(tmp_path):
     assert "Contacts take up to 55 % of the stiffness" in page.text
     assert "1.50" in page.text  # slip safety 45 N m / 30 N m
     names = {each.name for each in tmp_path.iterdir()}
-    kinds = ("tangent", "low_torque", "ratio", "shares")
+    kinds = ("tangent", "low_torque", "loss", "shares")
     drawn = {f"stiffness_{kind}.{end}" for kind in kinds for end in ("svg", "png")}
     assert names == drawn | {"stiffness.html"}
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (6.99e-11, "m", "below 0.001 µm"),
+        (-6.99e-11, "m", "below 0.001 µm"),
+        (6.99e-9, "m", "0.00699 µm"),
+        (1e-12, "s", "below 0.001 ms"),
+        (0.0, "m", "0 µm"),
+    ],
+)
+def test_no_length_or_time_is_written_smaller_than_it_can_be_read(value, unit, text):
+    assert si(value, unit, 3) == text
+
+
+def test_an_integral_over_time_is_no_duration():
+    value = ObjectiveValue(name="torque_squared", measure="", value=0.0111, unit="s")
+    assert objective_text(value).endswith("0.0111 s")
+
+
+def test_explain_finds_values_and_guesses_only_what_is_spelled_nearly_so():
+    assert next(explained("shaped_deviation")) == "minimise.objective (trajectory)"
+    with pytest.raises(InputError, match="Did you mean 'shaped_deviation'"):
+        next(explained("shaped_deviaton"))
+    with pytest.raises(InputError) as error:
+        next(explained("damped_position"))
+    assert "Did you mean" not in str(error.value)
+
+
+def test_quantities_that_differ_have_their_unit(tmp_path):
+    for name, value in (("one", 1e-4), ("two", 2e-4)):
+        (tmp_path / name).mkdir()
+        answer = {
+            "objective": {"value": value, "unit": "m"},
+            "baselines": {"toppra": {"objective": 3 * value}},
+        }
+        (tmp_path / name / "result.json").write_text(json.dumps(answer))
+    _, rows = compared(tmp_path / "one", tmp_path / "two")
+    assert rows[0] == ("objective, value", "0.1 mm", "0.2 mm", "+100 %")
+    assert rows[1][:3] == ("baselines, toppra, objective", "0.3 mm", "0.6 mm")

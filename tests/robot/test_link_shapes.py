@@ -1,5 +1,7 @@
 """Shapes of links: read from URDFs, found beside them, placed in the frames of the joints."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from shaped_arms import BOX, MESH, load, with_shapes, write_stl
@@ -7,7 +9,7 @@ from small_arms import PLANAR
 
 from stiffopt.errors import InputFileError, RobotError
 from stiffopt.robot.link_shapes import LinkShape, triangles
-from stiffopt.robot.skeleton import capsules, reach
+from stiffopt.robot.skeleton import capsules, mounting_distance, reach
 
 
 def test_shapes_lie_in_the_frame_of_their_joint(tmp_path):
@@ -95,3 +97,16 @@ def test_capsules_reach_from_base_to_tool(tmp_path):
     np.testing.assert_allclose(rods[1].end, [0.4, 0.0, 0.0])
     assert reach(arm.tree, arm.tool) == pytest.approx(0.4)
     assert rods[0].radius > rods[1].radius > 0
+
+
+def test_a_mounting_far_from_the_origin_is_no_part_of_the_arm(tmp_path):
+    arm = load(tmp_path, PLANAR)
+    first, *others = arm.tree.bodies
+    hung = replace(
+        arm.tree, bodies=(replace(first, translation=np.array([0.0, 0.0, 2.0])), *others)
+    )
+    assert mounting_distance(arm.tree) == 0.0
+    assert mounting_distance(hung) == 2.0
+    plain, below = capsules(arm.tree, arm.tool), capsules(hung, arm.tool)
+    assert [rod.joint for rod in below] == [rod.joint for rod in plain]
+    assert [rod.radius for rod in below] == pytest.approx([rod.radius for rod in plain])

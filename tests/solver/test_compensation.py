@@ -73,7 +73,10 @@ def test_the_command_is_written_and_an_old_one_of_another_motion_removed(smooth,
     path = write_command(found, tmp_path)
     with path.open() as stream:
         rows = list(csv.DictReader(stream))
-    assert list(rows[0]) == ["t", *(f"{q}{j}" for q in ("q", "qd", "qdd", "tau", "link") for j in (1, 2))]
+    assert list(rows[0]) == [
+        "t",
+        *(f"{q}{j}" for q in ("q", "qd", "qdd", "tau", "link") for j in (1, 2)),
+    ]
     assert float(rows[-1]["t"]) == pytest.approx(0.5)
     for j in (1, 2):
         q = np.array([float(row[f"q{j}"]) for row in rows])

@@ -39,7 +39,7 @@ def left_alone(problem, monkeypatch):
 
 def test_a_correction_that_runs_out_of_time_replaces_no_optimum(problem, coarse, monkeypatch):
     before = left_alone(problem, monkeypatch)
-    assert before.status is SolveStatus.OPTIMAL
+    assert before.status.usable
     plain, calls = refinement.corrected, []
 
     def late(*given):
@@ -49,7 +49,7 @@ def test_a_correction_that_runs_out_of_time_replaces_no_optimum(problem, coarse,
     monkeypatch.setattr(refinement, "corrected", late)
     after = solve(problem, throw=False)
     assert calls
-    assert after.status is SolveStatus.OPTIMAL
+    assert after.status is before.status
     assert after.objective.value == before.objective.value
 
 

@@ -66,7 +66,8 @@ class TorqueSquared(JointIntegral):
     name = "torque_squared"
     unit = "s"
     description = "Integral over time of the sum over `joints` of (drive torque / torque_max)^2."
-    phrase = "integral of the squared torque ratios"
+    phrase = "time integral of the joints' squared (torque / largest torque)"
+    prefixed = False
     of_drives = True
 
     def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
@@ -85,7 +86,8 @@ class AccelerationSquared(JointIntegral):
     name = "acceleration_squared"
     unit = "rad^2/s^3"
     description = "Integral over time of the sum over `joints` of the squared acceleration."
-    phrase = "integral of the squared accelerations"
+    phrase = "time integral of the joints' squared accelerations"
+    prefixed = False
 
     def integrand(self, problem: TrajectoryProblem, model: StageModel, joint: int) -> Quantity:
         """Square of the acceleration."""

@@ -6,7 +6,10 @@ Values are SI. The functions are also the filters of the templates: `{{ length |
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
+
+from markupsafe import Markup
 
 from stiffopt.errors import is_factor, times
 from stiffopt.units import joint_unit
@@ -34,6 +37,8 @@ _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
     ),
     "m/N": ((0.5, 1.0, "m/N"), (5e-4, 1e-3, "mm/N"), (0.0, 1e-6, "µm/N")),
 }
+# Least number that is written in the smallest unit of a scale: a nanometre, a microsecond.
+_FINEST = 1e-3
 # A relative change below this is none.
 UNCHANGED = 5e-5
 
@@ -58,10 +63,16 @@ def si(value: float | None, unit: str, digits: int = 4) -> str:
 
     >>> si(2.97e-4, "m"), si(9100.0, "N m/rad"), si(7812.0, "kN", 3), si(None, "m")
     ('0.297 mm', '9100 N m/rad', '7.81 kN', '–')
+    >>> si(6.99e-11, "m")
+    'below 0.001 µm'
     """
     if value is None or not math.isfinite(value):
         return DASH
     factor, name = scale(value, unit)
+    size = abs(factor * value)
+    if unit in _SCALES and 0.0 < size < _FINEST:
+        # No smaller unit is left, and no number that an arm could show.
+        return f"below {_FINEST:g} {name}"
     return f"{significant(factor * value, digits)} {name}".strip()
 
 
@@ -161,6 +172,15 @@ def words(name: str) -> str:
     return name.replace("_", " ")
 
 
+def breakable(text: str) -> Markup:
+    """Text that may be broken behind a dot, such as the place of a key in the head of a column.
+
+    >>> breakable("limits.jerk & more")
+    Markup('limits.<wbr>jerk &amp; more')
+    """
+    return Markup("<wbr>").join(re.split(r"(?<=\.)(?=\w)", text))
+
+
 def listed(items: Iterable[str]) -> str:
     """Join with commas and an "and".
 
@@ -191,6 +211,7 @@ FILTERS = {
         percent,
         change,
         words,
+        breakable,
         listed,
         capital,
     )

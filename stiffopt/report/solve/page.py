@@ -35,6 +35,7 @@ from stiffopt.report.solve.wording import (
     difference_text,
     headline_text,
     limit_text,
+    objective_amount,
     objective_phrase,
     violation_text,
 )
@@ -104,6 +105,11 @@ def write_solve_report(
     filters: Filters = {
         "limit": limit_text,
         "excess": violation_text,
+        "amount": lambda value: objective_amount(
+            solution.objective.name if solution.objective else "",
+            value,
+            solution.objective.unit if solution.objective else "",
+        ),
         "phrase": lambda objective: objective_phrase(objective.name, objective.measure),
     }
     figures = _figures(problem, solution, part)
@@ -123,10 +129,13 @@ def _headline(solution: Solution) -> str:
     return capital(text if solution.status.usable else f"{words(solution.status)}: {text}")
 
 
-def _terms(terms: dict[str, float]) -> list[tuple[str, float, str]]:
-    """Phrase, value and unit of each term of a weighted sum."""
+def _terms(terms: dict[str, float]) -> list[tuple[str, str]]:
+    """Phrase and value with its unit of each term of a weighted sum."""
     split = [(*term.partition(" ")[::2], value) for term, value in terms.items()]
-    return [(objective_phrase(name, by), value, OBJECTIVES[name].unit) for name, by, value in split]
+    return [
+        (objective_phrase(name, by), objective_amount(name, value, OBJECTIVES[name].unit, 3))
+        for name, by, value in split
+    ]
 
 
 def _shown(motions: list[ComparedMotion], better: Baseline | None) -> list[ComparedMotion]:

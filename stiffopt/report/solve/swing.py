@@ -26,8 +26,9 @@ def simulation_table(simulation: Simulation) -> tuple[list[str], list[list[str]]
     """Head and rows of text, the optimised motion first."""
     band = si(simulation.optimised.simulated.band, "m")
     head = [
-        *("motion", "duration", "planned peak", "peak in flight", "rms in flight"),
-        *("peak after arrival", "rms after arrival", f"within {band} after", "verdict"),
+        *("motion", "duration", "planned peak", "simulated peak"),
+        *("simulated rms", "peak after arrival", "rms after arrival"),
+        *(f"within {band} after", "verdict"),
     ]
     return head, [_row(motion) for motion in simulation.motions]
 

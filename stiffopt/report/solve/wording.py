@@ -38,7 +38,19 @@ def objective_phrase(name: str, measure: str) -> str:
 def objective_text(objective: ObjectiveValue) -> str:
     """Phrase and value: "peak dynamic tool deflection 0.297 mm"."""
     phrase = objective_phrase(objective.name, objective.measure)
-    return f"{phrase} {si(objective.value, objective.unit, 3)}"
+    return f"{phrase} {objective_amount(objective.name, objective.value, objective.unit, 3)}"
+
+
+def objective_amount(name: str, value: float | None, unit: str, digits: int = 4) -> str:
+    """Value of an objective with its unit: integrals over time in seconds, never milliseconds.
+
+    >>> objective_amount("torque_squared", 0.0111, "s"), objective_amount("duration", 0.0111, "s")
+    ('0.0111 s', '11.1 ms')
+    """
+    kind = OBJECTIVES.get(name)
+    if kind is not None and not kind.prefixed and value is not None:
+        return f"{significant(value, digits)} {unit}"
+    return si(value, unit, digits)
 
 
 def headline_text(solution: Solution) -> str:

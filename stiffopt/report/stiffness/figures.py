@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from stiffopt.robot.stiffness_study import StiffnessRow
 
 SHARE_RATIOS = (0.001, 0.01, 0.1, 1.0)
+# Ratio of two joints' largest losses from which on both are not legible on one linear axis.
+_DECADE = 10.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,16 @@ class StiffnessCurve:
     windup: np.ndarray
     first: np.ndarray
     cyclic: np.ndarray
+
+    @property
+    def loss(self) -> np.ndarray:
+        """Share of the reducer's stiffness that the contacts take (K,)."""
+        return 1.0 - self.relative
+
+    @property
+    def ratio_of_largest_loss(self) -> float:
+        """Torque ratio at which contacts matter most."""
+        return float(self.ratio[np.argmax(self.loss)])
 
     def at(self, ratio: float, values: np.ndarray) -> float:
         """Value of one of the curve's arrays at a torque ratio, interpolated."""
@@ -127,24 +139,35 @@ def _tangent_panel(axes: Axes, readings: Sequence[StiffnessCurve], low_torque: b
     axes.locator_params(axis="y", nbins=5)
 
 
-def relative_figure(
+def loss_figure(
     curves: Mapping[int, Sequence[StiffnessCurve]], units: Sequence[JointUnits]
 ) -> Figure:
-    """Tangent stiffness with contacts over that of the reducer alone, all joints."""
+    """Share of the reducer's tangent stiffness that contacts take, all joints.
+
+    The axis is logarithmic where the joints' shares are so far apart that a linear one would merge
+    the small ones.
+    """
     with house_style():
         figure = Figure(figsize=(WIDTH, 3.8))
         axes = figure.subplots()
+        losses = []
         for joint, readings in curves.items():
             own = readings[0]
+            losses.append(100.0 * own.loss)
             style = line_style(joint - 1)
-            axes.plot(own.ratio, own.relative, label=units[joint - 1].label, **style)
+            axes.plot(own.ratio, losses[-1], label=units[joint - 1].label, **style)
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter("{x:g}")
-        axes.set_ylim(0.0, 1.03)
+        highest = [float(np.max(each)) for each in losses]
+        if min(highest) > 0.0 and max(highest) > _DECADE * min(highest):
+            axes.set_yscale("log")
+            axes.yaxis.set_major_formatter("{x:g}")
+        else:
+            axes.set_ylim(bottom=0.0)
         axes.set_xlabel("torque over largest torque")
-        axes.set_ylabel("stiffness with contacts over reducer alone")
+        axes.set_ylabel("stiffness lost to contacts [%]")
         axes.margins(x=0.01)
-        axes.legend(loc="lower right", ncols=2)
+        axes.legend(loc="best", ncols=2)
         figure.subplots_adjust(left=0.07, right=0.995)
         return figure
 

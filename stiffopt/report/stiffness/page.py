@@ -8,12 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from stiffopt.report.common.citations import robot_references
 from stiffopt.report.common.page import PageFigures, write_page
 from stiffopt.report.common.robot import estimated_inputs, joint_units
+from stiffopt.report.common.text import listed, percent
 from stiffopt.report.stiffness.figures import (
     StiffnessCurve,
-    relative_figure,
+    loss_figure,
     shares_figure,
     stiffness_curves,
     tangent_figure,
@@ -49,10 +52,10 @@ class FirstSlip:
 
 
 @dataclass(frozen=True)
-class LowestRatio:
-    """Where contacts cost most: stiffness over that of the reducer alone."""
+class LargestLoss:
+    """Where contacts cost most: share of the stiffness of the reducer alone."""
 
-    relative: float
+    loss: float
     joint: int
     ratio: float
 
@@ -78,11 +81,12 @@ def write_stiffness_report(
     figures = PageFigures("stiffness")
     figures.draw("tangent", tangent_figure(curves, units, low_torque=False), "Tangent stiffness")
     figures.draw("low_torque", tangent_figure(curves, units, low_torque=True), "Near zero torque")
-    figures.draw("ratio", relative_figure(curves, units), "Against the reducer alone")
+    figures.draw("loss", loss_figure(curves, units), "Against the reducer alone")
     figures.draw("shares", shares_figure(robot, units), "What yields")
     context = {
         "title": f"Joint stiffness of {robot.title or robot.name}",
-        "lowest": _lowest(curves),
+        "largest": _largest_loss(curves),
+        "where": where_contacts_matter(curves, [unit.label for unit in units]),
         "curves": curves,
         "units": units,
         "slip": _first_slips(robot),
@@ -93,12 +97,36 @@ def write_stiffness_report(
     return write_page("stiffness/page.html.j2", Path(directory) / PAGE_FILE, context, figures)
 
 
-def _lowest(curves: Mapping[int, Sequence[StiffnessCurve]]) -> LowestRatio:
+def where_contacts_matter(
+    curves: Mapping[int, Sequence[StiffnessCurve]], labels: Sequence[str]
+) -> str:
+    """Sentences on the torque at which contacts take most of each joint's stiffness."""
+    groups: dict[str, list[str]] = {}
+    for joint, (own, *_) in curves.items():
+        at = own.ratio_of_largest_loss
+        if not np.any(own.loss > 0.0):
+            where = "at no torque"
+        elif at == own.ratio[0]:
+            where = f"at the least torque shown, {percent(at)} of the largest"
+        elif at == own.ratio[-1]:
+            where = "at the largest torque"
+        else:
+            where = f"at {percent(at)} of the largest torque"
+        ends = " to ".join(percent(float(own.loss[end])) for end in (0, -1))
+        groups.setdefault(where, []).append(f"{labels[joint - 1]} ({ends})")
+    told = "; ".join(f"{where} in {listed(joints)}" for where, joints in groups.items())
+    return (
+        f"Contacts take most of the stiffness {told}. In brackets: the share that they take, from "
+        "the least torque shown to the largest."
+    )
+
+
+def _largest_loss(curves: Mapping[int, Sequence[StiffnessCurve]]) -> LargestLoss:
     every = (
-        LowestRatio(float(own.relative.min()), joint, float(own.ratio[own.relative.argmin()]))
+        LargestLoss(float(own.loss.max()), joint, own.ratio_of_largest_loss)
         for joint, (own, *_) in curves.items()
     )
-    return min(every, key=lambda each: (each.relative, each.joint))
+    return max(every, key=lambda each: (each.loss, -each.joint))
 
 
 def _loading(robot: Robot) -> str:
