@@ -22,7 +22,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from stiffopt.errors import InputFileError
-from stiffopt.files import atomic_write, load_json
+from stiffopt.files import atomic_write, check_file, load_json
 from stiffopt.interrupts import uninterrupted
 
 MANIFEST = "manifest.json"
@@ -259,6 +259,7 @@ def _listed(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _hash(path: Path) -> str:
+    check_file(path)
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 

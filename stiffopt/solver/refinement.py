@@ -96,7 +96,8 @@ def _on_finer_mesh(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> O
             break
         if attempt > 1:
             for name, value in excess.items():
-                margins[name] = margins.get(name, 0.0) + value
+                # A bound exceeded by a share is divided by it: however often, it stays above 0.
+                margins[name] = 1.0 - (1.0 - margins.get(name, 0.0)) / (1.0 + value)
         intervals = int(np.ceil(run.problem.method.intervals * _GROWTH**attempt))
         before = outcome.transcription
         guess, mesh = (
