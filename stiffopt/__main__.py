@@ -1,12 +1,11 @@
 """`python -m stiffopt`, and the `stiffopt` command."""
 
 import gc
-import io
-import os
 import sys
 from contextlib import nullcontext
 
 from stiffopt.interrupts import beginning
+from stiffopt.streams import open_streams, unprinted
 
 # Of the search for unreachable cycles, of which a command leaves few: at every 700th object, as
 # Python has it, it was a tenth of a solve.
@@ -19,7 +18,7 @@ def main() -> None:
     Of a solve it waits for a motion from the first moment on.
     """
     gc.set_threshold(*_SELDOM)
-    _keep_streams()
+    open_streams()
     try:
         with beginning() if sys.argv[1:2] == ["solve"] else nullcontext():
             if sys.argv[1:2] == ["sweep"]:
@@ -32,23 +31,16 @@ def main() -> None:
     except KeyboardInterrupt:
         print("stiffopt: interrupted; nothing was written.", file=sys.stderr)
         code = 130
+    failure = unprinted()
+    if failure is not None:
+        from stiffopt import folders
+
+        kept = f" {folders.written[-1]} was written all the same." if folders.written else ""
+        print(f"stiffopt: stdout: {failure.strerror}.{kept}", file=sys.stderr)
+        code = code if kept else 2
     # What is left goes with the process: nothing of it is looked through once more.
     gc.freeze()
     sys.exit(code)
-
-
-def _keep_streams() -> None:
-    """Make stdout and stderr take any text: of an answer, no character may lose the rest.
-
-    What a terminal's encoding lacks is escaped, as are names of files that are not UTF-8; where a
-    stream is closed, what is said there is lost, and nothing else.
-    """
-    for name in ("stdout", "stderr"):
-        stream = getattr(sys, name)
-        if stream is None:
-            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
-        elif isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
 
 
 if __name__ == "__main__":
