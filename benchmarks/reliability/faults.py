@@ -102,6 +102,8 @@ class SecondCase(FaultCase):
         if self.folder.name.startswith("results"):
             for name in ("a", "b"):
                 _copy(self.folder, work / name)
+            other = work / "b" / "result.json"
+            other.write_text(re.sub(r'"\\\\ud\w+"', "0.0", other.read_text()))
             if "fifo" in (self.folder / "WHAT.txt").read_text():
                 (work / "a" / "result.json").unlink()
                 os.mkfifo(work / "a" / "result.json")
