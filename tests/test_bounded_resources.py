@@ -6,12 +6,14 @@ import struct
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from small_arms import ROOT
 
 from benchmarks.reliability.mutants import alone
+from stiffopt import compiler
 from stiffopt.errors import InputError, InputFileError, RobotError, UnitError
 from stiffopt.files import MAX_STRING, atomic_write, load_json, load_toml, read_table
 from stiffopt.folders import check_result
@@ -303,3 +305,14 @@ def test_an_answer_is_kept_where_its_words_cannot_be_written(tmp_path):
     assert b"stdout: No space left on device" in done.stderr
     assert b"was written all the same" in done.stderr
     assert (folder / "o" / "result.json").is_file()
+
+
+def test_a_compiler_that_hangs_is_ended_with_what_it_started(tmp_path, monkeypatch):
+    program, left = tmp_path / "cc", tmp_path / "child"
+    program.write_text(f"#!/bin/sh\nsleep 60 & echo $! > {left}\nwait\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(compiler, "MAX_COMPILER_SECONDS", 0.3)
+    assert not compiler.compiles(str(program))
+    state = Path(f"/proc/{left.read_text().strip()}/stat")
+    # Ended, or not yet reaped by the system.
+    assert not state.exists() or state.read_text().split()[2] == "Z"
