@@ -20,11 +20,12 @@ from stiffopt.folders import check_result
 from stiffopt.recording.clock import read_clock
 from stiffopt.recording.readers.read import read_columns
 from stiffopt.recording.signals import Signals
-from stiffopt.result.store import export_times
+from stiffopt.result.store import MAX_SAMPLES, export_times
 from stiffopt.robot.mesh_loading import convex_hull, load_mesh_file
 from stiffopt.robot.urdf import MAX_MOVING_JOINTS, load_urdf
 from stiffopt.robot.xml_files import MAX_DEPTH, MAX_ELEMENTS, parse_xml
 from stiffopt.starter.tables import MAX_LINE, read_any_table
+from stiffopt.starter.writing import quoted
 from stiffopt.units import joint_to_si, to_si
 
 TABLE = Signals(time="t", position=("q",), velocity=None, link_position=None, torque=("tau",))
@@ -149,8 +150,10 @@ def test_a_unit_that_is_none_is_told_of_any_quantity(dimension):
 
 def test_more_samples_than_any_table_are_refused():
     assert len(export_times(2.0, 500.0)) == 1001
+    # What a long solve has found is kept, at a lower rate.
+    assert MAX_SAMPLES <= len(export_times(1e4)) <= MAX_SAMPLES + 2
     for duration, rate in ((1e9, 500.0), (1.0, 1e15), (np.inf, 1.0), (np.nan, 1.0)):
-        with pytest.raises(InputError, match=r"more than 5e\+06 samples"):
+        with pytest.raises(InputError, match=r"more than 1e\+06 samples"):
             export_times(duration, rate)
 
 
@@ -242,6 +245,12 @@ def test_a_sound_mesh_has_its_hull(tmp_path):
     mesh = load_mesh_file(tmp_path / "m.stl", np.array([1.0, -2.0, 1.0]), boxes=True)
     assert np.ptp(np.array(mesh.vertices()), axis=0) == pytest.approx([1.0, 2.0, 1e-3])
     assert convex_hull(mesh, None).num_points == 4
+
+
+def test_a_toml_file_names_no_file_that_it_cannot():
+    assert quoted("é") == '"é"'
+    with pytest.raises(InputError, match="is not UTF-8, which a TOML file cannot hold"):
+        quoted(os.fsdecode(b"bras_\xff.urdf"))
 
 
 def test_names_that_are_not_utf8_are_kept_in_json(tmp_path):

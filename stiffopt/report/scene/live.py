@@ -43,7 +43,7 @@ class LiveScene:
     Raises
     ------
     InputError
-        viser is not installed.
+        viser is not installed, or there is no such port.
     """
 
     def __init__(
@@ -62,6 +62,8 @@ class LiveScene:
             raise InputError(
                 "viewing needs viser. Install it: pip install 'stiffopt[view]'"
             ) from error
+        if not 0 < port < 2**16:
+            raise InputError(f"--port {port}: allowed are 1 to 65535.")
         self.robot, self.poses, self._ghost = robot, poses, ghost
         self.server = viser.ViserServer(host=host, port=port, verbose=False)
         self.server.scene.set_up_direction("+z")
