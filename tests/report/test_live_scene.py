@@ -10,6 +10,7 @@ import pytest
 from small_arms import write_problem, write_robot
 
 from stiffopt.cli import run
+from stiffopt.errors import InputError
 from stiffopt.report.scene.poses import stored_poses, tool_positions
 from stiffopt.robot.cell import Box, Cell, MeshObstacle
 from stiffopt.robot.files import load_robot
@@ -29,6 +30,14 @@ def scene(tmp_path):
     opened = LiveScene(robot, poses, ghost, port=18080)
     yield opened
     opened.close()
+
+
+@pytest.mark.parametrize("port", [0, -1, 65536, 99999999])
+def test_ports_that_cannot_be_are_told(port):
+    from stiffopt.report.scene.live import LiveScene
+
+    with pytest.raises(InputError, match="allowed are 1 to 65535"):
+        LiveScene(None, None, port=port)
 
 
 def test_the_page_is_served_to_this_machine(scene):
