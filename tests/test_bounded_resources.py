@@ -14,6 +14,7 @@ from small_arms import ROOT
 
 from benchmarks.reliability.mutants import alone
 from stiffopt import compiler
+from stiffopt.discovery.comparison.evidence import _Factored
 from stiffopt.errors import InputError, InputFileError, RobotError, UnitError
 from stiffopt.files import MAX_STRING, atomic_write, load_json, load_toml, read_table
 from stiffopt.folders import check_result
@@ -314,6 +315,16 @@ def test_an_answer_is_kept_where_its_words_cannot_be_written(tmp_path):
     assert b"stdout: No space left on device" in done.stderr
     assert b"was written all the same" in done.stderr
     assert (folder / "o" / "result.json").is_file()
+
+
+@pytest.mark.parametrize("size", [1e3, 1e17, 3.3e19, 7.7e22, 1e28])
+def test_evidence_of_a_column_that_another_holds_is_finite(size):
+    sums = np.array([[[size]]]), np.array([[size]]), np.array([size])
+    known = _Factored(*sums, np.ones(1))
+    for share in np.linspace(0.999, 1.001, 21):
+        column = np.array([[share * size]])
+        added = known.with_few(column, share * column, column[0])
+        assert np.isfinite(added.log_evidence)
 
 
 def test_a_compiler_that_hangs_is_ended_with_what_it_started(tmp_path, monkeypatch):
