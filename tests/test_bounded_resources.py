@@ -14,6 +14,7 @@ from small_arms import ROOT
 
 from benchmarks.reliability.mutants import alone
 from stiffopt import compiler
+from stiffopt.discovery import diagnose
 from stiffopt.discovery.comparison.evidence import _Factored
 from stiffopt.errors import InputError, InputFileError, RobotError, UnitError
 from stiffopt.files import MAX_STRING, atomic_write, load_json, load_toml, read_table
@@ -325,6 +326,15 @@ def test_evidence_of_a_column_that_another_holds_is_finite(size):
         column = np.array([[share * size]])
         added = known.with_few(column, share * column, column[0])
         assert np.isfinite(added.log_evidence)
+
+
+def test_a_fit_beyond_double_precision_is_told(monkeypatch):
+    def fails(*_, **__):
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(diagnose, "_diagnosed", fails)
+    with pytest.raises(InputFileError, match="differ by more than a fit can hold"):
+        diagnose.diagnose(ROOT / "problems/recordings/two_link_friction")
 
 
 def test_a_compiler_that_hangs_is_ended_with_what_it_started(tmp_path, monkeypatch):
