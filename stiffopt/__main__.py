@@ -5,6 +5,7 @@ import sys
 from contextlib import nullcontext
 
 from stiffopt.interrupts import beginning
+from stiffopt.streams import open_streams, unprinted
 
 # Of the search for unreachable cycles, of which a command leaves few: at every 700th object, as
 # Python has it, it was a tenth of a solve.
@@ -17,6 +18,7 @@ def main() -> None:
     Of a solve it waits for a motion from the first moment on.
     """
     gc.set_threshold(*_SELDOM)
+    open_streams()
     try:
         with beginning() if sys.argv[1:2] == ["solve"] else nullcontext():
             if sys.argv[1:2] == ["sweep"]:
@@ -29,6 +31,13 @@ def main() -> None:
     except KeyboardInterrupt:
         print("stiffopt: interrupted; nothing was written.", file=sys.stderr)
         code = 130
+    failure = unprinted()
+    if failure is not None:
+        from stiffopt import folders
+
+        kept = f" {folders.written[-1]} was written all the same." if folders.written else ""
+        print(f"stiffopt: stdout: {failure.strerror}.{kept}", file=sys.stderr)
+        code = code if kept else 2
     # What is left goes with the process: nothing of it is looked through once more.
     gc.freeze()
     sys.exit(code)

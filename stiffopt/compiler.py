@@ -15,6 +15,7 @@ import hashlib
 import os
 import platform
 import shutil
+import signal
 import stat
 import subprocess
 import sys
@@ -27,6 +28,9 @@ _FLAGS = ("-fPIC", "-shared", "-ffp-contract=off")
 # The widest registers there are; not every compiler knows the word.
 _NATIVE = ("-march=native",)
 _PACKAGES = Path(__file__).parents[1]
+# Of one run of a compiler [s]: the longest took 40 s on a busy machine; it works beside others and
+# would stay after them.
+MAX_COMPILER_SECONDS = 300.0
 # What names of libraries begin with, in a folder that may hold something else.
 _KINDS = ("stage", "swings", "frontal", "bodies")
 
@@ -57,7 +61,7 @@ def compiles(program: str) -> bool:
         source.write_text("int one(void) { return 1; }\n", encoding="ascii")
         try:
             build(program, source, made, "-O0")
-        except (OSError, subprocess.CalledProcessError):
+        except (OSError, subprocess.SubprocessError):
             return False
         return _loads(made)
 
@@ -164,8 +168,22 @@ def build(program: str, source: Path, made: Path, optimise: str) -> None:
     """Run the C compiler."""
     command = [program, optimise, *_FLAGS, str(source), "-o", str(made), "-lm"]
     native = [program, *_NATIVE, *command[1:]]
-    if subprocess.run(native, check=False, stdin=subprocess.DEVNULL).returncode:
-        subprocess.run(command, check=True, stdin=subprocess.DEVNULL)
+    if _run_bounded(native):
+        code = _run_bounded(command)
+        if code:
+            raise subprocess.CalledProcessError(code, command)
+
+
+def _run_bounded(command: Sequence[str]) -> int:
+    """Run a compiler; return its exit code, or end it and the processes that it has started."""
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
+    try:
+        return process.wait(MAX_COMPILER_SECONDS)
+    except BaseException:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        raise
 
 
 def _start(path: Path, given: str, program: str, module: str) -> None:

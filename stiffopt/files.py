@@ -22,9 +22,13 @@ from stiffopt.validation import Model, validate
 
 # What a file written by people stays far below; beyond it lie mistakes and attacks.
 LARGEST_TEXT = 32 * 2**20
+# Of a table that a command wrote; an hour at 250 Hz has 500 MB.
+LARGEST_TABLE = 2**29
 DEEPEST = 40
 # A key of more parts than this: tomllib's time grows with their square.
-_LONG_KEY = re.compile(rf"""(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}""")
+_LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}""")
+# Of one text of a TOML file [characters]: what reads such texts may take the square of it.
+MAX_STRING = 10_000
 
 # Of an integer of 64 bits, its sign included.
 _MOST_DIGITS = 20
@@ -78,14 +82,16 @@ def _check_values(path: Path, data: object, where: str = "", depth: int = 0) -> 
     elif isinstance(data, list):
         for number, value in enumerate(data, start=1):
             _check_values(path, value, f"{where}[{number}]", depth + 1)
+    elif isinstance(data, str) and len(data) > MAX_STRING:
+        raise InputFileError(path, where, f"this text has more than {MAX_STRING} characters.")
     elif isinstance(data, int) and not -(2**63) <= data < 2**63:
         raise InputFileError(
             path, where, "this integer has more than 64 bits. Write a smaller number."
         )
 
 
-def read_text(path: str | os.PathLike[str]) -> str:
-    """Text of a file of UTF-8.
+def read_text(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> str:
+    """Text of a file of UTF-8 of at most so many bytes, without a byte order mark.
 
     Raises
     ------
@@ -93,17 +99,28 @@ def read_text(path: str | os.PathLike[str]) -> str:
         No such file, not text, not to be read, or larger than any such file.
     """
     path = Path(path)
-    check_file(path)
+    content = read_bytes(path, most)
     try:
-        if path.stat().st_size > LARGEST_TEXT:
-            raise InputFileError(
-                path, "", f"is larger than {LARGEST_TEXT / 2**20:.0f} MiB. Give another file."
-            )
-        return path.read_text(encoding="utf-8")
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputFileError(
             path, "", f"is not UTF-8 text. Save it as a {path.suffix[1:].upper()} text file."
         ) from error
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_bytes(path: str | os.PathLike[str], most: int = LARGEST_TEXT) -> bytes:
+    """Content of a file of at most so many bytes.
+
+    Raises
+    ------
+    InputFileError
+        No such file, no regular one, not to be read, or larger.
+    """
+    path = Path(path)
+    check_file(path, most)
+    try:
+        return path.read_bytes()
     except OSError as error:
         raise InputFileError(path, "", f"cannot be read: {error.strerror}.") from error
 
@@ -126,7 +143,7 @@ def with_changes(data: dict[str, Any], changes: Sequence[str], path: object) -> 
     """
     for change in changes:
         place, equals, text = change.partition("=")
-        keys = re.findall(r"[^.\[\]]+|\[\d+\]", place.strip())
+        keys = re.findall(r"[^.\[\]]+|\[\d{1,9}\]", place.strip())
         if not equals or not keys:
             raise InputFileError(path, "--set", f"needs KEY=VALUE, got {shortened(change)}.")
         try:
@@ -174,10 +191,17 @@ def _integer(text: str) -> int:
     return int(text)
 
 
-def check_file(path: str | os.PathLike[str]) -> None:
-    """Raise `InputFileError` with the nearest file names in that folder if `path` is no file."""
+def check_file(path: str | os.PathLike[str], most: int | None = None) -> None:
+    """Raise `InputFileError` if `path` is no regular file, or one of more bytes than `most`.
+
+    The message has the nearest file names in that folder.
+    """
     path = Path(path)
     if path.is_file():
+        if most is not None and path.stat().st_size > most:
+            raise InputFileError(
+                path, "", f"is larger than {most / 2**20:.0f} MiB. Give another file."
+            )
         return
     if path.is_dir():
         raise InputFileError(path, "", "is a folder. Give the file inside it.")
@@ -247,7 +271,8 @@ def plain(value: object) -> Any:
 def atomic_write(path: str | os.PathLike[str], content: str | bytes) -> None:
     """Write a file whole or not at all: to a temporary name in the same folder, then renamed."""
     path = Path(path)
-    binary = content if isinstance(content, bytes) else content.encode("utf-8")
+    # Names of files that are not UTF-8 hold surrogates: escaped, as JSON reads them back.
+    binary = content if isinstance(content, bytes) else content.encode("utf-8", "backslashreplace")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
@@ -289,11 +314,10 @@ def read_table(
         number, with the row (the first below the header is 1) and the column.
     """
     path = Path(path)
-    check_file(path)
+    text = read_text(path, LARGEST_TABLE)
     try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            rows = list(csv.DictReader(stream))
-    except (UnicodeDecodeError, csv.Error) as error:
+        rows = list(csv.DictReader(io.StringIO(text, newline="")))
+    except csv.Error as error:
         raise InputFileError(path, "", "is not a CSV text file. Save it as one.") from error
     if len(rows) < 2 or any(column not in rows[0] for column in columns):
         raise InputFileError(

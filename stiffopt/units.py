@@ -17,6 +17,8 @@ from stiffopt.errors import UnitError, shortened
 
 # Far above any modulus or stiffness, far below what overflows when multiplied.
 LARGEST = 1e15
+# Of a number with its unit [characters]; to take longer texts apart can take their cube in steps.
+MAX_TEXT = 200
 
 _NUMBER_AND_UNIT = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 _ANGLE_UNITS = (
@@ -38,7 +40,7 @@ def number_and_unit(value: float | str) -> tuple[float, str | None]:
     """
     if not isinstance(value, str):
         return float(value), ""
-    match = _NUMBER_AND_UNIT.match(value)
+    match = _NUMBER_AND_UNIT.match(value) if len(value) <= MAX_TEXT else None
     return (float(match[1]), match[2]) if match else (math.nan, None)
 
 
@@ -144,7 +146,7 @@ def to_si(value: object, dimension: str, where: str = "") -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise UnitError(f"{place}expected {kind.name}, got {shortened(value)}. {allowed}")
     if isinstance(value, str):
-        match = _NUMBER_AND_UNIT.match(value)
+        match = _NUMBER_AND_UNIT.match(value) if len(value) <= MAX_TEXT else None
         if match is None:
             raise UnitError(f"{place}expected {kind.name}, got {shortened(value)}. {allowed}")
         if not match[2] and kind.unit:
@@ -216,7 +218,9 @@ def joint_to_si(value: object, dimension: str, where: str = "") -> JointNumber:
     try:
         return JointNumber(to_si(value, dimension, where), dimension)
     except UnitError as error:
-        other = PRISMATIC[dimension]
+        other = PRISMATIC.get(dimension)
+        if other is None:  # of a quantity that is the same for either kind of joint
+            raise
         try:
             return JointNumber(to_si(value, other, where), other)
         except UnitError:

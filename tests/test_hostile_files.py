@@ -133,7 +133,7 @@ def test_entities_of_a_urdf_do_not_multiply(tmp_path):
     path = tmp_path / "r.urdf"
     rows = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 10}">' for k in range(1, 12))
     path.write_text(f'<!DOCTYPE r [<!ENTITY e0 "ha">{rows}]><robot name="r">&e11;</robot>')
-    with pytest.raises(InputFileError, match="is not a URDF"):
+    with pytest.raises(InputFileError, match="declares the entity 'e0'"):
         load_urdf(path)
 
 

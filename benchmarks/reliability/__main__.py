@@ -1,8 +1,10 @@
 """Count: `python -m benchmarks.reliability WHAT [NUMBER [FIRST]] [--record FILE] [--minutes N]`.
 
-WHAT is faults (the folders of ../shared/faults), kills, interrupts, mutants (given to loaders) or
-commands (mutants given to whole commands). FIRST is the first seed. With --record each verdict is a
-line of FILE: the same command goes on where it stopped, and its end counts all lines.
+WHAT is faults (the folders of ../shared/faults), kills, interrupts, mutants (given to loaders),
+commands (mutants given to whole commands), grammar (files by grammar, given to them as well) or
+grammar-read (the same, given to loaders).
+FIRST is the first seed. With --record each verdict is a line of FILE: the same command goes on
+where it stopped, and its end counts all lines.
 """
 
 from __future__ import annotations
@@ -19,10 +21,12 @@ from benchmarks.reliability.faults import cases
 from benchmarks.reliability.kills import ended
 from benchmarks.reliability.mutants import count, recorded
 
+WHAT = ("faults", "kills", "interrupts", "mutants", "commands", "grammar", "grammar-read")
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=["faults", "kills", "interrupts", "mutants", "commands"])
+    parser.add_argument("what", choices=WHAT)
     parser.add_argument("number", type=int, nargs="?", default=100)
     parser.add_argument("first", type=int, nargs="?", default=0)
     parser.add_argument("--record", type=Path)
@@ -42,8 +46,9 @@ def main() -> None:
             sign = signal.SIGKILL if what == "kills" else signal.SIGINT
             found = ended(place, asked.number, sign, first=asked.first, **limits)
         else:
-            on_commands = what == "commands"
-            found = count(place, asked.number, commands=on_commands, first=asked.first, **limits)
+            loaders = ("mutants", "grammar-read")
+            how = {"commands": what not in loaders, "grammar": what.startswith("grammar")}
+            found = count(place, asked.number, **how, first=asked.first, **limits)
     if asked.record is not None:
         found = recorded(asked.record)
     print("\n".join(f"{count:6} {name}" for name, count in sorted(found.items())))

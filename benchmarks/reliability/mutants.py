@@ -7,6 +7,7 @@ import importlib
 import io
 import os
 import pkgutil
+import random
 import resource
 import shutil
 import signal
@@ -19,8 +20,12 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from benchmarks.reliability.commands import BYTES, SECONDS
+from benchmarks.reliability.grammar import SPECIAL, by_grammar, special_file
 from benchmarks.reliability.subject import Subject
 from benchmarks.reliability.subjects import subjects
+
+# Of a mutant by grammar; processor time, for machines are shared.
+PROCESSOR_SECONDS = 10
 
 
 class OptimisationBegins(BaseException):
@@ -67,6 +72,7 @@ def count(
     number: int,
     *,
     commands: bool,
+    grammar: bool = False,
     first: int = 0,
     record: Path | None = None,
     seconds: float = float("inf"),
@@ -76,7 +82,7 @@ def count(
     With a `record` each is a line there, and what it has already is not done again; after
     `seconds` no more are begun.
     """
-    every = [s for s in subjects(place) if s.command or not commands]
+    every = [s for s in (by_grammar if grammar else subjects)(place) if s.command or not commands]
     if commands:
         _import_all()
     done = set() if record is None else {tuple(line.split("\t")[:2]) for line in _lines(record)}
@@ -89,7 +95,7 @@ def count(
         since = time.monotonic()
         if since - began > seconds:
             break
-        verdict, what = _mutant(subject, seed, commands)
+        verdict, what = _mutant(subject, seed, commands, grammar)
         took = time.monotonic() - since
         worst = max(worst, took)
         found[verdict] += 1
@@ -115,13 +121,18 @@ def recorded(record: Path) -> Counter[str]:
     return found
 
 
-def alone(work: Callable[[], object], folder: Path) -> tuple[str, str]:
-    """As `judged`, in `folder` and a child of this process with limits; crashes and hangs too."""
+def alone(
+    work: Callable[[], object], folder: Path, processor: int | None = None
+) -> tuple[str, str]:
+    """As `judged`, in `folder` and a child of this process with limits; crashes and hangs too.
+
+    More than `processor` seconds of processor time are a hang as well.
+    """
     inward, outward = os.pipe()
     child = os.fork()
     if child == 0:
         os.close(inward)
-        _limited()
+        _limited(processor)
         os.chdir(folder)
         verdict, what = judged(work)
         os.write(outward, f"{verdict}\n{what}".encode(errors="replace"))
@@ -132,6 +143,8 @@ def alone(work: Callable[[], object], folder: Path) -> tuple[str, str]:
         verdict, _, what = stream.read().partition("\n")
     if status is None:
         return "hang", f"no end in {SECONDS:g} s"
+    if os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGXCPU, signal.SIGKILL):
+        return "hang", f"more than {processor} s of processor time"
     if os.WIFSIGNALED(status):
         return "crash", signal.Signals(os.WTERMSIG(status)).name
     return (verdict, what) if verdict else ("crash", f"exit {os.waitstatus_to_exitcode(status)}")
@@ -192,19 +205,34 @@ def _until_optimised() -> Iterator[None]:
         ipopt.ca.nlpsol = kept
 
 
-def _mutant(subject: Subject, seed: int, commands: bool) -> tuple[str, str]:
+def _mutant(subject: Subject, seed: int, commands: bool, grammar: bool) -> tuple[str, str]:
     """Verdict on one mutant."""
     path = subject.folder / subject.file
     sound = path.read_bytes()
-    path.write_bytes(subject.spoiled(sound, seed))
+    choice = random.Random(f"special {subject.kind} {seed}")
+    if grammar and choice.random() < SPECIAL:
+        path.unlink()
+        special_file(path, choice)
+    else:
+        path.write_bytes(subject.spoiled(sound, seed))
+    processor = PROCESSOR_SECONDS if grammar else None
     try:
         if commands:
-            return alone(lambda: called(subject.command, whole=subject.whole), subject.folder)
-        return alone(lambda: subject.read(path), subject.folder)
+            call = lambda: called(subject.command, whole=subject.whole)  # noqa: E731
+            return alone(call, subject.folder, processor)
+        return alone(lambda: subject.read(path), subject.folder, processor)
     finally:
+        _remove(path)
         path.write_bytes(sound)
         for out in (subject.folder / "out", subject.folder.parent / "out"):
             shutil.rmtree(out, ignore_errors=True)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _lines(record: Path) -> list[str]:
@@ -220,12 +248,15 @@ def _import_all() -> None:
             importlib.import_module(module.name)
 
 
-def _limited() -> None:
-    """Memory beyond what the process has, and silence."""
+def _limited(processor: int | None) -> None:
+    """Memory beyond what the process has, seconds of processor time, and silence."""
     from stiffopt.recording.readers.limits import held_data
 
     most = held_data() + BYTES
     resource.setrlimit(resource.RLIMIT_DATA, (most, most))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if processor is not None:
+        resource.setrlimit(resource.RLIMIT_CPU, (processor, processor))
     silent = os.open(os.devnull, os.O_WRONLY)
     os.dup2(silent, sys.stdout.fileno())
     os.dup2(silent, sys.stderr.fileno())

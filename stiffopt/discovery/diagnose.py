@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from stiffopt.discovery.catalogue import CATALOGUE, of_runs
 from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.conclusions import findings_of, next_experiment, verdict_of
@@ -64,6 +66,7 @@ from stiffopt.discovery.stopping import (
 )
 from stiffopt.discovery.training import Training, train, training_runs
 from stiffopt.discovery.user_effects import load_effects
+from stiffopt.errors import InputFileError
 from stiffopt.interrupts import finished
 from stiffopt.recording.facts import joint_facts
 from stiffopt.recording.recording_set import RecordingSet, load_recordings, require_test_runs
@@ -120,15 +123,21 @@ def diagnose(
         recordings = load_recordings(recordings)
     require_test_runs(recordings)
     with never_quiet(progress) as say:
-        return _diagnosed(
-            recordings,
-            _given(effects),
-            settings or Settings(),
-            say,
-            model,
-            experiment=experiment,
-            despite_doubts=despite_doubts,
-        )
+        try:
+            return _diagnosed(
+                recordings,
+                _given(effects),
+                settings or Settings(),
+                say,
+                model,
+                experiment=experiment,
+                despite_doubts=despite_doubts,
+            )
+        except np.linalg.LinAlgError as error:  # numbers of 1e15 and more beside one another
+            raise InputFileError(
+                recordings.path, "", "its numbers differ by more than a fit can hold (16 digits)."
+                " Check the orders of [nominal], [tolerance], [noise] and of a model given."
+            ) from error  # fmt: skip
 
 
 def _diagnosed(

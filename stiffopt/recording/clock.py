@@ -16,6 +16,11 @@ GAP = 5.0
 _DROPPED = 1.7
 # Spacings this far from the usual one, in sample times, make a clock uneven.
 _UNEVEN = 0.05
+# Instants of an even clock for one recorded sample; beyond, a run is mostly gaps, or its clock
+# jumped, and memory follows the clock.
+MAX_GRID_RATIO = 20.0
+# Instants that any run may have: half an hour at 500 Hz.
+MIN_GRID = 1_000_000
 _FEWEST = 20
 _LONGEST_STEP = 0.5
 # No drive samples faster than at 1 MHz, no log of one holds less than a thousandth of a second.
@@ -93,8 +98,24 @@ def read_clock(stamps: np.ndarray, path: Path, column: str) -> Clock:
             f" and {_SHORTEST_RUN:g} s in all). Convert the column to seconds, or say its unit in"
             " signals.scale.time.",
         )
+    _check_grid(spacing, step, rows, path, where)
     faults = [*_lost(stamps, finite, rows), *_spacing(spacing, step)]
     return Clock(_complete(stamps, finite), rows, step, tuple(faults))
+
+
+def _check_grid(spacing: np.ndarray, step: float, rows: np.ndarray, path: Path, where: str) -> None:
+    """Raise `InputFileError` where an even clock would have far more samples than were recorded."""
+    samples = float(spacing.sum()) / step
+    if samples > max(MAX_GRID_RATIO * len(rows), MIN_GRID):
+        longest = int(np.argmax(spacing))
+        row = int(rows[longest + 1]) + 1
+        raise InputFileError(
+            path,
+            f"{where}, row {row}",
+            f"time goes on by {spacing[longest]:.6g} s there, and {len(rows)} samples every "
+            f"{step:.3g} s are spread over {spacing.sum():.6g} s. Cut the file into runs where"
+            " nothing was recorded, or mend its clock.",
+        )
 
 
 def _fault(kind: FaultKind, detail: str, share: float) -> Fault:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stiffopt.errors import InputFileError
+from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import atomic_write, load_json, plain, write_csv
 from stiffopt.folders import check_result
 from stiffopt.result.assessment import Assessment, LowestStiffness, Violation
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 EXPORT_RATE = 500.0
+# Of one motion in a table; at 500 Hz half an hour, in a file of 500 MB.
+MAX_SAMPLES = 1_000_000
 RESULT_FILE = "result.json"
 TRAJECTORY_FILE = "trajectory.csv"
 SIMULATION_FILE = "simulation.json"
@@ -215,18 +217,35 @@ def joints_of(document: dict[str, Any], path: Path) -> tuple[tuple[str, ...], np
     return tuple(name for name, _ in joints), np.array([slides for _, slides in joints])
 
 
-def export_times(duration: float, rate: float = EXPORT_RATE) -> np.ndarray:
+def check_samples(duration: float, rate: float) -> None:
+    """Raise `InputError` where a motion [s] at a rate [Hz] has more samples than any table."""
+    if not duration * rate <= MAX_SAMPLES + 1:
+        raise InputError(
+            f"{duration:.4g} s at {rate:.4g} Hz are more than {MAX_SAMPLES:.0e} samples. Check the"
+            " times of the motion, or give a lower rate."
+        )
+
+
+def export_times(duration: float, rate: float | None = None) -> np.ndarray:
     """Instants of trajectory.csv: every 1/rate, the last one exactly the end.
 
     Parameters
     ----------
     duration : float [s]
-    rate : float [Hz]
+    rate : float [Hz], optional
+        `EXPORT_RATE`, or as many samples of a longer motion as a table takes.
 
     Returns
     -------
     array (K,) [s]
+
+    Raises
+    ------
+    InputError
+        More samples than `MAX_SAMPLES`.
     """
+    rate = min(EXPORT_RATE, MAX_SAMPLES / duration) if rate is None else rate
+    check_samples(duration, rate)
     # A last step shorter than a millionth of the others is rounding, not a sample.
     whole = math.floor(duration * rate - 1e-6)
     return np.append(np.arange(whole + 1) / rate, duration)

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import coal
 import numpy as np
 import pinocchio as pin
 
-from stiffopt.errors import InputFileError, shortened
-from stiffopt.files import check_file
+from stiffopt.errors import InputFileError
 from stiffopt.robot.cell import Cell
 from stiffopt.robot.frames import first_link_of
 from stiffopt.robot.link_shapes import LinkShape, Purpose, load_mesh
+from stiffopt.robot.mesh_loading import convex_hull, load_mesh_file
 from stiffopt.robot.rotations import rotation_from_rpy
 from stiffopt.robot.skeleton import capsules, reach
 
@@ -212,12 +211,9 @@ def coal_form(shape: LinkShape) -> Any:
     if not shape.known:
         return None
     try:
-        mesh = load_mesh(shape)
+        return convex_hull(load_mesh(shape), shape.file)
     except InputFileError:
         return None
-    # Qhull's default options, and vertices are kept.
-    mesh.buildConvexHull(True, "Qt")
-    return mesh.convex
 
 
 def _obstacles(cell: Cell) -> Iterator[Solid]:
@@ -233,12 +229,7 @@ def _obstacles(cell: Cell) -> Iterator[Solid]:
         at = pin.SE3(rotation_from_rpy(box.rpy), np.array(box.position))
         yield Solid(box.name, 0, at, coal.Box(*box.size), of_cell=True)
     for mesh in cell.mesh:
-        check_file(mesh.file)
-        try:
-            solid = coal.MeshLoader().load(mesh.file, np.full(3, mesh.scale))
-        except (ValueError, RuntimeError) as error:
-            reason = f"cannot be read as a mesh: {shortened(error)}."
-            raise InputFileError(Path(mesh.file), "", reason) from error
+        solid = load_mesh_file(mesh.file, np.full(3, mesh.scale), boxes=True)
         at = pin.SE3(rotation_from_rpy(mesh.rpy), np.array(mesh.position))
         yield Solid(mesh.name, 0, at, solid, of_cell=True)
 

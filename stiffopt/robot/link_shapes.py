@@ -15,16 +15,17 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from stiffopt.errors import InputFileError, RobotError, shortened
+from stiffopt.errors import RobotError, shortened
+from stiffopt.files import read_bytes
 from stiffopt.robot.mesh_files import find_mesh
+from stiffopt.robot.mesh_loading import MAX_MESH_BYTES, load_mesh_file
 from stiffopt.robot.rotations import rotation_from_rpy
 from stiffopt.robot.urdf import urdf_numbers
+from stiffopt.robot.xml_files import parse_xml
 
 Purpose = Literal["visual", "collision"]
 Kind = Literal["box", "cylinder", "sphere", "mesh"]
 
-# Of a mesh [bytes]; a link of a million triangles has 50 MB.
-_LARGEST = 2**28
 _SIZES: dict[str, tuple[str, ...]] = {"cylinder": ("radius", "length"), "sphere": ("radius",)}
 
 
@@ -89,7 +90,7 @@ def read_link_shapes(path: str | os.PathLike[str]) -> tuple[LinkShape, ...]:
     """
     urdf = Path(path)
     found = []
-    for link in ET.parse(urdf).getroot().findall("link"):
+    for link in parse_xml(urdf).findall("link"):
         for purpose in ("visual", "collision"):
             for section in link.findall(purpose):
                 shape = _shape(section, link.get("name", ""), purpose, urdf)
@@ -130,12 +131,7 @@ def triangles(shape: LinkShape) -> tuple[np.ndarray, np.ndarray]:
 def load_mesh(shape: LinkShape) -> coal.BVHModelBase:
     """Mesh as coal reads it (STL, OBJ, DAE and others), scaled."""
     assert shape.file is not None
-    try:
-        return coal.MeshLoader().load(str(shape.file), np.array(shape.size))
-    except (ValueError, RuntimeError) as error:
-        raise InputFileError(
-            shape.file, "", f"cannot be read as a mesh: {shortened(error)}."
-        ) from error
+    return load_mesh_file(shape.file, np.array(shape.size))
 
 
 def _shape(section: ET.Element, link: str, purpose: Purpose, urdf: Path) -> LinkShape | None:
@@ -156,9 +152,7 @@ def _shape(section: ET.Element, link: str, purpose: Purpose, urdf: Path) -> Link
         with suppress(OSError, ValueError):  # names that no file can have
             file = find_mesh(name, urdf)
         if file is not None:
-            if file.stat().st_size > _LARGEST:
-                raise InputFileError(file, "", f"is larger than {_LARGEST / 2**20:.0f} MiB.")
-            digest = hashlib.sha256(file.read_bytes()).hexdigest()
+            digest = hashlib.sha256(read_bytes(file, MAX_MESH_BYTES)).hexdigest()
     elif own.tag == "box":
         size = _extents(own.get("size", ""), 3, f"{place} box size")
     elif own.tag in _SIZES:

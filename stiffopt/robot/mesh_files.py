@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import os
-import xml.etree.ElementTree as ET
 from contextlib import suppress
 from pathlib import Path
 from urllib.parse import unquote, urlparse
+
+from stiffopt.errors import InputFileError
+from stiffopt.robot.xml_files import parse_xml
 
 
 def mesh_files(urdf: Path) -> list[Path]:
     """Meshes that a URDF names, as far as they are found; none of a file that is no XML."""
     try:
-        names = {mesh.get("filename", "") for mesh in ET.parse(urdf).getroot().iter("mesh")}
-    except ET.ParseError:
+        names = {mesh.get("filename", "") for mesh in parse_xml(urdf).iter("mesh")}
+    except InputFileError:
         return []
     found = []
     for name in sorted(names):

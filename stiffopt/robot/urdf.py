@@ -59,6 +59,10 @@ class LoadedUrdf:
     unlimited: tuple[str, ...] = ()
 
 
+# Memory of the dynamics grows with their cube: 900 joints take 35 GB.
+MAX_MOVING_JOINTS = 50
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkBody:
     """What a link weighs, in place of what the URDF says.
@@ -128,6 +132,11 @@ def load_urdf(
         _free(joint, path, limited)
     if not moving:
         raise RobotError(f"{path}: no joint moves. Give an arm with revolute or prismatic joints.")
+    if len(moving) > MAX_MOVING_JOINTS:
+        raise RobotError(
+            f"{path}: {len(moving)} joints move, at most {MAX_MOVING_JOINTS} are read. Lock those"
+            " that are not of the arm, or name its tip."
+        )
     try:
         model = pin.buildModelFromXML(ET.tostring(tree, encoding="unicode"))
     except (ValueError, RuntimeError) as error:

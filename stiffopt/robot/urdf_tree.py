@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from stiffopt.errors import InputFileError, RobotError, nearest, shortened
-from stiffopt.files import LARGEST_TEXT, check_file
+from stiffopt.robot.xml_files import parse_xml
 
 # Of links or joints; the loader's time grows with their square.
 _MOST = 1000
@@ -34,14 +34,7 @@ def read_tree(path: str | os.PathLike[str]) -> ET.Element:
         link with two parents, a loop, more than one root.
     """
     path = Path(path)
-    check_file(path)
-    if path.stat().st_size > LARGEST_TEXT:
-        raise InputFileError(path, "", f"is larger than {LARGEST_TEXT / 2**20:.0f} MiB.")
-    try:
-        found = ET.parse(path).getroot()
-    except (ET.ParseError, UnicodeDecodeError, LookupError, ValueError) as error:
-        # Encodings that are unknown or of several bytes are no ParseError.
-        raise InputFileError(path, "", f"is not a URDF: {shortened(error)}.") from error
+    found = parse_xml(path)
     if found.tag != "robot":
         tag = shortened(found.tag)[1:-1]
         if tag in _OTHERS:

@@ -99,7 +99,7 @@ def _on_finer_mesh(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> O
             return _within_rows(run, outcome, outcome.transcription.nlp)[0]
         if attempt > 1:
             for name, value in excess.items():
-                margins[name] = margins.get(name, 0.0) + value
+                margins[name] = backed_off(margins.get(name, 0.0), value)
         before = outcome.transcription
         intervals = int(np.ceil(len(before.intervals) * _GROWTH))
         guess = before.guess_from(outcome.raw.x)
@@ -115,6 +115,14 @@ def _on_finer_mesh(run: SolveRun, outcome: Outcome, rival: Baseline | None) -> O
     if outcome.raw.converged and not _excess(outcome.assessment):
         return _without_bulges(run, outcome)
     return outcome
+
+
+def backed_off(margin: float, excess: float) -> float:
+    """Share by which a limit is tightened after a motion has exceeded it by a share.
+
+    The bound is divided by what exceeded it: however often, it stays above 0.
+    """
+    return 1.0 - (1.0 - margin) / (1.0 + excess)
 
 
 def _standing(run: SolveRun, outcome: Outcome) -> Outcome:

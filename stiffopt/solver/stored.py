@@ -15,7 +15,7 @@ from stiffopt.certificate.assess import assess
 from stiffopt.certificate.violations import CERTIFIED
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.uncertainty import Uncertainty
-from stiffopt.errors import InputFileError
+from stiffopt.errors import InputFileError, shortened
 from stiffopt.files import read_table
 from stiffopt.folders import check_result
 from stiffopt.problem.files import load_problem
@@ -93,11 +93,16 @@ def read_result(
     if not isinstance(certificate, dict):
         raise InputFileError(path, "certificate", "this solve found no motion to simulate.")
     try:
-        parts = {name: PeakRms(**part) for name, part in certificate["deflection"].items()}
+        parts = {
+            name: PeakRms(**{key: float(value) for key, value in part.items()})
+            for name, part in certificate["deflection"].items()
+        }
         _ = parts["dynamic"]
         worst = float(certificate["worst_violation"]["value"])
-    except (KeyError, TypeError) as error:
-        raise InputFileError(path, "certificate", f"has no usable {error}.") from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputFileError(
+            path, "certificate", f"has no usable numbers: {shortened(error)}. Solve again."
+        ) from error
     time, position, velocity, windup = _trajectory(folder / TRAJECTORY_FILE, stated.joints)
     own = PlannedMotion(
         name="optimised",
@@ -174,6 +179,7 @@ def _command(folder: Path, document: dict[str, Any], planned: PlannedMotion) -> 
             return None
         own = made["motions"]["optimised"]
         spacing, share = own["knot_spacing"], float(own["share_of_windup"])
+        spacing = None if spacing is None else float(spacing)
     except (KeyError, TypeError, ValueError) as error:
         raise InputFileError(
             folder / RESULT_FILE, "compensation", f"has no usable {error}."

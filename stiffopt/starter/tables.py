@@ -11,6 +11,7 @@ import numpy as np
 
 from stiffopt.errors import InputError, InputFileError
 from stiffopt.files import check_file
+from stiffopt.recording.readers.read import bounded
 from stiffopt.starter.clocks import stamps, with_joined_stamps
 
 # Words for units as loggers write them, and what `[signals.scale]` calls them; "" is SI. What is no
@@ -36,6 +37,8 @@ _GROUPED = re.compile(
 )
 # Far above what one recording holds.
 _LARGEST = 2**30
+# Of one line [characters]: hundreds of columns; Python's csv reads no cell longer than this.
+MAX_LINE = 2**17
 
 
 def read_any_table(path: Path) -> dict[str, np.ndarray]:
@@ -46,23 +49,14 @@ def read_any_table(path: Path) -> dict[str, np.ndarray]:
     InputFileError
         No table of numbers, with what was found.
     """
-    check_file(path)
-    if path.stat().st_size > _LARGEST:
-        raise InputFileError(path, "", "is larger than 1 GiB. Cut it into runs.")
-    ending = path.suffix.lower()
-    if ending == ".npz":
-        return _npz(path)
-    if ending == ".parquet":
-        return _parquet(path)
-    return _text(path)
+    check_file(path, _LARGEST)
+    read = {".npz": _npz, ".parquet": _parquet}.get(path.suffix.lower(), _text)
+    return bounded(lambda: read(path), path, "a table")
 
 
 def _npz(path: Path) -> dict[str, np.ndarray]:
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            arrays = {name: np.asarray(stored[name]) for name in stored.files}
-    except (ValueError, OSError, KeyError) as error:
-        raise InputFileError(path, "", f"cannot be read as NPZ: {error}") from error
+    with np.load(path, allow_pickle=False) as stored:
+        arrays = {name: np.asarray(stored[name]) for name in stored.files}
     found: dict[str, np.ndarray] = {}
     for name, array in arrays.items():
         if array.ndim == 1 and np.issubdtype(array.dtype, np.number):
@@ -88,6 +82,12 @@ def _parquet(path: Path) -> dict[str, np.ndarray]:
 def _text(path: Path) -> dict[str, np.ndarray]:
     raw = path.read_bytes()
     lines = [line for line in _decoded(raw).splitlines() if line.strip()]
+    longest = max(map(len, lines), default=0)
+    if longest > MAX_LINE:
+        raise InputFileError(
+            path, "", f"is no table: a line has {longest} characters, at most {MAX_LINE} are read."
+            " Write one line for each sample."
+        )  # fmt: skip
     comments = [line for line in lines if line.lstrip()[:1] in "#%"]
     body = [line for line in lines if line.lstrip()[:1] not in "#%"]
     if not body:

@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from stiffopt.errors import InputFileError
+from stiffopt.errors import InputError, InputFileError, shortened
 from stiffopt.files import atomic_write
 
 
@@ -26,7 +26,17 @@ def write_new(path: Path, text: str) -> Path:
 
 
 def quoted(text: str) -> str:
-    """Text as TOML and JSON have it."""
+    """Text as TOML has it.
+
+    Raises
+    ------
+    InputError
+        A name of a file that is not UTF-8, and so no text.
+    """
+    if any("\ud800" <= character <= "\udfff" for character in text):
+        raise InputError(
+            f"the name {shortened(text)} is not UTF-8, which a TOML file cannot hold. Rename it."
+        )
     return json.dumps(text, ensure_ascii=False)
 
 

@@ -146,6 +146,9 @@ def tightened(
                     drawn = np.nan_to_num(sign * (first[index] - bound[index]))
                 step = np.clip(drawn, step, _HASTE * step)
             bound[index] -= sign * np.where(near > 0.0, np.minimum(step, most), 0.0)
+    # Rows drawn in from both sides past themselves stay as they were.
+    crossed = lower > upper
+    lower[crossed], upper[crossed] = nlp.lower_g[crossed], nlp.upper_g[crossed]
     return replace(nlp, lower_g=lower, upper_g=upper)
 
 

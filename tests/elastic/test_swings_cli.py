@@ -126,6 +126,11 @@ def test_results_that_cannot_be_simulated_say_why(copied, capsys):
         json.dumps({**document, "problem": named, "certificate": None})
     )
     refused("found no motion")
+    for part in ({"value": "\x85"}, {"value": []}, [], None):
+        certificate = {**document["certificate"], "worst_violation": part}
+        whole = {**document, "problem": named, "certificate": certificate}
+        (out / "result.json").write_text(json.dumps(whole))
+        refused("has no usable numbers")
     (out / "result.json").write_text("{")
     refused("is no JSON text")
     (out / "result.json").unlink()

@@ -276,6 +276,16 @@ def test_only_bounds_that_were_drawn_in_before_go_as_far_again(monkeypatch):
     assert np.array_equal(found.lower_g, before.lower_g)
 
 
+def test_rows_drawn_in_from_both_sides_do_not_pass_themselves(monkeypatch):
+    monkeypatch.setattr(between, "replace", lambda nlp, **bounds: SimpleNamespace(**bounds))
+    index, near = np.arange(2)[:, None], np.array([[0.7], [0.2]])
+    block = SimpleNamespace(rows=SimpleNamespace(name="peak"))
+    given = SimpleNamespace(lower_g=np.full(2, -0.5), upper_g=np.full(2, 0.5))
+    found = tightened(given, Excess({}, ((block, index, near, near),)), given, most=1.0)
+    assert found.lower_g == pytest.approx([-0.5, -0.3])
+    assert found.upper_g == pytest.approx([0.5, 0.3])
+
+
 def test_what_motors_do_in_truth_draws_rows_in_where_they_do_it(planar):
     motion = resolve(planar)
     transcription = transcribe(formulate(planar, motion, Scales()), mesh=uniform_mesh(8))

@@ -32,6 +32,14 @@ def scene(tmp_path):
     opened.close()
 
 
+@pytest.mark.parametrize("port", [0, -1, 65536, 99999999])
+def test_ports_that_cannot_be_are_told(port):
+    from stiffopt.report.scene.live import LiveScene
+
+    with pytest.raises(InputError, match="allowed are 1 to 65535"):
+        LiveScene(None, None, port=port)
+
+
 def test_the_page_is_served_to_this_machine(scene):
     connection = http.client.HTTPConnection("127.0.0.1", scene.server.get_port(), timeout=10)
     connection.request("GET", "/")

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from small_arms import joint, load, problem_text, reducer, write_robot
+from small_arms import ROOT, joint, load, problem_text, reducer, write_robot
 
 from stiffopt.certificate.objective_value import objective_value
 from stiffopt.certificate.violations import CERTIFIED
@@ -14,6 +14,7 @@ from stiffopt.result.status import SolveStatus
 from stiffopt.solver import refinement
 from stiffopt.solver.solve import solve, solve_keeping
 
+NOISY_PATH = ROOT.parent / "shared" / "cases" / "planning" / "w04_noisy60.toml"
 PEAK = 'objective = "dynamic_deflection"\nmeasure = "peak"'
 
 
@@ -148,3 +149,19 @@ def test_a_via_that_late_windup_would_miss_is_met(tmp_path):
     path.write_text(problem_text("planar", motion=via, duration="0.8", minimise=goal))
     found = solve(load_problem(path).problem, throw=False)
     assert found.status is SolveStatus.OPTIMAL, found.message
+
+
+def test_a_limit_backed_off_again_and_again_stays_above_zero():
+    margin = 0.0
+    for excess in (1.65, 1.65, 30.0, 0.1):
+        margin = refinement.backed_off(margin, excess)
+        assert 0.0 < margin < 1.0
+    # Half as much again of half a limit: a third of it.
+    assert refinement.backed_off(0.5, 0.5) == pytest.approx(2.0 / 3.0)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not NOISY_PATH.is_file(), reason="there is no ../shared/cases/planning")
+def test_a_path_with_noise_has_an_answer():
+    solution = solve(load_problem(NOISY_PATH).problem, throw=False)
+    assert solution.status is SolveStatus.OPTIMAL

@@ -223,7 +223,9 @@ class _Factored:
         """Posterior of further columns (p, k), (k, k), (k,) beside the first set of sums."""
         half = self._inverse[0] @ (cross * self._prior[:, None])
         precision = inner - half.T @ half
-        precision.flat[:: len(moment) + 1] += 1.0
+        # What the columns leave is not below 0, though the difference of large numbers may be.
+        diagonal = slice(None, None, len(moment) + 1)
+        precision.flat[diagonal] = np.maximum(precision.flat[diagonal], 0.0) + 1.0
         goal = moment - self._half[0] @ half
         if len(moment) == 1:
             covariance = 1.0 / precision

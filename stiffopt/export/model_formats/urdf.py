@@ -9,6 +9,7 @@ import numpy as np
 from stiffopt.export.found import FoundRobot
 from stiffopt.export.model_format import MODEL_FORMATS, ModelFormat, notes
 from stiffopt.robot.body_tree import Body
+from stiffopt.robot.xml_files import parse_xml
 
 
 class Urdf(ModelFormat):
@@ -27,9 +28,8 @@ class Urdf(ModelFormat):
     def text(self, found: FoundRobot) -> str:
         """Content of found.urdf."""
         # Comments of the file stay.
-        parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
         assert found.nominal.urdf is not None
-        root = ET.parse(found.nominal.urdf, parser).getroot()
+        root = parse_xml(found.nominal.urdf, comments=True)
         for number, line in enumerate(notes(found)):
             root.insert(number, ET.Comment(f" {line.replace('--', '- -')} "))
         joints = {joint.get("name"): joint for joint in root.findall("joint")}

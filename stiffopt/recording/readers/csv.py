@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from stiffopt.errors import InputFileError, shortened
+from stiffopt.files import read_text
 from stiffopt.recording.readers.columns import missing, require_time
-from stiffopt.recording.readers.limits import check_bytes, check_numbers
+from stiffopt.recording.readers.limits import MOST_BYTES, check_numbers
 from stiffopt.recording.signals import Signals
 
 # The blank is what the RTDE recorder of Universal Robots writes.
@@ -22,17 +23,15 @@ _EMPTY = ("", "nan", "na", "n/a", "null", "none", "-")
 def read(path: Path, signals: Signals) -> dict[str, np.ndarray]:
     """Columns of a CSV file, separated by one of `_DELIMITERS`; "#" may begin the header."""
     require_time(signals, path)
-    check_bytes(path, path.stat().st_size)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputFileError(path, "", "is not a CSV text file. Save it as one.") from error
+    text = read_text(path, MOST_BYTES)
     first, _, body = text.lstrip("\r\n").partition("\n")
     wanted = (signals.time, *signals.wanted)
     headers = {mark: _header(first, mark) for mark in _DELIMITERS}
     mark = max(headers, key=lambda m: (sum(name in headers[m] for name in wanted), len(headers[m])))
     header = headers[mark]
     missing(path, wanted, header)
+    if not body.strip():
+        raise InputFileError(path, "", "holds no rows below its header. Record it anew.")
     check_numbers(path, body.count("\n"), len(wanted))
     _check_widths(path, body, mark, len(header))
     places = [header.index(name) for name in wanted]

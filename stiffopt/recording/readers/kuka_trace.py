@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from stiffopt.errors import InputFileError
+from stiffopt.files import read_bytes
 from stiffopt.recording.readers.columns import missing
 from stiffopt.recording.readers.limits import check_bytes, check_numbers
 from stiffopt.recording.signals import Signals
@@ -114,7 +115,7 @@ def _channels(path: Path) -> list[dict[str, str]]:
     """Headers of all channels, by the numbers of their keys."""
     channels: list[dict[str, str]] = []
     inside = False
-    for line in path.read_text(encoding="latin-1").splitlines():
+    for line in read_bytes(path).decode("latin-1").splitlines():
         text = line.strip()
         if text == "#BEGINCHANNELHEADER":
             channels.append({})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import pyarrow.compute as compute
 import pyarrow.parquet as parquet
 
 from stiffopt.errors import InputFileError, nearest
+from stiffopt.files import load_json
 from stiffopt.recording.readers.columns import missing, require_time
 from stiffopt.recording.readers.episodes import information, split_episode
 from stiffopt.recording.readers.limits import check_numbers
@@ -102,7 +102,7 @@ def _names(feature: Any) -> list[str]:
 
 def _features(path: Path) -> dict[str, Any]:
     found = information(path)
-    document = {} if found is None else json.loads(found.read_text(encoding="utf-8"))
+    document = {} if found is None else load_json(found)
     features = document.get("features") if isinstance(document, dict) else None
     return features if isinstance(features, dict) else {}
 

@@ -27,6 +27,8 @@ from stiffopt.recording.signals import Signals
 
 # Far beyond any measurement, stamps in nanoseconds included; larger ones overflow when squared.
 LARGEST = 1e30
+# Far below any digit of a sensor.
+SMALLEST = 1e-30
 
 Columns = dict[str, np.ndarray]
 Read = TypeVar("Read")
@@ -81,12 +83,14 @@ def read_columns(path: str | os.PathLike[str], signals: Signals) -> Columns:
     path = Path(path)
     module = _module(path)
     reader = _reader(module, path)
-    columns: Columns = _bounded(lambda: reader.read(path, signals), path, module)
+    columns: Columns = bounded(lambda: reader.read(path, signals), path, _NAMES[module])
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name}: {count}" for name, count in lengths.items())
         raise InputFileError(path, "", f"the columns have unequal lengths: {listed}.")
     for name, column in columns.items():
+        # Squares of smaller numbers underflow: they are none of a sensor.
+        columns[name] = np.where(np.abs(column) < SMALLEST, 0.0, column)
         senseless = np.isfinite(column) & (np.abs(column) > LARGEST)
         if senseless.any():
             row = int(np.argmax(senseless))
@@ -131,7 +135,7 @@ def first_messages(path: Path, count: int) -> list[Message]:
     """
     module = _module(path)
     reader = _reader(module, path)
-    return _bounded(lambda: list(islice(reader.peek(path), count)), path, module)
+    return bounded(lambda: list(islice(reader.peek(path), count)), path, _NAMES[module])
 
 
 def _module(path: Path) -> str:
@@ -161,9 +165,8 @@ def _reader(module: str, path: Path) -> Any:
         ) from error
 
 
-def _bounded(read: Callable[[], Read], path: Path, module: str) -> Read:
+def bounded(read: Callable[[], Read], path: Path, name: str) -> Read:
     """What a format's reader gives; whatever its library meets in a wrong file is one sentence."""
-    name = _NAMES[module]
     try:
         with bounded_memory(), bounded_time():
             return read()

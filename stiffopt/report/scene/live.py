@@ -47,7 +47,7 @@ class LiveScene:
     Raises
     ------
     InputError
-        viser is not installed.
+        viser is not installed, or there is no such port.
     """
 
     def __init__(
@@ -66,6 +66,8 @@ class LiveScene:
             raise InputError(
                 "viewing needs viser. Install it: pip install 'stiffopt[view]'"
             ) from error
+        if not 0 < port < 2**16:
+            raise InputError(f"--port {port}: allowed are 1 to 65535.")
         self.robot, self.poses, self._ghost = robot, poses, ghost
         with _guarded_server({host, "127.0.0.1", "localhost", "[::1]"}):
             self.server = viser.ViserServer(host=host, port=port, verbose=False)
