@@ -19,7 +19,7 @@ settings.load_profile("default")
 
 
 def pytest_configure(config):
-    """Compile the package's own C code before workers start: elastic arms swing 20 times as fast."""
+    """Compile the package's own C code before workers start: it simulates 20 times as fast."""
     if not hasattr(config, "workerinput"):
         from stiffopt import compiler
         from stiffopt.elastic import native
