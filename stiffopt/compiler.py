@@ -2,7 +2,8 @@
 
 A library is named by a hash of all that it depends on. It appears in the cache whole or not at all,
 and any number of processes may ask for it at once; one that was damaged since is made again.
-Without a C compiler, or with STIFFOPT_COMPILE=never, everything works the same, slower.
+Without a C compiler, or with STIFFOPT_COMPILE=never, everything works the same, slower. With
+STIFFOPT_COMPILE=package only the package's own C code is compiled, once for all problems.
 """
 
 from __future__ import annotations

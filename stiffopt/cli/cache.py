@@ -12,7 +12,8 @@ def cache(*, clear: bool = False) -> int:
     """Show the compiled functions of this user, or remove them.
 
     A solve has its stage compiled beside it and later solves of the same kind use that, with the
-    same result. STIFFOPT_COMPILE=never turns it off, STIFFOPT_CACHE names another folder.
+    same result. STIFFOPT_COMPILE=never turns it off, STIFFOPT_COMPILE=package all but what serves
+    every problem; STIFFOPT_CACHE names another folder.
 
     Parameters
     ----------

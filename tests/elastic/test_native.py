@@ -10,7 +10,6 @@ import pytest
 from small_arms import write_robot
 from swinging_arms import arm, bang, one_soft_joint, there_and_stop
 
-from stiffopt import compiler
 from stiffopt.elastic import native
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.many_arms import Asked, ManyArms, Member, swings_together
@@ -24,15 +23,9 @@ pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C co
 
 
 @pytest.fixture
-def made(tmp_path_factory, monkeypatch):
-    """The library; without it again afterwards."""
-    monkeypatch.setenv("STIFFOPT_CACHE", str(tmp_path_factory.getbasetemp() / "libraries"))
-    monkeypatch.delenv("STIFFOPT_COMPILE", raising=False)
-    native.prepare()
-    compiler.wait()
-    yield native.library(2)
-    compiler.wait()
-    compiler._started.clear()
+def made():
+    """The library, compiled before the tests."""
+    return native.library(2)
 
 
 def shaken(n):

@@ -73,12 +73,12 @@ def test_what_can_be_told_with_and_without_a_link_encoder(make_set: MakeSet) -> 
     assert why(checks, "encoder_offset", 2) == (LACKS["link"],)
     for effect in ("payload", "base_tilt", "external_contact", "time_delay", "encoder_skew"):
         assert possible(checks, effect) == [None]
-    assert why(checks, "thermal_friction", 1)[0].startswith("all runs are equally warm")
+    assert "equally warm" in why(checks, "thermal_friction", 1)[0]
     assert why(checks, "torque_ripple", 1) == ("nominal.pole_pairs is not given",)
     assert why(checks, "encoder_zero_change", 1) == ("there is only one training run",)
     assert why(checks, "wrist_coupling", 1) == ("there is no joint before it",)
     assert any(s.startswith("No link_position of joints 2") for s in report.missing)
-    assert any(s.startswith("Fewer than three training runs") for s in report.missing)
+    assert any("three training runs" in s for s in report.missing)
 
 
 def test_test_runs_do_not_add_to_what_can_be_told(make_set: MakeSet) -> None:
@@ -88,7 +88,7 @@ def test_test_runs_do_not_add_to_what_can_be_told(make_set: MakeSet) -> None:
     warm = ('role = "test"', 'role = "train"\nsession_time = 3600.0')
     folder = make_set(warm)
     assert possible(effects_of(folder), "thermal_friction") == [1, 2]
-    assert any(s.startswith("No run has the role test") for s in check(folder).missing)
+    assert any("role test" in s for s in check(folder).missing)
 
 
 def test_motions_that_cannot_tell(make_set: MakeSet) -> None:
@@ -101,9 +101,9 @@ def test_motions_that_cannot_tell(make_set: MakeSet) -> None:
     data["q2"] = 0.1 + 1e-6 * rng.integers(-1, 2, len(t))
     data["qd2"] = np.zeros_like(t)
     checks = effects_of(make_set(one=data))
-    assert "it moves in one direction only" in why(checks, "coulomb", 1)
+    assert any("one direction only" in each for each in why(checks, "coulomb", 1))
     assert why(checks, "viscous", 1) == ("it moves at one speed only",)
-    assert "it never moves slowly (0.005 to 0.1 rad/s)" in why(checks, "stribeck", 1)
+    assert any("(0.005 to 0.1 rad/s)" in each for each in why(checks, "stribeck", 1))
     assert why(checks, "coulomb", 2) == ("it does not move",)
     assert possible(checks, "rotor_inertia") == [1]
 

@@ -42,8 +42,8 @@ def friction():
     return diagnosed(COULOMB)
 
 
-def page_of(diagnosis, folder):
-    page = Page(write_diagnosis_report(diagnosis, folder, png=True).read_text(encoding="utf-8"))
+def page_of(diagnosis, folder, png=False):
+    page = Page(write_diagnosis_report(diagnosis, folder, png=png).read_text(encoding="utf-8"))
     assert not [each for each in page.outside if not each.startswith("data:")]
     assert "nan" not in page.text.split()
     return page
@@ -66,7 +66,7 @@ def unexplained_in(diagnosis, **changes):
 
 
 def test_page_says_what_was_found(friction, tmp_path):
-    text = page_of(friction, tmp_path).text
+    text = page_of(friction, tmp_path, png=True).text
     (finding,) = friction.findings
     assert "Joint 2: more dry friction than nominal" in text
     parameter = finding.parameters[0]

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from small_arms import write_robot
 
-from stiffopt import compiler
 from stiffopt.robot import native_bodies
 from stiffopt.robot.bodies_in_motion import torques_along
 from stiffopt.robot.body_tree import body_tree
@@ -16,15 +15,11 @@ from stiffopt.robot.rigid_body import without_rotors
 
 
 @pytest.fixture
-def made(tmp_path_factory, monkeypatch):
-    """The library, and as it was again afterwards."""
-    monkeypatch.setenv("STIFFOPT_CACHE", str(tmp_path_factory.getbasetemp() / "libraries"))
-    monkeypatch.delenv("STIFFOPT_COMPILE", raising=False)
+def made(monkeypatch):
+    """The library, compiled before the tests; not used any more afterwards."""
     monkeypatch.setattr(native_bodies, "_LIBRARY", native_bodies._Library())
     native_bodies.prepare()
-    compiler.wait()
-    yield native_bodies._LIBRARY.loaded()
-    compiler._started.clear()
+    return native_bodies._LIBRARY.loaded()
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")

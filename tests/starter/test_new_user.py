@@ -49,7 +49,7 @@ def test_a_robot_file_of_a_urdf_is_read_as_it_is(tmp_path, capsys):
     assert document["lock"] == {"finger_1": 0.0, "finger_2": 0.0}
     capsys.readouterr()
     assert run(["init", "robot", str(urdf)]) == 2
-    assert "is there already and is kept" in capsys.readouterr().err
+    assert "already and is kept" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_own_table_to_a_set_that_is_believed(tmp_path, capsys):
     arguments = ["init", "recording", str(tmp_path / "data"), "--urdf", str(SHIPPED / "robot.urdf")]
     assert run([*arguments, "--out", str(folder)]) == 0
     said = capsys.readouterr().out
-    assert "in deg by their names" in said
+    assert "in deg by" in said
     document = tomllib.loads((folder / "recordings.toml").read_text())
     assert document["signals"]["scale"] == {"time": "ms", "position": "deg"}
     assert document["signals"]["position"] == HEAD[1:3]
@@ -129,7 +129,7 @@ def test_own_table_of_an_arm_whose_urdf_has_gaps(tmp_path, capsys):
     assert all(chain is None for chain in arm.chains)
     assert not arm.coulomb.any()
     assert run(["recording", "check", str(folder)]) == 0
-    assert "the Coulomb friction is not known and is estimated" in capsys.readouterr().out
+    assert "Coulomb friction is not known" in capsys.readouterr().out
 
 
 def test_own_table_beside_a_robot_file(tmp_path, capsys):
@@ -186,7 +186,7 @@ def test_one_recording_is_cut_in_two(tmp_path, capsys):
     np.savez(tmp_path / "one.npz", **columns)
     arguments = ["init", "recording", str(tmp_path / "one.npz"), "--urdf"]
     assert run([*arguments, str(SHIPPED / "robot.urdf")]) == 0
-    assert "its first 70 % are fitted to" in capsys.readouterr().out
+    assert "first 70 %" in capsys.readouterr().out
     text = (tmp_path / "one_set" / "recordings.toml").read_text()
     assert 'link_position = ["ql1", "ql2"]' in text
     assert 'velocity = ["qd1", "qd2"]' in text

@@ -76,7 +76,7 @@ def test_a_follower_of_the_way_is_held_and_said(tmp_path, capsys):
     with pytest.raises(RobotError, match="'5' follows '4'"):
         load_robot(urdf)
     assert run(["init", "robot", str(urdf)]) == 0
-    assert "the arm is not the real one" in capsys.readouterr().out
+    assert "not the real one" in capsys.readouterr().out
     assert load_robot(tmp_path / "arm_robot.toml").joint_names == tuple("12346")
 
 
@@ -89,7 +89,7 @@ def test_an_arm_whose_strongest_joint_has_no_spring_is_given_least_heat(tmp_path
         out = tmp_path / f"{objective}.toml"
         assert run(["init", "problem", str(robot), "--out", str(out)]) == 0
         assert load_problem(out).problem.objectives[0].name == objective
-    assert "shoulder, the strongest, is rigid here" in out.read_text()
+    assert "shoulder, the strongest," in out.read_text()
 
 
 def test_a_spring_without_inertia_is_named(tmp_path):
@@ -100,7 +100,7 @@ def test_a_spring_without_inertia_is_named(tmp_path):
     head = 'schema = 1\nkind = "robot"\nname = "arm"\nurdf = "arm.urdf"\n'
     (tmp_path / "robot.toml").write_text(head + sections)
     arm = load_robot(tmp_path / "robot.toml")
-    with pytest.raises(NotSimulatedError, match="links behind 3 have no inertia"):
+    with pytest.raises(NotSimulatedError, match="behind 3 have no inertia"):
         modes(ElasticArm(arm, np.zeros(3)), np.zeros(3))
 
 
@@ -168,7 +168,7 @@ def test_a_file_of_macros_alone_is_xacro(tmp_path):
     ],
 )
 def test_a_call_of_a_macro_that_is_left_over_is_no_arm(old, new, said, tmp_path):
-    with pytest.raises(InputError, match=f"xacro that is not expanded, {said}"):
+    with pytest.raises(InputError, match=f"not expanded, {said}"):
         load_robot(changed(tmp_path, [(old, new)]))
 
 
@@ -206,8 +206,8 @@ def test_links_fixed_farther_out_are_offered_as_tools(tmp_path, capsys):
     tcp = joint("mount", "link3", "my tcp", "", "fixed", origin="0 0 0.17")
     urdf = written(tmp_path, chain(3), tcp)
     assert run(["init", "robot", str(urdf)]) == 0
-    assert "also my tcp (170 mm away)" in (said := capsys.readouterr().out)
-    assert "such as --tip 'my tcp'" in said
+    assert "tcp (170 mm away)" in (said := capsys.readouterr().out)
+    assert "--tip 'my tcp'" in said
     (tmp_path / "arm_robot.toml").unlink()
     assert run(["init", "robot", str(urdf), "--tip", "my tcp"]) == 0
     assert "Fixed to" not in capsys.readouterr().out
@@ -314,7 +314,7 @@ def test_a_motion_that_no_slowness_makes_is_refused(tmp_path):
 def test_a_first_problem_says_whether_links_are_kept_from_each_other(tmp_path):
     path = tmp_path / "p.toml"
     assert run(["init", "problem", "ur10", "-o", str(path)]) == 0
-    assert "links are not kept from each other: the URDF has no shapes" in path.read_text()
+    assert "URDF has no shapes" in path.read_text()
     path.unlink()
     assert run(["init", "problem", str(folded(tmp_path)), "-o", str(path)]) == 0
     assert "# links are kept from each other;" in path.read_text()
@@ -324,7 +324,7 @@ def test_a_link_that_is_called_as_a_joint(tmp_path, capsys):
     """As of grippers whose fixed joint bears the name of its link."""
     urdf = written(tmp_path, chain(3), joint("hand", "link3", "hand", "", kind="fixed"))
     assert run(["init", "robot", str(urdf), "--out", str(tmp_path / "robot.toml")]) == 0
-    assert "Fixed to link3 are also hand (300 mm away)" in capsys.readouterr().out
+    assert "hand (300 mm away)" in capsys.readouterr().out
 
 
 def test_joints_that_a_urdf_lists_from_the_tool_to_the_base(tmp_path, capsys):
@@ -351,8 +351,8 @@ def test_recordings_of_one_of_two_arms(tmp_path, capsys):
     arguments = ["init", "recording", str(tmp_path / "log.csv"), "--urdf", str(urdf)]
     assert run(arguments) == 2
     said = capsys.readouterr().err
-    assert "no position was recognised for 12 joints" in said
-    assert "arm.urdf branches into 2 chains of 6 joints" in said
+    assert "for 12 joints" in said
+    assert "2 chains of 6 joints" in said
     assert '--tip "left_link6" or --tip "right_link6" of `stiffopt init`' in said
     assert run([*arguments, "--tip", "right_link6"]) == 0
     text = (tmp_path / "log_set" / "recordings.toml").read_text()
