@@ -228,6 +228,13 @@ PROBLEMS = {
         {"motion": "boundary_velocity = { start = [9.0, 0.0], end = [0.0, 0.0] }"},
         ["boundary_velocity.start", "joint 1", "9", "6"],
     ),
+    "boundary velocity too near to a position limit": (
+        {
+            "motion": "boundary_velocity = { start = [5.9, 0.0], end = [0.0, 0.0] }",
+            "limits": "acceleration = [4.0, 60.0]",
+        },
+        ["boundary_velocity.start", "joint 1", "brake", "position limit"],
+    ),
     "a path with other ends": (
         {"motion": "path = [[0, 0], [0.1, 0.1], [0.2, 0.2], [0.3, 0.3]]"},
         ["motion", "`path` fixes start"],

@@ -79,6 +79,7 @@ def resolve(problem: TrajectoryProblem) -> ResolvedMotion:
             check_range(problem.robot, problem.active_limits, where, angles)
             _check_rest(problem, where, angles)
     _check_boundary_velocity(problem)
+    _check_stopping_distance(problem, motion)
     for number, (via, angles) in enumerate(zip(problem.vias, vias, strict=True), start=1):
         if via.joints is not None:
             check_range(problem.robot, problem.active_limits, f"motion.via[{number}]", angles)
@@ -179,6 +180,63 @@ def _check_boundary_velocity(problem: TrajectoryProblem) -> None:
                 f"{limit[j]:.4g}, so no duration can connect it. Lower it, or raise "
                 "limits.velocity."
             )
+
+
+def _check_stopping_distance(problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
+    """Raise where a joint at a moving end cannot brake before its position limit.
+
+    The end of a motion is checked in reversed time. A joint that keeps its direction from start to
+    end need not brake.
+    """
+    if problem.boundary_velocity is None:
+        return
+    limits = problem.active_limits
+    first, last = (np.asarray(v, dtype=float) for v in problem.boundary_velocity)
+    ends = (
+        ("start", motion.start, motion.start_fixed, first, last),
+        ("end", motion.end, motion.end_fixed, -last, -first),
+    )
+    for side, position, fixed, velocity, other in ends:
+        room = np.where(
+            velocity > 0.0, limits.position_upper - position, position - limits.position_lower
+        )
+        needed = stopping_distance(
+            np.abs(velocity),
+            limits.acceleration,
+            limits.jerk if problem.boundary_acceleration == "zero" else np.inf,
+        )
+        for j in np.flatnonzero((needed > room) & (velocity * other <= 0.0)) if fixed else ():
+            prismatic = bool(problem.robot.prismatic[j])
+            raise ProblemError(
+                f"motion.boundary_velocity.{side}: joint {j + 1} has {_place(room[j], prismatic)} "
+                f"to its position limit and needs {_place(needed[j], prismatic)} to brake from "
+                f"{abs(velocity[j]):.4g} {joint_unit('rad/s', prismatic)} within its acceleration "
+                "and jerk limits, so no duration can connect it. Lower the velocity, or choose a "
+                "pose further from the limit."
+            )
+
+
+def stopping_distance(
+    speed: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray | float
+) -> np.ndarray:
+    """Return the least distance (n,) from `speed` to standstill, from zero acceleration.
+
+    Constant jerk until the acceleration limit, then constant acceleration; infinite limits give 0.
+
+    Parameters
+    ----------
+    speed, acceleration, jerk : array (n,)
+        Not negative, the limits positive. [rad/s], [rad/s^2], [rad/s^3] or the same in m
+    """
+    # A jump of the acceleration where the jerk has no limit: no time and no distance.
+    finite = np.where(np.isfinite(jerk), jerk, 0.0)
+    ramp = np.zeros(np.broadcast_shapes(np.shape(speed), np.shape(finite)))
+    np.sqrt(2.0 * speed / np.where(finite > 0.0, finite, 1.0), where=finite > 0.0, out=ramp)
+    limited = (finite > 0.0) & (finite * ramp > acceleration)
+    np.divide(acceleration, finite, where=limited, out=ramp)
+    drop = finite * ramp
+    left = np.maximum(speed - drop * ramp / 2.0, 0.0)
+    return np.asarray(speed * ramp - drop * ramp**2 / 6.0 + left**2 / (2.0 * acceleration))
 
 
 def _check_rest(problem: TrajectoryProblem, where: str, angles: np.ndarray) -> None:
