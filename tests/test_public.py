@@ -104,38 +104,40 @@ def test_a_dozen_lines_of_python(tmp_path):
     assert seen[-1].objective == pytest.approx(solution.objective.value, rel=0.05)
 
 
-def example_of_readme(word):
-    """The Python block of the README that has this word in it."""
-    blocks = (ROOT / "README.md").read_text().split("```python\n")[1:]
-    (example,) = [code for code in (b.split("```")[0] for b in blocks) if word in code]
-    return example
+DOCS = ROOT / ".github" / "docs"
 
 
-def test_preload_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
+def python_example(page):
+    """Return the Python block of a documentation page."""
+    (example,) = page.read_text(encoding="utf-8").split("```python\n")[1:]
+    return example.split("```")[0]
+
+
+def test_preload_tutorial_example_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     seen = {}
-    exec(compile(example_of_readme("preload_study"), "README.md", "exec"), seen)
+    exec(compile(python_example(DOCS / "tutorials" / "preload.md"), "preload.md", "exec"), seen)
     assert seen["study"].status.usable
     assert "N m" in capsys.readouterr().out
     assert (tmp_path / "out/preload/report.html").stat().st_size > 10_000
 
 
-def test_diagnosis_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
+def test_diagnosis_tutorial_example_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "problems").symlink_to(ROOT / "problems")
     seen = {}
-    exec(compile(example_of_readme("load_recordings"), "README.md", "exec"), seen)
+    exec(compile(python_example(DOCS / "tutorials" / "diagnose.md"), "diagnose.md", "exec"), seen)
     assert seen["diagnosis"].verdict == "named"
     assert "coulomb 2 dFc" in capsys.readouterr().out
     out = tmp_path / "out" / "two_link"
     assert {"diagnosis.json", "extended.toml", "report.html"} <= {p.name for p in out.iterdir()}
 
 
-def test_own_effects_of_the_readme_are_read(tmp_path):
+def test_own_effect_example_is_read(tmp_path):
     from stiffopt.discovery.user_effects import load_effects
 
     file = tmp_path / "my_effects.py"
-    file.write_text(example_of_readme("stiffopt.discovery.effect"))
+    file.write_text(python_example(DOCS / "howto" / "own_effects.md"))
     (effect,) = load_effects(file)
     assert effect.name == "seal_drag"
 
