@@ -1,6 +1,5 @@
 """Helpers shared by several test folders lie beside this file, which makes them importable."""
 
-import os
 import signal
 
 from hypothesis import settings
@@ -8,9 +7,6 @@ from hypothesis import settings
 # What runs in the background of a shell is deaf to Ctrl-C, and so is all that it starts.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-
-# Hundreds of small problems would each start a compiler; tests of compiled stages ask for it.
-os.environ["STIFFOPT_COMPILE"] = "never"
 
 # The same commit gives the same answer; --hypothesis-profile explore draws examples of its own.
 settings.register_profile("default", derandomize=True, database=None)

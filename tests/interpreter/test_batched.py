@@ -1,31 +1,37 @@
-"""Code for several points at once: every operation, to the last digit, in every lane."""
+"""The interpreter of batched instructions: every operation, to the last digit, at every point."""
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
-from pathlib import Path
+from concurrent.futures import ThreadPoolExecutor
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from stiffopt import compiler
-from stiffopt.transcription import compiled, sums, wide_code
-from stiffopt.transcription.operations import operations_of
-from stiffopt.transcription.runs import in_runs, places
-from stiffopt.transcription.sums import instructions
-from stiffopt.transcription.wide_code import POINTS
+from stiffopt import native
+from stiffopt.interpreter import batched as interpreter
+from stiffopt.interpreter.batched import POINTS, batched
+from stiffopt.interpreter.batches import batches, places
+from stiffopt.interpreter.instructions import MAX_TERMS, instructions
+from stiffopt.interpreter.operations import operations_of
 
-pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+# Calls that interpreter.c recalls.
+CALLS = 128
+
+pytestmark = pytest.mark.skipif(native.library() is None, reason="needs the compiled core")
 
 
-def made(functions: list[ca.Function], folder: Path) -> Path:
-    source, library = folder / "wide.c", folder / "wide.so"
-    source.write_text(wide_code.wide_code(functions, (1,)))
-    compiler.build("cc", source, library, compiled.OPTIMISE)
-    return library
+def many_of(function: ca.Function, *, recalled: bool = False) -> ca.Function:
+    """The function at several points; its second input is the same at all of them."""
+    found = batched(native.library(), function, (1,), recalled=recalled)
+    assert found is not None
+    return found
+
+
+def kinds() -> dict[str, int]:
+    return interpreter._loaded(native.library())[1]
 
 
 def every_operation() -> ca.Function:
@@ -47,9 +53,9 @@ def every_operation() -> ca.Function:
     return ca.Function("every", [ca.vertcat(a, b), shared], [pattern])
 
 
-def test_every_operation_is_that_of_casadi(tmp_path: Path) -> None:
+def test_every_operation_is_that_of_casadi() -> None:
     one = every_operation()
-    many = ca.external("every", str(made([one], tmp_path)))
+    many = many_of(one)
     points = np.random.default_rng(3).normal(size=(2, 3 * POINTS))
     shared = [0.3, -1.7]
     slow = np.hstack([one(point, shared).full() for point in points.T])
@@ -75,68 +81,69 @@ def random_sums(seed: int) -> ca.Function:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_sums_have_the_digits_of_casadi(
-    seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sums, "_KINDS", 20)
+def test_sums_have_the_digits_of_casadi(seed: int) -> None:
     one = random_sums(seed)
-    many = ca.external("sums", str(made([one], tmp_path)))
+    many = many_of(one)
     points = np.random.default_rng(seed).normal(size=(4, POINTS))
     slow = np.hstack([one(point, [0.3, -1.7]).full() for point in points.T])
     np.testing.assert_allclose(many(points, [0.3, -1.7]).full(), slow, rtol=1e-14, atol=0)
-    found = instructions(operations_of(one), wide_code.KINDS)
-    assert len({each.kind for each in found if "+" in each.kind or "-" in each.kind}) <= 20 + 8
+    found = instructions(operations_of(one), kinds())
+    assert {each.kind for each in found} <= set(kinds())
     assert max(len(each.read) for each in found) > 4
 
 
-def test_runs_read_what_has_been_computed_and_not_been_replaced() -> None:
+def test_all_sums_of_two_terms_are_kinds_and_none_is_too_long() -> None:
+    sums = [kind for kind in kinds() if kind.startswith("x")]
+    assert {f"{a}{sign}{b}" for sign in "+-" for a, b in (("x0", "x1"), ("x0", "x1*x2"))} <= set(
+        sums
+    )
+    assert {f"x0*x1{sign}{b}" for sign in "+-" for b in ("x2", "x2*x3")} <= set(sums)
+    assert max(kind.count("+") + kind.count("-") for kind in sums) < MAX_TERMS
+
+
+def test_batches_read_values_that_are_computed_and_not_yet_replaced() -> None:
     operations = operations_of(random_sums(1))
-    listed = instructions(operations, wide_code.KINDS)
-    runs = in_runs(listed)
+    listed = instructions(operations, kinds())
+    found = batches(listed)
     given = [v for v in range(len(operations.values)) if not operations.is_computed(v)]
     results = [value for _, _, value in operations.results]
-    place, count = places(given, runs, results)
+    place, count = places(given, found, results)
     held = {place[value]: value for value in given}
-    for run in runs:
-        assert {each.kind for each in run} == {run[0].kind}
-        for each in run:
+    for batch in found:
+        assert {each.kind for each in batch} == {batch[0].kind}
+        for each in batch:
             assert [held[place[value]] for value in each.read] == list(each.read)
             held[place[each.value]] = each.value
     assert [held[place[value]] for value in results] == results
-    assert len(runs) < len(listed) == sum(map(len, runs))
+    assert len(found) < len(listed) == sum(map(len, found))
     assert count == max(place.values()) + 1 < len(listed)
 
 
-def test_what_is_recalled_is_what_would_be_found(tmp_path: Path) -> None:
+def test_recalled_values_are_those_computed_anew() -> None:
     one = random_sums(2)
-    source, library = tmp_path / "wide.c", tmp_path / "wide.so"
-    source.write_text(wide_code.wide_code([one], (1,), [one.name()]))
-    compiler.build("cc", source, library, compiled.OPTIMISE)
-    many = ca.external("sums", str(library))
+    many, once = many_of(one, recalled=True), many_of(one)
     draw = np.random.default_rng(4)
     # More than are kept, each of them twice, and some again when they are gone.
-    points = draw.normal(size=(wide_code.CALLS + 20, 4, POINTS))
+    points = draw.normal(size=(CALLS + 20, 4, POINTS))
     points[1] = points[0]
     points[1][3, -1] += 1e-9
-    once = ca.external("sums", str(made([one], tmp_path)))
     expected = [once(each, [0.3, -1.7]).full() for each in points]
     for k in (0, 1, 0, *np.repeat(np.arange(len(points)), 2), *range(len(points)), 0, 1):
         np.testing.assert_array_equal(many(points[k], [0.3, -1.7]).full(), expected[k])
     assert not np.array_equal(many(points[3], [0.3, -1.6]).full(), expected[3])
 
 
-def test_what_is_recalled_goes_with_its_function(tmp_path: Path) -> None:
-    x, shared = ca.SX.sym("x", 2), ca.SX.sym("shared")
-    one = ca.Function("many", [x, shared], [ca.vertcat(*[shared * x + k for k in range(300)])])
-    source, library = tmp_path / "wide.c", tmp_path / "wide.so"
-    source.write_text(wide_code.wide_code([one], (1,), [one.name()]))
-    compiler.build("cc", source, library, compiled.OPTIMISE)
+def test_recalled_values_are_freed_with_their_function() -> None:
     # Each of fifty functions finds 10 MB.
     code = f"""
 import casadi as ca, numpy as np, resource
+from stiffopt import native
+from stiffopt.interpreter.batched import batched
+x, shared = ca.SX.sym("x", 2), ca.SX.sym("shared")
+one = ca.Function("many", [x, shared], [ca.vertcat(*[shared * x + k for k in range(300)])])
 def used():
-    many = ca.external("many", {str(library)!r})
-    for k in range({wide_code.CALLS}):
+    many = batched(native.library(), one, (1,), recalled=True)
+    for k in range({CALLS}):
         many(np.full((2, {POINTS}), k), 1.0)
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 first = used()
@@ -146,10 +153,38 @@ print([used() for _ in range(50)][-1] - first)
     assert int(told.stdout) < 100_000  # [kB]
 
 
-def test_what_is_not_given_is_zero(tmp_path: Path) -> None:
+def test_functions_in_use_are_limited_and_their_places_are_used_again() -> None:
     x, shared = ca.SX.sym("x"), ca.SX.sym("shared")
-    library = made([ca.Function("shifted", [x, shared], [x + shared + 1.0])], tmp_path)
-    wide = ca.external("shifted", str(library)).map(2)
+    one = ca.Function("shifted", [x, shared], [x + shared])
+    kept: list[ca.Function | None] = []
+    while len(kept) < 1000 and None not in kept:
+        kept.append(batched(native.library(), one, (1,)))
+    assert 400 < len(kept) < 1000
+    many = kept[-2]
+    assert many is not None
+    np.testing.assert_array_equal(many(np.arange(POINTS)[None], 2.0), np.arange(POINTS)[None] + 2.0)
+    # A function that is built on it holds it as well.
+    twice = many.map(2)
+    del many
+    kept.clear()
+    np.testing.assert_array_equal(twice(np.ones((1, 2 * POINTS)), np.ones((1, 2))), 2.0)
+    assert batched(native.library(), one, (1,)) is not None
+
+
+def test_threads_that_share_a_function_do_not_disturb_each_other() -> None:
+    one = random_sums(5)
+    many = many_of(one, recalled=True)
+    points = np.random.default_rng(6).normal(size=(40, 4, POINTS))
+    expected = [many(each, [0.3, -1.7]).full() for each in points]
+    with ThreadPoolExecutor(4) as pool:
+        for _ in range(5):
+            found = list(pool.map(lambda each: many(each, [0.3, -1.7]).full(), points))
+            np.testing.assert_array_equal(found, expected)
+
+
+def test_inputs_that_are_not_given_are_zero() -> None:
+    x, shared = ca.SX.sym("x"), ca.SX.sym("shared")
+    wide = many_of(ca.Function("shifted", [x, shared], [x + shared + 1.0])).map(2)
     nothing = ca.DM(1, 2 * POINTS)
     np.testing.assert_array_equal(wide(nothing, ca.DM.zeros(1, 2)).full(), 1.0)
     buffer, evaluate = wide.buffer()
@@ -159,23 +194,11 @@ def test_what_is_not_given_is_zero(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found, 1.0)
 
 
-def test_a_compiler_that_knows_no_native_is_asked_without(tmp_path: Path) -> None:
-    strict = tmp_path / "strict"
-    strict.write_text("#!/bin/sh\ncase $* in *native*) exit 1;; esac\nexec cc $*\n")
-    strict.chmod(0o755)
-    source, library = tmp_path / "wide.c", tmp_path / "wide.so"
-    source.write_text(wide_code.wide_code([every_operation()], (1,)))
-    compiler.build(str(strict), source, library, compiled.OPTIMISE)
-    assert library.exists()
-    with pytest.raises(subprocess.CalledProcessError):
-        compiler.build("false", source, library, compiled.OPTIMISE)
-
-
-def test_signs_of_zeros_and_of_what_is_no_number_are_those_of_casadi(tmp_path: Path) -> None:
+def test_signs_of_zeros_and_of_nan_are_those_of_casadi() -> None:
     x, shared = ca.SX.sym("x"), ca.SX.sym("shared")
     one = ca.Function("signs", [x, shared], [ca.sign(x)])
     points = np.resize([np.nan, 0.0, -0.0, np.inf, -np.inf, 3.0, -3.0, 5e-324], (1, POINTS))
-    found = ca.external("signs", str(made([one], tmp_path)))(points, 0.0).full()
+    found = many_of(one)(points, 0.0).full()
     truth = np.array([[float(one(point, 0.0)) for point in points.ravel()]])
     # A sign that hides what is no number would make a step to nowhere look good.
     np.testing.assert_array_equal(found, truth)
@@ -183,9 +206,20 @@ def test_signs_of_zeros_and_of_what_is_no_number_are_those_of_casadi(tmp_path: P
     np.testing.assert_array_equal(np.signbit(found[is_number]), np.signbit(truth[is_number]))
 
 
-def test_what_has_no_digits_is_named(tmp_path: Path) -> None:
+def test_infinite_and_undefined_constants() -> None:
     x, shared = ca.SX.sym("x"), ca.SX.sym("shared")
     bounds = ca.vertcat(x + ca.inf, x - ca.inf, x + np.nan)
-    library = made([ca.Function("bounds", [x, shared], [bounds])], tmp_path)
-    found = ca.external("bounds", str(library))(np.ones((1, POINTS)), 0.0).full()
+    found = many_of(ca.Function("bounds", [x, shared], [bounds]))(np.ones((1, POINTS)), 0.0).full()
     np.testing.assert_array_equal(found, np.repeat([[np.inf], [-np.inf], [np.nan]], POINTS, 1))
+
+
+def test_the_larger_of_two_is_that_of_the_c_library() -> None:
+    a, b = ca.SX.sym("a", 8), ca.SX.sym("b", 8)
+    both = ca.vertcat(ca.fmax(a, b), ca.fmin(a, b))
+    one = ca.Function("both", [ca.vertcat(a, b), ca.SX(0, 1)], [both])
+    first = np.array([1.0, 2.0, np.nan, 1.0, np.inf, -np.inf, -1.0, np.nan])
+    second = np.array([2.0, 1.0, 1.0, np.nan, 1.0, 1.0, -2.0, np.nan])
+    points = np.repeat(np.append(first, second)[:, None], POINTS, axis=1)
+    expected = np.append(np.fmax(first, second), np.fmin(first, second))
+    found = many_of(one)(points, ca.DM(0, 1)).full()
+    np.testing.assert_array_equal(found, np.repeat(expected[:, None], POINTS, axis=1))

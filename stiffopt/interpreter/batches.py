@@ -1,6 +1,6 @@
-"""Instructions in runs of one kind each, and the places that their values have.
+"""Instructions in batches of one kind each, and the places that their values have.
 
-A run is one loop of the processor: which kind comes next is asked once a run, not once an
+A batch is one loop of the processor: which kind comes next is asked once a batch, not once an
 instruction.
 """
 
@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
-from stiffopt.transcription.sums import Instruction
+from .instructions import Instruction
 
 
-def in_runs(instructions: Sequence[Instruction]) -> list[list[Instruction]]:
-    """The same instructions in another order: runs of one kind, each as long as can be.
+def batches(instructions: Sequence[Instruction]) -> list[list[Instruction]]:
+    """The same instructions in another order: batches of one kind, each as long as can be.
 
     Parameters
     ----------
@@ -31,39 +31,39 @@ def in_runs(instructions: Sequence[Instruction]) -> list[list[Instruction]]:
             readers[value].append(each)
         if not needed:
             ready[each.kind].append(each)
-    runs: list[list[Instruction]] = []
+    found: list[list[Instruction]] = []
     while ready:
         kind = max(ready, key=lambda kind: len(ready[kind]))
-        run = ready.pop(kind)
-        for each in run:
+        batch = ready.pop(kind)
+        for each in batch:
             for reader in readers[each.value]:
                 missing[reader.value] -= 1
                 if not missing[reader.value]:
-                    # What can follow in this run does.
-                    (run if reader.kind == kind else ready[reader.kind]).append(reader)
-        runs.append(run)
-    return runs
+                    # Those that can follow in this batch do.
+                    (batch if reader.kind == kind else ready[reader.kind]).append(reader)
+        found.append(batch)
+    return found
 
 
 def places(
-    given: Iterable[int], runs: Sequence[Sequence[Instruction]], results: Iterable[int]
+    given: Iterable[int], listed: Sequence[Sequence[Instruction]], results: Iterable[int]
 ) -> tuple[dict[int, int], int]:
     """Places of values in the work vector, as few as there are values at a time.
 
     Parameters
     ----------
     given : iterable of int
-        Values that are there before the first run.
-    runs : sequence of sequence of Instruction
+        Values that are there before the first batch.
+    listed : sequence of sequence of Instruction
     results : iterable of int
-        Values that must be there behind the last run.
+        Values that must be there behind the last batch.
 
     Returns
     -------
     dict, int
         Place of every value, and how many there are.
     """
-    order = [each for run in runs for each in run]
+    order = [each for batch in listed for each in batch]
     last = {value: k for k, each in enumerate(order) for value in (*each.read, each.value)}
     last |= dict.fromkeys(results, len(order))
     ending: dict[int, list[int]] = defaultdict(list)

@@ -9,18 +9,15 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from typing import NamedTuple
 
 import casadi as ca
 
-from stiffopt.transcription.operations import GIVEN, Operations
+from .operations import GIVEN, Operations
 
-# Terms of a sum that is one instruction, and how many kinds of sums there are, beside those of two
-# terms: the most frequent. Each is a loop for the compiler.
-_MOST_TERMS = 6
-_KINDS = 12
+# Terms of a sum that is one instruction, at most.
+MAX_TERMS = 6
 
 _SUMS = (ca.OP_ADD, ca.OP_SUB)
 
@@ -32,7 +29,7 @@ class Instruction(NamedTuple):
     ----------
     value : int
     kind : str
-        C expression of what is read: x0, x1, ..; or the name of a function of that.
+        Name of a CasADi operation without OP_, or a sum of x0, x1, .., the values read.
     read : tuple of int
         Values.
     """
@@ -50,25 +47,30 @@ class _Term(NamedTuple):
     total: int
 
 
-def instructions(operations: Operations, kinds: dict[int, str]) -> list[Instruction]:
+def instructions(operations: Operations, kinds: Container[str]) -> list[Instruction]:
     """Instructions that compute a function's values, each behind those that it reads.
 
     Parameters
     ----------
     operations : Operations
-    kinds : dict
-        `Instruction.kind` of every CasADi operation but sums.
+    kinds : container of str
+        What instructions there are: all operations but sums, all sums of two terms, some longer.
     """
     sums, inside = _sums(operations)
-    found = Counter(part.kind for terms in sums.values() for part in _in_parts(terms))
-    kept = {kind for kind, _ in found.most_common(_KINDS)}
+    names = _operation_names()
     listed: list[Instruction] = []
     for value, (operation, read) in enumerate(operations.values):
         if value in sums:
-            listed += _in_parts(sums[value], kept)
+            listed += _in_parts(sums[value], kinds)
         elif operation not in GIVEN and value not in inside:
-            listed.append(Instruction(value, kinds[operation], read))
+            listed.append(Instruction(value, names[operation], read))
     return listed
+
+
+@functools.cache
+def _operation_names() -> dict[int, str]:
+    """Names of CasADi's operations by their numbers."""
+    return {getattr(ca, name): name[3:] for name in dir(ca) if name.startswith("OP_")}
 
 
 def _sums(operations: Operations) -> tuple[dict[int, list[_Term]], set[int]]:
@@ -108,13 +110,13 @@ def _sums(operations: Operations) -> tuple[dict[int, list[_Term]], set[int]]:
     return sums, inside
 
 
-def _in_parts(terms: list[_Term], kept: set[str] | None = None) -> Iterator[Instruction]:
-    """A sum by instructions of the kinds that are kept, each going on from the one before."""
+def _in_parts(terms: list[_Term], kinds: Container[str]) -> Iterator[Instruction]:
+    """Split a sum into instructions of the given kinds, each going on from the one before."""
     while len(terms) > 1:
-        for count in range(min(len(terms), _MOST_TERMS), 1, -1):
+        for count in range(min(len(terms), MAX_TERMS), 1, -1):
             part = terms[:count]
             kind = _expression(tuple((term.sign, len(term.read)) for term in part))
-            if count == 2 or kept is None or kind in kept:
+            if count == 2 or kind in kinds:
                 break
         total = part[-1].total
         yield Instruction(total, kind, tuple(each for term in part for each in term.read))
@@ -123,7 +125,7 @@ def _in_parts(terms: list[_Term], kept: set[str] | None = None) -> Iterator[Inst
 
 @functools.cache
 def _expression(form: tuple[tuple[str, int], ...]) -> str:
-    """C expression of terms, each a sign and the number of its factors."""
+    """Name of a sum of terms, each a sign and the number of its factors."""
     read = itertools.count()
     return "".join(
         sign + "*".join(f"x{next(read)}" for _ in range(factors)) for sign, factors in form
