@@ -8,18 +8,33 @@ from __future__ import annotations
 
 import ctypes
 import functools
-from collections.abc import Sequence
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
-from .batches import batches, places
-from .instructions import instructions
-from .operations import operations_of
-
 # Points of a call, as interpreter.c is compiled for them.
 POINTS = 16
+# Sums, whose kinds are more than their operations.
+_SUMS = (ca.OP_ADD, ca.OP_SUB)
+
+_Numbers, _Whole = ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_int)
+
+
+class _Operations(ctypes.Structure):
+    """A function's operations; see preparation.c."""
+
+    _fields_ = (
+        ("count", ctypes.c_longlong),
+        ("places", ctypes.c_longlong),
+        *((name, _Whole) for name in ("operation", "first", "second", "written")),
+        ("numbers", _Numbers),
+        ("kinds", _Whole),
+        *(
+            (n, ctypes.c_int)
+            for n in ("input", "output", "constant", "add", "subtract", "multiply")
+        ),
+    )
 
 
 def batched(
@@ -45,62 +60,81 @@ def batched(
         None where too many are in use.
     """
     loaded, kinds = _loaded(library)
-    operations = operations_of(function)
-    listed = batches(instructions(operations, kinds))
-    given = [v for v in range(len(operations.values)) if not operations.is_computed(v)]
-    place, count = places(given, listed, [value for _, _, value in operations.results])
-    at = {value: POINTS * number for value, number in place.items()}
-    inputs = [v for v in given if operations.values[v][0] == ca.OP_INPUT]
-    constants = [v for v in given if operations.values[v][0] == ca.OP_CONST]
-    widths = [function.nnz_in(i) * (i not in shared) for i in range(function.n_in())]
-    patterns = [_of_points(function.sparsity_in(i), i in shared) for i in range(function.n_in())]
-    patterns += [_of_points(function.sparsity_out(i), False) for i in range(function.n_out())]
+    inputs, outputs = range(function.n_in()), range(function.n_out())
+    widths = [function.nnz_in(i) * (i not in shared) for i in inputs]
+    patterns = [_of_points(function.sparsity_in(i), i in shared) for i in inputs]
+    patterns += [_of_points(function.sparsity_out(i), False) for i in outputs]
     compressed = [pattern.compress() for pattern in patterns]
-    lists: list[Sequence[int]] = [
-        [k for v in inputs for k in (*operations.values[v][1], at[v])],
-        [at[v] for v in constants],
-        [k for batch in listed for k in (kinds[batch[0].kind], len(batch))],
-        [at[v] for batch in listed for each in batch for v in (each.value, *each.read)],
-        [k for out, row, v in operations.results for k in (out, row, at[v])],
-        widths,
-        [function.nnz_in(i) * (POINTS if width else 1) for i, width in enumerate(widths)],
-        [function.nnz_out(i) for i in range(function.n_out())],
-        np.cumsum([0, *map(len, compressed)])[:-1].tolist(),
+    sides = [
+        *widths,
+        *(function.nnz_in(i) * (POINTS if width else 1) for i, width in enumerate(widths)),
+        *(function.nnz_out(i) for i in outputs),
+        *np.cumsum([0, *map(len, compressed)])[:-1],
     ]
-    ends = np.cumsum([len(each) + 1 for each in lists])
+    sparsity = np.concatenate(compressed).astype(np.int64)
+    shape = np.array([len(inputs), len(outputs), recalled], dtype=np.int32)
     slot = loaded.batch_load(
-        _pointer(np.append(0, ends), np.int32),
-        _pointer(np.concatenate([k for each in lists for k in (each, [-1])]), np.int32),
-        ctypes.c_longlong(ends[-1]),
-        _pointer([float.fromhex(operations.values[v][1][0]) for v in constants], float),
-        ctypes.c_longlong(len(constants)),
-        _pointer(np.concatenate(compressed), np.int64),
-        ctypes.c_longlong(sum(map(len, compressed))),
-        # A place more, of which the first registers are aligned.
-        _pointer([function.n_in(), function.n_out(), POINTS * count + 8, recalled], np.int64),
+        ctypes.byref(_operations_of(function, kinds)),
+        shape.ctypes.data_as(_Whole),
+        np.array(sides, dtype=np.int32).ctypes.data_as(_Whole),
+        sparsity.ctypes.data_as(ctypes.POINTER(ctypes.c_longlong)),
+        ctypes.c_longlong(len(sparsity)),
     )
     return None if slot < 0 else ca.external(f"batch_{slot:03x}", str(library))
 
 
+def _operations_of(function: ca.Function, kinds: np.ndarray) -> _Operations:
+    count = function.n_instructions()
+    operation = [function.instruction_id(k) for k in range(count)]
+    numbers, rows = np.zeros(count), []
+    read, written = function.instruction_input, function.instruction_output
+    for k, each in enumerate(operation):
+        row = (*read(k), *written(k))
+        if len(row) == 2:
+            row = (row[0], -1, row[1])
+        elif each == ca.OP_CONST:
+            row, numbers[k] = (-1, -1, *row), function.instruction_constant(k)
+        rows.append(row)
+    first, second, places = np.array(rows, dtype=np.int32).reshape(count, 3).T.copy()
+    if unknown := {each for each in operation if kinds[each] < 0}:
+        raise ValueError(f"no instruction for CasADi's operations {sorted(unknown)}")
+    arrays = (np.array(operation, dtype=np.int32), first, second, places, numbers, kinds)
+    found = _Operations(
+        count,
+        function.sz_w(),
+        *(each.ctypes.data_as(_Numbers if each is numbers else _Whole) for each in arrays),
+        *(ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL),
+    )
+    # Kept as long as the pointers to them.
+    found.arrays = arrays
+    return found
+
+
 @functools.cache
-def _loaded(library: Path) -> tuple[ctypes.CDLL, dict[str, int]]:
-    """The library, and numbers of the kinds of instructions."""
+def _loaded(library: Path) -> tuple[ctypes.CDLL, np.ndarray]:
+    """The library, and the kinds of instructions by CasADi's operations; -1 where there is none."""
     loaded = ctypes.CDLL(str(library))
-    loaded.batch_kinds.restype = ctypes.POINTER(ctypes.c_char_p)
+    numbers = {getattr(ca, name): name[3:] for name in dir(ca) if name.startswith("OP_")}
+    kinds = np.full(max(numbers) + 1, -1, dtype=np.int32)
+    known = kind_names(library)
+    for number, name in numbers.items():
+        if name in known:
+            kinds[number] = known.index(name)
+    # No instructions, or kinds of their own.
+    kinds[[ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, *_SUMS]] = 0
+    return loaded, kinds
+
+
+def kind_names(library: Path) -> list[str]:
+    """Kinds of instructions: names of operations of CasADi without OP_, and sums of x0, x1, .."""
+    kinds = ctypes.CDLL(str(library)).batch_kinds
+    kinds.restype = ctypes.POINTER(ctypes.c_char_p)
     names: list[str] = []
-    for name in loaded.batch_kinds():
+    for name in kinds():
         if name is None:
             break
         names.append(name.decode())
-    return loaded, {name: number for number, name in enumerate(names)}
-
-
-def _pointer(values: object, kind: type) -> ctypes.c_void_p:
-    array: np.ndarray = np.ascontiguousarray(values, dtype=kind)
-    pointer = ctypes.c_void_p(array.ctypes.data)
-    # Kept as long as the pointer is.
-    pointer.array = array  # type: ignore[attr-defined]
-    return pointer
+    return names
 
 
 def _of_points(sparsity: ca.Sparsity, same: bool) -> ca.Sparsity:

@@ -111,6 +111,33 @@ static const char* names[] = {KINDS(NAME, NAME, SUM_NAME) 0};
 /* Names of the kinds, in the order of their numbers; 0 ends them. */
 const char* const* batch_kinds(void) { return names; }
 
+#define COUNTED(...) +1
+enum { KIND_COUNT = KINDS(COUNTED, COUNTED, COUNTED) };
+
+/* Kinds of sums by a number of their signs and factors, -1 where there is none. */
+static int kind_of_form[1 << 13];
+
+static int next_form(int form, int minus, int factors) { return 4 * form + 2 * minus + (factors == 2); }
+
+static int first_form(int factors) { return next_form(1, 0, factors); }
+
+static __attribute__((constructor)) void read_forms(void) {
+  memset(kind_of_form, -1, sizeof kind_of_form);
+  for (int kind = 0; kind < KIND_COUNT; kind++) {
+    if (names[kind][0] != 'x') continue;
+    int form = 1, minus = 0, factors = 1;
+    for (const char* c = names[kind]; *c; c++) {
+      factors += *c == '*';
+      if (*c != '+' && *c != '-') continue;
+      form = next_form(form, minus, factors);
+      minus = *c == '-', factors = 1;
+    }
+    kind_of_form[next_form(form, minus, factors)] = kind;
+  }
+}
+
+#include "preparation.c"
+
 /* ------------------------------------------------------------------ a formula */
 
 /* What a call has been given and has found. */
@@ -197,8 +224,10 @@ static void evaluate(const formula* f, const double** arg, double** res, double*
   for (int i = 0; f->constants[i] >= 0; i++)
     EACH_POINT w[f->constants[i] + k] = f->numbers[i];
   run(f->batches, f->read, w);
-  for (const int* g = f->found; g[0] >= 0; g += 3)
-    EACH_POINT res[g[0]][g[1] + k * f->sizes[g[0]]] = w[g[2] + k];
+  for (const int* g = f->found; g[0] >= 0; g += 3) {
+    double* to = res[g[0]];
+    if (to) EACH_POINT to[g[1] + k * f->sizes[g[0]]] = w[g[2] + k];
+  }
 }
 
 /* As `evaluate`, of one output; with the inputs of one of the last calls what that has found. An optimiser asks for
@@ -233,8 +262,60 @@ static void recall(formula* f, const double** arg, double** res, double* w) {
   m->next = (k + 1) % CALLS;
 }
 
+/* A formula in one piece of memory. */
+static formula* laid_out(const preparation* p, const int* shape, const int* sides, const long long* sparsity,
+                         long long sparsity_count) {
+  const long long inputs = shape[0], outputs = shape[1];
+  const long long most = 6LL * p->values + 2 * p->batches + p->reads + p->instructions + 3 * p->results + 4 * inputs +
+                         3 * outputs + 16;
+  formula* f = calloc(1, sizeof *f + sparsity_count * sizeof *sparsity + p->values * sizeof(double) +
+                             most * sizeof(int));
+  if (!f) return 0;
+  f->inputs = inputs, f->outputs = outputs, f->work = POINTS * p->places + 8, f->recalled = shape[2];
+  long long* patterns = (long long*)(f + 1);
+  double* numbers = (double*)(patterns + sparsity_count);
+  int* to = (int*)(numbers + p->values);
+  memcpy(patterns, sparsity, sparsity_count * sizeof *sparsity);
+  f->sparsity = patterns, f->numbers = numbers;
+  f->given = to;
+  for (int v = 0; v < p->values; v++)
+    if (p->value[v].operation == p->of->input)
+      *to++ = p->value[v].first, *to++ = p->value[v].second, *to++ = POINTS * p->place[v];
+  *to++ = -1;
+  f->constants = to;
+  for (int v = 0; v < p->values; v++)
+    if (p->value[v].operation == p->of->constant) {
+      memcpy(numbers++, &p->value[v].first, sizeof *numbers);
+      *to++ = POINTS * p->place[v];
+    }
+  *to++ = -1;
+  f->batches = memcpy(to, p->batch, 2 * p->batches * sizeof(int));
+  to += 2 * p->batches;
+  *to++ = -1;
+  f->read = to;
+  for (int k = 0; k < p->instructions; k++) {
+    const instruction* own = p->instruction + p->order[k];
+    *to++ = POINTS * p->place[own->value];
+    for (int i = 0; i < own->reads; i++) *to++ = POINTS * p->place[p->read[own->read_at + i]];
+  }
+  f->found = to;
+  for (int k = 0; k < p->results; k++)
+    *to++ = p->result[k].output, *to++ = p->result[k].row, *to++ = POINTS * p->place[p->result[k].value];
+  *to++ = -1;
+  const int** into[] = {&f->widths, &f->lengths, &f->sizes, &f->patterns};
+  const long long counts[] = {inputs, inputs, outputs, inputs + outputs};
+  for (int k = 0; k < 4; sides += counts[k++]) {
+    *into[k] = memcpy(to, sides, counts[k] * sizeof(int));
+    to += counts[k];
+    *to++ = -1;
+  }
+  return f;
+}
+
 static int call(formula* f, const double** arg, double** res, double* w) {
-  for (int i = 0; i < f->outputs; i++) if (!res[i]) return 0;
+  int wanted = 0;
+  for (int i = 0; i < f->outputs; i++) wanted |= res[i] != 0;
+  if (!wanted) return 0;
   /* A second thread does without. */
   if (!f->recalled || __atomic_test_and_set(&f->busy, __ATOMIC_ACQUIRE)) evaluate(f, arg, res, w);
   else {
@@ -260,24 +341,16 @@ static void leave(int slot) {
   free(f);
 }
 
-/* Take over a formula: its nine lists of numbers one after another, and where they begin. Returns its slot, which
-   the first use that ends frees; -1 where there is none, or no memory. */
-int batch_load(const int* starts, const int* lists, long long list_count, const double* numbers, long long count,
-               const long long* sparsity, long long sparsity_count, const long long* shape) {
-  const size_t sizes[] = {sizeof(formula), sparsity_count * sizeof *sparsity, count * sizeof *numbers,
-                          list_count * sizeof *lists};
-  char* place = malloc(sizes[0] + sizes[1] + sizes[2] + sizes[3]);
-  if (!place) return -1;
-  formula* f = (formula*)place;
-  memset(f, 0, sizeof *f);
-  f->sparsity = memcpy(place += sizes[0], sparsity, sizes[1]);
-  f->numbers = memcpy(place += sizes[1], numbers, sizes[2]);
-  const int* own = memcpy(place += sizes[2], lists, sizes[3]);
-  const int** into[] = {&f->given, &f->constants, &f->batches, &f->read, &f->found,
-                        &f->widths, &f->lengths, &f->sizes, &f->patterns};
-  for (int k = 0; k < 9; k++) *into[k] = own + starts[k];
-  f->inputs = shape[0], f->outputs = shape[1], f->work = shape[2], f->recalled = shape[3];
-  for (int slot = 0; slot < SLOTS; slot++) {
+/* Prepare a function of `operations`; `shape`: inputs, outputs, and if its last calls are recalled. `sides`: for all
+   inputs the numbers of a point (0 where all points share them), for all inputs those of all points, for all outputs
+   those of a point, for all inputs and outputs where their pattern begins in `sparsity`.
+   Returns its slot, which the last use that ends frees; -1 where there is none, or no memory. */
+int batch_load(const operations* o, const int* shape, const int* sides, const long long* sparsity,
+               long long sparsity_count) {
+  preparation p;
+  formula* f = prepare(&p, o) ? laid_out(&p, shape, sides, sparsity, sparsity_count) : 0;
+  end_preparation(&p);
+  for (int slot = 0; f && slot < SLOTS; slot++) {
     formula* none = 0;
     if (__atomic_compare_exchange_n(&slots[slot], &none, f, 0, __ATOMIC_SEQ_CST, __ATOMIC_SEQ_CST)) return slot;
   }
