@@ -61,7 +61,7 @@ def formulas(name: str) -> list[ca.Function]:
     found: list[ca.Function] = []
     with (
         mock.patch.object(evaluated, "batched", lambda _, each, *__, **___: found.append(each)),
-        mock.patch.dict(evaluated._kept, clear=True),
+        mock.patch.dict(evaluated._kept_functions, clear=True),
     ):
         solve(replace(problem, method=replace(problem.method, intervals=8)), throw=False)
     return found

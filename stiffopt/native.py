@@ -17,7 +17,9 @@ WHOLE, REAL, ARRAY = ctypes.c_longlong, ctypes.c_double, ctypes.c_void_p
 
 MISSING = "stiffopt runs without its compiled core, with the same results several times slower."
 OUTDATED = "The compiled core is older than its sources and is not used."
-_REBUILD = "Install stiffopt again where there is a C compiler (`pip install -e .` in a checkout)."
+_REBUILD_ADVICE = (
+    "Install stiffopt again where there is a C compiler (`pip install -e .` in a checkout)."
+)
 
 
 @functools.cache
@@ -26,9 +28,9 @@ def library() -> Path | None:
     spec = importlib.util.find_spec("stiffopt._native")
     path = None if spec is None or spec.origin is None else Path(spec.origin)
     if path is None:
-        warnings.warn(f"{MISSING} {_REBUILD}", stacklevel=2)
+        warnings.warn(f"{MISSING} {_REBUILD_ADVICE}", stacklevel=2)
     elif _is_older_than_sources(path):
-        warnings.warn(f"{OUTDATED} {_REBUILD}", stacklevel=2)
+        warnings.warn(f"{OUTDATED} {_REBUILD_ADVICE}", stacklevel=2)
         return None
     return path
 
@@ -45,8 +47,9 @@ def _load(path: Path) -> ctypes.CDLL:
 
 
 def _is_older_than_sources(path: Path) -> bool:
-    """Whether a checkout has changed since: structs of newer code do not fit an older library."""
-    sources = (each for end in ("c", "h") for each in Path(__file__).parent.rglob(f"*.{end}"))
+    """Return True where a checkout has changed since: its structs do not fit an older library."""
+    package = Path(__file__).parent
+    sources = (*package.glob("*.[ch]"), *package.glob("*/*.[ch]"))
     return any(each.stat().st_mtime > path.stat().st_mtime for each in sources)
 
 

@@ -16,9 +16,9 @@ import numpy as np
 # Points of a call, as interpreter.c is compiled for them.
 POINTS = 16
 # Sums, whose kinds are more than their operations.
-_SUMS = (ca.OP_ADD, ca.OP_SUB)
+_SUM_OPERATIONS = (ca.OP_ADD, ca.OP_SUB)
 
-_Numbers, _Whole = ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_int)
+_DoublePointer, _IntPointer = ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_int)
 
 
 class _Operations(ctypes.Structure):
@@ -27,9 +27,9 @@ class _Operations(ctypes.Structure):
     _fields_ = (
         ("count", ctypes.c_longlong),
         ("places", ctypes.c_longlong),
-        *((name, _Whole) for name in ("operation", "first", "second", "written")),
-        ("numbers", _Numbers),
-        ("kinds", _Whole),
+        *((name, _IntPointer) for name in ("operation", "first", "second", "written")),
+        ("numbers", _DoublePointer),
+        ("kinds", _IntPointer),
         *(
             (n, ctypes.c_int)
             for n in ("input", "output", "constant", "add", "subtract", "multiply")
@@ -59,11 +59,11 @@ def batched(
     casadi.Function or None
         None where too many are in use.
     """
-    loaded, kinds = _loaded(library)
+    loaded, kinds = _load_library(library)
     inputs, outputs = range(function.n_in()), range(function.n_out())
     widths = [function.nnz_in(i) * (i not in shared) for i in inputs]
-    patterns = [_of_points(function.sparsity_in(i), i in shared) for i in inputs]
-    patterns += [_of_points(function.sparsity_out(i), False) for i in outputs]
+    patterns = [_repeat_pattern(function.sparsity_in(i), i in shared) for i in inputs]
+    patterns += [_repeat_pattern(function.sparsity_out(i), False) for i in outputs]
     compressed = [pattern.compress() for pattern in patterns]
     sides = [
         *widths,
@@ -74,16 +74,16 @@ def batched(
     sparsity = np.concatenate(compressed).astype(np.int64)
     shape = np.array([len(inputs), len(outputs), recalled], dtype=np.int32)
     slot = loaded.batch_load(
-        ctypes.byref(_operations_of(function, kinds)),
-        shape.ctypes.data_as(_Whole),
-        np.array(sides, dtype=np.int32).ctypes.data_as(_Whole),
+        ctypes.byref(_read_operations(function, kinds)),
+        shape.ctypes.data_as(_IntPointer),
+        np.array(sides, dtype=np.int32).ctypes.data_as(_IntPointer),
         sparsity.ctypes.data_as(ctypes.POINTER(ctypes.c_longlong)),
         ctypes.c_longlong(len(sparsity)),
     )
     return None if slot < 0 else ca.external(f"batch_{slot:03x}", str(library))
 
 
-def _operations_of(function: ca.Function, kinds: np.ndarray) -> _Operations:
+def _read_operations(function: ca.Function, kinds: np.ndarray) -> _Operations:
     count = function.n_instructions()
     operation = [function.instruction_id(k) for k in range(count)]
     numbers, rows = np.zeros(count), []
@@ -102,7 +102,10 @@ def _operations_of(function: ca.Function, kinds: np.ndarray) -> _Operations:
     found = _Operations(
         count,
         function.sz_w(),
-        *(each.ctypes.data_as(_Numbers if each is numbers else _Whole) for each in arrays),
+        *(
+            each.ctypes.data_as(_DoublePointer if each is numbers else _IntPointer)
+            for each in arrays
+        ),
         *(ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL),
     )
     # Kept as long as the pointers to them.
@@ -111,7 +114,7 @@ def _operations_of(function: ca.Function, kinds: np.ndarray) -> _Operations:
 
 
 @functools.cache
-def _loaded(library: Path) -> tuple[ctypes.CDLL, np.ndarray]:
+def _load_library(library: Path) -> tuple[ctypes.CDLL, np.ndarray]:
     """The library, and the kinds of instructions by CasADi's operations; -1 where there is none."""
     loaded = ctypes.CDLL(str(library))
     numbers = {getattr(ca, name): name[3:] for name in dir(ca) if name.startswith("OP_")}
@@ -121,7 +124,7 @@ def _loaded(library: Path) -> tuple[ctypes.CDLL, np.ndarray]:
         if name in known:
             kinds[number] = known.index(name)
     # No instructions, or kinds of their own.
-    kinds[[ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, *_SUMS]] = 0
+    kinds[[ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, *_SUM_OPERATIONS]] = 0
     return loaded, kinds
 
 
@@ -137,5 +140,5 @@ def kind_names(library: Path) -> list[str]:
     return names
 
 
-def _of_points(sparsity: ca.Sparsity, same: bool) -> ca.Sparsity:
+def _repeat_pattern(sparsity: ca.Sparsity, same: bool) -> ca.Sparsity:
     return sparsity if same else ca.repmat(sparsity, 1, POINTS)

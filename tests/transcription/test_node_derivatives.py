@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -80,7 +82,20 @@ def test_functions_used_last_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     assert evaluated.point_function(squares) is first
     evaluated.point_function(fourth)
     assert evaluated.point_function(squares) is first
-    assert len(evaluated._kept) == 2
+    assert len(evaluated._kept_functions) == 2
+
+
+@pytest.mark.skipif(native.library() is None, reason="needs the compiled core")
+def test_a_stage_of_which_one_function_finds_no_place_is_evaluated_by_casadi(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    taken = numbered(*stage(2.3))
+    inner = evaluated.batched
+    monkeypatch.setattr(evaluated, "_kept_functions", OrderedDict())
+    monkeypatch.setattr(
+        evaluated, "batched", lambda *given, recalled: inner(*given) if recalled else None
+    )
+    assert [each.size2_in(0) for each in stage_functions(taken)] == [1, 1, 1]
 
 
 @pytest.mark.skipif(native.library() is None, reason="needs the compiled core")
