@@ -121,15 +121,19 @@ class ArraySteps:
         if load.within is not None:
             for both, on, within in zip(ends, load.links, load.within, strict=True):
                 both[..., on] += within
-        states = np.zeros((many, count, 2 * n))
+        # Columns: each swing has the same digits alone and beside others.
+        states = np.zeros((many, count, 2 * n, 1))
         if begin is not None:
-            states[:, 0] = begin
+            states[:, 0, :, 0] = begin
         for k in range(count - 1):
-            first, last = ends[:, k, 0], ends[:, k, 1]
+            first, last = ends[:, k, 0, :, None], ends[:, k, 1, :, None]
             ramp = (last - first) / of.dt
-            late, speed = ramp @ self._lag[k].T, ramp @ self._soft[k].T / of.unit
-            held, then = (np.hstack([x @ self._soft[k].T - late, speed]) for x in (first, last))
-            states[:, k + 1] = (states[:, k] - held) @ self._step[k].T + then
+            late, speed = self._lag[k] @ ramp, self._soft[k] @ ramp / of.unit
+            held, then = (
+                np.concatenate([self._soft[k] @ x - late, speed], axis=1) for x in (first, last)
+            )
+            states[:, k + 1] = self._step[k] @ (states[:, k] - held) + then
+        states = states[..., 0]
         z, velocity = states[..., :n], of.unit * states[..., n:]
         if not accelerated:
             return z, velocity, None
