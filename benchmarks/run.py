@@ -23,7 +23,7 @@ BENCHMARKS = (
     "compensation",
     "random_deviation",
     "model_cost",
-    "compiling",
+    "interpreter",
     "scaling",
     "sweeps",
 )

@@ -1,7 +1,7 @@
 """How time and memory grow with the intervals: three problems of the UR10, 30 to 1000 intervals.
 
 Each case is a process of its own. "Solver" is what IPOPT and the derivatives take, "rest" all else
-of a solve: baselines, building, certificate. CPU seconds of one thread, functions compiled before.
+of a solve: baselines, building, certificate. CPU seconds of one thread, formulas prepared before.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from common import Row, loaded_ur10, main, numbers, torque_squared_problem, ur10_problem
 
-from stiffopt import compiler
 from stiffopt.problem.objective import Objective
 from stiffopt.problem.trajectory import Method, TrajectoryProblem
 from stiffopt.solver.ipopt import IpoptSolver
@@ -55,8 +54,8 @@ def case(kind: str, intervals: int) -> dict[str, Any]:
         finally:
             spent += time.process_time() - begin
 
+    # Formulas are prepared once.
     solve(problem_of(kind, 16), throw=False)
-    compiler.wait()
     IpoptSolver.solve = timed  # type: ignore[method-assign]
     begin = time.process_time()
     found = solve(problem_of(kind, intervals), throw=False)

@@ -19,7 +19,6 @@ from unittest import mock
 
 from common import HERE, Row, loaded_ur10, main, torque_squared_problem
 
-from stiffopt import compiler
 from stiffopt.problem.trajectory import Method
 from stiffopt.solver.family import ProblemFamily
 from stiffopt.solver.ipopt import IpoptSolver
@@ -43,12 +42,11 @@ def run() -> list[Row]:
 
 
 def heavier() -> list[Row]:
-    """What a payload of a tenth more takes, over the first solve; functions compiled before."""
+    """What a payload of a tenth more takes, over the first solve."""
     problem = torque_squared_problem(loaded_ur10(), Method(intervals=100))
     more = replace(problem, robot=problem.robot.with_payload_times(1.1))
     family = ProblemFamily()
     family.solve(problem)
-    compiler.wait()
     shares: dict[bool, list[float]] = {True: [], False: []}
     for _ in range(ROUNDS):
         for compare, found in shares.items():

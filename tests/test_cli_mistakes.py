@@ -24,7 +24,10 @@ URDF = str(ROOT / "problems" / "two_link.urdf")
         (["simulate", "here", "--set", "a=1"], "Solve again with --set"),
         (["compare", "here", "here", "--set", "a=1"], "has no entries to change"),
         (["view", "here", "--set", "a=1"], "has no entries to change"),
-        (["cache", "clear"], r"cache: 'clear' is more than it takes\. Did you mean --clear\?"),
+        (
+            ["solve", PROBLEM, "quiet"],
+            r"solve: 'quiet' is more than it takes\. Did you mean --quiet\?",
+        ),
         (["recording", "check", "a", "b"], "check: 'b' is more than it takes"),
         (["verify", PROBLEM, "--set", "motion.durations=2"], r"motion.durations.*Did you mean"),
     ],
@@ -35,17 +38,6 @@ def test_sentences(arguments, said, tmp_path, monkeypatch, capsys):
     errors = capsys.readouterr().err
     assert re.search(said, errors), errors
     assert "is no JSON text" not in errors
-
-
-def test_a_compiler_that_makes_nothing_is_told(tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("STIFFOPT_CACHE", str(tmp_path))
-    monkeypatch.delenv("STIFFOPT_COMPILE", raising=False)
-    broken = tmp_path / "broken-cc"
-    broken.write_text("#!/bin/sh\nexit 1\n")
-    broken.chmod(0o755)
-    monkeypatch.setenv("CC", str(broken))
-    assert run(["cache"]) == 0
-    assert f"C compiler: {broken} makes no library" in capsys.readouterr().out
 
 
 def test_verify_of_a_changed_file(capsys):

@@ -50,6 +50,8 @@ def seal() -> None:
         for p in {
             here,
             *package.submodule_search_locations,
+            # Entry points of an editable installation.
+            *ROOT.glob("*.egg-info"),
             *site.getsitepackages(),
             *sysconfig.get_paths().values(),
             sys.prefix,

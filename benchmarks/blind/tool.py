@@ -52,8 +52,6 @@ def _run(folder: Path, timeout: float, stop: threading.Event) -> dict[str, objec
         "TMPDIR": str(folder),
         "LANG": "C.UTF-8",
         "COLUMNS": "160",
-        # It may start no compiler, and does the same without.
-        "STIFFOPT_COMPILE": "never",
         **{f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")},
     }
     begin = time.monotonic()

@@ -83,11 +83,10 @@ all run in turn, and ratios within them; a peer whose process takes more than 40
 in the first round alone. All start from constant speed on the straight joint line. The
 judge drives pinocchio's model by each answer's control on 20 instants an interval:
 objective, largest excess of velocity or torque over their limits, miss of the end pose.
-acados generates and compiles its code before, stiffopt has compiled in an earlier run;
-neither is counted. acados weighs a little jerk beside the square of a free duration,
-without which it does not end. toppra times the straight line only: what a free path is
-compared with. The two links are those of Weinreb and Bryson, whose shortest time is
-2.9823 s."""
+acados generates and compiles its code before, which is not counted, and weighs a little
+jerk beside the square of a free duration, without which it does not end. toppra times the
+straight line only: what a free path is compared with. The two links are those of Weinreb
+and Bryson, whose shortest time is 2.9823 s."""
 INTERVALS = 100
 # Of the processor, for one process; by the clock, for one that waits for something.
 SECONDS, SLOW = 180, 40

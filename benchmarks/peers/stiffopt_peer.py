@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt import compiler
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.limit import Limits
 from stiffopt.problem.objective import Objective
@@ -74,9 +73,6 @@ def main() -> None:
     task = json.loads(Path(sys.argv[1]).read_text())
     problem = problem_of(task)
     ocp = formulate(problem, resolve(problem), Scales())
-    # Compiled functions are kept between processes; what compiles them is not counted.
-    transcribe(ocp, SCHEME, uniform_mesh(4))
-    compiler.wait()
     begin = time.process_time()
     ocp = formulate(problem, resolve(problem), Scales())
     made = transcribe(ocp, SCHEME, uniform_mesh(task["intervals"]))

@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 
 from benchmarks.random_problems.draw import HERE, SEED, feasible, infeasible
-from stiffopt import compiler
 from stiffopt.certificate.assess import assess
 from stiffopt.certificate.objective_value import is_maximised
 from stiffopt.certificate.violations import CERTIFIED
@@ -47,8 +46,6 @@ def solved(problem: TrajectoryProblem) -> dict[str, Any]:
     told |= {"title": problem.title}
     record: dict[str, Any] = dict(told)
     record |= {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu}
-    # One after another: a compiler beside the next would disturb its time.
-    compiler.wait()
     if found is None:
         return record
     record["iterations"] = found.solver.iterations

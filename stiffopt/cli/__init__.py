@@ -7,6 +7,7 @@ Exit codes: 0 done, 1 a verified value is off, 2 wrong input or command line, 3 
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Sequence
 
 from cyclopts import CycloptsError, UnusedCliTokensError
@@ -14,13 +15,12 @@ from cyclopts import CycloptsError, UnusedCliTokensError
 from stiffopt import folders
 
 # In the order in which help lists them; importing registers them.
-from stiffopt.cli import cache, exports, motions, recordings, schemas, starters, sweeps, swings
+from stiffopt.cli import exports, motions, recordings, schemas, starters, sweeps, swings
 from stiffopt.cli.base import app
 from stiffopt.errors import InputError, NoSolutionFound, shortened
 
 __all__ = [
     "app",
-    "cache",
     "exports",
     "motions",
     "recordings",
@@ -35,6 +35,7 @@ __all__ = [
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command line; return its exit code. Errors of the user become one message."""
     folders.written.clear()
+    warnings.formatwarning = lambda message, *_, **__: f"stiffopt: {message}\n"
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     try:
         code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")

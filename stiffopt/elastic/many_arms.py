@@ -8,7 +8,6 @@ joint is. Hysteresis is left out.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,8 +36,6 @@ _LONGEST_REST = 1.0
 # Where the tool would hang changes slowly: found at every so many steps.
 _SAG_EVERY = 5
 _SAG_ITERATIONS = 4
-# Numbers that members of several plans may be made of together: 64 MB.
-_AT_ONCE = 8_000_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -159,10 +156,6 @@ class ManyArms:
         columns = [inertia + turning, inertia - turning, -bodies.by_q, bodies.torque[..., None]]
         return np.concatenate(columns, axis=3)
 
-    def step_at(self, k: int) -> np.ndarray:
-        """What the bodies are in the equation of step k, from 1 (2, n, 3 n + 1)."""
-        return self.steps[:, min(k, self._flight) - 1]
-
     def motors(self, commands: Sequence[MotorMotion]) -> tuple[np.ndarray, np.ndarray]:
         """Motions (K, C, 4, n) of the different commands, and which each member has (B,).
 
@@ -221,11 +214,6 @@ class Asked:
     many: ManyArms
     members: Sequence[Member]
 
-    @property
-    def size(self) -> int:
-        """Numbers that their motion is made of."""
-        return len(self.members) * len(self.many.time) * len(self.many.damping)
-
     def swings(self, links: np.ndarray) -> Swings:
         """Their deviations, from the positions of their links less those of the plan (K, B, n)."""
         many = self.many
@@ -234,33 +222,25 @@ class Asked:
 
 
 def swings_together(asked: Sequence[Asked]) -> list[Swings]:
-    """Simulate the members of several plans of one arm, as many at once as memory allows.
+    """Simulate the members of several plans of one arm.
 
     Parameters
     ----------
     asked : sequence of Asked
     """
-    made = native.library(len(asked[0].many.damping)) if asked else None
-    if made is not None:
-        return [each.swings(_compiled(made, each)) for each in asked]
-    found: list[Swings] = []
-    while len(found) < len(asked):
-        sizes = np.cumsum([each.size for each in asked[len(found) :]])
-        now = asked[len(found) : len(found) + max(1, int(np.sum(sizes <= _AT_ONCE)))]
-        links, first = _integrated(now), 0
-        for each in now:
-            found.append(each.swings(links[:, first : first + len(each.members)]))
-            first += len(each.members)
-    return found
+    core = native.core(len(asked[0].many.damping)) if asked else None
+    return [
+        each.swings(_integrated(each) if core is None else _compiled(core, each)) for each in asked
+    ]
 
 
-def _compiled(made: CDLL, asked: Asked) -> np.ndarray:
+def _compiled(core: CDLL, asked: Asked) -> np.ndarray:
     """Positions of the links less those of their plan (K, B, n)."""
     many = asked.many
     arms = _Arms([member.departure for member in asked.members])
     moved, of = many.motors([member.command for member in asked.members])
     return native.swing(
-        made,
+        core,
         many.springs,
         many.rigid,
         many.begun(arms, moved[0, of, 0]),
@@ -278,57 +258,37 @@ def _compiled(made: CDLL, asked: Asked) -> np.ndarray:
     )
 
 
-def _integrated(asked: Sequence[Asked]) -> np.ndarray:
-    """Positions of the links less those of their plan (K, B, n); those of short plans go on."""
-    along, count = [each.many for each in asked], max(len(each.many.time) for each in asked)
-    ends = np.cumsum([len(each.members) for each in asked])
-    rows = [slice(end - len(each.members), end) for each, end in zip(asked, ends, strict=True)]
-    arms = _Arms([member.departure for each in asked for member in each.members])
-    motors: list[np.ndarray] = []
-    own, begun = [], []
-    for each, mine in zip(asked, rows, strict=True):
-        moved, of = each.many.motors([member.command for member in each.members])
-        begun.append(each.many.begun(arms.some(mine), moved[0, of, 0]))
-        own.append(of + sum(before.shape[1] for before in motors))
-        motors.append(np.concatenate([moved, np.repeat(moved[-1:], count - len(moved), axis=0)]))
-    commanded, of = np.concatenate(motors, axis=1), np.concatenate(own)
-    springs, rigid = along[0].springs, along[0].rigid
-    n = len(along[0].damping)
-    joints, damping = np.arange(n), arms.damping * along[0].damping
-    step = np.repeat([many.step for many in along], [len(each.members) for each in asked])[:, None]
-    e = np.concatenate(begun)
-    turn, rate, drive = commanded[0, of, 0], np.zeros_like(e), np.zeros_like(e)
-    left, right = np.empty((len(e), n, n)), np.empty_like(e)
-    found = np.empty((count, len(e), n))
-    found[0] = e
-    for k in range(1, count):
-        state = np.concatenate([rate, e], axis=1)
-        for many, mine in zip(along, rows, strict=True):
-            bodies, payload = many.step_at(k), arms.payload[mine]
-            # One product for all members of a plan, whatever they carry.
-            own_right, more = (
-                state[mine] @ bodies[:, :, n : 3 * n].swapaxes(1, 2) - bodies[:, None, :, -1]
-            )
-            right[mine] = own_right + payload * more
-            left[mine] = bodies[0, :, :n] + payload[..., None] * bodies[1, :, :n]
-        before = arms.stiffness * springs.torque(turn - e) + damping * (drive - rate)
-        now = commanded[k, of]
+def _integrated(asked: Asked) -> np.ndarray:
+    """As `_compiled`, without the compiled core."""
+    many, rigid = asked.many, asked.many.rigid
+    arms = _Arms([member.departure for member in asked.members])
+    moved, of = many.motors([member.command for member in asked.members])
+    damping, step, joints = arms.damping * many.damping, many.step, np.arange(len(many.damping))
+    turn, e = moved[0, of, 0], many.begun(arms, moved[0, of, 0])
+    rate, drive = np.zeros_like(e), np.zeros_like(e)
+    found = [e]
+    for k in range(1, len(many.time)):
+        own, more = many.steps[:, min(k, many.steps.shape[1]) - 1]
+        bodies = own + arms.payload[..., None] * more
+        right = np.einsum("bij,bj->bi", bodies[:, :, len(joints) : -1], np.hstack([rate, e]))
+        before = arms.stiffness * many.springs.torque(turn - e) + damping * (drive - rate)
+        now = moved[k, of]
         turn = now[:, 0] + arms.servo * now[:, 2]
         drive = now[:, 1] + arms.servo * now[:, 3]
         # Springs at the predicted place, straight from there to the end of the step.
-        torque, stiffness = springs.at(turn - e - step * rate)
-        torque, stiffness = arms.stiffness * torque, arms.stiffness * stiffness
-        ahead = torque + 0.5 * step * stiffness * rate + damping * drive
-        right += 0.5 * (before + ahead)
-        left[:, joints, joints] += 0.5 * damping + 0.25 * step * stiffness
+        torque, tangent = many.springs.at(turn - e - step * rate)
+        torque, tangent = arms.stiffness * torque, arms.stiffness * tangent
+        ahead = torque + 0.5 * step * tangent * rate + damping * drive
+        right += 0.5 * (before + ahead) - bodies[:, :, -1]
+        left = bodies[:, :, : len(joints)]
+        left[:, joints, joints] += 0.5 * damping + 0.25 * step * tangent
         # Rigid joints do as their motors.
-        left[:, rigid] = 0.0
-        left[:, rigid, rigid], right[:, rigid] = 1.0, drive[:, rigid]
+        left[:, rigid], left[:, rigid, rigid], right[:, rigid] = 0.0, 1.0, drive[:, rigid]
         new = np.linalg.solve(left, right[..., None])[..., 0]
         e, rate = e + 0.5 * step * (rate + new), new
         e[:, rigid] = turn[:, rigid]
-        found[k] = e
-    return found
+        found.append(e)
+    return np.array(found)
 
 
 class _Arms:
@@ -339,13 +299,6 @@ class _Arms:
         self.damping = np.array([[each.damping] for each in departures])
         self.payload = np.array([[each.payload - 1.0] for each in departures])
         self.servo = np.array([[each.servo] for each in departures])
-
-    def some(self, rows: slice) -> _Arms:
-        """Those of some rows."""
-        found = copy.copy(self)
-        for name, values in vars(self).items():
-            setattr(found, name, values[rows])
-        return found
 
 
 def _hung(springs: EvenSprings, weight: WeightAlong, arms: _Arms, turn: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The loops over instants and arms, compiled (*.c), where the library is there already.
+"""Loops over instants and arms by the compiled core (swings.c).
 
 The formulas are those of `many_arms` and `simulate`, which do without it: the numbers are the same
 but for rounding.
@@ -7,24 +7,21 @@ but for rounding.
 from __future__ import annotations
 
 import ctypes
-import functools
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt import compiler
-from stiffopt.c_code import ARRAY, REAL, WHOLE, Struct, source
+from stiffopt import native
+from stiffopt.native import ARRAY, REAL, WHOLE, Struct
 
 if TYPE_CHECKING:
     from stiffopt.elastic.along_plan import EvenSprings
     from stiffopt.elastic.arm import ElasticArm
     from stiffopt.elastic.motor import MotorMotion
 
-_SOURCES = tuple(Path(__file__).with_name(name) for name in ("swings.c", "response.c"))
-# Joints and lanes of arms that the C code has room for.
-_MOST = 32
+# Joints that the C code has room for.
+MAX_JOINTS = 32
 
 Slope = Callable[[float, np.ndarray], np.ndarray]
 
@@ -55,29 +52,14 @@ class _Arm(Struct):
         *((name, ARRAY) for name in ("springs", "windups", "cubics")),
         ("pieces", WHOLE),
         *((name, ARRAY) for name in ("times", "motion", "last")),
-        ("state", 3 * _MOST * REAL),
-        ("slope", 3 * _MOST * REAL),
+        ("state", 3 * MAX_JOINTS * REAL),
+        ("slope", 3 * MAX_JOINTS * REAL),
     )
 
 
-def prepare() -> None:
-    """Have the library made beside other work, if there is none yet."""
-    compiler.library("swings", source(*_SOURCES))
-
-
-def library(joints: int) -> ctypes.CDLL | None:
-    """The library, None where there is none or an arm has too many joints for it."""
-    found = compiler.library("swings", source(*_SOURCES))
-    return None if found is None or joints > _MOST else _loaded(found)
-
-
-@functools.cache
-def _loaded(path: Path) -> ctypes.CDLL:
-    loaded = ctypes.CDLL(str(path))
-    for loop in (loaded.swing, loaded.slope, loaded.take, loaded.march):
-        loop.restype = None
-    loaded.slope.argtypes = (ctypes.c_void_p, ctypes.c_double)
-    return loaded
+def core(joints: int) -> ctypes.CDLL | None:
+    """Return the compiled core; None where there is none or an arm has too many joints for it."""
+    return native.loaded() if joints <= MAX_JOINTS else None
 
 
 def swing(
@@ -88,7 +70,7 @@ def swing(
     Parameters
     ----------
     made : CDLL
-        Of `library`.
+        Of `core`.
     springs : EvenSprings
     rigid : array of int
         Joints that do as their motors.
@@ -116,7 +98,7 @@ def slope(
     Parameters
     ----------
     made : CDLL
-        Of `library`.
+        Of `core`.
     arm : ElasticArm
     motor : MotorMotion
     friction : array (n,)
@@ -159,6 +141,7 @@ def slope(
     state = np.ctypeslib.as_array(own.state)[:size]
     found = np.ctypeslib.as_array(own.slope)[:size]
     run, place = made.slope, ctypes.byref(own)
+    run.argtypes = (ctypes.c_void_p, REAL)
 
     def at(t: float, values: np.ndarray) -> np.ndarray:
         state[:] = values

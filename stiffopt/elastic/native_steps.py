@@ -1,4 +1,4 @@
-"""Steps of links that swing, compiled (response.c), where the library is there already."""
+"""Steps of links that swing by the compiled core (response.c)."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from stiffopt.c_code import ARRAY, REAL, WHOLE, Struct
-from stiffopt.elastic import native
+from stiffopt.elastic.native import core
 from stiffopt.elastic.steps import Load, Matrices, Swung
+from stiffopt.native import ARRAY, REAL, WHOLE, Struct
 
 # Joints that the C code has room for.
-_MOST = 16
+MAX_JOINTS = 16
 # Numbers of a column of a step are filled up to a multiple of so many.
-_REGISTER = 4
+REGISTER_SIZE = 4
 
 
 class _Response(Struct):
@@ -28,9 +28,9 @@ class _Response(Struct):
 
 
 def steps(matrices: Matrices) -> NativeSteps | None:
-    """Steps as of `ArraySteps`; None without the library, or for too many joints."""
-    made = native.library(matrices.joints)
-    if made is None or matrices.joints > _MOST:
+    """Steps as of `ArraySteps`; None without the compiled core, or for too many joints."""
+    made = core(matrices.joints)
+    if made is None or matrices.joints > MAX_JOINTS:
         return None
     return NativeSteps(made, matrices)
 
@@ -46,7 +46,7 @@ class NativeSteps:
 
     def __init__(self, made: ctypes.CDLL, matrices: Matrices) -> None:
         self._made, self._n, count = made, matrices.joints, len(matrices.mobility) - 1
-        rows = -(-2 * self._n // _REGISTER) * _REGISTER
+        rows = -(-2 * self._n // REGISTER_SIZE) * REGISTER_SIZE
         self._taken = {
             "step": np.zeros((count, 2 * self._n, rows)),
             "soft": np.empty((count, self._n, self._n)),

@@ -1,8 +1,10 @@
 /* Steps of response.py in C: the same formulas, of a register of steps at once where they are taken. A state
    is displacements, then velocities over a typical rate. */
 
-#define MOST_SWINGING 16 /* joints */
-#define STATE (2 * MOST_SWINGING)
+#include "../wide.h"
+
+#define MAX_JOINTS 16 /* joints */
+#define STATE (2 * MAX_JOINTS)
 
 typedef double four __attribute__((vector_size(32), aligned(8)));
 
@@ -88,8 +90,8 @@ static void exponential(int s, wide *once, wide *found) {
 /* Steps k[0] to k[7] with the mean matrices of both ends. */
 static void take_eight(const Response *r, const long long *k) {
   int n = r->n, s = 2 * n, square = n * n;
-  wide mobility[MOST_SWINGING * MOST_SWINGING], damping[MOST_SWINGING * MOST_SWINGING];
-  wide springs[MOST_SWINGING * MOST_SWINGING], product[MOST_SWINGING * MOST_SWINGING];
+  wide mobility[MAX_JOINTS * MAX_JOINTS], damping[MAX_JOINTS * MAX_JOINTS];
+  wide springs[MAX_JOINTS * MAX_JOINTS], product[MAX_JOINTS * MAX_JOINTS];
   wide slope[STATE * STATE], found[STATE * STATE];
   for (int i = 0; i < square; i++)
     for (int l = 0; l < LANES; l++) {
@@ -126,13 +128,12 @@ static void take_eight(const Response *r, const long long *k) {
 }
 
 /* Steps from `first` on and before `last`. */
-void take(const Response *r, long long first, long long last) {
+HOT void take(const Response *r, long long first, long long last) {
   for (long long begin = first; begin < last; begin += LANES) {
     long long k[LANES];
     for (int l = 0; l < LANES; l++) k[l] = begin + l < last ? begin + l : last - 1;
     take_eight(r, k);
   }
-  LEAVE;
 }
 
 /* State after a step, from one that is shifted by what the torque at its begin holds. */
@@ -180,7 +181,7 @@ static void accelerated(const Response *r, long long k, const double *z, const d
 /* m swings (m, steps + 1, n) from states (m, 2 n): displacements, velocities and, where asked for,
    accelerations. Under torques (m, steps + 1, links), each on links of its own (m, links), and
    beside them, where given, others at begin and end of every step (m, steps, 2, links). */
-void march(const Response *r, long long m, long long links, const long long *link,
+HOT void march(const Response *r, long long m, long long links, const long long *link,
            const double *torque, const double *within, const double *begin, double *z,
            double *velocity, double *acceleration) {
   long long count = r->steps + 1;
@@ -203,7 +204,7 @@ void march(const Response *r, long long m, long long links, const long long *lin
         long long at = ((first + c) * count + k) * n;
         for (int i = 0; i < n; i++) z[at + i] = state[i], velocity[at + i] = r->unit * state[n + i];
         if (acceleration) {
-          double left[MOST_SWINGING] = {0.0};
+          double left[MAX_JOINTS] = {0.0};
           int none = still[c];
           for (long long q = 0; q < links; q++) left[on[q]] = own[q], none &= own[q] == 0.0;
           if (none)
@@ -233,5 +234,4 @@ void march(const Response *r, long long m, long long links, const long long *lin
         for (int i = 0; i < s; i++) state[i] += end[i];
       }
   }
-  LEAVE;
 }

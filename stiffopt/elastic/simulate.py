@@ -189,8 +189,8 @@ class _Equations:
         self._pushed = bool(arm.process_force.any())
 
     def slope(self) -> native.Slope:
-        """The slope at an instant of a state, compiled where that is possible."""
-        made = native.library(self.joints)
+        """The slope at an instant of a state, by the compiled core where there is one."""
+        made = native.core(self.joints)
         if made is None:
             return self.__call__
         return native.slope(made, self._arm, self._motor, self._friction, self.loops)

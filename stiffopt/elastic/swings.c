@@ -1,5 +1,7 @@
 /* The loops of many_arms.py and simulate.py in C: the same formulas, one of them for a register of arms at
    once. All matrices lie by rows. */
+#include "../wide.h"
+
 #define MOST 32 /* joints */
 
 /* Springs on even grids of wind-ups (EvenSprings): tables (n, points), of joints without a spring
@@ -106,9 +108,8 @@ static void swing_lanes(const Plan *p, long long first) {
   }
 }
 
-void swing(const Plan *p) {
+HOT void swing(const Plan *p) {
   for (long long first = 0; first < p->arms; first += LANES) swing_lanes(p, first);
-  LEAVE;
 }
 
 /* One arm and the motion of its motors. */

@@ -244,7 +244,7 @@ def rounded_lag(lag: np.ndarray) -> np.ndarray:
 
 
 class MotorLaw:
-    """Motors that lead the links of a robot, as a compiled formula for many motions.
+    """Motors that lead the links of a robot, as a formula prepared for many motions.
 
     Parameters
     ----------

@@ -1,5 +1,7 @@
 /* Inverse dynamics of an arm along a motion, a register of instants at once: recursion over the bodies about
    the origin of each joint in its own axes (Featherstone 2008, chapter 5). Rotations lie by rows. */
+#include "../wide.h"
+
 #define MOST 32 /* joints */
 
 typedef long long whole __attribute__((vector_size(8 * LANES), aligned(8)));
@@ -110,7 +112,7 @@ static void moved(const Bodies *b, int j, const Moving *parent, Moving *own, wid
 }
 
 /* Torques (count, n) of positions, velocities and accelerations (count, n). */
-void inverse(const Bodies *b, long long count, const double *q, const double *v, const double *a,
+HOT void inverse(const Bodies *b, long long count, const double *q, const double *v, const double *a,
              double *torque) {
   int n = b->n;
   Moving bodies[MOST + 1];
@@ -143,8 +145,4 @@ void inverse(const Bodies *b, long long count, const double *q, const double *v,
       add_cross(own->origin, force, parent->moment);
     }
   }
-#ifdef __AVX__
-  /* What is left in wide registers slows code that knows narrow ones only. */
-  __builtin_ia32_vzeroupper();
-#endif
 }

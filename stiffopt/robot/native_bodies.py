@@ -1,21 +1,19 @@
-"""Inverse dynamics along a motion, compiled (bodies.c), where the library is there already."""
+"""Inverse dynamics along a motion by the compiled core (bodies.c)."""
 
 from __future__ import annotations
 
 import ctypes
-from pathlib import Path
 
 import numpy as np
 
-from stiffopt import compiler
-from stiffopt.c_code import ARRAY, WHOLE, Struct, source
+from stiffopt import native
+from stiffopt.native import ARRAY, WHOLE, Struct
 from stiffopt.robot.body_tree import BodyTree
 
-_SOURCE = Path(__file__).with_name("bodies.c")
 # Joints that the C code has room for.
-_MOST = 32
-# Instants from which it is worth while, and of which copies are made at once.
-_MANY, _AT_ONCE = 16, 2**14
+MAX_JOINTS = 32
+# Instants from which it is faster than pinocchio, and of which copies are made at once.
+MIN_INSTANTS, _MAX_COPIED = 16, 2**14
 
 
 class _Bodies(Struct):
@@ -59,47 +57,18 @@ class NativeBodies:
         return NativeBodies(self._tree, inertial)
 
     def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray | None:
-        """Torques (K, n) along a motion (K, n) each; None where the library was not prepared."""
-        if len(q) < _MANY or self._n > _MOST or (made := _LIBRARY.loaded()) is None:
+        """Torques (K, n) along a motion (K, n) each; None where pinocchio is to compute them."""
+        if len(q) < MIN_INSTANTS or self._n > MAX_JOINTS or (core := native.loaded()) is None:
             return None
         torque = np.empty(q.shape)
-        for begin in range(0, len(q), _AT_ONCE):
-            part = torque[begin : begin + _AT_ONCE]
+        for begin in range(0, len(q), _MAX_COPIED):
+            part = torque[begin : begin + _MAX_COPIED]
             motion = [
-                np.ascontiguousarray(x[begin : begin + _AT_ONCE], dtype=float) for x in (q, v, a)
+                np.ascontiguousarray(x[begin : begin + _MAX_COPIED], dtype=float) for x in (q, v, a)
             ]
-            made.inverse(
+            core.inverse(
                 ctypes.byref(self._own),
                 WHOLE(len(part)),
                 *(ARRAY(x.ctypes.data) for x in (*motion, part)),
             )
         return torque
-
-
-class _Library:
-    """The library, looked for once it was asked for and until it is there."""
-
-    def __init__(self) -> None:
-        self.wanted = False
-        self._loaded: ctypes.CDLL | None = None
-
-    def loaded(self) -> ctypes.CDLL | None:
-        """It, if it is there."""
-        if self.wanted and self._loaded is None:
-            path = compiler.library("bodies", source(_SOURCE))
-            if path is not None:
-                self._loaded = ctypes.CDLL(str(path))
-                self._loaded.inverse.restype = None
-        return self._loaded
-
-
-_LIBRARY = _Library()
-
-
-def prepare() -> None:
-    """Have the library made beside other work, if there is none yet; torques use it from then on.
-
-    For many long motions: one by one pinocchio is as good.
-    """
-    _LIBRARY.wanted = True
-    _LIBRARY.loaded()

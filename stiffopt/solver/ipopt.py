@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
 import casadi as ca
 import numpy as np
 
+from stiffopt import native
 from stiffopt.errors import InputError
+from stiffopt.frontal import ipopt_options
 from stiffopt.interrupts import handled
-from stiffopt.solver import frontal
 from stiffopt.solver.monitor import Iterate, Monitor, Progress
 from stiffopt.symbolic import array_of
 from stiffopt.transcription.nlp import Nlp, NlpEntry, RowViolation
@@ -54,7 +55,7 @@ class IpoptOptions:
     max_seconds : float
         Wall clock for one solve [s].
     linear_solver : str
-        "auto" for the package's own (see `frontal`), MUMPS until that is compiled; "mumps", or
+        "auto" for the package's own (see `frontal`), MUMPS without the compiled core; "mumps", or
         "spral" with its environment variables set.
     print_level : int
         0 (silent) to 12.
@@ -81,7 +82,7 @@ class IpoptOptions:
             "tol": self.tol,
             "acceptable_tol": self.acceptable_tol,
             "max_iter": self.max_iterations,
-            **(frontal.options() if self.linear_solver == "auto" else named),
+            **(ipopt_options(native.library()) if self.linear_solver == "auto" else named),
             "print_level": self.print_level,
             "sb": "yes",
             # The multipliers of fixed variables would cost a second gradient in each iteration.
@@ -158,16 +159,6 @@ class RawSolution:
         return self.status in ("optimal", "acceptable")
 
 
-class Later(Protocol):
-    """A programme by functions that are being made."""
-
-    def is_there(self) -> bool:
-        """Whether they are."""
-
-    def programme(self) -> Nlp:
-        """The programme by them; its bounds are not used."""
-
-
 class IpoptSolver:
     """Solver of one NLP with exact derivatives.
 
@@ -175,29 +166,17 @@ class IpoptSolver:
     ----------
     nlp : Nlp
     options : IpoptOptions
-    later : Later, optional
-        The same programme by faster functions. A solve that is under way when they come begins
-        again with them: it ends as it would have, sooner.
     """
 
-    def __init__(
-        self,
-        nlp: Nlp,
-        options: IpoptOptions | None = None,
-        later: Later | None = None,
-    ) -> None:
+    def __init__(self, nlp: Nlp, options: IpoptOptions | None = None) -> None:
         self.nlp = nlp
         self.options = options or IpoptOptions()
-        self._later = later
         begin = time.perf_counter()
         self._monitor = Monitor(nlp)
-        self._set_up(nlp)
-        self.build_s = time.perf_counter() - begin
-
-    def _set_up(self, nlp: Nlp) -> None:
         self._symbols = nlp.casadi
         self._solver = self._make({}, **nlp.derivatives)
         self._warm: dict[tuple[str, float], ca.Function] = {}
+        self.build_s = time.perf_counter() - begin
 
     @property
     def derivatives(self) -> tuple[ca.Function, ca.Function, ca.Function]:
@@ -238,9 +217,6 @@ class IpoptSolver:
         max_seconds : float, optional
             Overrides the option.
         """
-        if self._later is not None and self._later.is_there():
-            faster, self._later = self._later.programme(), None
-            self._set_up(faster)
         nlp = self.nlp
         p = nlp.parameters(parameters)
         inputs: dict[str, np.ndarray] = {
@@ -256,26 +232,14 @@ class IpoptSolver:
             solver = self._warm_solver(barrier, push)
             inputs |= {"lam_x0": warm.multipliers_x, "lam_g0": warm.multipliers_g}
         monitor = self._monitor
-        most = self.options.max_seconds if max_seconds is None else max_seconds
-        monitor.begin(report, most)
+        limit = self.options.max_seconds if max_seconds is None else max_seconds
+        monitor.begin(report, limit)
         monitor.patience = self.options.patience
-        monitor.overtaken = self._later.is_there if self._later is not None else None
         with handled(lambda *_: monitor.interrupt.set()):
             outputs = solver(**inputs)
         solve_s = time.perf_counter() - monitor.started
         if monitor.error is not None:
             raise monitor.error
-        if monitor.stopped_by == "overtaken":
-            again = self.solve(
-                x0,
-                parameters,
-                warm=warm,
-                barrier=barrier,
-                push=push,
-                report=report,
-                max_seconds=most - solve_s,
-            )
-            return replace(again, solve_s=again.solve_s + solve_s)
         word = str(solver.stats()["return_status"])
         status = monitor.stopped_by or _status(word)
         if status == "acceptable":

@@ -91,8 +91,7 @@ class Monitor(ca.Callback):
         self.steps: list[float] = []  # largest change of a variable in each iteration
         self.best: Iterate | None = None
         self.last: Iterate | None = None
-        self.stopped_by = ""  # "interrupted", "time_limit", "iteration_limit" or "overtaken"
-        self.overtaken: Callable[[], bool] | None = None
+        self.stopped_by = ""  # "interrupted", "time_limit" or "iteration_limit"
         self.error: BaseException | None = None
         self.interrupt = threading.Event()
 
@@ -133,8 +132,6 @@ class Monitor(ca.Callback):
             self.stopped_by = "time_limit"
         elif self.patience and len(self.history) > self.patience and not self._near():
             self.stopped_by = "iteration_limit"
-        elif self.overtaken is not None and self.overtaken():
-            self.stopped_by = "overtaken"
         return float(bool(self.stopped_by))
 
     def at_rest(self, tolerance: float, lengths: Sequence[float]) -> bool:

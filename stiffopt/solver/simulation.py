@@ -17,7 +17,6 @@ import numpy as np
 
 from stiffopt.baseline.baselines import slowed_quintic
 from stiffopt.certificate.violations import CERTIFIED
-from stiffopt.elastic import native
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.motor import MotorMotion
 from stiffopt.elastic.simulate import check_reach, simulate, typical_hysteresis
@@ -35,7 +34,6 @@ from stiffopt.result.simulation import (
     Simulation,
 )
 from stiffopt.result.status import SolveStatus
-from stiffopt.robot import native_bodies
 from stiffopt.solver.compensation import CommandOnArms, compensate
 from stiffopt.solver.other_damping import other_damping_note
 from stiffopt.solver.solve_run import ProgressCallback, SolveProgress
@@ -228,9 +226,6 @@ def _part(
 def check_simulation(problem: TrajectoryProblem, motion: ResolvedMotion) -> None:
     """Raise `RobotError` where damping or hysteresis is of no joint: before a long solve."""
     stated = (problem.robot.damping, problem.robot.hysteresis)
-    if problem.robot.yields:
-        native.prepare()
-        native_bodies.prepare()
     # What is not stated cannot be wrong.
     if problem.robot.yields and any(
         np.any(np.nan_to_num(each)) for each in stated if each is not None

@@ -37,7 +37,6 @@ from stiffopt.result.assessment import Assessment
 from stiffopt.result.provenance import inputs_hash, versions
 from stiffopt.result.solution import Baseline, Solution
 from stiffopt.result.status import SolveStatus
-from stiffopt.solver import frontal
 from stiffopt.solver.guess import guess_along, initial_guess
 from stiffopt.solver.plan import stages
 from stiffopt.solver.refinement import rank, refined, stopped
@@ -138,8 +137,6 @@ def solve_keeping(
         Look for the baseline that keeps every limit as well.
     """
     motion = resolve(problem)
-    # Made beside all that comes before the first programme.
-    frontal.library()
     # Meshes of the cell that cannot be read are told before the solve.
     _ = problem.clearance_model
     check_clear_poses(problem, motion)

@@ -26,8 +26,7 @@ from stiffopt.solver.phase_one import least_excess
 from stiffopt.solver.plan import SolveStage, solver_options
 from stiffopt.solver.solve_run import SolveProgress, SolveRun
 from stiffopt.symbolic import array_of
-from stiffopt.transcription import compiled
-from stiffopt.transcription.build import CompiledLater, transcribe
+from stiffopt.transcription.build import transcribe
 from stiffopt.transcription.mesh import Mesh, split_counts, uniform_mesh
 from stiffopt.transcription.nlp import BlockScales, Nlp
 from stiffopt.transcription.ocp import Guess, OptimalControlProblem
@@ -394,10 +393,7 @@ def build_programme(
 
 def _solvable(run: SolveRun, transcription: Transcription, *, near: bool = False) -> Programme:
     options = solver_options(run.problem, near=near)
-    later = None
-    if not transcription.is_compiled and run.avoidance is None and compiled.is_possible():
-        later = CompiledLater(transcription)
-    return Programme(transcription, IpoptSolver(transcription.nlp, options, later))
+    return Programme(transcription, IpoptSolver(transcription.nlp, options))
 
 
 def _near(transcription: Transcription, guess: Guess, smoothing: Smoothing) -> bool:

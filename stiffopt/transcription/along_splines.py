@@ -1,8 +1,8 @@
 """A stage of splines' own coefficients, so that its derivatives are by what the programme varies.
 
 States and controls at a point are sums of the few splines that are not zero there. The chain rule
-through them, point by point, is compiled with the stage: as products of sparse matrices of all the
-programme it took longer than the stages.
+through them, point by point, is part of the stage's derivatives: by products of sparse matrices of
+all the programme it took longer than the stages.
 """
 
 from __future__ import annotations

@@ -10,7 +10,6 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.errors import ProblemError, nearest
-from stiffopt.transcription import compiled
 from stiffopt.transcription.along_splines import AlongSplines
 from stiffopt.transcription.hermite_simpson import HermiteSimpson
 from stiffopt.transcription.integrator_chain import IntegratorChain
@@ -83,12 +82,10 @@ def transcribe(
 def adapted(first: Transcription, ocp: OptimalControlProblem) -> Transcription | None:
     """The same programme with the bounds and numbers of another problem; None where more differs.
 
-    Also where its stage has been compiled since. Mesh and scales stay.
+    Mesh and scales stay.
     """
     stage = _stage_of(ocp, first.scheme)
     if structure_of(ocp, stage, first.scheme, first.mesh) != first.structure:
-        return None
-    if not first.is_compiled and compiled.library(stage.function, stage.along) is not None:
         return None
     own = scaled_like(ocp, first.ocp)
     if same_bounds(own, first.ocp):
@@ -97,30 +94,6 @@ def adapted(first: Transcription, ocp: OptimalControlProblem) -> Transcription |
         nlp = replace(first.nlp, numbers=np.append(fixed, stage.numbers))
         return replace(first, ocp=own, nlp=nlp)
     return _Builder(own, first.scheme, first.mesh, stage, first).build()
-
-
-class CompiledLater:
-    """The same programme by its compiled stage, as soon as there is one.
-
-    Parameters
-    ----------
-    first : Transcription
-        As `transcribe` or `adapted` made it.
-    """
-
-    def __init__(self, first: Transcription) -> None:
-        self._first, self._stage = first, _stage_of(first.ocp, first.scheme)
-        self._text = compiled.text_of(self._stage.function, self._stage.along)
-
-    def is_there(self) -> bool:
-        """Whether the stage has been compiled by now."""
-        return compiled.library_of(self._text) is not None
-
-    def programme(self) -> Nlp:
-        """The programme, with the bounds that the first one was made with."""
-        first = self._first
-        scales = BlockScales.of(first.nlp)
-        return _Builder(first.ocp, first.scheme, first.mesh, self._stage, scales=scales).build().nlp
 
 
 def _stage_of(ocp: OptimalControlProblem, scheme: Scheme) -> NumberedStage:
@@ -292,7 +265,6 @@ class _Builder:
             path_blocks=tuple(self.path_blocks),
             outputs=self._outputs(integrals, objective),
             structure=structure_of(self.ocp, self.own_stage, self.scheme, self.mesh),
-            is_compiled=self.stage.is_compiled,
         )
 
     def _outputs(self, integrals: ca.MX, objective: ca.MX) -> ca.Function:

@@ -1,9 +1,9 @@
-"""A stage function with exact first and second derivatives, ready to be compiled.
+"""A stage function with exact first and second derivatives.
 
 Two devices make it fast:
 
 - numbers become inputs: two stages that differ by a payload, a limit or a drivetrain's numbers are
-  one function, so it is compiled once;
+  one function, so it is differentiated once;
 - derivatives go by the chain rule through an intermediate quantity (joint torques): with y = Y(w),
   the Hessian of L(w, y) is L_ww + L_wy Y' + (L_wy Y')^T + Y'^T L_yy Y' + sum mu_k Y_k'', mu = L_y.
   On a six-joint arm it halves the number of operations.
@@ -23,8 +23,6 @@ from stiffopt.transcription.along_splines import AlongSplines
 
 # Numbers that shape a formula rather than fill it.
 _STRUCTURAL = (-2.0, -1.0, 0.0, 0.5, 1.0, 2.0)
-
-NAMES = ("stage", "stage_jacobian", "stage_hessian")
 
 
 @dataclass(frozen=True)
@@ -51,7 +49,7 @@ class NumberedStage:
 
     @property
     def derivatives(self) -> tuple[ca.Function, ...]:
-        """The stage and its derivatives by `NAMES`, of w or of the local variables."""
+        """The stage, its Jacobian and its Hessian, of w or of the local variables."""
         found = with_derivatives(self.function)
         return found if self.along is None else self.along.of_stage(found)
 
@@ -131,7 +129,7 @@ def _without_numbers(function: ca.Function, inputs: list[ca.SX]) -> tuple[ca.Fun
 
 
 def with_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function, ca.Function]:
-    """The stage function and its derivatives, by `NAMES`.
+    """The stage function, its Jacobian and its Hessian.
 
     Parameters
     ----------
@@ -164,9 +162,9 @@ def with_derivatives(function: ca.Function) -> tuple[ca.Function, ca.Function, c
     hessian = curvature[:n, :n] + cross + cross.T + bent
     hessian += ca.mtimes([slope_y.T, curvature[n:, n:], slope_y])
     return (
-        ca.Function(NAMES[0], inputs, [values]),
-        ca.Function(NAMES[1], inputs, [jacobian]),
-        ca.Function(NAMES[2], [*inputs, weights], [hessian]),
+        ca.Function("stage", inputs, [values]),
+        ca.Function("stage_jacobian", inputs, [jacobian]),
+        ca.Function("stage_hessian", [*inputs, weights], [hessian]),
     )
 
 

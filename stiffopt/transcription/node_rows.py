@@ -1,8 +1,8 @@
 """Rows at some nodes of a transcribed problem, added to it: numbers of their own at each node.
 
-Path rows are the same at every point, and the stage is compiled for them. These are few, differ
-from node to node and change between solves: their numbers are parameters of the programme, so that
-a solver that was set up for them takes new ones at once.
+Path rows are the same at every point and part of the stage. These are few, differ from node to
+node and change between solves: their numbers are parameters of the programme, so that a solver that
+was set up for them takes new ones at once.
 """
 
 from __future__ import annotations

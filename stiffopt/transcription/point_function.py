@@ -1,4 +1,4 @@
-"""A function of single points at many of them: compiled where it can be."""
+"""A function of single points at many of them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.symbolic import InPlace
-from stiffopt.transcription import compiled
+from stiffopt.transcription.evaluated import point_function
 from stiffopt.transcription.node_derivatives import numbered
 
 
@@ -35,12 +35,8 @@ class PointFunction:
         values = own.function.call([variables, *same])[1]
         if extended is not None:
             variables, values = extended(variables, values)
-        # By itself: a stage would be compiled with its derivatives.
-        self._values = ca.Function(compiled.VALUES, [variables, *same], [ca.densify(values)])
-        self._numbers = own.numbers
-        # Made while the first points are looked at without it.
-        self._text = compiled.text_of(self._values)
-        self._library = compiled.library_of(self._text)
+        found = ca.Function("values", [variables, *same], [ca.densify(values)])
+        self._function, self._numbers = point_function(found), own.numbers
 
     def __call__(self, variables: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Values (m, k).
@@ -52,14 +48,11 @@ class PointFunction:
         parameters : array (np,)
             The same at all points.
         """
-        if self._library is None:
-            self._library = compiled.library_of(self._text)
-        library, count = self._library, variables.shape[1]
-        one = self._values if library is None else ca.external(compiled.VALUES, str(library))
-        lanes = int(one.size2_in(0))
+        function, count = self._function, variables.shape[1]
+        lanes = int(function.size2_in(0))
         calls = -(-count // lanes)
         # Columns of matrices are rows of arrays.
         filled = np.pad(variables.T, ((0, calls * lanes - count), (0, 0)), mode="edge")
         same = (np.tile(each, calls) for each in (parameters, self._numbers))
-        (values,) = InPlace(one.map(calls))(filled.ravel(), *same)
+        (values,) = InPlace(function.map(calls))(filled.ravel(), *same)
         return np.asarray(values.reshape(len(filled), -1)[:count].T)

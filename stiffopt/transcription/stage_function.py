@@ -1,11 +1,11 @@
-"""A stage at all points of a mesh, with its exact derivatives: compiled where it can be."""
+"""A stage at all points of a mesh, with its exact derivatives."""
 
 from __future__ import annotations
 
 import casadi as ca
 
-from stiffopt.transcription import compiled
-from stiffopt.transcription.node_derivatives import NAMES, NumberedStage
+from stiffopt.transcription.evaluated import stage_functions
+from stiffopt.transcription.node_derivatives import NumberedStage
 
 
 class StageFunction:
@@ -29,14 +29,8 @@ class StageFunction:
     def __init__(
         self, stage: NumberedStage, count: int, parameters: int, basis: ca.MX | None = None
     ) -> None:
-        library = compiled.library(stage.function, stage.along)
-        self.is_compiled = library is not None
-        functions = (
-            stage.derivatives
-            if library is None
-            else tuple(ca.external(name, str(library)) for name in NAMES)
-        )
-        # What is compiled takes several points at once.
+        functions = stage_functions(stage)
+        # They may take several points at once.
         self._lanes = int(functions[0].size2_in(0))
         self._calls = -(-count // self._lanes)
         self._values, self._jacobian, self._hessian = (each.map(self._calls) for each in functions)

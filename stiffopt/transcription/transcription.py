@@ -76,8 +76,6 @@ class Transcription:
         Where the path rows stand in the NLP's rows, and which entries of the stage's they are.
     structure : str
         Equal for problems whose programmes differ in bounds and `Nlp.numbers` only.
-    is_compiled : bool
-        Whether its stage is.
     """
 
     ocp: OptimalControlProblem
@@ -93,7 +91,6 @@ class Transcription:
     path_blocks: tuple[tuple[Block, np.ndarray], ...]
     outputs: ca.Function
     structure: str
-    is_compiled: bool
 
     @property
     def intervals(self) -> Intervals:

@@ -1,8 +1,7 @@
-"""The compiled loops against those without a compiler, and against pinocchio."""
+"""Loops of the compiled core against those without it, and against pinocchio."""
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 from small_arms import write_robot
 from swinging_arms import arm, bang, one_soft_joint, there_and_stop
 
-from stiffopt.elastic import native
+from stiffopt import native
 from stiffopt.elastic.arm import ElasticArm
 from stiffopt.elastic.many_arms import Asked, ManyArms, Member, swings_together
 from stiffopt.elastic.motor import MotorMotion
@@ -19,13 +18,7 @@ from stiffopt.elastic.simulate import _Equations, simulate
 from stiffopt.elastic.uncertainty import Uncertainty, corners
 from stiffopt.robot.files import load_robot
 
-pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
-
-
-@pytest.fixture
-def made():
-    """The library, compiled before the tests."""
-    return native.library(2)
+pytestmark = pytest.mark.skipif(native.library() is None, reason="needs the compiled core")
 
 
 def shaken(n):
@@ -37,14 +30,13 @@ def shaken(n):
 
 @pytest.mark.parametrize("name", ["er3a_c60", "ur10", "planar", "slide", "spatial"])
 @pytest.mark.parametrize("loops", [False, True])
-def test_slopes_are_those_without_a_compiler(made, tmp_path, name, loops):
+def test_slopes_are_those_without_the_compiled_core(tmp_path, name, loops):
     robot = load_robot(name if name in ("er3a_c60", "ur10") else write_robot(tmp_path, name))
     if loops:
         robot = replace(robot, hysteresis=np.where(np.arange(robot.n) == 1, 0.0, 4e-5))
     arm = ElasticArm(robot, np.zeros(robot.n), (30.0, -20.0, 50.0))
     equations = _Equations(arm, shaken(robot.n))
     compiled = equations.slope()
-    assert made is not None
     assert compiled != equations.__call__
     rng = np.random.default_rng(3)
     for t in (0.0, 0.123, 0.4, 0.7):
@@ -61,7 +53,7 @@ def test_slopes_are_those_without_a_compiler(made, tmp_path, name, loops):
         )
 
 
-def test_rigid_joints_are_driven_as_without_a_compiler(made, tmp_path):
+def test_rigid_joints_are_driven_as_without_the_compiled_core(tmp_path):
     arm = one_soft_joint(tmp_path)
     equations = _Equations(arm, shaken(2))
     state = np.array([0.1, -0.2, 1.0, 2.0])
@@ -69,18 +61,18 @@ def test_rigid_joints_are_driven_as_without_a_compiler(made, tmp_path):
         np.testing.assert_allclose(equations.slope()(t, state), equations(t, state), rtol=1e-11)
 
 
-def test_a_simulation_is_that_without_a_compiler(made, tmp_path, monkeypatch):
+def test_a_simulation_is_that_without_the_compiled_core(tmp_path, monkeypatch):
     swinging = arm(tmp_path, "planar", at=(0.3, 0.4))
     command = bang((3.0, -4.0), 0.2, (0.3, 0.4))
     quick = simulate(swinging, command)
-    monkeypatch.setenv("STIFFOPT_COMPILE", "never")
+    monkeypatch.setattr(native, "loaded", lambda: None)
     slow = simulate(swinging, command)
     assert quick.peak == pytest.approx(slow.peak, rel=1e-6)
     np.testing.assert_allclose(quick.position, slow.position, atol=1e-9)
 
 
 @pytest.mark.parametrize("soft", [1, 2])
-def test_many_arms_swing_as_without_a_compiler(made, tmp_path, monkeypatch, soft):
+def test_many_arms_swing_as_without_the_compiled_core(tmp_path, monkeypatch, soft):
     at = (0.3, 0.4)
     swinging = one_soft_joint(tmp_path) if soft == 1 else arm(tmp_path, "planar", at=at)
     unsure = Uncertainty(servo_feed_forward=0.98)
@@ -93,14 +85,14 @@ def test_many_arms_swing_as_without_a_compiler(made, tmp_path, monkeypatch, soft
         ]
         asked.append(Asked(ManyArms(swinging, plan, unsure.servo), members))
     quick = swings_together(asked)
-    monkeypatch.setenv("STIFFOPT_COMPILE", "never")
+    monkeypatch.setattr(native, "loaded", lambda: None)
     for own, slow in zip(quick, swings_together(asked), strict=True):
         scale = np.abs(slow.deviation).max()
         np.testing.assert_allclose(own.deviation, slow.deviation, atol=1e-10 * scale)
 
 
 @pytest.mark.parametrize("n", [1, 2, 6, 7])
-def test_swings_about_a_motion_are_those_without_a_compiler(made, monkeypatch, n):
+def test_swings_about_a_motion_are_those_without_the_compiled_core(monkeypatch, n):
     random = np.random.default_rng(n)
     time = 0.002 * np.arange(403)
     grown = 1.0 + 0.3 * np.sin(9.0 * time)[:, None, None]
@@ -125,10 +117,9 @@ def test_swings_about_a_motion_are_those_without_a_compiler(made, monkeypatch, n
             *response.free(random.normal(size=(2 * n, 2 * n))),
         ]
 
-    assert made is not None
     random = np.random.default_rng(0)
     quick = answers()
-    monkeypatch.setenv("STIFFOPT_COMPILE", "never")
+    monkeypatch.setattr(native, "loaded", lambda: None)
     random = np.random.default_rng(0)
     for one, other in zip(quick, answers(), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-11 * np.max(np.abs(other)))

@@ -1,11 +1,10 @@
 """Compiled inverse dynamics against pinocchio's."""
 
-import shutil
-
 import numpy as np
 import pytest
 from small_arms import write_robot
 
+from stiffopt import native
 from stiffopt.robot import native_bodies
 from stiffopt.robot.bodies_in_motion import torques_along
 from stiffopt.robot.body_tree import body_tree
@@ -13,20 +12,12 @@ from stiffopt.robot.files import load_robot
 from stiffopt.robot.native_bodies import NativeBodies
 from stiffopt.robot.rigid_body import without_rotors
 
-
-@pytest.fixture
-def made(monkeypatch):
-    """The library, compiled before the tests; not used any more afterwards."""
-    monkeypatch.setattr(native_bodies, "_LIBRARY", native_bodies._Library())
-    native_bodies.prepare()
-    return native_bodies._LIBRARY.loaded()
+pytestmark = pytest.mark.skipif(native.library() is None, reason="needs the compiled core")
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 @pytest.mark.parametrize("name", ["er3a_c60", "ur10", "planar", "slide", "spatial"])
 @pytest.mark.parametrize("count", [16, 403])
-def test_torques_are_those_of_pinocchio(made, tmp_path, name, count):
-    assert made is not None
+def test_torques_are_those_of_pinocchio(tmp_path, name, count):
     robot = load_robot(name if name in ("er3a_c60", "ur10") else write_robot(tmp_path, name))
     model = without_rotors(robot.model)
     random = np.random.default_rng(count)
@@ -44,13 +35,12 @@ def test_torques_are_those_of_pinocchio(made, tmp_path, name, count):
     assert np.isfinite(np.delete(found, 7, axis=0)).all()
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
-def test_torques_of_changed_bodies_are_what_they_add(made, monkeypatch):
+def test_torques_of_changed_bodies_are_what_they_add(monkeypatch):
     robot = load_robot("ur10")
     random = np.random.default_rng(1)
     change = random.normal(size=(robot.n, 10))
     q, v, a = random.normal(size=(3, 60, robot.n))
     bodies = robot.bodies_in_motion()
     quick = bodies.changed_torque(change, q, v, a)
-    monkeypatch.setattr(native_bodies, "_MANY", 61)
+    monkeypatch.setattr(native_bodies, "MIN_INSTANTS", 61)
     np.testing.assert_allclose(quick, bodies.changed_torque(change, q, v, a), rtol=0.0, atol=1e-10)

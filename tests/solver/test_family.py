@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_arms import ROOT
 
-from stiffopt import compiler, solve
+from stiffopt import native, solve
 from stiffopt.problem.files import load_problem
 from stiffopt.problem.formulation import Scales, formulate
 from stiffopt.problem.resolve import resolve
@@ -142,41 +142,12 @@ def test_bounds_are_taken_over_only_where_they_are_the_same(monkeypatch, change,
     assert np.array_equal(made.nlp.numbers, built.nlp.numbers) is not quick or "duration" in change
 
 
-@pytest.mark.skipif(compiler.shutil.which("cc") is None, reason="needs a C compiler")
-def test_what_was_begun_before_its_stage_was_compiled_goes_on_compiled(tmp_path, monkeypatch):
-    monkeypatch.setenv("STIFFOPT_CACHE", str(tmp_path))
-    monkeypatch.setattr(compiler, "_started", {})
-    family = ProblemFamily()
-    _, end = family.solve(problem("payload.mass=0.3"))
-    monkeypatch.delenv("STIFFOPT_COMPILE")
-    near, further = problem("payload.mass=0.32"), problem("payload.mass=0.34")
-    kept, _ = family.solve(near, end, compare=False)
-    assert kept.solver.build_s == 0.0
-    compiler.wait()
-    anew, end = family.solve(near, end, compare=False)
-    assert anew.solver.build_s > 0.0
-    assert anew.objective.value == pytest.approx(kept.objective.value, rel=1e-9)
-    built = family._programmes
-    assert [made.transcription.is_compiled for made in built.values()][-1]
-    assert family.solve(further, end, compare=False)[0].solver.build_s == 0.0
-    compiler.wait()
-
-
-@pytest.mark.skipif(compiler.shutil.which("cc") is None, reason="needs a C compiler")
-def test_a_programme_is_the_same_by_its_compiled_stage(tmp_path, monkeypatch):
-    monkeypatch.setenv("STIFFOPT_CACHE", str(tmp_path))
-    monkeypatch.setattr(compiler, "_started", {})
+def test_a_programme_is_the_same_without_the_compiled_core(monkeypatch):
     stated = problem("payload.mass=0.3")
-    made = build.transcribe(
-        formulate(stated, resolve(stated), Scales()), "piecewise_linear", uniform_mesh(8)
-    )
-    assert not made.is_compiled
-    monkeypatch.delenv("STIFFOPT_COMPILE")
-    later = build.CompiledLater(made)
-    assert not later.is_there()
-    compiler.wait()
-    assert later.is_there()
-    slow, fast = made.nlp, later.programme()
+    ocp = formulate(stated, resolve(stated), Scales())
+    fast = build.transcribe(ocp, "piecewise_linear", uniform_mesh(8)).nlp
+    monkeypatch.setattr(native, "library", lambda: None)
+    slow = build.transcribe(ocp, "piecewise_linear", uniform_mesh(8)).nlp
     for name in ("lower_x", "upper_x", "lower_g", "upper_g", "numbers"):
         np.testing.assert_array_equal(getattr(slow, name), getattr(fast, name), name)
     x = np.random.default_rng(7).normal(size=slow.variables.size)

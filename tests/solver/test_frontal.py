@@ -1,30 +1,21 @@
 """Linear systems of the interior-point method: against dense ones, and IPOPT against itself."""
 
 import ctypes
-import shutil
 
 import numpy as np
 import pytest
 from scipy.sparse import csc_matrix, tril
 
-from stiffopt import compiler
-from stiffopt.solver import frontal
+from stiffopt import native
 from stiffopt.solver.ipopt import IpoptOptions
 from tests.solver.test_ipopt import GRAVITY, pendulum, solver
 
-pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+pytestmark = pytest.mark.skipif(native.library() is None, reason="needs the compiled core")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("STIFFOPT_CACHE", str(tmp_path_factory.mktemp("cache")))
-        patch.delenv("STIFFOPT_COMPILE", raising=False)
-        patch.setattr(compiler, "_started", {})
-        frontal.library()
-        compiler.wait()
-        path = frontal.library()
-    return path
+def made():
+    return native.library()
 
 
 def solved(path, matrix, right):
@@ -137,10 +128,9 @@ def rows_on_a_pendulum(states, controls):
 
 
 @pytest.mark.parametrize("stage_row", [None, rows_on_a_pendulum])
-def test_ipopt_goes_the_same_way_as_with_mumps(made, monkeypatch, stage_row):
+def test_ipopt_goes_the_same_way_as_with_mumps(stage_row):
     nlp, x0 = pendulum(stage_row)
     slow = solver(nlp, linear_solver="mumps").solve(x0, GRAVITY)
-    monkeypatch.setattr(frontal, "library", lambda: made)
     assert IpoptOptions().for_ipopt()["linear_solver"] == "ma97"
     quick = solver(nlp).solve(x0, GRAVITY)
     assert quick.status == slow.status == "optimal"
@@ -149,28 +139,13 @@ def test_ipopt_goes_the_same_way_as_with_mumps(made, monkeypatch, stage_row):
     np.testing.assert_allclose(quick.x, slow.x, atol=1e-7)
 
 
-def test_what_cannot_hold_is_told_as_with_mumps(made, monkeypatch):
+def test_infeasible_rows_are_named_as_with_mumps():
     nlp, x0 = pendulum(lambda states, controls: states[0] + 3.0, torque=8.0)
-    monkeypatch.setattr(frontal, "library", lambda: made)
     found = solver(nlp).solve(x0, GRAVITY)
     assert found.status == "infeasible"
     assert {each.name for each in found.conflicts} & {"row", "angle", "end"}
 
 
-def test_without_a_compiler_it_is_mumps(monkeypatch):
-    monkeypatch.setenv("STIFFOPT_COMPILE", "never")
+def test_without_the_compiled_core_it_is_mumps(monkeypatch):
+    monkeypatch.setattr(native, "library", lambda: None)
     assert IpoptOptions().for_ipopt()["linear_solver"] == "mumps"
-
-
-def test_a_library_that_cannot_be_loaded_is_as_none(tmp_path, monkeypatch):
-    monkeypatch.setenv("STIFFOPT_CACHE", str(tmp_path))
-    monkeypatch.delenv("STIFFOPT_COMPILE", raising=False)
-    monkeypatch.setattr(compiler, "_started", {})
-    frontal.library()
-    compiler.wait()
-    (damaged,) = tmp_path.glob("frontal-*.so")
-    damaged.write_bytes(b"damaged")
-    compiler._started.clear()
-    assert IpoptOptions().for_ipopt()["linear_solver"] == "mumps"
-    compiler.wait()
-    assert IpoptOptions().for_ipopt()["linear_solver"] != "mumps"

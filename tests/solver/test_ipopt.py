@@ -3,7 +3,6 @@
 import os
 import signal
 import threading
-import time
 
 import casadi as ca
 import numpy as np
@@ -66,47 +65,6 @@ def test_an_optimal_end_reports_progress_and_stays_silent(capfd):
     assert 0.0 <= seen[0].elapsed <= seen[-1].elapsed <= found.solve_s
     assert found.history == seen
     assert capfd.readouterr() == ("", "")
-
-
-class AtIteration:
-    """Compiled functions that come while a solve is under way."""
-
-    def __init__(self, made, asked):
-        self.made, self.asked, self.taken = made, asked, 0
-
-    def is_there(self):
-        self.asked -= 1
-        return self.asked < 0
-
-    def programme(self):
-        self.taken += 1
-        return self.made.nlp
-
-
-@pytest.mark.parametrize("asked", [0, 1, 4])
-def test_a_solve_that_compiled_functions_overtake_begins_again_with_them(asked):
-    made, x0 = pendulum()
-    alone = solver(made).solve(x0, GRAVITY)
-    later, seen = AtIteration(pendulum()[0], asked), []
-    overtaken = IpoptSolver(made.nlp, later=later)
-    found = overtaken.solve(x0, GRAVITY, report=seen.append)
-    assert later.taken == 1
-    assert found.status == "optimal"
-    assert [event.iteration for event in seen[:asked]] == list(range(asked))
-    assert found.iterations == alone.iterations
-    np.testing.assert_array_equal(found.x, alone.x)
-    # And the next one, from its multipliers, with other bounds.
-    warm = overtaken.solve(found.x, GRAVITY, warm=found)
-    assert warm.status == "optimal"
-    np.testing.assert_allclose(warm.x, found.x, atol=1e-6)
-
-
-def test_what_overtakes_leaves_the_time_that_is_left():
-    made, x0 = pendulum()
-    slow = IpoptSolver(made.nlp, later=AtIteration(pendulum()[0], 3))
-    found = slow.solve(x0, GRAVITY, report=lambda event: time.sleep(0.05), max_seconds=0.3)
-    assert found.status == "time_limit"
-    assert found.solve_s < 1.0
 
 
 def test_ctrl_c_keeps_the_best_iterate():

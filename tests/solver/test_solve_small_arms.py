@@ -286,7 +286,7 @@ def test_a_time_limit_keeps_the_best_motion(tmp_path):
         tmp_path,
         "spatial",
         minimise=OBJECTIVES["dynamic peak"],
-        method="intervals = 200\ntime_limit = 0.2",
+        method="intervals = 200\ntime_limit = 0.01",
     )
     solution = solve(problem, throw=False)
     assert solution.status is SolveStatus.TIME_LIMIT
@@ -300,7 +300,7 @@ def test_what_cannot_hold_is_named_though_the_time_is_up(tmp_path):
         duration="0.32",
         limits="torque = [14.0, 60.0]\ndynamic_deflection = 1e-7",
         minimise=OBJECTIVES["torque"],
-        method="intervals = 200\ntime_limit = 0.2",
+        method="intervals = 200\ntime_limit = 0.01",
     )
     solution = solve(problem, throw=False)
     assert solution.status is SolveStatus.TIME_LIMIT

@@ -1,31 +1,26 @@
-"""Functions of points: compiled the same numbers, for any number of points."""
+"""Functions of points, for any number of points."""
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from stiffopt import compiler
+from stiffopt import native
+from stiffopt.interpreter.batched import POINTS
 from stiffopt.transcription.point_function import PointFunction
-from stiffopt.transcription.wide_code import POINTS
 
 
-@pytest.mark.skipif(compiler.shutil.which("cc") is None, reason="needs a C compiler")
 @pytest.mark.parametrize("count", [1, POINTS, 3 * POINTS + 1])
-def test_the_same_numbers_compiled(tmp_path, monkeypatch, count):
+def test_the_same_numbers_with_and_without_the_compiled_core(monkeypatch, count):
     x, u, z, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("z", 0), ca.SX.sym("p", 2)
     rows = ca.vertcat(ca.sin(3.7 * x[0]) * u / p[0], ca.fmax(x[1], p[1]) ** 2 - 0.3)
     function = ca.Function("rows", [x, u, z, p], [rows])
     points, parameters = np.random.default_rng(5).normal(size=(3, count)), np.array([1.3, 0.1])
+    quick = PointFunction(function)
+    monkeypatch.setattr(native, "library", lambda: None)
     plain = PointFunction(function)(points, parameters)
     each = [function(point[:2], point[2], [], parameters).full() for point in points.T]
     np.testing.assert_array_equal(plain, np.hstack(each))
-    monkeypatch.setenv("STIFFOPT_CACHE", str(tmp_path))
-    monkeypatch.delenv("STIFFOPT_COMPILE", raising=False)
-    monkeypatch.setattr(compiler, "_started", {})
-    quick = PointFunction(function)
-    compiler.wait()
     np.testing.assert_allclose(quick(points, parameters), plain, rtol=1e-15, atol=0)
-    assert quick._library is not None
 
 
 def test_rates_in_place_of_values():

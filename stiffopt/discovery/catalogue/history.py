@@ -89,7 +89,7 @@ def scan(
     ----------
     step : callable
         (state (m,), inputs, parameters) -> (next state (m,), output); works on CasADi symbols. A
-        module-level function, so that its compiled form is kept.
+        module-level function, so that its symbolic form is kept.
     inputs : sequence of array (K,)
     state : sequence of float
         At the first sample (m,).

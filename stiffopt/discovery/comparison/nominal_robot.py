@@ -17,7 +17,6 @@ from stiffopt.discovery.comparison.signals import (
 from stiffopt.discovery.settings import filled
 from stiffopt.recording.recording_set import RecordingSet
 from stiffopt.recording.run import RecordedRun
-from stiffopt.robot import native_bodies
 from stiffopt.robot.along_motion import body_torques, tool_along
 from stiffopt.robot.frames import first_link_of
 
@@ -43,7 +42,6 @@ class RobotModel:
         self.recordings = recordings
         self.arm = recordings.robot
         self._bodies = self.arm.bodies_in_motion()
-        native_bodies.prepare()
         self.order = np.asarray(recordings.order)
         self.n = len(recordings.joints)
         self.rotor_inertia = self.arm.rotor_inertia[self.order]

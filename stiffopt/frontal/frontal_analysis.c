@@ -1,12 +1,10 @@
-/* The analysis of a linear system of an interior-point method: what `frontal.c` begins with.
+/* The analysis of a linear system of an interior-point method: included by `frontal.c`.
 
 - A slack and its row are eliminated as a pair: [a b; b c] with b = -1 is a good pivot whatever its
   diagonal is. (Of a variable in one row only, b may be as small as it likes: it is no such pair.)
   What is left is the variables' own matrix K and the equations.
 - What is left is put in an order in which only near ones meet, but for a border of those that meet
   most of the others: a peak, a duration. */
-
-#pragma GCC optimize("O3")
 
 typedef struct {
   int n, pairs, kept, bulk, border, width, direct;

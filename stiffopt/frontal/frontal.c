@@ -1,9 +1,28 @@
 /* Linear systems of an interior-point method whose unknowns follow one another in time.
 
 IPOPT loads the functions at the end under the names of HSL_MA97. A matrix is analysed once, with its
-first values (`frontal_analysis.c`, which stands before this), and factorised front by front,
+first values (`frontal_analysis.c`), and factorised front by front,
 L D L^T with pivots of one or two, which wait where they are too small (Duff and Reid 1983): a front
 is the unknowns that what is eliminated meets. */
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#if defined __GNUC__ && !defined __clang__
+#pragma GCC optimize("O3")
+#endif
+#if defined __x86_64__ && defined __gnu_linux__
+/* Compiled for several processors, of which the loader chooses; what it calls is compiled with it. */
+#define HOT __attribute__((target_clones("avx512f", "avx2", "default"), flatten))
+#else
+#define HOT
+#endif
+/* Neither aligned as a whole nor of a type of its own: they lie in arrays of double. */
+#define LANES 8
+typedef double wide __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
+
+#include "frontal_analysis.c"
 
 /* ------------------------------------------------------------------ what IPOPT hands over */
 
@@ -78,7 +97,7 @@ static Factors *prepared(const Analysis *a) {
 }
 
 /* The pairs are eliminated, K is what is left. */
-static int condensed(const Analysis *a, const double *value, Factors *f) {
+static HOT int condensed(const Analysis *a, const double *value, Factors *f) {
   double *k = f->matrix, *dense = f->work;
   memset(k, 0, a->size * sizeof(double));
   for (int d = 0; d < a->direct; d++) k[a->to[d]] += value[a->from[d]];
@@ -232,7 +251,7 @@ static int pivot(Front *t, Factors *f, int k, double u, double small) {
   return eliminate(t, f, s, r, d) ? 1 : -1;
 }
 
-static int factorised(const Analysis *a, Factors *f, double u, double small) {
+static HOT int factorised(const Analysis *a, Factors *f, double u, double small) {
   Front t = {0};
   int failed = NO_MEMORY;
   long rest = a->width + a->border;
@@ -271,7 +290,7 @@ end:
   return failed;
 }
 
-static void solved(const Analysis *a, const Factors *f, double *x, double *y) {
+static HOT void solved(const Analysis *a, const Factors *f, double *x, double *y) {
   for (int p = 0; p < a->pairs; p++) {
     double leaf = x[a->leaf[p]], row = x[a->row[p]];
     const double *d = f->inverse + 3 * p;

@@ -1,0 +1,1 @@
+"""CasADi functions at many points at once: batches of instructions that a compiled loop reads."""
