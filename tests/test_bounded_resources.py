@@ -55,7 +55,7 @@ def test_a_pipe_in_a_folder_of_results_is_refused(tmp_path):
     entry = {"by": "solve", "sha256": "0" * 64}
     (tmp_path / "manifest.json").write_text(json.dumps({"files": {"result.json": entry}}))
     os.mkfifo(tmp_path / "result.json")
-    with pytest.raises(InputFileError, match="is a device or a pipe"):
+    with pytest.raises(InputFileError, match="pipe or device"):
         check_result(tmp_path, "result.json")
 
 
@@ -115,7 +115,7 @@ def test_a_pause_of_an_hour_is_a_gap(tmp_path):
 @pytest.mark.parametrize("step", [5e-324, 1e-300])
 def test_a_clock_of_denormal_steps_is_no_overflow(step, tmp_path):
     time = np.concatenate([np.arange(30) * step, [1.0]])
-    with pytest.raises(InputFileError, match=r"row 31: time goes on by 1 s|different times"):
+    with pytest.raises(InputFileError, match=r"row 31: time goes on by 1 s|different times|no motion of a robot"):
         read_clock(time, tmp_path / "run.csv", "t")
 
 
