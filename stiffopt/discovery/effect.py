@@ -290,12 +290,12 @@ class Effect:
                 object.__setattr__(self, field_name, default)
 
     @property
-    def has_own(self) -> bool:
+    def has_distinctive(self) -> bool:
         """Whether some amplitudes tell it from other effects."""
         return any(each.own for each in self.amplitudes)
 
     @property
-    def telling(self) -> list[int]:
+    def distinctive_amplitudes(self) -> list[int]:
         """Places of the amplitudes that tell it from other effects."""
         return [k for k, each in enumerate(self.amplitudes) if each.own]
 

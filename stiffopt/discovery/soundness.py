@@ -39,11 +39,11 @@ class GivenArm:
     body_regressor: Quantity
     tilt: Quantity
 
-    def until(self, count: int) -> GivenArm:
+    def head(self, count: int) -> GivenArm:
         """The first samples."""
         return GivenArm(**{name: value[:count] for name, value in vars(self).items()})
 
-    def thinned(self, every: int) -> GivenArm:
+    def decimate(self, every: int) -> GivenArm:
         """Every so many samples."""
         return GivenArm(**{name: value[::every] for name, value in vars(self).items()})
 

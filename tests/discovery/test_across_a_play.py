@@ -9,7 +9,7 @@ from simulated_sets import short_case
 from benchmarks.simulator import simulate, write_case
 from stiffopt import load_recordings
 from stiffopt.discovery.catalogue.elastic import BACKLASH
-from stiffopt.discovery.comparison.extended_run import around
+from stiffopt.discovery.comparison.extended_run import linearise_run
 from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.extension_change import spring_laws
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
@@ -66,7 +66,7 @@ def test_stiffness_of_a_sample_is_the_mean_over_its_time(played):
 def test_links_that_fly_through_a_play_are_followed(played):
     case, training, play = played
     for number, run in enumerate(training.runs):
-        found, *_ = around(run, training.robot, Extension(), play)
+        found, *_ = linearise_run(run, training.robot, Extension(), play)
         wound = found.signals.motor_position - found.signals.link_position
         every = slice(None, len(run.time) * case.spec.substeps, case.spec.substeps)
         true = (case.trace.motor - case.trace.link)[number, every]

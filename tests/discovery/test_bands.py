@@ -40,7 +40,9 @@ def test_only_joints_that_wind_up_are_held_below_their_resonance(
     recordings = load_recordings(SHIPPED)
     robot = RobotModel(recordings)
     runs = [recordings.open(entry) for entry in recordings.with_role("train")]
-    monkeypatch.setattr(bands, "_errors", lambda *given: np.full(2, given[2] ** -2.0))
+    monkeypatch.setattr(
+        bands, "_cross_validation_errors", lambda *given: np.full(2, given[2] ** -2.0)
+    )
     usual = {"slow": 0.03, "fit": 6.0, "predict": 6.0}
     assert choose_bands(robot, runs, **usual).predict == (6.0, 6.0)
     first, second = robot.constants.joints

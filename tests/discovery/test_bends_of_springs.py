@@ -10,7 +10,7 @@ from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison import swung_run
 from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
-from stiffopt.discovery.comparison.extension_change import softer_by
+from stiffopt.discovery.comparison.extension_change import relative_compliance
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import train
@@ -35,7 +35,7 @@ def test_to_and_fro_by_less_than_is_let_be_is_a_motion(tmp_path):
     case = simulated(spec)
     training = train(load_recordings(write_case(case, tmp_path / "set")), Settings())
     (run,) = training.runs
-    assert run.swing is not None
+    assert run.vibration is not None
     true = case.trace.link[0, :: spec.substeps][: len(run.time)]
     off = (run.signals.link_position - true) / training.noise.channels.deflection
     assert np.sqrt(np.mean(off**2)) < 1.5
@@ -59,7 +59,7 @@ def creeping(tmp_path_factory):
 
 def test_a_belt_is_as_soft_as_it_is_at_once(creeping):
     run, robot, extension = creeping
-    softer = softer_by(run, robot, extension)
+    softer = relative_compliance(run, robot, extension)
     quick = 0.5 * (1.0 - np.exp(-run.signals.dt / 0.15))
     nominal = robot.compliance(run.signals.spring_torque) / robot.compliance(0.0 * run.torque)
     np.testing.assert_allclose(softer[:, 0], 1.0)
@@ -80,8 +80,8 @@ def test_links_are_followed_with_a_belt_that_creeps_in_a_few_rounds(creeping, mo
         return change_of(*given)
 
     monkeypatch.setattr(swung_run, "change_of", counted)
-    found = swung_run.swung(run, robot, extension)
+    found = swung_run.simulate_links(run, robot, extension)
     (added,) = (e.located.contribution(found, e.amplitudes) for e in extension.effects)
     assert np.max(np.abs(added.deflection)) > 1e-4
-    np.testing.assert_allclose(found.beside, added.deflection, atol=1e-6)
+    np.testing.assert_allclose(found.added_deflection, added.deflection, atol=1e-6)
     assert len(rounds) < 60

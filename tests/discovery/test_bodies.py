@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from stiffopt.discovery.comparison.bodies import (
-    exist,
     inertial_parameters,
+    is_consistent,
     pseudo_inertia,
 )
-from stiffopt.discovery.comparison.evidence import Beside, BlockSums, posterior
-from stiffopt.discovery.comparison.nearest_bodies import nearest_bodies
+from stiffopt.discovery.comparison.evidence import AddedColumnsPosterior, BlockSums, posterior
+from stiffopt.discovery.comparison.nearest_bodies import likeliest_consistent_bodies
 
 # A rod of 2 kg along x from its joint's origin: 0.4 m long, its inertia about the origin.
 ROD = np.array([[2.0, 0.4, 0.0, 0.0, 0.002, 0.0, 0.11, 0.0, 0.0, 0.11]])
@@ -29,10 +29,10 @@ def test_pseudo_inertia_holds_all_ten_parameters() -> None:
 
 def test_what_exists_and_what_does_not() -> None:
     """A rod exists; with less inertia than its centre of mass alone needs it does not."""
-    assert exist(ROD, UNITS)
+    assert is_consistent(ROD, UNITS)
     light = ROD.copy()
     light[0, 9] = 0.05
-    assert not exist(light, UNITS)
+    assert not is_consistent(light, UNITS)
 
 
 def test_the_likeliest_bodies_exist() -> None:
@@ -41,9 +41,11 @@ def test_the_likeliest_bodies_exist() -> None:
     wanted = np.zeros(11)
     wanted[9] = -0.2
     wanted[10] = 5.0
-    found = nearest_bodies(gram, gram @ wanted, slice(0, 10), ROD, UNITS, np.full(11, 3.0))
+    found = likeliest_consistent_bodies(
+        gram, gram @ wanted, slice(0, 10), ROD, UNITS, np.full(11, 3.0)
+    )
     bodies = ROD + found[:10]
-    assert exist(bodies, UNITS)
+    assert is_consistent(bodies, UNITS)
 
     def cost(x: np.ndarray) -> float:
         return float(0.5 * x @ gram @ x - x @ gram @ wanted)
@@ -63,13 +65,13 @@ def test_a_few_more_columns_cost_only_themselves() -> None:
     prior = rng.uniform(0.1, 2.0, 6)
     sums = BlockSums(base, target, block, 4)
     kept = np.array([0, 2])
-    beside = Beside(sums.own, prior)
-    short = beside.added(sums.beside(added), kept)
+    beside = AddedColumnsPosterior(sums.own, prior)
+    short = beside.added(sums.added_sums(added), kept)
     columns = np.column_stack([base, added[:, kept]])
     whole = posterior(BlockSums(columns, target, block, 4).own, np.concatenate([prior, np.ones(2)]))
     np.testing.assert_allclose(short.mean, whole.mean[6:])
     np.testing.assert_allclose(short.base(), whole.mean[:6])
     np.testing.assert_allclose(short.covariance, whole.covariance[6:, 6:])
     assert short.log_evidence == pytest.approx(whole.log_evidence)
-    predicted = beside.log_predictive(sums.beside(added), kept)
+    predicted = beside.log_predictive(sums.added_sums(added), kept)
     assert predicted == pytest.approx(whole.log_predictive)

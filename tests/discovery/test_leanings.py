@@ -23,7 +23,7 @@ THERE = LocatedEffect(effect=COULOMB, joint=1)
 
 @pytest.fixture(scope="module")
 def training() -> Training:
-    found = train(load_recordings(SHIPPED), Settings(), swinging=False)
+    found = train(load_recordings(SHIPPED), Settings(), vibrating=False)
     return replace(found, free_bodies=True)
 
 
@@ -43,7 +43,7 @@ def test_too_little_and_too_much_are_known_by_their_size(training: Training) -> 
 
 def test_it_counts_as_one_deviation_more(training: Training) -> None:
     comparison = training.comparison()
-    found = estimate(comparison.about(comparison.fit([THERE])), [THERE])
+    found = estimate(comparison.linearised_at(comparison.fit([THERE])), [THERE])
     (value, sd) = found.parameters(0, comparison.constants.joints[1])["dFc"]
     doubted = doubted_by_left_open(replace(training, leanings={THERE.label: (-0.3,)}), found)
     (same, wider) = doubted.parameters(0, comparison.constants.joints[1])["dFc"]

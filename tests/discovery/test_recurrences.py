@@ -13,14 +13,14 @@ LOAD[200:260] = LOAD[200]
 
 @pytest.mark.parametrize("kept", [0.0, 0.2, 0.97, 1.0])
 def test_a_lag_is_that_sample_after_sample(kept):
-    slow = history.remember(history._lag, [LOAD], [LOAD[0]], [kept])
-    np.testing.assert_allclose(history.lagged(LOAD, kept), slow, rtol=0.0, atol=1e-15)
+    slow = history.recurrence_output(history._lag_step, [LOAD], [LOAD[0]], [kept])
+    np.testing.assert_allclose(history.first_order_lag(LOAD, kept), slow, rtol=0.0, atol=1e-15)
     symbol = ca.MX.sym("kept")
-    of_symbol = ca.Function("lag", [symbol], [history.lagged(LOAD, symbol)])
+    of_symbol = ca.Function("lag", [symbol], [history.first_order_lag(LOAD, symbol)])
     np.testing.assert_allclose(np.array(of_symbol(kept)).ravel(), slow, rtol=0.0, atol=1e-15)
 
 
 @pytest.mark.parametrize("reach", [2e-5, 3e-4, 5e-3])
 def test_presliding_of_exponent_one_is_that_sample_after_sample(reach):
-    slow = history.remember(elastic.dahl, [LOAD], [0.0, LOAD[0]], [reach, 1.0])
-    np.testing.assert_allclose(elastic._evenly(LOAD, reach), slow, rtol=0.0, atol=3e-9)
+    slow = history.recurrence_output(elastic.dahl, [LOAD], [0.0, LOAD[0]], [reach, 1.0])
+    np.testing.assert_allclose(elastic._exponential_dahl(LOAD, reach), slow, rtol=0.0, atol=3e-9)

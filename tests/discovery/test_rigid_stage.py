@@ -23,7 +23,7 @@ THERE = LocatedEffect(effect=effect("coulomb"), joint=1)
 
 @pytest.fixture(scope="module")
 def training() -> Training:
-    return train(load_recordings(SHIPPED), Settings(), swinging=False)
+    return train(load_recordings(SHIPPED), Settings(), vibrating=False)
 
 
 def _balanced(training: Training) -> Comparison:

@@ -5,8 +5,8 @@ import pytest
 from simulated_sets import simulated
 
 from benchmarks.simulator import CaseSpec, write_case
-from stiffopt.discovery.comparison.followed import followed_to, mean_sign
-from stiffopt.discovery.comparison.prepare import smoothly
+from stiffopt.discovery.comparison.followed import mean_sign, motor_cutoff
+from stiffopt.discovery.comparison.prepare import interpolate_motion
 from stiffopt.discovery.comparison.signals import smooth_sign
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.settings import SIGN_SPEED, Settings
@@ -69,11 +69,11 @@ def test_what_is_predicted_of_a_turn_is_in_the_band_of_the_motion(as_modelled):
 
 def test_a_motion_is_followed_as_high_as_its_encoders_bear(as_modelled):
     run, robot = as_modelled.recorded[0], as_modelled.robot
-    assert followed_to(robot, run.position, 4e-3) == pytest.approx(90.0)
-    assert 90.0 < followed_to(robot, run.position, 1e-3) <= 150.0
+    assert motor_cutoff(robot, run.position, 4e-3) == pytest.approx(90.0)
+    assert 90.0 < motor_cutoff(robot, run.position, 1e-3) <= 150.0
     noise = 2e-5 * np.random.default_rng(1).standard_normal(run.position.shape)
-    assert followed_to(robot, run.position + noise, 1e-3) == 60.0
-    assert followed_to(robot, run.position + noise, 1e-2) == pytest.approx(36.0)
+    assert motor_cutoff(robot, run.position + noise, 1e-3) == 60.0
+    assert motor_cutoff(robot, run.position + noise, 1e-2) == pytest.approx(36.0)
 
 
 def test_a_sample_that_is_missing_is_bridged_along_the_motion():
@@ -81,17 +81,17 @@ def test_a_sample_that_is_missing_is_bridged_along_the_motion():
     motion = np.column_stack([np.cos(7.0 * time), 0.1 * time**2])
     gappy = motion.copy()
     gappy[[50, 120, 121], 0] = np.nan
-    np.testing.assert_allclose(smoothly(time, gappy, time), motion, atol=1e-6)
+    np.testing.assert_allclose(interpolate_motion(time, gappy, time), motion, atol=1e-6)
     left_out = np.delete(np.arange(200), [0, 30, 90])
     np.testing.assert_allclose(
-        smoothly(time[left_out], motion[left_out], time)[1:], motion[1:], atol=1e-6
+        interpolate_motion(time[left_out], motion[left_out], time)[1:], motion[1:], atol=1e-6
     )
-    assert np.all(np.isnan(smoothly(time, np.full((200, 1), np.nan), time)))
+    assert np.all(np.isnan(interpolate_motion(time, np.full((200, 1), np.nan), time)))
     # A motor that stops, stands still and goes on: its stand was taken out.
     stopped = np.interp(time, [0.0, 0.3, 0.5, 0.8], [0.0, 0.3, 0.3, 0.6])[:, None]
     gappy = stopped.copy()
     gappy[80:120] = np.nan
-    np.testing.assert_allclose(smoothly(time, gappy, time), stopped, atol=1e-12)
+    np.testing.assert_allclose(interpolate_motion(time, gappy, time), stopped, atol=1e-12)
 
 
 def test_the_mean_sign_is_that_of_the_time_of_a_sample():

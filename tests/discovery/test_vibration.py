@@ -15,7 +15,7 @@ from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.extension_change import added_inertia
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import prepare
+from stiffopt.discovery.comparison.prepare import prepare_run
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.settings import Settings
 from stiffopt.recording.recording_set import load_recordings
@@ -43,13 +43,13 @@ def _opened(spec, folder):
     robot = RobotModel(recordings)
     entries = (*recordings.with_role("train"), *recordings.with_role("test"))
     runs = {entry.file: recordings.open(entry) for entry in entries}
-    ranged = robot.ranged(
-        [prepare(robot, run, 0, None, Settings()).signals for run in runs.values()]
+    ranged = robot.constants_over(
+        [prepare_run(robot, run, 0, None, Settings()).signals for run in runs.values()]
     )
     return recordings, robot, runs, ranged
 
 
-def _errors(spec, folder, *extensions, swinging=True):
+def _errors(spec, folder, *extensions, vibrating=True):
     """Root mean square of prediction less exact signal over noise: torque in motion, links."""
     _, robot, runs, ranged = _opened(spec, folder)
     case = simulated(spec)
@@ -58,9 +58,9 @@ def _errors(spec, folder, *extensions, swinging=True):
         if not name.startswith("test"):
             continue
         predictor = Predictor(robot, run, ranged, Settings())
-        if not swinging:
-            predictor.nominal = prepare(
-                robot, run, 0, ranged, replace(Settings(), cutoff=20.0), swinging=False
+        if not vibrating:
+            predictor.nominal = prepare_run(
+                robot, run, 0, ranged, replace(Settings(), cutoff=20.0), vibrating=False
             )
         found = predictor.predict(*extensions)
         for j in range(robot.n):
@@ -95,7 +95,7 @@ def folder(tmp_path_factory):
 
 def test_links_swing_as_the_simulated_ones_do(folder):
     torque, link = _errors(HEALTHY, folder)
-    slow_torque, slow_link = _errors(HEALTHY, folder, swinging=False)
+    slow_torque, slow_link = _errors(HEALTHY, folder, vibrating=False)
     assert torque < HALF
     assert link < 0.25
     assert slow_torque > 1.5 * torque
@@ -111,14 +111,14 @@ def test_links_begin_within_a_corner_of_the_motion(folder):
 def test_springs_that_were_taken_on_the_way_do_not_matter(folder):
     """However soft or stiff they were taken to be first, links end with the same motion."""
     _, robot, runs, _ = _opened(SHARP, folder)
-    run = prepare(robot, next(iter(runs.values())), 0, None, Settings())
-    springs, slow = run.springs(robot), run.swing.begin
+    run = prepare_run(robot, next(iter(runs.values())), 0, None, Settings())
+    springs, slow = run.springs(robot), run.vibration.reference
     found = []
     for softer in (0.7, 1.0, 1.5):
-        wrong = springs.swing(run.links, np.full_like(run.signals.windup, softer))
-        links = springs.follow(slow, replace(wrong, softer=1.0), slow)
+        wrong = springs.linearise(run.links, np.full_like(run.signals.windup, softer))
+        links = springs.solve(slow, replace(wrong, compliance_ratio=1.0), slow)
         for _ in range(2):
-            links = springs.follow(links, springs.swing(links), slow)
+            links = springs.solve(links, springs.linearise(links), slow)
         found.append(links.position)
     assert np.sqrt(np.mean(np.ptp(found, axis=0) ** 2)) < SAME
 
@@ -140,7 +140,7 @@ def test_a_softer_spring_that_was_found_makes_them_swing_slower(folder):
 
 def test_inertia_that_is_added_is_that_of_the_body(folder):
     _, robot, runs, ranged = _opened(LOADED, folder)
-    run = prepare(robot, next(iter(runs.values())), 0, ranged, Settings())
+    run = prepare_run(robot, next(iter(runs.values())), 0, ranged, Settings())
     block = _block(LOADED)
     found = _found("payload", tuple(block.toDynamicParameters()))
     added = added_inertia(run, robot, [found], every=100)

@@ -45,7 +45,7 @@ CATALOGUE: tuple[Effect, ...] = (
 )
 
 # Runs of which each can have an amplitude.
-_MOST_RUNS = 20
+_MAX_RUNS = 20
 
 
 def confused_with(entry: Effect, effects: Sequence[Effect] = CATALOGUE) -> tuple[str, ...]:
@@ -57,7 +57,7 @@ def confused_with(entry: Effect, effects: Sequence[Effect] = CATALOGUE) -> tuple
     )
 
 
-def of_runs(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, ...]:
+def effects_of_runs(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, ...]:
     """Effects with amplitudes for each of some runs, where they have such; too many are left out.
 
     Parameters
@@ -69,7 +69,7 @@ def of_runs(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, ...
     return tuple(
         each if each.of_runs is None else each.of_runs(tuple(runs))
         for each in effects
-        if each.of_runs is None or len(runs) <= _MOST_RUNS
+        if each.of_runs is None or len(runs) <= _MAX_RUNS
     )
 
 

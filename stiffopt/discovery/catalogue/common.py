@@ -17,14 +17,14 @@ WEIGHT = Amplitude(name="weight", unit="", scale=1.0, lower=0.0, upper=1.5)
 
 # How many times larger than what a robot is wrong by as it was built something is that broke, was
 # exchanged or set wrongly since.
-CHANGED = 3.0
+CHANGED_SCALE_RATIO = 3.0
 
 # The last joint of a wrist carries a thirteenth of what it is rated for: a rating speaks of a joint
 # up to so many times the largest torque met. From the square of that on it is a placeholder.
-_LIGHT = 15.0
+_MAX_RATED_OVER_CARRIED = 15.0
 
 
-def part(signal: Quantity, index: int) -> Quantity:
+def component(signal: Quantity, index: int) -> Quantity:
     """One entry along the last axis of arrays (K, n, m), or column of a symbol (n, m)."""
     return signal[:, index] if is_symbolic(signal) else signal[..., index]
 
@@ -74,7 +74,7 @@ def carried_share(constants: JointConstants) -> float:
     with the square: no joint lies on one side or the other by chance.
     """
     carried = constants.largest_torque / constants.torque_rated
-    return min(1.0, max(carried, (_LIGHT * carried) ** 2))
+    return min(1.0, max(carried, (_MAX_RATED_OVER_CARRIED * carried) ** 2))
 
 
 def along_stroke(constants: JointConstants, count: int) -> tuple[float, ...]:

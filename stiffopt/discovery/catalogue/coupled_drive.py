@@ -19,7 +19,7 @@ from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.symbolic import Quantity
 
 # Share of the joint before from which a motor turns with two joints; gears of wrists have 1.
-_LEAST = 0.5
+_MIN_SHARE = 0.5
 
 
 def coupled_drive_term(
@@ -40,10 +40,10 @@ def _after_another_wrist_joint(constants: JointConstants) -> bool:
 
 def _turns_with_both(shapes: Sequence[float], constants: Constants) -> bool:
     """Whether the joint before turns the motor at all: else it is a drive like any other."""
-    return abs(shapes[0]) >= _LEAST
+    return abs(shapes[0]) >= _MIN_SHARE
 
 
-def _reported(
+def _report_drive(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
     return {**dict(zip(("Fc", "Fv", "J"), amplitudes, strict=True)), "c": shapes[0]}
@@ -66,7 +66,7 @@ COUPLED_DRIVE = Effect(
         Amplitude(name="J", unit="kg m^2", scale=motor_inertia, lower=0.0, upper=10.0),
     ),
     shapes=(Shape(name="c", unit="", starts=(1.0, -1.0), lower=-1.5, upper=1.5),),
-    report=_reported,
+    report=_report_drive,
     applies=_after_another_wrist_joint,
     possible=_turns_with_both,
     log_prior=lambda constants: -1.0,

@@ -12,15 +12,15 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import carried_share, winds_up
-from stiffopt.discovery.catalogue.history import following, remember
+from stiffopt.discovery.catalogue.history import linear_recurrence, recurrence_output
 from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.symbolic import Quantity, is_symbolic
 
 # Exponents nearer to one than this are taken as a series; of the limit, what counts as reached.
-_NEAR_ONE, _LEAST_LEFT = 1e-3, 1e-9
+_SERIES_RANGE, _MIN_REMAINDER = 1e-3, 1e-9
 # Of the rated torque, over which a flank at least takes up the load.
-_SHARPEST = 5e-5
+_MIN_ROUNDING = 5e-5
 
 
 def backlash_term(
@@ -42,9 +42,9 @@ def hysteresis_term(
     """
     d = signals.windup
     if is_symbolic(d) or is_symbolic(shapes[0]) or shapes[1] != 1.0:
-        side = remember(dahl, [d], [0.0, d[0]], [shapes[0], shapes[1]])
+        side = recurrence_output(dahl, [d], [0.0, d[0]], [shapes[0], shapes[1]])
     else:
-        side = _evenly(d, shapes[0])
+        side = _exponential_dahl(d, shapes[0])
     torque, height = signals.spring_torque, _loop_height(signals.constants)
     ends = [signals.constants.windup(torque + end) for end in (-height, height)]
     slope = (ends[1] - ends[0]) / (2.0 * height)
@@ -59,43 +59,45 @@ def dahl(
     travel = inputs[0] - state[1]
     side = np.sign(travel)
     # Box and Cox's transform of what is left to the limit falls in proportion to the travel.
-    left = ca.fmax(1.0 - state[0] * side, _LEAST_LEFT)
-    fallen = _power(ca.log(left), 1.0 - exponent) - np.abs(travel) / reach
-    left = ca.fmax(_inverse_power(fallen, 1.0 - exponent), 0.0)
+    left = ca.fmax(1.0 - state[0] * side, _MIN_REMAINDER)
+    fallen = _box_cox(ca.log(left), 1.0 - exponent) - np.abs(travel) / reach
+    left = ca.fmax(_inverse_box_cox(fallen, 1.0 - exponent), 0.0)
     now = ca.if_else(side == 0.0, state[0], side * (1.0 - left))
     return ca.vertcat(now, inputs[0]), now
 
 
-def _evenly(windup: np.ndarray, reach: float) -> np.ndarray:
+def _exponential_dahl(windup: np.ndarray, reach: float) -> np.ndarray:
     """What `dahl` gives with the exponent one: what is left to the limit falls by a factor."""
     travel = np.diff(windup, prepend=windup[:1])
     kept = np.exp(-np.abs(travel) / reach)
-    return following(kept, np.sign(travel) * (1.0 - kept))
+    return linear_recurrence(kept, np.sign(travel) * (1.0 - kept))
 
 
-def _power(logarithm: Quantity, rest: Quantity) -> Quantity:
+def _box_cox(logarithm: Quantity, rest: Quantity) -> Quantity:
     """(x^rest - 1)/rest of the logarithm of x, log(x) at zero."""
     series = logarithm * (1.0 + rest * logarithm / 2.0 * (1.0 + rest * logarithm / 3.0))
-    near = ca.fabs(rest) < _NEAR_ONE
+    near = ca.fabs(rest) < _SERIES_RANGE
     divisor = ca.if_else(near, 1.0, rest)
     return ca.if_else(near, series, ca.expm1(divisor * logarithm) / divisor)
 
 
-def _inverse_power(power: Quantity, rest: Quantity) -> Quantity:
+def _inverse_box_cox(power: Quantity, rest: Quantity) -> Quantity:
     """The x of which (x^rest - 1)/rest is `power`; zero where the limit is reached."""
     inside = rest * power
     series = power * (1.0 - inside / 2.0 * (1.0 - 2.0 * inside / 3.0))
-    near = ca.fabs(rest) < _NEAR_ONE
+    near = ca.fabs(rest) < _SERIES_RANGE
     divisor = ca.if_else(near, 1.0, rest)
-    logarithm = ca.log1p(ca.fmax(inside, _LEAST_LEFT - 1.0)) / divisor
-    return ca.if_else(inside <= _LEAST_LEFT - 1.0, 0.0, ca.exp(ca.if_else(near, series, logarithm)))
+    logarithm = ca.log1p(ca.fmax(inside, _MIN_REMAINDER - 1.0)) / divisor
+    return ca.if_else(
+        inside <= _MIN_REMAINDER - 1.0, 0.0, ca.exp(ca.if_else(near, series, logarithm))
+    )
 
 
 def _loop_height(constants: JointConstants) -> float:
     return 0.04 * constants.torque_rated
 
 
-def _roundings(constants: JointConstants) -> tuple[float, ...]:
+def _start_roundings(constants: JointConstants) -> tuple[float, ...]:
     return tuple(carried_share(constants) * share for share in (0.002, 0.008, 0.03))
 
 
@@ -111,9 +113,9 @@ BACKLASH = Effect(
     term=backlash_term,
     is_play=True,
     amplitudes=(Amplitude(name="width", unit="rad", scale=3e-4, lower=0.0, upper=10.0),),
-    shapes=(Shape(name="rounding", unit="", starts=_roundings, lower=1e-7, upper=0.08),),
+    shapes=(Shape(name="rounding", unit="", starts=_start_roundings, lower=1e-7, upper=0.08),),
     report=lambda amplitudes, shapes, constants: {"width": amplitudes[0]},
-    possible=lambda shapes, constants: shapes[0] >= _SHARPEST * carried_share(constants),
+    possible=lambda shapes, constants: shapes[0] >= _MIN_ROUNDING * carried_share(constants),
     applies=winds_up,
     separate="Carry the load slowly through zero torque: backlash is a step between two plateaus,"
     " a soft joint bends gradually, an encoder offset does not change side.",

@@ -24,14 +24,14 @@ from stiffopt.discovery.settings import SIGN_SPEED
 from stiffopt.symbolic import Quantity, smooth_abs
 
 # Share of the rated torque below which a carried load has no definite side.
-_ROUNDED_SHARE, _LEAST_LOAD = 0.02, 0.002
+_LOAD_ROUNDING_SHARE, _MIN_LOAD_ROUNDING = 0.02, 0.002
 # Of the speed within which friction has no definite sign, what rounds the size of a speed.
-_ROUNDED = 0.1
+_SPEED_ROUNDING_SHARE = 0.1
 
 
 def rounded_speed(velocity: Quantity) -> Quantity:
     """Size of a speed, rounded at zero, so that a power of it has slopes everywhere."""
-    return smooth_abs(velocity, _ROUNDED * SIGN_SPEED)
+    return smooth_abs(velocity, _SPEED_ROUNDING_SHARE * SIGN_SPEED)
 
 
 def rounded_load(signals: JointSignals, share: Quantity) -> Quantity:
@@ -101,41 +101,41 @@ def thermal_friction_term(
     return Term(drive_torque=(amplitudes[0] * viscous + amplitudes[1] * dry) * fall)
 
 
-def half_dry(constants: JointConstants) -> float:
+def half_dry_friction(constants: JointConstants) -> float:
     """Half the dry friction, typical of what is added to it [N m]."""
     return 0.5 * dry_friction(constants)
 
 
-def slow_speeds(constants: JointConstants) -> tuple[float, ...]:
+def start_slow_speeds(constants: JointConstants) -> tuple[float, ...]:
     """Speeds below which dry friction may rise [rad/s]."""
     highest = min(0.5, max(0.5 * constants.fastest, 0.03))
     return tuple(float(v) for v in np.geomspace(0.02, highest, 5))
 
 
-def _in_stroke(shapes: Sequence[float], constants: JointConstants) -> bool:
+def _is_within_stroke(shapes: Sequence[float], constants: JointConstants) -> bool:
     """Whether it is a place of the stroke: what is never met or everywhere is no tight place."""
     low, high = constants.stroke
     place, width = shapes
     return bool(low <= place <= high and width <= 0.5 * (high - low))
 
 
-def _places(constants: JointConstants) -> tuple[float, ...]:
+def _start_places(constants: JointConstants) -> tuple[float, ...]:
     return along_stroke(constants, 10)
 
 
-def definite_load(share: float, constants: JointConstants) -> bool:
+def is_definite_load(share: float, constants: JointConstants) -> bool:
     """Whether a load is rounded enough to be that of a joint."""
-    return share >= _LEAST_LOAD * carried_share(constants)
+    return share >= _MIN_LOAD_ROUNDING * carried_share(constants)
 
 
 # How small a load is rubs nowhere the same, and is no value of a datasheet: it moves mu.
 LOAD_ROUNDING = Shape(
     name="rounding",
     unit="",
-    starts=lambda constants: (_ROUNDED_SHARE * carried_share(constants),),
+    starts=lambda constants: (_LOAD_ROUNDING_SHARE * carried_share(constants),),
     lower=1e-7,
     upper=0.1,
-    usual=_ROUNDED_SHARE,
+    usual=_LOAD_ROUNDING_SHARE,
 )
 
 COULOMB = Effect(
@@ -154,7 +154,9 @@ COULOMB = Effect(
     reference="ArmstrongEtAl1994",
     change_robot=add_to_nominal_value,
     term=coulomb_term,
-    amplitudes=(Amplitude(name="dFc", unit="N m", scale=half_dry, lower=-2.0, upper=10.0),),
+    amplitudes=(
+        Amplitude(name="dFc", unit="N m", scale=half_dry_friction, lower=-2.0, upper=10.0),
+    ),
     separate="Move at three speeds or more, in both directions: Coulomb friction does not change"
     " with speed.",
 )
@@ -193,9 +195,9 @@ STRIBECK = Effect(
     confused_with=("hysteresis",),
     reference="ArmstrongEtAl1994",
     term=stribeck_term,
-    amplitudes=(Amplitude(name="A", unit="N m", scale=half_dry, lower=0.0, upper=4.0),),
+    amplitudes=(Amplitude(name="A", unit="N m", scale=half_dry_friction, lower=0.0, upper=4.0),),
     shapes=(
-        Shape(name="vs", unit="rad/s", starts=slow_speeds, lower=0.005, upper=0.5),
+        Shape(name="vs", unit="rad/s", starts=start_slow_speeds, lower=0.005, upper=0.5),
         Shape(name="n", unit="", starts=(1.0, 2.0), lower=0.5, upper=2.5),
     ),
     report=lambda amplitudes, shapes, constants: {"A": amplitudes[0], "vs": shapes[0]},
@@ -217,7 +219,7 @@ LOAD_FRICTION = Effect(
     amplitudes=(Amplitude(name="mu", unit="", scale=0.1, lower=0.0, upper=6.0),),
     shapes=(LOAD_ROUNDING,),
     report=lambda amplitudes, shapes, constants: {"mu": amplitudes[0]},
-    possible=lambda shapes, constants: definite_load(shapes[0], constants),
+    possible=lambda shapes, constants: is_definite_load(shapes[0], constants),
     separate="Repeat one path with two payloads, in both directions: a gain error keeps its sign"
     " when the motion turns round.",
 )
@@ -236,7 +238,7 @@ ASYM_FRICTION = Effect(
     reference="ArmstrongEtAl1994",
     term=asym_friction_term,
     amplitudes=(
-        Amplitude(name="dFc", unit="N m", scale=half_dry, lower=-2.0, upper=2.0),
+        Amplitude(name="dFc", unit="N m", scale=half_dry_friction, lower=-2.0, upper=2.0),
         Amplitude(name="dFv", unit="N m s/rad", scale=viscous_friction, lower=-1.0, upper=1.0),
     ),
     separate="Stop for a second in several postures: a torque offset and a gravity error act at"
@@ -256,10 +258,10 @@ POSITION_FRICTION = Effect(
     term=position_friction_term,
     amplitudes=(Amplitude(name="A", unit="N m", scale=dry_friction, lower=0.0, upper=3.0),),
     shapes=(
-        Shape(name="q0", unit="rad", starts=_places, lower=-20.0, upper=20.0),
+        Shape(name="q0", unit="rad", starts=_start_places, lower=-20.0, upper=20.0),
         Shape(name="width", unit="rad", starts=(0.12, 0.3, 0.7), lower=0.05, upper=1.5),
     ),
-    possible=_in_stroke,
+    possible=_is_within_stroke,
     separate="Sweep the whole stroke slowly both ways: a gravity error keeps its sign, friction"
     " turns with the direction.",
 )

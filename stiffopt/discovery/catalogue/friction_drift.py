@@ -21,16 +21,16 @@ from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.symbolic import Quantity, smooth_abs
 
 # Before a name of a run, in the names of amplitudes.
-OF_RUN = "of "
+RUN_PREFIX = "of "
 # Share of friction that differs from run to run, typically.
-_TYPICAL = 0.2
+_TYPICAL_SHARE = 0.2
 # Of the speed in the law of any friction, its rounding at standstill [rad/s], and that of the load.
-_POWERS, _SLOW, _LOAD_ROUNDING = (0.0, 0.5, 1.0, 2.0), 1e-2, 0.02
+_SPEED_POWERS, _SPEED_ROUNDING, _LOAD_ROUNDING = (0.0, 0.5, 1.0, 2.0), 1e-2, 0.02
 # Of the curve over the time of a run that its friction may follow instead.
-_KNOTS = 5
+_CURVE_KNOTS = 5
 
 
-def _term(
+def _drift_term(
     seen: Sequence[str],
     signals: JointSignals,
     amplitudes: Sequence[Quantity],
@@ -45,7 +45,7 @@ def _term(
     return Term(drive_torque=off * (dry + viscous * viscous_friction(constants) * w))
 
 
-def _report(
+def _report_spread(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: JointConstants
 ) -> Mapping[str, float]:
     spread = float(np.std(amplitudes, ddof=1)) if len(amplitudes) > 1 else 0.0
@@ -55,22 +55,22 @@ def _report(
     }
 
 
-def _drawn(
+def _sampling_error(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: JointConstants
 ) -> Mapping[str, float]:
     """What the spread of so few runs may be off by from that of all [N m], [N m s/rad]."""
-    found = _report(amplitudes, shapes, constants)
+    found = _report_spread(amplitudes, shapes, constants)
     return {k: v / np.sqrt(2.0 * max(len(amplitudes) - 1, 1)) for k, v in found.items()}
 
 
-def _any_law(
+def _any_friction_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
     """Friction by any powers of the speed, and by the load."""
     w = signals.motor_velocity
-    speed = smooth_abs(w, _SLOW)
+    speed = smooth_abs(w, _SPEED_ROUNDING)
     *powers, of_load = amplitudes
-    law = sum(a * speed**power for a, power in zip(powers, _POWERS, strict=True))
+    law = sum(a * speed**power for a, power in zip(powers, _SPEED_POWERS, strict=True))
     dry = law * dry_friction(signals.constants) + of_load * rounded_load(signals, _LOAD_ROUNDING)
     return Term(drive_torque=dry * signals.motor_direction)
 
@@ -84,18 +84,18 @@ ANY_FRICTION = Effect(
     signature="motor torque off against the motion, by any law of speed and load",
     needs=("torque", "moves", "reverses"),
     reference="BittencourtAxelsson2014",
-    term=_any_law,
+    term=_any_friction_term,
     amplitudes=(
         *(
             Amplitude(name=f"c{power:g}", unit="", scale=2.0, lower=-50.0, upper=50.0)
-            for power in _POWERS
+            for power in _SPEED_POWERS
         ),
         Amplitude(name="mu", unit="", scale=0.1, lower=-6.0, upper=6.0),
     ),
 )
 
 
-def _within_term(
+def _drift_within_term(
     runs: Sequence[str],
     signals: JointSignals,
     amplitudes: Sequence[Quantity],
@@ -104,10 +104,12 @@ def _within_term(
     """Dry friction along a curve over the time of each run, straight between its knots."""
     if signals.run not in runs:
         return Term()
-    first = _KNOTS * runs.index(signals.run)
+    first = _CURVE_KNOTS * runs.index(signals.run)
     time = np.asarray(signals.time, dtype=float)
-    knots = np.linspace(time.min(), time.max(), _KNOTS)
-    levels = np.interp(time, knots, np.asarray(amplitudes[first : first + _KNOTS], dtype=float))
+    knots = np.linspace(time.min(), time.max(), _CURVE_KNOTS)
+    levels = np.interp(
+        time, knots, np.asarray(amplitudes[first : first + _CURVE_KNOTS], dtype=float)
+    )
     dry = dry_friction(signals.constants) * signals.motor_direction
     return Term(drive_torque=levels * dry)
 
@@ -130,11 +132,17 @@ def friction_within_runs(runs: Sequence[str]) -> Effect:
         signature="motor torque off against the motion by an amount that changes within runs",
         needs=("torque", "moves", "reverses"),
         reference="LairdWare1982",
-        term=partial(_within_term, tuple(runs)),
+        term=partial(_drift_within_term, tuple(runs)),
         amplitudes=tuple(
-            Amplitude(name=f"{OF_RUN}{run} {k}", unit="", scale=_TYPICAL, lower=-50.0, upper=50.0)
+            Amplitude(
+                name=f"{RUN_PREFIX}{run} {k}",
+                unit="",
+                scale=_TYPICAL_SHARE,
+                lower=-50.0,
+                upper=50.0,
+            )
             for run in runs
-            for k in range(_KNOTS)
+            for k in range(_CURVE_KNOTS)
         ),
     )
 
@@ -162,14 +170,16 @@ def friction_drift(runs: Sequence[str], *, seen: bool = True) -> Effect:
         beside=ANY_FRICTION,
         likelier_than=friction_within_runs(runs),
         reference="LairdWare1982",
-        term=partial(_term, tuple(runs) if seen else ()),
+        term=partial(_drift_term, tuple(runs) if seen else ()),
         amplitudes=tuple(
-            Amplitude(name=f"{OF_RUN}{run}", unit="", scale=_TYPICAL, lower=-5.0, upper=25.0)
+            Amplitude(
+                name=f"{RUN_PREFIX}{run}", unit="", scale=_TYPICAL_SHARE, lower=-5.0, upper=25.0
+            )
             for run in runs
         ),
         shapes=(Shape(name="viscous", unit="", starts=(0.0, 0.5, 1.0), lower=0.0, upper=1.0),),
-        report=_report,
-        drawn=_drawn,
+        report=_report_spread,
+        drawn=_sampling_error,
         units={"dFc_spread": "N m", "dFv_spread": "N m s/rad"},
         of_runs=friction_drift,
         separate="Repeat one motion on several days, and several times on one: what differs"

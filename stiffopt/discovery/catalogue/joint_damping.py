@@ -27,12 +27,12 @@ def _nominal_damping(constants: JointConstants) -> float:
     return constants.joint_damping
 
 
-def _is_known(constants: JointConstants) -> bool:
+def _has_known_damping(constants: JointConstants) -> bool:
     """Whether the nominal joint swings: without a damping its links are taken to be in balance."""
     return constants.elastic and constants.joint_damping > 0.0
 
 
-def damp_otherwise(
+def change_damping(
     robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
 ) -> RobotChange:
     """Put the damping that was found into the robot."""
@@ -57,12 +57,12 @@ JOINT_DAMPING = Effect(
     nominal="joint_damping",
     needs=("windup", "moves"),
     confused_with=("hysteresis",),
-    change_robot=damp_otherwise,
+    change_robot=change_damping,
     term=joint_damping_term,
     amplitudes=(
         Amplitude(name="dD", unit="N m s/rad", scale=_nominal_damping, lower=-1.0, upper=20.0),
     ),
-    applies=_is_known,
+    applies=_has_known_damping,
     separate="Stop sharply and stand still for a second, with and without load: damping takes the"
     " same share of every swing, hysteresis most of small ones, a soft joint swings slower.",
 )

@@ -13,14 +13,14 @@ from stiffopt.discovery.catalogue.common import (
     winds_up,
 )
 from stiffopt.discovery.catalogue.robot_change import (
-    SHARES,
+    TORQUE_SHARES,
     chain_of,
     mean_windup,
     with_chain,
     with_series_spring,
 )
 from stiffopt.discovery.comparison.extension import EstimatedEffect
-from stiffopt.discovery.comparison.signals import OF_EACH_JOINT, JointConstants, JointSignals
+from stiffopt.discovery.comparison.signals import JOINT_SIGNAL_NAMES, JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Shape, Term
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.exact.chain import windup_shares
@@ -28,11 +28,11 @@ from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
 
 # Slip torque that a loosened connection keeps, over the largest torque of the joint.
-_HOLDS = 1.1
+_SLIP_MARGIN = 1.1
 # Of a share of preload that is as good as none lost.
-_WHOLE = 0.999
+_MAX_LOST_SHARE = 0.999
 # Of the rated torque, at which pressure that is left equals that of the load, at least.
-_TIGHTEST = 5e-4
+_MIN_PRESSURE_RATIO = 5e-4
 
 
 def preload_loss_term(
@@ -47,7 +47,7 @@ def preload_loss_term(
     return Term(deflection=amplitudes[0] * size * np.sign(s) * pressed)
 
 
-def _preload_left(
+def _report_pressure(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
     return {"tp": shapes[0] * constants.torque_rated}
@@ -57,9 +57,9 @@ def lose_preload(
     robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
 ) -> RobotChange:
     """Loosen the weakest preloaded connection until the joint winds up as found."""
-    chain, torques = chain_of(robot, joint), SHARES * constants.torque_rated
-    wanted = _found_windup(found, constants, torques)
-    position = _weakest(chain, constants.torque_rated)
+    chain, torques = chain_of(robot, joint), TORQUE_SHARES * constants.torque_rated
+    wanted = _added_windup(found, constants, torques)
+    position = _find_weakest_connection(chain, constants.torque_rated)
     if position is None:
         return with_chain(robot, joint, *with_series_spring(chain, wanted, constants))
     stage = chain.stages[position]
@@ -74,10 +74,10 @@ def lose_preload(
         return mean_windup(loosened(share), torques) - before
 
     holds = float(np.asarray(stage.element.slip_torque(tight))) * stage.reduction
-    least = max(_HOLDS * constants.torque_max / holds, 1e-3)
-    if least >= _WHOLE:
+    least = max(_SLIP_MARGIN * constants.torque_max / holds, 1e-3)
+    if least >= _MAX_LOST_SHARE:
         return with_chain(robot, joint, *with_series_spring(chain, wanted, constants))
-    share = _share(added, wanted, least)
+    share = _solve_preload_share(added, wanted, least)
     changed, rest = loosened(share), wanted - added(share)
     sentence = (
         f"preload of {stage.element.name} {tight:.4g} to {share * tight:.4g} N"
@@ -92,7 +92,7 @@ def lose_preload(
     return with_chain(robot, joint, changed, sentence)
 
 
-def _share(added: Callable[[float], float], wanted: float, least: float) -> float:
+def _solve_preload_share(added: Callable[[float], float], wanted: float, least: float) -> float:
     """Share of the preload at which the added wind-up is as wanted, or the least allowed."""
     from scipy.optimize import brentq
 
@@ -102,7 +102,7 @@ def _share(added: Callable[[float], float], wanted: float, least: float) -> floa
     return float(brentq(lambda share: added(share) - wanted, least, 1.0, xtol=1e-6))
 
 
-def _weakest(chain: Chain, torque: float) -> int | None:
+def _find_weakest_connection(chain: Chain, torque: float) -> int | None:
     """Preloaded connection with the largest share of the wind-up, bolts before all others."""
     candidates = [i for i, s in enumerate(chain.stages) if s.element.preload is not None]
     bolted = [i for i in candidates if chain.stages[i].element.kind == "bolted_flange"]
@@ -113,9 +113,9 @@ def _weakest(chain: Chain, torque: float) -> int | None:
     return max(candidates, key=lambda i: shares[chain.stages[i].element.name])
 
 
-def _found_windup(found: EstimatedEffect, constants: JointConstants, torques: np.ndarray) -> float:
+def _added_windup(found: EstimatedEffect, constants: JointConstants, torques: np.ndarray) -> float:
     """Mean of the wind-up that a loss of preload adds [rad]."""
-    still = dict.fromkeys(OF_EACH_JOINT, np.zeros_like(torques))
+    still = dict.fromkeys(JOINT_SIGNAL_NAMES, np.zeros_like(torques))
     loaded = {
         "spring_torque": torques,
         "windup": constants.windup(torques),
@@ -135,7 +135,7 @@ def _found_windup(found: EstimatedEffect, constants: JointConstants, torques: np
     return float(np.mean(np.asarray(term.deflection)))
 
 
-def _lefts(constants: JointConstants) -> tuple[float, ...]:
+def _start_pressures(constants: JointConstants) -> tuple[float, ...]:
     return tuple(carried_share(constants) * share for share in (0.005, 0.05, 0.5))
 
 
@@ -152,13 +152,13 @@ PRELOAD_LOSS = Effect(
     term=preload_loss_term,
     amplitudes=(Amplitude(name="c", unit="", scale=1.0, lower=0.0, upper=20.0),),
     shapes=(
-        Shape(name="left", unit="", starts=_lefts, lower=1e-7, upper=10.0),
+        Shape(name="left", unit="", starts=_start_pressures, lower=1e-7, upper=10.0),
         Shape(name="power", unit="", starts=(0.35, 0.65), lower=0.3, upper=0.9),
     ),
-    report=_preload_left,
+    report=_report_pressure,
     units={"tp": "N m"},
     applies=winds_up,
-    possible=lambda shapes, constants: shapes[0] >= _TIGHTEST * carried_share(constants),
+    possible=lambda shapes, constants: shapes[0] >= _MIN_PRESSURE_RATIO * carried_share(constants),
     separate="Climb to the rated torque on both sides in steps: loosened contacts stiffen all the"
     " way, a worn reducer only up to its corner.",
 )

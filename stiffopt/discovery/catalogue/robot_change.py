@@ -18,8 +18,8 @@ from stiffopt.exact.chain import exact_windup
 from stiffopt.robot.robot import Robot
 
 # Torques up to the rated one at which wind-ups are matched, as shares of it.
-SHARES = np.linspace(0.05, 1.0, 20)
-ADDED = "found_compliance"
+TORQUE_SHARES = np.linspace(0.05, 1.0, 20)
+ADDED_SPRING_NAME = "found_compliance"
 
 
 def add_to_nominal_value(
@@ -82,10 +82,12 @@ def with_element(chain: Chain, position: int, element: Connection) -> Chain:
 
 def with_series_spring(chain: Chain, added: float, constants: JointConstants) -> tuple[Chain, str]:
     """The drivetrain with a spring in series that adds a mean wind-up [rad], and a sentence."""
-    stiffness = float(np.mean(SHARES)) * constants.torque_rated / added
+    stiffness = float(np.mean(TORQUE_SHARES)) * constants.torque_rated / added
     names = chain.elements
     name = next(
-        n for k in range(len(names) + 1) if (n := ADDED + (f"_{k + 1}" if k else "")) not in names
+        n
+        for k in range(len(names) + 1)
+        if (n := ADDED_SPRING_NAME + (f"_{k + 1}" if k else "")) not in names
     )
     element = Constant(name=name, torque_max=constants.torque_max, stiffness=stiffness)
     return (

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import (
-    CHANGED,
+    CHANGED_SCALE_RATIO,
     Constants,
     dry_friction,
     viscous_friction,
@@ -22,9 +22,9 @@ from stiffopt.symbolic import Quantity, is_symbolic, softplus
 # Share of the highest torque over which a drive rounds its limit off.
 _LIMIT_ROUNDING = 0.01
 # Share of the largest filtered torque that a drive's limit lies above.
-_OVERSHOOT = 0.97
+_MIN_LIMIT_RATIO = 0.97
 # Longest delay [s].
-_LATEST = 0.05
+_MAX_DELAY = 0.05
 
 
 def torque_gain_term(
@@ -53,28 +53,28 @@ def time_delay_term(
 ) -> Term:
     """Torque tau(t - d) - tau(t) on all joints, in proportion to d about the delay of the shape."""
     asked, about = signals.drive_torque, shapes[0]
-    late = _late(asked, about / signals.dt, int(_LATEST / signals.dt))
+    late = _delay_samples(asked, about / signals.dt, int(_MAX_DELAY / signals.dt))
     return Term(drive_torque=amplitudes[0] / about * (late - asked))
 
 
-def _late(values: Quantity, samples: Quantity, most: int) -> Quantity:
+def _delay_samples(values: Quantity, samples: Quantity, most: int) -> Quantity:
     """Values (K, n) some samples before, `most` at most, by cubic convolution."""
     if is_symbolic(samples):
         nearest = range(-1, most + 3)
     else:
         whole = int(samples)
         nearest = range(whole - 1, whole + 3)
-    return sum((_weight(samples - k) * _shifted(values, k) for k in nearest), 0.0)
+    return sum((_cubic_weight(samples - k) * _shift_samples(values, k) for k in nearest), 0.0)
 
 
-def _weight(away: Quantity) -> Quantity:
+def _cubic_weight(away: Quantity) -> Quantity:
     """Weight of a sample that lies so many samples away (Keys 1981)."""
     near, far = np.fmin(np.abs(away), 1.0), np.fmin(np.fmax(np.abs(away), 1.0), 2.0)
     inner = 1.5 * near**3 - 2.5 * near**2 + 1.0
     return inner - 0.5 * far**3 + 2.5 * far**2 - 4.0 * far + 2.0
 
 
-def _shifted(values: Quantity, samples: int) -> Quantity:
+def _shift_samples(values: Quantity, samples: int) -> Quantity:
     """Values (K, n) whole samples before; the ends hold beyond them."""
     places = np.clip(np.arange(values.shape[0]) - samples, 0, values.shape[0] - 1)
     return values[places.tolist(), :]
@@ -102,22 +102,22 @@ def saturation_term(
     return Term(drive_torque=amplitudes[0] * rounding * beyond)
 
 
-def _limit(
+def _report_limit(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
     return {"limit": shapes[0] * constants.torque_max}
 
 
-def _not_exceeded(shapes: Sequence[float], constants: Constants) -> bool:
+def _is_limit_possible(shapes: Sequence[float], constants: Constants) -> bool:
     """Whether no run shows more torque than the limit; a filter overshoots a little."""
-    return bool(shapes[0] * constants.torque_max >= _OVERSHOOT * constants.measured_torque)
+    return bool(shapes[0] * constants.torque_max >= _MIN_LIMIT_RATIO * constants.measured_torque)
 
 
-def _offset(constants: JointConstants) -> float:
+def _typical_offset(constants: JointConstants) -> float:
     return 0.03 * constants.torque_rated
 
 
-def _limits(constants: JointConstants) -> tuple[float, ...]:
+def _start_limits(constants: JointConstants) -> tuple[float, ...]:
     friction = dry_friction(constants) + viscous_friction(constants) * constants.fastest
     asked = min(1.0, (constants.largest_torque + friction) / constants.torque_max)
     return tuple(max(0.1, share * asked) for share in (0.4, 0.55, 0.7, 0.85, 0.97))
@@ -150,7 +150,14 @@ TORQUE_OFFSET = Effect(
     needs=("torque", "moves", "reverses"),
     term=torque_offset_term,
     amplitudes=(
-        Amplitude(name="off", unit="N m", scale=_offset, lower=-7.0, upper=7.0, changed=CHANGED),
+        Amplitude(
+            name="off",
+            unit="N m",
+            scale=_typical_offset,
+            lower=-7.0,
+            upper=7.0,
+            changed=CHANGED_SCALE_RATIO,
+        ),
     ),
     separate="Stop for a second in several postures and move in both directions: friction that"
     " differs between directions vanishes at rest, weight changes with posture.",
@@ -231,10 +238,10 @@ SATURATION = Effect(
     term=saturation_term,
     # -1 is a reading that ends at the limit; a drive in vain asks for many times what is beyond.
     amplitudes=(Amplitude(name="steepness", unit="", scale=10.0, lower=-0.15, upper=20.0),),
-    shapes=(Shape(name="share", unit="", starts=_limits, lower=0.05, upper=1.2),),
-    report=_limit,
+    shapes=(Shape(name="share", unit="", starts=_start_limits, lower=0.05, upper=1.2),),
+    report=_report_limit,
     units={"limit": "N m"},
-    possible=_not_exceeded,
+    possible=_is_limit_possible,
     separate="Ask for the highest torque several times: below the limit nothing is missing, a gain"
     " error shows at every torque.",
 )

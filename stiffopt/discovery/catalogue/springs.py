@@ -18,7 +18,7 @@ from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.symbolic import Quantity, softplus
 
 # Angle over which a stop begins to press [rad].
-_TOUCH = 2e-3
+_STOP_ROUNDING = 2e-3
 
 
 def gravity_spring_term(
@@ -45,11 +45,11 @@ def end_stop_term(
     """Torque k (q - q0) beyond an angle, on the side that the second shape points to."""
     place, side = shapes
     inwards = np.sign(side)
-    pressed = softplus(inwards * (signals.link_position - place) / _TOUCH)
-    return Term(link_torque=amplitudes[0] * inwards * _TOUCH * pressed)
+    pressed = softplus(inwards * (signals.link_position - place) / _STOP_ROUNDING)
+    return Term(link_torque=amplitudes[0] * inwards * _STOP_ROUNDING * pressed)
 
 
-def _rest_angle(
+def _report_rest_angle(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
     """Stiffness where the spring carries nothing, of all such angles the one nearest the stroke.
@@ -70,24 +70,24 @@ def _rest_angle(
     return {"k": size * side, "offset": offset}
 
 
-def _share_of_rated(constants: JointConstants) -> float:
+def _typical_stiffness(constants: JointConstants) -> float:
     return 0.1 * constants.torque_rated
 
 
-def _stiff(constants: JointConstants) -> float:
+def _typical_stop_stiffness(constants: JointConstants) -> float:
     return 10.0 * carried_share(constants) * constants.torque_rated
 
 
-def _ends(constants: JointConstants) -> tuple[float, ...]:
+def _start_stop_angles(constants: JointConstants) -> tuple[float, ...]:
     return along_stroke(constants, 6)
 
 
-def _in_stroke(shapes: Sequence[float], constants: JointConstants) -> bool:
+def _is_within_stroke(shapes: Sequence[float], constants: JointConstants) -> bool:
     low, high = constants.stroke
     return bool(low <= shapes[0] <= high)
 
 
-def _middles(constants: JointConstants) -> tuple[float, ...]:
+def _start_rest_angles(constants: JointConstants) -> tuple[float, ...]:
     return along_stroke(constants, 5)
 
 
@@ -103,13 +103,13 @@ GRAVITY_SPRING = Effect(
     twin="cable_spring",
     term=gravity_spring_term,
     amplitudes=(
-        Amplitude(name="k_sin", unit="N m/rad", scale=_share_of_rated, lower=-20.0, upper=20.0),
-        Amplitude(name="k_cos", unit="N m/rad", scale=_share_of_rated, lower=-20.0, upper=20.0),
-        Amplitude(name="B", unit="N m", scale=_share_of_rated, lower=-40.0, upper=40.0),
+        Amplitude(name="k_sin", unit="N m/rad", scale=_typical_stiffness, lower=-20.0, upper=20.0),
+        Amplitude(name="k_cos", unit="N m/rad", scale=_typical_stiffness, lower=-20.0, upper=20.0),
+        Amplitude(name="B", unit="N m", scale=_typical_stiffness, lower=-40.0, upper=40.0),
     ),
     # From a crank drawn by a spring of no free length to a plain torsion spring.
     shapes=(Shape(name="m", unit="rad", starts=(1.0, 1.5, 5.0), lower=0.5, upper=10.0),),
-    report=_rest_angle,
+    report=_report_rest_angle,
     units={"k": "N m/rad", "offset": "rad"},
     log_prior=lambda constants: -1.0 if on_wrist(constants) else 0.0,
     separate="Go to both ends of the stroke with the next joint still, then move that one alone: a"
@@ -127,10 +127,10 @@ CABLE_SPRING = Effect(
     needs=("torque", "moves"),
     term=cable_spring_term,
     amplitudes=(
-        Amplitude(name="k1", unit="N m/rad", scale=_share_of_rated, lower=0.0, upper=5.0),
-        Amplitude(name="k3", unit="N m/rad^3", scale=_share_of_rated, lower=0.0, upper=5.0),
+        Amplitude(name="k1", unit="N m/rad", scale=_typical_stiffness, lower=0.0, upper=5.0),
+        Amplitude(name="k3", unit="N m/rad^3", scale=_typical_stiffness, lower=0.0, upper=5.0),
     ),
-    shapes=(Shape(name="q0", unit="rad", starts=_middles, lower=-20.0, upper=20.0),),
+    shapes=(Shape(name="q0", unit="rad", starts=_start_rest_angles, lower=-20.0, upper=20.0),),
     log_prior=lambda constants: 0.0 if on_wrist(constants) else -1.0,
     separate="Go to both ends of the stroke: a cable pulls back ever harder, weight repeats after"
     " a turn.",
@@ -147,13 +147,15 @@ END_STOP = Effect(
     needs=("torque", "moves"),
     confused_with=("cable_spring",),
     term=end_stop_term,
-    amplitudes=(Amplitude(name="k", unit="N m/rad", scale=_stiff, lower=0.0, upper=100.0),),
+    amplitudes=(
+        Amplitude(name="k", unit="N m/rad", scale=_typical_stop_stiffness, lower=0.0, upper=100.0),
+    ),
     shapes=(
-        Shape(name="q0", unit="rad", starts=_ends, lower=-20.0, upper=20.0),
+        Shape(name="q0", unit="rad", starts=_start_stop_angles, lower=-20.0, upper=20.0),
         Shape(name="side", unit="", starts=(-1.0, 1.0), lower=-1.0, upper=1.0),
     ),
     report=lambda amplitudes, shapes, constants: {"k": amplitudes[0], "q0": shapes[0]},
-    possible=_in_stroke,
+    possible=_is_within_stroke,
     separate="Go to that end of the stroke slowly, and stop short of it: a stop does nothing short"
     " of its angle, cables and weight pull everywhere.",
 )

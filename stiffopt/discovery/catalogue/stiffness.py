@@ -12,7 +12,7 @@ from stiffopt.connection.constant import Constant
 from stiffopt.connection.reducer import Reducer
 from stiffopt.discovery.catalogue.common import WEIGHT, Constants, winds_up
 from stiffopt.discovery.catalogue.robot_change import (
-    SHARES,
+    TORQUE_SHARES,
     chain_of,
     mean_windup,
     with_chain,
@@ -34,7 +34,7 @@ def stiffness_linear_term(
     return Term(deflection=amplitudes[0] * signals.windup)
 
 
-def _factor(
+def _report_factor(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
     return {"factor": 1.0 / (1.0 + amplitudes[0])}
@@ -46,7 +46,7 @@ def scale_stiffness(
     """Scale the reducer so that the joint's mean wind-up changes by the factor."""
     chain = chain_of(robot, joint)
     factor = 1.0 / (1.0 + found.amplitudes[0])
-    torques = SHARES * constants.torque_rated
+    torques = TORQUE_SHARES * constants.torque_rated
     whole = mean_windup(chain, torques)
     if whole <= 0.0 or not np.isfinite(whole):
         return None
@@ -56,7 +56,7 @@ def scale_stiffness(
             wanted = whole / factor - (whole - alone)
             if wanted <= 0.0:
                 return None
-            element = _scaled(stage.element, alone / wanted)
+            element = _scale_element(stage.element, alone / wanted)
             return with_chain(
                 robot,
                 joint,
@@ -67,7 +67,7 @@ def scale_stiffness(
     return with_chain(robot, joint, *with_series_spring(chain, whole / factor - whole, constants))
 
 
-def _scaled(element: Reducer | Constant, factor: float) -> Connection:
+def _scale_element(element: Reducer | Constant, factor: float) -> Connection:
     if isinstance(element, Constant):
         return replace(element, stiffness=element.stiffness * factor)
     return replace(
@@ -94,7 +94,7 @@ def k1_softening_term(
     return Term(deflection=amplitudes[0] * added)
 
 
-def _corners(
+def _report_corners(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
     # The slope at zero torque holds exactly, also where the weight is not 1.
@@ -102,7 +102,7 @@ def _corners(
     return {"k1_factor": 1.0 / softer, "t1_factor": shapes[1]}
 
 
-def _has_corners(constants: JointConstants) -> bool:
+def _has_reducer_corners(constants: JointConstants) -> bool:
     slopes = constants.slopes
     return slopes is not None and constants.corners is not None and slopes[0] != slopes[2]
 
@@ -111,7 +111,7 @@ def wear_reducer(
     robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
 ) -> RobotChange | None:
     """Another first slope and corner of the reducer."""
-    values = _corners(found.amplitudes, found.located.shapes, constants)
+    values = _report_corners(found.amplitudes, found.located.shapes, constants)
     chain = chain_of(robot, joint)
     for position, stage in enumerate(chain.stages):
         element = stage.element
@@ -146,7 +146,7 @@ STIFFNESS_LINEAR = Effect(
     change_robot=scale_stiffness,
     term=stiffness_linear_term,
     amplitudes=(Amplitude(name="x", unit="", scale=0.3, lower=-2.2, upper=7.8),),
-    report=_factor,
+    report=_report_factor,
     units={"factor": ""},
     applies=winds_up,
     separate="Use the whole range of torque on both sides, slowly and fast: an added belt is not"
@@ -171,8 +171,8 @@ K1_SOFTENING = Effect(
         Shape(name="k1_factor", unit="", starts=(0.2, 0.35, 0.55, 0.8), lower=0.15, upper=1.2),
         Shape(name="t1_factor", unit="", starts=(0.7, 1.0, 1.6), lower=0.5, upper=3.0),
     ),
-    report=_corners,
-    applies=_has_corners,
+    report=_report_corners,
+    applies=_has_reducer_corners,
     separate="Reach torques well beyond the first corner: a worn reducer stops getting softer"
     " there, loosened contacts keep growing, backlash has no width in torque.",
 )

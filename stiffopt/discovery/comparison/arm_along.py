@@ -16,9 +16,9 @@ from stiffopt.discovery.comparison.bodies import A_BODY
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 
 # Torques of single bodies that are kept of all runs of a robot, those asked for last [bytes].
-_KEPT_BYTES = 2**26
+_BODY_TORQUE_CACHE_BYTES = 2**26
 # Torques of changed bodies that are kept of a run, those asked for last.
-_KEPT_CHANGES = 3
+_MAX_CACHED_CHANGES = 3
 
 
 class BodyRegressor:
@@ -37,12 +37,15 @@ class BodyRegressor:
 
     def of(self, body: int) -> np.ndarray:
         """Torques (K, n, 10) for the parameters of one body (from 0)."""
-        kept = self._robot.kept_torques
+        kept = self._robot.body_torque_cache
         found = kept.pop((self, body), None)
         if found is None:
             size = self._motion[0].nbytes * A_BODY
             # Room is made before: a long run has none for one more.
-            while kept and size + sum(each.nbytes for each in kept.values()) > _KEPT_BYTES:
+            while (
+                kept
+                and size + sum(each.nbytes for each in kept.values()) > _BODY_TORQUE_CACHE_BYTES
+            ):
                 kept.pop(next(iter(kept)))
             found = self._robot.body_torques(body, *self._motion)
         kept[self, body] = found
@@ -52,7 +55,7 @@ class BodyRegressor:
         """Torques (K, n) of changed parameters (n, 10) of all bodies."""
         key = change.tobytes()
         if key not in self._changes:
-            while len(self._changes) >= _KEPT_CHANGES:
+            while len(self._changes) >= _MAX_CACHED_CHANGES:
                 self._changes.pop(next(iter(self._changes)))
             self._changes[key] = self._robot.changed_torque(change, *self._motion)
         return self._changes[key]
@@ -69,7 +72,7 @@ class BodyRegressor:
         return np.asarray(self._robot.body_regressor(*self._motion), dtype=dtype)
 
 
-class ArmAlong:
+class LazyArmSignals:
     """Tool, weight and bodies of an arm along the motion of its links.
 
     Parameters
@@ -110,22 +113,22 @@ class ArmAlong:
         """Change of the torques for a turn of the base about x and y (K, n, 2) [N m/rad]."""
         return self._robot.tilt(self._motion[0])
 
-    def until(self, count: int) -> ArmAlong:
+    def head(self, count: int) -> LazyArmSignals:
         """The first samples, of what is worked out for all of them."""
-        return _ArmUntil(self, count)
+        return _ArmHead(self, count)
 
-    def thinned(self, every: int) -> ArmAlong:
+    def decimate(self, every: int) -> LazyArmSignals:
         """Every so many samples."""
-        return ArmAlong(self._robot, *(x[::every] for x in self._motion))
+        return LazyArmSignals(self._robot, *(x[::every] for x in self._motion))
 
-    def with_bodies(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> ArmAlong:
+    def with_bodies(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> LazyArmSignals:
         """The same with the bodies' torques along another motion."""
         other = copy(self)
         other.body_regressor = BodyRegressor(self._robot, q, v, a)
         return other
 
 
-class _RegressorUntil(BodyRegressor):
+class _RegressorHead(BodyRegressor):
     def __init__(self, whole: BodyRegressor, count: int) -> None:
         super().__init__(whole._robot, *(x[:count] for x in whole._motion))
         self._whole, self._count = whole, count
@@ -137,11 +140,11 @@ class _RegressorUntil(BodyRegressor):
         return self._whole.torque(change)[: self._count]
 
 
-class _ArmUntil(ArmAlong):
-    def __init__(self, whole: ArmAlong, count: int) -> None:
+class _ArmHead(LazyArmSignals):
+    def __init__(self, whole: LazyArmSignals, count: int) -> None:
         super().__init__(whole._robot, *(x[:count] for x in whole._motion))
         self._whole, self._count = whole, count
-        self.body_regressor = _RegressorUntil(whole.body_regressor, count)
+        self.body_regressor = _RegressorHead(whole.body_regressor, count)
 
     @cached_property
     def _tool(self) -> tuple[np.ndarray, np.ndarray]:

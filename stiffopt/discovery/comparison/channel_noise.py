@@ -13,10 +13,10 @@ from stiffopt.recording.channel import MAD
 from stiffopt.recording.nominal import Noise
 
 # Standard deviation of what rounding to one count leaves.
-_ROUNDING = 12.0**-0.5
+_QUANTISATION_SD = 12.0**-0.5
 # Least noise that is estimated, of a channel's own range: recordings that were smoothed hold less,
 # and no model of a robot is better.
-_LEAST = 1e-3
+_MIN_NOISE_SHARE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,10 +67,10 @@ def known_noise(stated: Noise, runs: Sequence[PreparedRun]) -> KnownNoise:
     spread; by medians, so that jerks at reversals hardly count. What moves above the cutoff counts
     as noise. A channel that no run has is nan. Rounding to a count is the least there is.
     """
-    torque, torque_stated = _channels(
+    torque, torque_stated = _channel_noise(
         stated.torque, None, [run.torque for run in runs], runs, (None,)
     )
-    deflection, deflection_stated = _channels(
+    deflection, deflection_stated = _channel_noise(
         stated.link_position,
         stated.link_position_resolution,
         [run.deflection for run in runs],
@@ -84,16 +84,20 @@ def known_noise(stated: Noise, runs: Sequence[PreparedRun]) -> KnownNoise:
     )
 
 
-def above_cutoff(runs: Sequence[PreparedRun]) -> np.ndarray:
+def noise_above_cutoff(runs: Sequence[PreparedRun]) -> np.ndarray:
     """Noise (2 n,) that runs hold above the filter's cutoff, torques first; nan without samples."""
     n = runs[0].torque.shape[1]
     kinds = ([run.torque for run in runs], [run.deflection for run in runs])
     return np.array(
-        [_estimate([samples[:, j] for samples in kind], runs) for kind in kinds for j in range(n)]
+        [
+            _estimate_noise([samples[:, j] for samples in kind], runs)
+            for kind in kinds
+            for j in range(n)
+        ]
     )
 
 
-def _channels(
+def _channel_noise(
     stated: np.ndarray | None,
     count: np.ndarray | None,
     samples: Sequence[np.ndarray],
@@ -102,16 +106,18 @@ def _channels(
 ) -> tuple[np.ndarray, np.ndarray]:
     n = samples[0].shape[1]
     own = np.zeros(n) if stated is None else np.nan_to_num(stated)
-    rounding = np.sqrt(sum((np.zeros(n) if c is None else c) ** 2 for c in counts)) * _ROUNDING
-    floor = np.zeros(n) if count is None else count * _ROUNDING
+    rounding = (
+        np.sqrt(sum((np.zeros(n) if c is None else c) ** 2 for c in counts)) * _QUANTISATION_SD
+    )
+    floor = np.zeros(n) if count is None else count * _QUANTISATION_SD
     values, known = np.maximum(own, floor), own > 0.0
     for j in np.flatnonzero(~known):
-        guess = _estimate([s[:, j] for s in samples], runs)
+        guess = _estimate_noise([s[:, j] for s in samples], runs)
         values[j] = np.maximum(guess, rounding[j])
     return values, known
 
 
-def _estimate(channels: Sequence[np.ndarray], runs: Sequence[PreparedRun]) -> float:
+def _estimate_noise(channels: Sequence[np.ndarray], runs: Sequence[PreparedRun]) -> float:
     spreads, extent = [], 0.0
     for run, channel in zip(runs, channels, strict=True):
         known = np.isfinite(channel)
@@ -127,4 +133,4 @@ def _estimate(channels: Sequence[np.ndarray], runs: Sequence[PreparedRun]) -> fl
         extent = max(extent, float(np.ptp(filled)))
     if not spreads:
         return float("nan")
-    return max(float(np.median(spreads)), _LEAST * extent, np.finfo(float).tiny)
+    return max(float(np.median(spreads)), _MIN_NOISE_SHARE * extent, np.finfo(float).tiny)

@@ -9,35 +9,35 @@ from functools import cached_property
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extended_run import around
+from stiffopt.discovery.comparison.extended_run import linearise_run
 from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.extension_change import moves_links
-from stiffopt.discovery.comparison.located_effect import LocatedEffect, channels
+from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_channel_changes
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.nuisance import MOVES_LINKS, OF_LOAD, nuisance_columns
+from stiffopt.discovery.comparison.nuisance import LINK_MOVING_VALUES, LOAD_VALUE, nuisance_columns
 from stiffopt.discovery.comparison.pieces import PieceColumns, PieceProducts, Pieces, PieceSums
 from stiffopt.discovery.comparison.prepare import PreparedRun
 from stiffopt.discovery.comparison.rows import ChannelNoise, ChannelRows
 from stiffopt.recording.nominal import Tolerance
 
 # Blocks a run is cut into where there are too few runs to leave one out.
-FEW_RUNS = 3
+MIN_RUNS_AS_BLOCKS = 3
 _BLOCK_SECONDS = 2.0
-_MOST_BLOCKS = 8
+_MAX_BLOCKS = 8
 # Columns that are kept for the next time they are asked for: those of shapes that every search
 # starts from as far as memory goes [bytes], and the latest of others.
-_KEPT_BYTES, _KEPT_LATEST = 2**27, 64
+_START_CACHE_BYTES, _RECENT_CACHE_SIZE = 2**27, 64
 # Motions of all links that are worked out beside each other [bytes].
-_TOGETHER_BYTES = 2**22
+_BATCH_BYTES = 2**22
 # Earlier extensions that columns are kept about.
-_FAMILY = 4
+_MAX_EARLIER = 4
 # Root mean square, over the noise that is left, of what links may do otherwise before they are
 # followed anew.
-NEAR = 0.3
+MAX_LINEARISATION_ERROR = 0.3
 
 
 @dataclass(eq=False)
-class _Nominal:
+class _NominalColumns:
     """Names, priors and columns (m, p) of the nominal values, and what products they have."""
 
     names: list[str]
@@ -47,7 +47,7 @@ class _Nominal:
     products: dict[tuple[object, ...], PieceProducts] = field(default_factory=dict)
 
 
-class Columns:
+class DesignMatrix:
     """Training runs about what was found, and what small changes add to their rows.
 
     Parameters
@@ -74,27 +74,30 @@ class Columns:
     ) -> None:
         self.robot, self.noise, self.tolerance = robot, noise, tolerance
         self.start, self.found, self.nominal_runs = start, found, runs
-        about = [around(run, robot, start, found) for run in runs]
+        about = [linearise_run(run, robot, start, found) for run in runs]
         self.runs = tuple(run for run, _, _ in about)
-        self._back = [(torque, deflection) for _, torque, deflection in about]
-        self.rows = ChannelRows(self.runs, noise, self._blocks())
-        self._kept: dict[tuple[object, ...], PieceColumns] = {}
-        self._latest: dict[tuple[object, ...], PieceColumns] = {}
-        self._starts: dict[tuple[object, ...], tuple[tuple[float, ...], ...]] = {}
-        self._bytes = 0
-        self._made: dict[bool, _Nominal] = {}
-        self._family = [self]
+        self._own_share = [(torque, deflection) for _, torque, deflection in about]
+        self.rows = ChannelRows(self.runs, noise, self._blocks_per_run())
+        self._start_cache: dict[tuple[object, ...], PieceColumns] = {}
+        self._recent_cache: dict[tuple[object, ...], PieceColumns] = {}
+        self._shape_starts: dict[tuple[object, ...], tuple[tuple[float, ...], ...]] = {}
+        self._cached_bytes = 0
+        self._nominal_by_freedom: dict[bool, _NominalColumns] = {}
+        self._earlier = [self]
         self.bodies: np.ndarray | None = None
 
-    def _blocks(self) -> int:
-        if len(self.runs) >= FEW_RUNS:
+    def _blocks_per_run(self) -> int:
+        if len(self.runs) >= MIN_RUNS_AS_BLOCKS:
             return 1
         seconds = min(float(run.time[-1] - run.time[0]) for run in self.runs)
-        return int(np.clip(seconds / _BLOCK_SECONDS, 2, _MOST_BLOCKS))
+        return int(np.clip(seconds / _BLOCK_SECONDS, 2, _MAX_BLOCKS))
 
-    def about(
-        self, found: Extension, inflation: np.ndarray | None = None, near: float = NEAR
-    ) -> Columns:
+    def linearised_at(
+        self,
+        found: Extension,
+        inflation: np.ndarray | None = None,
+        near: float = MAX_LINEARISATION_ERROR,
+    ) -> DesignMatrix:
         """Columns about another extension; earlier ones where they are near enough.
 
         These again about masses that cannot be, whose swing would grow without end.
@@ -104,51 +107,51 @@ class Columns:
         found : Extension
         inflation : array (2 n,), optional
             Noise that is left in every channel over the stated one; default as stated. Where links
-            swing, what is left may be of links that were not followed yet: the stated one counts.
+            vibration, what is left may be of links that were not followed yet: the stated one counts.
         near : float
             Rms over that noise of what links may do otherwise.
         """
-        found = self._that_moves(found)
-        if any(run.swing is not None for run in self.runs):
+        found = self._link_moving_part(found)
+        if any(run.vibration is not None for run in self.runs):
             inflation = None
-        for earlier in reversed(self._family):
-            if earlier._distance(found, inflation) < near:
+        for earlier in reversed(self._earlier):
+            if earlier._linearisation_error(found, inflation) < near:
                 return earlier
         with np.errstate(over="ignore", invalid="ignore"):
-            new = Columns(
+            new = DesignMatrix(
                 self.robot, self.nominal_runs, self.noise, self.tolerance, self.start, found
             )
-        if not new._swings:
+        if not new._is_stable:
             return self
-        new.bodies, new._family = self.bodies, self._family
-        for other in self._family:
-            other._forget()
-        self._family.append(new)
-        del self._family[1:-_FAMILY]
+        new.bodies, new._earlier = self.bodies, self._earlier
+        for other in self._earlier:
+            other._clear_effect_columns()
+        self._earlier.append(new)
+        del self._earlier[1:-_MAX_EARLIER]
         return new
 
     @property
-    def _swings(self) -> bool:
+    def _is_stable(self) -> bool:
         """Whether what swings in the runs has masses that can be."""
-        return all(run.swing is None or run.swing.possible for run in self.runs)
+        return all(run.vibration is None or run.vibration.has_positive_inertia for run in self.runs)
 
-    def with_bodies(self, bodies: np.ndarray | None) -> Columns:
+    def with_bodies(self, bodies: np.ndarray | None) -> DesignMatrix:
         """The same runs with inertial parameters free: their standard deviations (n, 10)."""
         new = copy(self)
-        new.bodies, new._family = bodies, [new]
+        new.bodies, new._earlier = bodies, [new]
         return new
 
-    def _forget(self) -> None:
+    def _clear_effect_columns(self) -> None:
         """Leave out columns of effects, which are made again where they are asked for."""
-        self._kept.clear()
-        self._bytes = 0
-        for nominal in self._made.values():
+        self._start_cache.clear()
+        self._cached_bytes = 0
+        for nominal in self._nominal_by_freedom.values():
             nominal.products.clear()
 
-    def release(self) -> None:
+    def release_memory(self) -> None:
         """Make room once a search is over: what was tried last is not asked for any more."""
-        self._latest.clear()
-        self.robot.kept_torques.clear()
+        self._recent_cache.clear()
+        self.robot.body_torque_cache.clear()
 
     @property
     def nuisance(self) -> tuple[list[str], np.ndarray, np.ndarray]:
@@ -160,15 +163,15 @@ class Columns:
         return nominal.names, sd, nominal.matrix
 
     @property
-    def _nominal(self) -> _Nominal:
+    def _nominal(self) -> _NominalColumns:
         """Columns of the nominal values, the same whatever the width of free bodies is."""
         free = self.bodies is not None
-        if free not in self._made:
-            self._made[free] = self._nominal_columns()
-        return self._made[free]
+        if free not in self._nominal_by_freedom:
+            self._nominal_by_freedom[free] = self._nominal_columns()
+        return self._nominal_by_freedom[free]
 
-    def _nominal_columns(self) -> _Nominal:
-        sd, columns, known = self._known_columns()
+    def _nominal_columns(self) -> _NominalColumns:
+        sd, columns, known = self._unchanged_columns()
         # A joint at rest in one run, or links that could not be followed there, have no column.
         # One after another: a long run has no room for all of them before they are thinned.
         for number, run in enumerate(self.runs):
@@ -178,19 +181,19 @@ class Columns:
             for each in new:
                 sd[each.name] = each.sd
                 rows = columns.setdefault(each.name, np.zeros(self.rows.size))
-                self.rows.put(rows, number, *each.added.channels(run, self.robot))
+                self.rows.fill_run(rows, number, *each.added.channels(run, self.robot))
         matrix = np.column_stack([*columns.values(), np.zeros((self.rows.size, 0))])
-        return _Nominal(list(sd), np.array(list(sd.values())), matrix)
+        return _NominalColumns(list(sd), np.array(list(sd.values())), matrix)
 
-    def _known_columns(self) -> tuple[dict[str, float], dict[str, np.ndarray], set[str]]:
+    def _unchanged_columns(self) -> tuple[dict[str, float], dict[str, np.ndarray], set[str]]:
         """Priors and columns of nominal values by name, and those that are as they were at first.
 
         Where no joint winds up, links move as they did, and only the load may be another.
         """
-        first = self._family[0]._made.get(self.bodies is not None)
+        first = self._earlier[0]._nominal_by_freedom.get(self.bodies is not None)
         if first is None or self.robot.elastic:
             return {}, {}, set()
-        known = {name for name in first.names if not name.startswith(OF_LOAD)}
+        known = {name for name in first.names if not name.startswith(LOAD_VALUE)}
         columns = {
             name: column if name in known else np.zeros_like(column)
             for name, column in zip(first.names, first.matrix.T, strict=True)
@@ -201,31 +204,33 @@ class Columns:
     def target(self) -> np.ndarray:
         """What the model leaves of the measured channels (m,)."""
         torque, deflection = [], []
-        for run, (back, back_wound) in zip(self.runs, self._back, strict=True):
+        for run, (back, back_wound) in zip(self.runs, self._own_share, strict=True):
             signals = run.signals
             # Amplitudes stay whole: what their own share moves the links by comes back.
-            torque.append(bridged(run.torque) - signals.drive_torque + back)
-            deflection.append(bridged(run.deflection) - signals.windup - run.beside + back_wound)
+            torque.append(fill_missing(run.torque) - signals.drive_torque + back)
+            deflection.append(
+                fill_missing(run.deflection) - signals.windup - run.added_deflection + back_wound
+            )
         return self.rows.flatten(torque, deflection)
 
     @cached_property
-    def unknown(self) -> np.ndarray:
+    def initial_state_columns(self) -> np.ndarray:
         """Rows (m, r) of the swings that runs may have begun with, each of its likely size."""
         nothing: list[np.ndarray | None] = [None] * len(self.runs)
         columns = []
         for k, run in enumerate(self.runs):
-            if run.swing is None:
+            if run.vibration is None:
                 continue
-            torque, deflection = run.swing.left_alone(run.starts())
+            torque, deflection = run.vibration.free_vibration(run.initial_states())
             for i in range(torque.shape[2]):
                 channels = (list(nothing), list(nothing))
                 channels[0][k], channels[1][k] = torque[..., i], deflection[..., i]
                 columns.append(self.rows.flatten(*channels))
         return np.column_stack(columns) if columns else np.zeros((self.rows.size, 0))
 
-    def of_effect(self, located: LocatedEffect) -> np.ndarray:
+    def effect_columns(self, located: LocatedEffect) -> np.ndarray:
         """Columns (m, k) of an effect's amplitudes over their sizes."""
-        return self.pieces.joined(self._pieces_of(located))
+        return self.pieces.join(self._effect_pieces(located))
 
     @cached_property
     def pieces(self) -> Pieces:
@@ -242,103 +247,104 @@ class Columns:
 
     def products(self, located: LocatedEffect) -> PieceProducts:
         """Columns of an effect with their products."""
-        columns = self._pieces_of(located)
+        columns = self._effect_pieces(located)
         known = self._nominal.products
         if located.key not in known:
-            if located.key not in self._kept:
+            if located.key not in self._start_cache:
                 return self.sums.products(columns)
             known[located.key] = self.sums.products(columns)
         return known[located.key]
 
-    def _pieces_of(self, located: LocatedEffect) -> PieceColumns:
+    def _effect_pieces(self, located: LocatedEffect) -> PieceColumns:
         key = located.key
-        for kept in (self._kept, self._latest):
+        for kept in (self._start_cache, self._recent_cache):
             if key in kept:
                 return kept[key]
         if located.joint is None:
-            return self._keep(located, self._of_robot(located))
-        return self._keep(located, self._of_joints([located])[0])
+            return self._cache_columns(located, self._robot_effect_pieces(located))
+        return self._cache_columns(located, self._joint_effect_pieces([located])[0])
 
-    def make(self, effects: Sequence[LocatedEffect]) -> None:
-        """Make columns that will be asked for next; together that is less where links swing."""
-        if any(run.swing is None for run in self.runs):
+    def prepare_effects(self, effects: Sequence[LocatedEffect]) -> None:
+        """Make columns that will be asked for next; together that is less where links vibration."""
+        if any(run.vibration is None for run in self.runs):
             return
         asked = [
             each
             for each in effects
-            if each.joint is not None and each.key not in self._kept.keys() | self._latest.keys()
+            if each.joint is not None
+            and each.key not in self._start_cache.keys() | self._recent_cache.keys()
         ]
         longest = max(run.signals.spring_torque.nbytes for run in self.runs)
-        many = min(_KEPT_LATEST // 2, max(1, _TOGETHER_BYTES // longest))
-        for begin in range(0, min(len(asked), _KEPT_LATEST // 2), many):
+        many = min(_RECENT_CACHE_SIZE // 2, max(1, _BATCH_BYTES // longest))
+        for begin in range(0, min(len(asked), _RECENT_CACHE_SIZE // 2), many):
             part = asked[begin : begin + many]
-            for each, columns in zip(part, self._of_joints(part), strict=True):
-                self._keep(each, columns)
+            for each, columns in zip(part, self._joint_effect_pieces(part), strict=True):
+                self._cache_columns(each, columns)
 
-    def _keep(self, located: LocatedEffect, columns: PieceColumns) -> PieceColumns:
+    def _cache_columns(self, located: LocatedEffect, columns: PieceColumns) -> PieceColumns:
         """Keep columns for the next time they are asked for."""
         key = located.key
-        self._bytes += columns.nbytes
+        self._cached_bytes += columns.nbytes
         place = located.key[:-1]
-        if place not in self._starts:
-            self._starts[place] = located.starts(self.runs[0].signals.constants)
-        grids = zip(located.shapes, self._starts[place], strict=True)
-        if self._bytes < _KEPT_BYTES and all(value in grid for value, grid in grids):
-            self._kept[key] = columns
+        if place not in self._shape_starts:
+            self._shape_starts[place] = located.starts(self.runs[0].signals.constants)
+        grids = zip(located.shapes, self._shape_starts[place], strict=True)
+        if self._cached_bytes < _START_CACHE_BYTES and all(value in grid for value, grid in grids):
+            self._start_cache[key] = columns
             return columns
-        self._bytes -= columns.nbytes
-        self._latest[key] = columns
-        if len(self._latest) > _KEPT_LATEST:
-            self._latest.pop(next(iter(self._latest)))
+        self._cached_bytes -= columns.nbytes
+        self._recent_cache[key] = columns
+        if len(self._recent_cache) > _RECENT_CACHE_SIZE:
+            self._recent_cache.pop(next(iter(self._recent_cache)))
         return columns
 
-    def _of_robot(self, located: LocatedEffect) -> PieceColumns:
+    def _robot_effect_pieces(self, located: LocatedEffect) -> PieceColumns:
         """Columns of an effect that is of no single joint."""
         per_run = [list(located.columns(run, self.robot)) for run in self.runs]
         rows = [
             self.rows.flatten([c[0] for c in each], [c[1] for c in each])
             for each in zip(*per_run, strict=True)
         ]
-        return self.pieces.split(np.column_stack(rows) * self._sizes(located))
+        return self.pieces.split(np.column_stack(rows) * self._amplitude_sizes(located))
 
-    def _of_joints(self, effects: Sequence[LocatedEffect]) -> list[PieceColumns]:
+    def _joint_effect_pieces(self, effects: Sequence[LocatedEffect]) -> list[PieceColumns]:
         """Columns of effects of joints, made together."""
-        sizes = [self._sizes(each) for each in effects]
+        sizes = [self._amplitude_sizes(each) for each in effects]
         parts: list[list[tuple[int, np.ndarray]]] = [[] for _ in effects]
-        # One run after another: where links swing, all channels of it are moved.
+        # One run after another: where links vibration, all channels of it are moved.
         for number, run in enumerate(self.runs):
             for own, size, of_run in zip(
-                parts, sizes, channels(effects, run, self.robot), strict=True
+                parts, sizes, effect_channel_changes(effects, run, self.robot), strict=True
             ):
-                stretches = self.rows.of_channels(number, of_run, len(size))
+                stretches = self.rows.channel_columns(number, of_run, len(size))
                 own.extend((begin, part * size) for begin, part in stretches)
         both = zip(parts, sizes, strict=True)
         return [self.pieces.from_stretches(own, len(size)) for own, size in both]
 
-    def _sizes(self, located: LocatedEffect) -> np.ndarray:
+    def _amplitude_sizes(self, located: LocatedEffect) -> np.ndarray:
         """Typical size of every amplitude (k,)."""
         return located.sizes(self.runs[0].signals.constants)
 
-    def _distance(self, found: Extension, inflation: np.ndarray | None) -> float:
+    def _linearisation_error(self, found: Extension, inflation: np.ndarray | None) -> float:
         """Rms over the noise that is left of what links would do otherwise than here."""
         names, _, matrix = self.nuisance
-        change = found.less(self.found)
+        change = found.minus(self.found)
         values = np.array([change.calibration.get(name, 0.0) for name in names])
         rows = matrix @ values
         for each in change.effects:
-            amplitudes = np.array(each.amplitudes) / self._sizes(each.located)
-            rows = rows + self.of_effect(each.located) @ amplitudes
+            amplitudes = np.array(each.amplitudes) / self._amplitude_sizes(each.located)
+            rows = rows + self.effect_columns(each.located) @ amplitudes
         if inflation is not None:
             rows = rows / inflation[self.rows.channel]
         return float(np.sqrt(np.mean(rows**2)))
 
-    def _that_moves(self, found: Extension) -> Extension:
-        """The part of an extension that moves the links, or bends them where they do not swing."""
-        swings = self.runs[0].swing is not None
+    def _link_moving_part(self, found: Extension) -> Extension:
+        """The part of an extension that moves the links, or bends them where they do not vibration."""
+        swings = self.runs[0].vibration is not None
         calibration = {
             name: value
             for name, value in found.calibration.items()
-            if swings and name.split()[0] in MOVES_LINKS
+            if swings and name.split()[0] in LINK_MOVING_VALUES
         }
         return Extension(
             calibration=calibration,
@@ -348,7 +354,7 @@ class Columns:
         )
 
 
-def bridged(samples: np.ndarray) -> np.ndarray:
+def fill_missing(samples: np.ndarray) -> np.ndarray:
     """Single missing samples bridged for the filter; whole missing channels are zero."""
     out = np.where(np.isfinite(samples), samples, 0.0)
     for j in range(samples.shape[1]):

@@ -13,10 +13,14 @@ from scipy.optimize import lsq_linear
 
 from stiffopt.discovery.comparison.bodies import (
     body_units,
-    exist,
+    is_consistent,
     nominal_bodies,
 )
-from stiffopt.discovery.comparison.columns import FEW_RUNS, NEAR, Columns
+from stiffopt.discovery.comparison.columns import (
+    MAX_LINEARISATION_ERROR,
+    MIN_RUNS_AS_BLOCKS,
+    DesignMatrix,
+)
 from stiffopt.discovery.comparison.evidence import (
     AddedSums,
     BlockSums,
@@ -26,7 +30,7 @@ from stiffopt.discovery.comparison.evidence import (
 )
 from stiffopt.discovery.comparison.extension import Extension, with_amplitudes
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.nearest_bodies import nearest_bodies
+from stiffopt.discovery.comparison.nearest_bodies import likeliest_consistent_bodies
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.pieces import WeightedSums
 from stiffopt.discovery.comparison.prepare import PreparedRun
@@ -34,7 +38,7 @@ from stiffopt.discovery.comparison.rows import ChannelNoise
 from stiffopt.recording.nominal import Tolerance
 
 # Of a nominal model that nobody has compared yet.
-_NOTHING: Mapping[str, float] = MappingProxyType({})
+_NO_SUSPECTS: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +59,7 @@ class Fit:
     residual: np.ndarray
     nuisance: int
 
-    def losses(self) -> np.ndarray:
+    def evidence_losses(self) -> np.ndarray:
         """Log evidence that is lost without each effect, the others kept.
 
         The density that prior and posterior give to the amplitude zero, one over the other.
@@ -82,12 +86,12 @@ class ModelSums:
     ----------
     own : Sums
         Of the nominal values, then the amplitudes over their sizes.
-    beside : callable
+    added_sums : callable
         -> sums of an effect's columns beside those.
     """
 
     own: Sums
-    beside: Callable[[LocatedEffect], AddedSums]
+    added_sums: Callable[[LocatedEffect], AddedSums]
 
 
 class Comparison:
@@ -127,29 +131,29 @@ class Comparison:
         inflation: np.ndarray | None = None,
         box: float = 4.0,
         least: np.ndarray | None = None,
-        suspects: Mapping[str, float] = _NOTHING,
-        columns: Columns | None = None,
+        suspects: Mapping[str, float] = _NO_SUSPECTS,
+        columns: DesignMatrix | None = None,
     ) -> None:
         self.robot, self.noise, self.tolerance, self.box = robot, noise, tolerance, box
         self.nominal_runs, self.start = tuple(runs), start or Extension()
-        self.columns = columns or Columns(
+        self.columns = columns or DesignMatrix(
             robot, self.nominal_runs, noise, tolerance, self.start, Extension()
         )
         self.runs, self.rows = self.columns.runs, self.columns.rows
         self.constants = self.runs[0].signals.constants
         self.blocks = int(self.rows.block.max()) + 1
         self.after_model = least is not None
-        self._least, self.suspects = least, suspects
+        self._least_known, self.suspects = least, suspects
         self.least = np.ones(2 * robot.n) if least is None else np.nan_to_num(least, nan=1.0)
         self.unseen = np.zeros(2 * robot.n, dtype=bool) if least is None else np.isnan(least)
         self.inflation = self.least if inflation is None else inflation
 
     @cached_property
-    def _weight(self) -> np.ndarray:
+    def _row_weight(self) -> np.ndarray:
         """Weight of every row beside the stated noise."""
         return np.asarray(1.0 / self.inflation[self.rows.channel])
 
-    def about(self, fit: Fit, near: float = NEAR) -> Comparison:
+    def linearised_at(self, fit: Fit, near: float = MAX_LINEARISATION_ERROR) -> Comparison:
         """The comparison about a fit: links that move as found, the noise left in each channel.
 
         Parameters
@@ -159,9 +163,9 @@ class Comparison:
             Rms over that noise of what links may do otherwise before they are followed anew.
         """
         left = np.nan_to_num(self.channel_ratio(fit.residual), nan=1.0)
-        return self.moved(self.found(fit), np.maximum(self.least, left), near)
+        return self.with_extension(self.extension_of(fit), np.maximum(self.least, left), near)
 
-    def found(self, fit: Fit) -> Extension:
+    def extension_of(self, fit: Fit) -> Extension:
         """Values and effects of a fit."""
         names = self.nuisance[0]
         sizes = [located.sizes(self.constants) for located in fit.effects]
@@ -170,8 +174,11 @@ class Comparison:
             effects=with_amplitudes(fit.effects, fit.amplitudes(), sizes),
         )
 
-    def moved(
-        self, found: Extension, inflation: np.ndarray | None = None, near: float = NEAR
+    def with_extension(
+        self,
+        found: Extension,
+        inflation: np.ndarray | None = None,
+        near: float = MAX_LINEARISATION_ERROR,
     ) -> Comparison:
         """The comparison about an extension, with another factor on the noise (2 n,)."""
         return Comparison(
@@ -182,12 +189,14 @@ class Comparison:
             start=self.start,
             inflation=inflation,
             box=self.box,
-            least=self._least,
+            least=self._least_known,
             suspects=self.suspects,
-            columns=self.columns.about(found, self.least if inflation is None else inflation, near),
+            columns=self.columns.linearised_at(
+                found, self.least if inflation is None else inflation, near
+            ),
         )
 
-    def along(self, runs: Sequence[PreparedRun]) -> Comparison:
+    def with_runs(self, runs: Sequence[PreparedRun]) -> Comparison:
         """The comparison of other runs with the same model."""
         return Comparison(
             self.robot,
@@ -196,14 +205,14 @@ class Comparison:
             self.tolerance,
             start=self.start,
             box=self.box,
-            least=self._least,
+            least=self._least_known,
             suspects=self.suspects,
         )
 
     @property
-    def whole_runs(self) -> bool:
+    def blocks_are_runs(self) -> bool:
         """Whether blocks are whole runs."""
-        return len(self.runs) >= FEW_RUNS
+        return len(self.runs) >= MIN_RUNS_AS_BLOCKS
 
     @property
     def bodies(self) -> np.ndarray | None:
@@ -220,17 +229,17 @@ class Comparison:
             start=self.start,
             inflation=self.inflation,
             box=self.box,
-            least=self._least,
+            least=self._least_known,
             suspects=self.suspects,
             columns=self.columns.with_bodies(bodies),
         )
 
-    def suspected(self, located: LocatedEffect) -> float:
+    def inherited_evidence(self, located: LocatedEffect) -> float:
         """Log evidence for an effect that the model which was started from left behind."""
         return self.suspects.get(located.label, 0.0) * self.rows.size
 
     @property
-    def most_suspected(self) -> float:
+    def max_inherited_evidence(self) -> float:
         """The largest of these."""
         return max(self.suspects.values(), default=0.0) * self.rows.size
 
@@ -240,43 +249,45 @@ class Comparison:
     def nuisance(self) -> tuple[list[str], np.ndarray, np.ndarray]:
         """Names, priors and columns (m, p) of the nominal values."""
         names, sd, columns = self.columns.nuisance
-        return names, sd, self._weighted(columns)
+        return names, sd, self._whiten(columns)
 
     @cached_property
     def target(self) -> np.ndarray:
         """What the nominal model leaves of the measured channels (m,), weighted."""
-        return self._weighted(self.columns.target)
+        return self._whiten(self.columns.target)
 
     def effect_columns(self, located: LocatedEffect) -> np.ndarray:
         """Columns (m, k) of an effect's amplitudes over their sizes."""
-        return self._weighted(self.columns.of_effect(located))
+        return self._whiten(self.columns.effect_columns(located))
 
     def sums(self, effects: Sequence[LocatedEffect] = ()) -> ModelSums:
         """Sums of nominal values and effects together, and of what is put beside them."""
-        if self.columns.unknown.size:
+        if self.columns.initial_state_columns.size:
             # What may be the swing of a start mixes the rows of a run.
             _, _, nuisance = self.nuisance
             columns = np.column_stack([nuisance, *(self.effect_columns(e) for e in effects)])
             rows = BlockSums(columns, self.target, self.rows.block, self.blocks)
-            return ModelSums(rows.own, lambda each: rows.beside(self.effect_columns(each)))
+            return ModelSums(rows.own, lambda each: rows.added_sums(self.effect_columns(each)))
         pieces = self.columns.pieces
         weight = self.inflation[pieces.channel] ** -2.0
         products = [self.columns.products(e) for e in effects]
         weighted = WeightedSums(self.columns.sums, products, weight)
-        return ModelSums(weighted.own, lambda each: weighted.beside(self.columns.products(each)))
+        return ModelSums(
+            weighted.own, lambda each: weighted.added_sums(self.columns.products(each))
+        )
 
-    def _weighted(self, columns: np.ndarray) -> np.ndarray:
+    def _whiten(self, columns: np.ndarray) -> np.ndarray:
         """Rows over the noise; what may be the swing that a run began with counts as noise."""
-        weighted = (columns.T * self._weight).T
-        along, kept = self._unknown
+        weighted = (columns.T * self._row_weight).T
+        along, kept = self._initial_state_directions
         if along.size:
             weighted -= along @ (((1.0 - kept) * (along.T @ weighted).T).T)
         return np.asarray(weighted)
 
     @cached_property
-    def _unknown(self) -> tuple[np.ndarray, np.ndarray]:
+    def _initial_state_directions(self) -> tuple[np.ndarray, np.ndarray]:
         """Directions (m, r) of the rows that the unknown start of runs has, the share kept."""
-        columns = self.columns.unknown * self._weight[:, None]
+        columns = self.columns.initial_state_columns * self._row_weight[:, None]
         along, sizes, _ = np.linalg.svd(columns, full_matrices=False)
         return along, 1.0 / np.sqrt(1.0 + sizes**2)
 
@@ -295,23 +306,23 @@ class Comparison:
         free = 0 if self.bodies is None else self.bodies.size
         limits[:free] = np.inf
         if boxed and np.any(np.abs(found.mean / prior) > limits):
-            found = replace(found, mean=_within(sums, prior, limits))
+            found = replace(found, mean=_solve_boxed(sums, prior, limits))
         if boxed and free:
-            found = replace(found, mean=self._of_matter(found.mean, sums, prior, limits))
-        residual = (self.target - columns @ found.mean) / self._weight
+            found = replace(found, mean=self._make_consistent(found.mean, sums, prior, limits))
+        residual = (self.target - columns @ found.mean) / self._row_weight
         return Fit(tuple(effects), found, residual, len(sd))
 
-    def _of_matter(
+    def _make_consistent(
         self, mean: np.ndarray, sums: Sums, prior: np.ndarray, limits: np.ndarray
     ) -> np.ndarray:
         """Likeliest values (p,) whose bodies can exist; as they are where they can."""
         nominal, units = nominal_bodies(self.robot), body_units(self.robot)
         place = slice(0, nominal.size)
-        if exist(nominal + mean[place].reshape(nominal.shape), units):
+        if is_consistent(nominal + mean[place].reshape(nominal.shape), units):
             return mean
         gram = sums.gram.sum(axis=0) + np.diag(prior**-2.0)
         moment = sums.moment.sum(axis=0)
-        return nearest_bodies(gram, moment, place, nominal, units, limits * prior)
+        return likeliest_consistent_bodies(gram, moment, place, nominal, units, limits * prior)
 
     def channel_ratio(self, residual: np.ndarray) -> np.ndarray:
         """Root mean square of whitened residuals in every channel (2 n,); nan without rows."""
@@ -320,7 +331,7 @@ class Comparison:
             return np.asarray(np.sqrt(square / self.rows.counts))
 
 
-def _within(sums: Sums, prior: np.ndarray, limits: np.ndarray) -> np.ndarray:
+def _solve_boxed(sums: Sums, prior: np.ndarray, limits: np.ndarray) -> np.ndarray:
     """Likeliest values (p,) within so many standard deviations of their priors."""
     scaled = sums.gram.sum(axis=0) * np.outer(prior, prior) + np.eye(len(prior))
     root = np.linalg.cholesky(scaled)

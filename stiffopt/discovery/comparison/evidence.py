@@ -71,7 +71,7 @@ class BlockSums:
         self.moment = np.array([c @ y for c, y in zip(self._transposed, self._target, strict=True)])
         self.square = np.array([float(y @ y) for y in self._target])
 
-    def beside(self, added: np.ndarray) -> AddedSums:
+    def added_sums(self, added: np.ndarray) -> AddedSums:
         """Sums that further columns (m, k) make with those they were made of."""
         ordered = added[self._order]
         new = [ordered[part] for part in self._parts]
@@ -132,11 +132,11 @@ class AddedSums:
     @cached_property
     def by_block(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same of every block, (b, ...) each."""
-        cross, inner, moment = (in_blocks(x, self._block, self._blocks) for x in self._parts)
+        cross, inner, moment = (sum_by_block(x, self._block, self._blocks) for x in self._parts)
         return cross, inner, moment
 
 
-def in_blocks(parts: np.ndarray, block: np.ndarray, blocks: int) -> np.ndarray:
+def sum_by_block(parts: np.ndarray, block: np.ndarray, blocks: int) -> np.ndarray:
     """Sums (b, ...) of parts (a, ...) that belong to blocks (a,)."""
     found = np.zeros((blocks, *parts.shape[1:]))
     # Parts are large and few: one sum a part is faster than one loop over all their numbers.
@@ -146,7 +146,7 @@ def in_blocks(parts: np.ndarray, block: np.ndarray, blocks: int) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Added:
+class AddedPosterior:
     """Posterior of parameters added to others.
 
     Parameters
@@ -166,7 +166,7 @@ class Added:
     base: Callable[[], np.ndarray]
 
 
-class Beside:
+class AddedColumnsPosterior:
     """Posteriors with a few more parameters of unit prior, at the cost of those alone.
 
     Parameters
@@ -178,34 +178,34 @@ class Beside:
 
     def __init__(self, sums: Sums, prior_sd: np.ndarray) -> None:
         self._sums, self._prior = sums, prior_sd
-        self._whole = _Factored(
-            _total(sums.gram), _total(sums.moment), _total(sums.square), prior_sd
+        self._factored_whole = _FactoredSums(
+            _sum_blocks(sums.gram), _sum_blocks(sums.moment), _sum_blocks(sums.square), prior_sd
         )
 
     @cached_property
-    def _without(self) -> _Factored:
+    def _factored_without_block(self) -> _FactoredSums:
         """The whole without each block."""
         own = self._sums
-        gram, moment, square = (_total(x) - x for x in (own.gram, own.moment, own.square))
-        return _Factored(gram, moment, square, self._prior)
+        gram, moment, square = (_sum_blocks(x) - x for x in (own.gram, own.moment, own.square))
+        return _FactoredSums(gram, moment, square, self._prior)
 
-    def added(self, sums: AddedSums, kept: np.ndarray) -> Added:
+    def added(self, sums: AddedSums, kept: np.ndarray) -> AddedPosterior:
         """Posterior with some of the further columns."""
         cross, inner, moment = sums.total
         if len(kept) < len(moment):
             cross, inner, moment = cross[:, kept], inner[kept][:, kept], moment[kept]
-        return self._whole.with_few(cross, inner, moment)
+        return self._factored_whole.with_few(cross, inner, moment)
 
     def log_predictive(self, sums: AddedSums, kept: np.ndarray) -> float:
         """Log density of all blocks, each given the others, as of a `Posterior` of all columns."""
         all_cross, all_inner, all_moment = sums.by_block
         parts = (all_cross[:, :, kept], all_inner[:, kept][:, :, kept], all_moment[:, kept])
-        cross, inner, moment = (_total(x) - x for x in parts)
-        without = self._without.with_columns(cross, inner, moment)
+        cross, inner, moment = (_sum_blocks(x) - x for x in parts)
+        without = self._factored_without_block.with_columns(cross, inner, moment)
         return float(np.sum(self.added(sums, kept).log_evidence - without))
 
 
-class _Factored:
+class _FactoredSums:
     """Sums of several sets of blocks, factored: gram (c, p, p), moment (c, p), square (c,)."""
 
     def __init__(
@@ -215,16 +215,18 @@ class _Factored:
         scaled = gram * np.outer(prior_sd, prior_sd) + np.eye(len(prior_sd))
         factor = np.linalg.cholesky(scaled)
         self._inverse = np.linalg.inv(factor)
-        self._half = np.einsum("bij,bj->bi", self._inverse, prior_sd * moment)
+        self._half_mean = np.einsum("bij,bj->bi", self._inverse, prior_sd * moment)
         log_size = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-        self._evidence = 0.5 * (np.sum(self._half**2, axis=1) - square) - log_size
+        self._log_evidence_and_moments = (
+            0.5 * (np.sum(self._half_mean**2, axis=1) - square) - log_size
+        )
 
-    def with_few(self, cross: np.ndarray, inner: np.ndarray, moment: np.ndarray) -> Added:
+    def with_few(self, cross: np.ndarray, inner: np.ndarray, moment: np.ndarray) -> AddedPosterior:
         """Posterior of further columns (p, k), (k, k), (k,) beside the first set of sums."""
         half = self._inverse[0] @ (cross * self._prior[:, None])
         precision = inner - half.T @ half
         precision.flat[:: len(moment) + 1] += 1.0
-        goal = moment - self._half[0] @ half
+        goal = moment - self._half_mean[0] @ half
         if len(moment) == 1:
             covariance = 1.0 / precision
             log_size = math.log(precision[0, 0])
@@ -232,25 +234,27 @@ class _Factored:
             covariance = np.linalg.inv(precision)
             log_size = float(np.linalg.slogdet(precision)[1])
         mean = covariance @ goal
-        evidence = float(self._evidence[0]) + 0.5 * float(goal @ mean) - 0.5 * log_size
+        evidence = (
+            float(self._log_evidence_and_moments[0]) + 0.5 * float(goal @ mean) - 0.5 * log_size
+        )
 
         def base() -> np.ndarray:
-            rest = self._half[0] - half @ mean
+            rest = self._half_mean[0] - half @ mean
             return np.asarray(self._prior * (self._inverse[0].T @ rest))
 
-        return Added(mean, covariance, precision, evidence, base)
+        return AddedPosterior(mean, covariance, precision, evidence, base)
 
     def with_columns(self, cross: np.ndarray, inner: np.ndarray, moment: np.ndarray) -> np.ndarray:
         """Log evidence (c,) with further columns."""
         half = self._inverse @ (cross * self._prior[:, None])
         left = inner + np.eye(inner.shape[1]) - half.swapaxes(1, 2) @ half
-        goal = moment - np.einsum("bpk,bp->bk", half, self._half)
+        goal = moment - np.einsum("bpk,bp->bk", half, self._half_mean)
         mean = np.linalg.solve(left, goal[..., None])[..., 0]
         gained = 0.5 * np.sum(goal * mean, axis=1) - 0.5 * np.linalg.slogdet(left)[1]
-        return np.asarray(self._evidence + gained)
+        return np.asarray(self._log_evidence_and_moments + gained)
 
 
-def _total(parts: np.ndarray) -> np.ndarray:
+def _sum_blocks(parts: np.ndarray) -> np.ndarray:
     """Sum of all blocks, one in place of many."""
     return np.asarray(parts.sum(axis=0, keepdims=True))
 
@@ -266,16 +270,16 @@ def posterior(sums: Sums, prior_sd: np.ndarray, *, cross_validate: bool = True) 
     """
     gram, moment = sums.gram.sum(axis=0), sums.moment.sum(axis=0)
     square = float(sums.square.sum())
-    evidence, mean, covariance = _evidence(gram, moment, square, prior_sd)
+    evidence, mean, covariance = _log_evidence_and_moments(gram, moment, square, prior_sd)
     predictive = []
     if cross_validate:
         for g, m, s in zip(sums.gram, sums.moment, sums.square, strict=True):
-            without, _, _ = _evidence(gram - g, moment - m, square - s, prior_sd)
+            without, _, _ = _log_evidence_and_moments(gram - g, moment - m, square - s, prior_sd)
             predictive.append(evidence - without)
     return Posterior(mean, covariance, evidence, np.array(predictive))
 
 
-def _evidence(
+def _log_evidence_and_moments(
     gram: np.ndarray, moment: np.ndarray, square: float, prior_sd: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Log evidence, mean and covariance; in units of the priors, where all is well scaled."""

@@ -49,7 +49,7 @@ class Extension:
     calibration: Mapping[str, float] = field(default_factory=dict)
     effects: tuple[EstimatedEffect, ...] = ()
 
-    def followed_by(self, later: Extension) -> Extension:
+    def plus(self, later: Extension) -> Extension:
         """Both in one."""
         names = {**self.calibration, **later.calibration}
         return Extension(
@@ -60,7 +60,7 @@ class Extension:
             effects=(*self.effects, *later.effects),
         )
 
-    def less(self, other: Extension) -> Extension:
+    def minus(self, other: Extension) -> Extension:
         """What this one has beyond another."""
         names = {**self.calibration, **other.calibration}
         taken = (

@@ -11,30 +11,30 @@ from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.located_effect import Contribution
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import (
-    OF_BODIES,
-    changed_bodies,
+    BODY_VALUES,
+    body_parameter_changes,
     nuisance_columns,
 )
 from stiffopt.discovery.comparison.prepare import PreparedRun, with_link_torque
 from stiffopt.discovery.comparison.signals import JointSignals
 from stiffopt.discovery.comparison.spring_law import SpringLaw
-from stiffopt.discovery.comparison.springs import damping_of
+from stiffopt.discovery.comparison.springs import nominal_damping
 from stiffopt.recording.nominal import Tolerance
 
 # Of the slope of a spring's law, over the rated torque.
 _SLOPE_STEP = 0.01
 # Of that step: a first one to which what lags has settled, and which is forgotten soon.
-_HARDLY = 1e-3
+_FIRST_STEP_SHARE = 1e-3
 
 # Torques of a spring's table over the largest one met, the least above zero and the largest, and
 # how many a decade: between them a wind-up is straight to far below any encoder's noise.
-_LEAST, _LARGEST, _A_DECADE = 1e-6, 1e2, 200
+_MIN_TABLE_TORQUE, _MAX_TABLE_TORQUE, _ENTRIES_PER_DECADE = 1e-6, 1e2, 200
 
 # Between inertia matrices, which change with posture only [s].
-_POSTURE = 0.02
+_INERTIA_INTERVAL = 0.02
 
 # Any tolerance above zero makes a column; its size does not matter here.
-_EVERY = Tolerance(
+_ALL_TOLERANCES = Tolerance(
     mass=1.0,
     com=1.0,
     rotor_inertia=1.0,
@@ -64,17 +64,17 @@ class Change:
                 total += times * own
 
 
-def change_of(run: PreparedRun, robot: RobotModel, extension: Extension) -> Change:
+def extension_change(run: PreparedRun, robot: RobotModel, extension: Extension) -> Change:
     """What an extension adds to the channels of a run."""
     change = Change(*(np.zeros_like(run.signals.spring_torque) for _ in range(4)))
     values = {name: value for name, value in extension.calibration.items() if value}
-    bodies = {name for name in values if name.split()[0] in OF_BODIES}
+    bodies = {name for name in values if name.split()[0] in BODY_VALUES}
     if bodies:
-        parameters = changed_bodies(robot, values)
+        parameters = body_parameter_changes(robot, values)
         change.link_torque[:] += run.signals.body_regressor.torque(parameters)
     others = values.keys() - bodies
     if others:
-        for column in nuisance_columns(run, robot, _EVERY, asked=others.__contains__):
+        for column in nuisance_columns(run, robot, _ALL_TOLERANCES, asked=others.__contains__):
             # What knees share is asked for by one of them.
             change.add(column.added, values.get(column.name, 0.0))
     for each in extension.effects:
@@ -83,58 +83,58 @@ def change_of(run: PreparedRun, robot: RobotModel, extension: Extension) -> Chan
 
 
 def moves_links(run: PreparedRun, each: EstimatedEffect) -> bool:
-    """Whether an effect moves the links of a run, or bends them where they do not swing."""
+    """Whether an effect moves the links of a run, or bends them where they do not vibration."""
     added = each.located.contribution(run, each.amplitudes)
-    swung = run.swing is not None and added.deflection is not None
+    swung = run.vibration is not None and added.deflection is not None
     return swung or added.link_torque is not None
 
 
-def values_of(extension: Extension, words: tuple[str, ...]) -> Extension:
+def select_calibration(extension: Extension, words: tuple[str, ...]) -> Extension:
     """Those nominal values whose names begin with some words."""
     values = extension.calibration.items()
     return Extension(calibration={n: v for n, v in values if n.split()[0] in words})
 
 
-def damps(each: EstimatedEffect) -> bool:
+def is_damping(each: EstimatedEffect) -> bool:
     """Whether an effect is more or less damping of a joint."""
     return each.located.effect.nominal == "joint_damping"
 
 
-def damping_with(robot: RobotModel, extension: Extension) -> np.ndarray:
+def extended_damping(robot: RobotModel, extension: Extension) -> np.ndarray:
     """Damping of the joints (n,) with an extension, none of it below zero [N m s/rad]."""
-    damping = damping_of(robot)
+    damping = nominal_damping(robot)
     factors = [extension.calibration.get(f"joint_damping {j + 1}", 0.0) for j in range(robot.n)]
     added = np.zeros(robot.n)
     for each in extension.effects:
-        if damps(each) and each.located.joint is not None:
+        if is_damping(each) and each.located.joint is not None:
             added[each.located.joint] += each.amplitudes[0]
     return np.asarray(np.maximum(damping * (1.0 + np.array(factors)) + added, 0.0))
 
 
-def softer_by(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.ndarray:
+def relative_compliance(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.ndarray:
     """Compliance of the springs (K, n) with an extension over the nominal one."""
-    effects = tuple(e for e in extension.effects if not damps(e))
+    effects = tuple(e for e in extension.effects if not is_damping(e))
     if not any(e.located.effect.family == "elastic" for e in effects):
         effects = ()
     step = _SLOPE_STEP * np.array([j.torque_rated for j in run.signals.constants.joints])
     steps = np.broadcast_to(step, run.torque.shape)
     at_once = replace(extension, effects=tuple(e for e in effects if not e.located.effect.lags))
-    softer = 1.0 + _compliance_added(run, robot, at_once, steps)
+    softer = 1.0 + _added_compliance(run, robot, at_once, steps)
     lagging = tuple(e for e in effects if e.located.effect.lags)
     if lagging:
         # To and fro from sample to sample: what lags does not follow, but for where it begins.
         sign = np.where(np.arange(len(steps)) % 2, -1.0, 1.0)
-        sign[0] = _HARDLY
-        softer += _compliance_added(run, robot, Extension(effects=lagging), sign[:, None] * steps)
+        sign[0] = _FIRST_STEP_SHARE
+        softer += _added_compliance(run, robot, Extension(effects=lagging), sign[:, None] * steps)
     return softer
 
 
-def _compliance_added(
+def _added_compliance(
     run: PreparedRun, robot: RobotModel, extension: Extension, steps: np.ndarray
 ) -> np.ndarray:
     """Compliance that an extension adds over the nominal one, by steps of the load (K, n)."""
     loaded = with_link_torque(run, robot, steps)
-    ends = [change_of(each, robot, extension).deflection for each in (run, loaded)]
+    ends = [extension_change(each, robot, extension).deflection for each in (run, loaded)]
     nominal = loaded.signals.windup - run.signals.windup
     return np.asarray((ends[1] - ends[0]) / nominal)
 
@@ -149,15 +149,17 @@ def spring_laws(run: PreparedRun, extension: Extension) -> tuple[dict[int, Sprin
             by_joint.setdefault(joint, []).append(each)
         else:
             others.append(each)
-    laws = {joint: _law(run.of_joint(joint), own) for joint, own in by_joint.items()}
+    laws = {joint: _tabulate_spring(run.of_joint(joint), own) for joint, own in by_joint.items()}
     return laws, replace(extension, effects=tuple(others))
 
 
-def _law(signals: JointSignals, own: Sequence[EstimatedEffect]) -> SpringLaw:
+def _tabulate_spring(signals: JointSignals, own: Sequence[EstimatedEffect]) -> SpringLaw:
     """Nominal spring of a joint with effects in it."""
     constants = signals.constants
-    decades = np.log10(_LARGEST / _LEAST)
-    above = constants.largest_torque * np.geomspace(_LEAST, _LARGEST, round(decades * _A_DECADE))
+    decades = np.log10(_MAX_TABLE_TORQUE / _MIN_TABLE_TORQUE)
+    above = constants.largest_torque * np.geomspace(
+        _MIN_TABLE_TORQUE, _MAX_TABLE_TORQUE, round(decades * _ENTRIES_PER_DECADE)
+    )
     above = np.unique(np.concatenate([above, constants.corners or ()]))
     carried = np.concatenate([-above[::-1], [0.0], above])
     windup = np.asarray(constants.windup(carried))
@@ -171,12 +173,14 @@ def _law(signals: JointSignals, own: Sequence[EstimatedEffect]) -> SpringLaw:
     return SpringLaw(carried[kept], deflection[kept], windup[kept])
 
 
-def heavier_by(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.ndarray | float:
+def added_inertia_along(
+    run: PreparedRun, robot: RobotModel, extension: Extension
+) -> np.ndarray | float:
     """What an extension adds to the inertia matrices of the links (K, n, n) [kg m^2]."""
     effects = tuple(e for e in extension.effects if e.located.effect.family == "inertial")
     if not effects:
         return 0.0
-    every = max(1, round(_POSTURE / run.signals.dt))
+    every = max(1, round(_INERTIA_INTERVAL / run.signals.dt))
     added = added_inertia(run, robot, [Extension(effects=effects)], every)
     return np.repeat(added, every, axis=0)[: len(run.time)]
 
@@ -200,7 +204,7 @@ def added_inertia(
     array (K / every, n, n)
         [kg m^2]; of effects that act through the bodies' regressor.
     """
-    few = replace(run, signals=run.signals.thinned(every))
+    few = replace(run, signals=run.signals.decimate(every))
     q = few.signals.link_position
     if not extensions:
         return np.zeros((*q.shape, robot.n))
@@ -214,7 +218,7 @@ def added_inertia(
             arm=few.signals.arm.with_bodies(q, rest, acceleration),
         )
         here = replace(few, signals=signals)
-        return sum((change_of(here, robot, each).link_torque for each in extensions), rest)
+        return sum((extension_change(here, robot, each).link_torque for each in extensions), rest)
 
     held = link_torque(rest)
     units = (np.broadcast_to(unit, q.shape) for unit in np.eye(robot.n))

@@ -9,13 +9,13 @@ import numpy as np
 from scipy import fft
 
 # Half the length of the kernel over rate / cutoff: short enough to lose little at the ends.
-_HALF_LENGTH = 1.5
+_HALF_LENGTH_CYCLES = 1.5
 # Rows of a fit a second and Hz of the cutoff.
-ROWS_A_BAND = 2.5
+ROWS_PER_CYCLE = 2.5
 # Of the polynomial that a motion goes on with beyond its ends.
-_DEGREE = 5
+_EXTRAPOLATION_DEGREE = 5
 # Fourth-order differences at the first two of five samples, times 12.
-_ENDS = np.array([[-25.0, 48.0, -36.0, 16.0, -3.0], [-3.0, -10.0, 18.0, -6.0, 1.0]])
+_END_DIFFERENCES = np.array([[-25.0, 48.0, -36.0, 16.0, -3.0], [-3.0, -10.0, 18.0, -6.0, 1.0]])
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,9 @@ class ZeroPhaseFilter:
             return samples.copy()
         before = 2.0 * samples[:1] - samples[half:0:-1]
         after = 2.0 * samples[-1:] - samples[-2 : -half - 2 : -1]
-        return self._filtered(np.concatenate([before, samples, after]))
+        return self._convolve_padded(np.concatenate([before, samples, after]))
 
-    def motion(self, samples: np.ndarray) -> np.ndarray:
+    def filter_motion(self, samples: np.ndarray) -> np.ndarray:
         """Filter what is smooth along the first axis: beyond the ends it goes on as a polynomial.
 
         Recordings begin and end in motion; a point-symmetric end has no acceleration.
@@ -55,13 +55,13 @@ class ZeroPhaseFilter:
             return self(samples)
         inside = np.arange(near) / near
         beyond = np.arange(-half, 0) / near
-        powers = np.arange(_DEGREE + 1)
+        powers = np.arange(_EXTRAPOLATION_DEGREE + 1)
         weights = beyond[:, None] ** powers @ np.linalg.pinv(inside[:, None] ** powers)
         before = np.tensordot(weights, samples[:near], 1)
         after = np.tensordot(weights, samples[::-1][:near], 1)[::-1]
-        return self._filtered(np.concatenate([before, samples, after]))
+        return self._convolve_padded(np.concatenate([before, samples, after]))
 
-    def _filtered(self, padded: np.ndarray) -> np.ndarray:
+    def _convolve_padded(self, padded: np.ndarray) -> np.ndarray:
         kernel = self._kernel.reshape(-1, *(1,) * (padded.ndim - 1))
         count = len(padded) + len(kernel) - 1
         size = fft.next_fast_len(count, True)
@@ -69,13 +69,13 @@ class ZeroPhaseFilter:
         whole = fft.irfftn(spectrum, [size], axes=[0])
         return np.asarray(whole[len(kernel) - 1 : len(padded)])
 
-    def thinned(self, samples: np.ndarray) -> np.ndarray:
+    def decimate(self, samples: np.ndarray) -> np.ndarray:
         """Filtered values (g, c) of channels (K, c) at every `step`-th sample, without the ends.
 
         The first is that of sample `step * first_whole`.
         """
         step, length = self.step, len(self._kernel)
-        begin = step * self.first_whole - self.settling
+        begin = step * self.first_unpadded_row - self.settling
         samples = np.ascontiguousarray(samples, dtype=float)
         count = max(0, -(-(len(samples) - length + 1 - begin) // step))
         along, across = samples.strides
@@ -89,7 +89,7 @@ class ZeroPhaseFilter:
         return np.asarray(windows @ self._kernel)
 
     @property
-    def first_whole(self) -> int:
+    def first_unpadded_row(self) -> int:
         """Number of the first of every `step`-th samples that the filter has not made up."""
         return -(-self.settling // self.step)
 
@@ -101,12 +101,12 @@ class ZeroPhaseFilter:
     @property
     def step(self) -> int:
         """Samples between rows of a fit: closer ones say nothing new after the filter."""
-        return max(1, int(self.rate / (ROWS_A_BAND * self.cutoff)))
+        return max(1, int(self.rate / (ROWS_PER_CYCLE * self.cutoff)))
 
     @cached_property
     def settling(self) -> int:
         """Samples at either end that the filter makes up in part."""
-        return int(np.ceil(_HALF_LENGTH * self.rate / self.cutoff))
+        return int(np.ceil(_HALF_LENGTH_CYCLES * self.rate / self.cutoff))
 
     @cached_property
     def _kernel(self) -> np.ndarray:
@@ -126,6 +126,6 @@ def derivative(samples: np.ndarray, dt: float) -> np.ndarray:
         return np.asarray(np.gradient(samples, dt, axis=0))
     slope = np.empty_like(samples, dtype=float)
     slope[2:-2] = samples[:-4] - 8.0 * samples[1:-3] + 8.0 * samples[3:-1] - samples[4:]
-    slope[:2] = np.tensordot(_ENDS, samples[:5], 1)
-    slope[-2:] = -np.tensordot(_ENDS, samples[::-1][:5], 1)[::-1]
+    slope[:2] = np.tensordot(_END_DIFFERENCES, samples[:5], 1)
+    slope[-2:] = -np.tensordot(_END_DIFFERENCES, samples[::-1][:5], 1)[::-1]
     return slope / (12.0 * dt)

@@ -1,4 +1,4 @@
-"""Motors whose links swing: how high their recorded motion is followed, and which way they move."""
+"""Motors whose links vibration: how high their recorded motion is followed, and which way they move."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from stiffopt.recording.channel import MAD
 
 # Of the motors' motion that is followed [Hz], at least and at most: wider than a fit's filter,
 # which all that comes of it passes later.
-MOTOR_CUTOFF, WIDEST_CUTOFF = 60.0, 150.0
+MIN_MOTOR_CUTOFF, MAX_MOTOR_CUTOFF = 60.0, 150.0
 # Share of the rated torque that the noise of a motor's acceleration may come to, and of the rate of
 # the samples, how high a motion they show.
-_BORNE, _HIGHEST = 1e-3, 0.36
+_MAX_NOISE_TORQUE_SHARE, _MAX_CUTOFF_OVER_RATE = 1e-3, 0.36
 # Times that samples are subtracted from their neighbours, of which noise is left alone.
-_DIFFERENCES = 5
+_NOISE_DIFFERENCES = 5
 # Of the speed within which a sign is smooth, changes by less of which leave it as it is.
-_STEADY = 1e-3
+_MIN_SPEED_CHANGE = 1e-3
 
 
-def followed_to(robot: RobotModel, position: np.ndarray, dt: float) -> float:
+def motor_cutoff(robot: RobotModel, position: np.ndarray, dt: float) -> float:
     """Cutoff of the motors' motion [Hz], as high as encoders bear.
 
     Where friction turns, torque and acceleration jump against each other within milliseconds: what
@@ -39,23 +39,29 @@ def followed_to(robot: RobotModel, position: np.ndarray, dt: float) -> float:
         [s]
     """
     # Of white noise at the samples' rate, after two derivatives and a filter [N m/Hz^2.5].
-    noise = (2.0 * np.pi) ** 2 * np.sqrt(0.4 * dt) * robot.rotor_inertia * _noise(position)
-    borne = np.array([_BORNE * joint.torque_rated for joint in robot.constants.joints])
+    noise = (2.0 * np.pi) ** 2 * np.sqrt(0.4 * dt) * robot.rotor_inertia * _sample_noise(position)
+    borne = np.array(
+        [_MAX_NOISE_TORQUE_SHARE * joint.torque_rated for joint in robot.constants.joints]
+    )
     if not np.all(np.isfinite(borne) & np.isfinite(noise)):
-        return min(MOTOR_CUTOFF, _HIGHEST / dt)
+        return min(MIN_MOTOR_CUTOFF, _MAX_CUTOFF_OVER_RATE / dt)
     with np.errstate(divide="ignore"):
         bears = float(np.min(borne / noise)) ** 0.4
-    return min(float(np.clip(bears, MOTOR_CUTOFF, WIDEST_CUTOFF)), _HIGHEST / dt)
+    return min(
+        float(np.clip(bears, MIN_MOTOR_CUTOFF, MAX_MOTOR_CUTOFF)), _MAX_CUTOFF_OVER_RATE / dt
+    )
 
 
-def _noise(samples: np.ndarray) -> np.ndarray:
+def _sample_noise(samples: np.ndarray) -> np.ndarray:
     """Standard deviations of what changes from sample to sample (n,), if it were white noise."""
-    apart = np.diff(samples, _DIFFERENCES, axis=0)
+    apart = np.diff(samples, _NOISE_DIFFERENCES, axis=0)
     size = [
         np.median(np.abs(moved)) if (moved := own[np.isfinite(own) & (own != 0.0)]).size else 0.0
         for own in apart.T
     ]
-    return np.asarray(MAD * np.array(size) / np.sqrt(comb(2 * _DIFFERENCES, _DIFFERENCES)))
+    return np.asarray(
+        MAD * np.array(size) / np.sqrt(comb(2 * _NOISE_DIFFERENCES, _NOISE_DIFFERENCES))
+    )
 
 
 def mean_sign(velocity: np.ndarray) -> np.ndarray:
@@ -77,13 +83,15 @@ def mean_sign(velocity: np.ndarray) -> np.ndarray:
     middle[1:-1] += (velocity[1:-2] + velocity[2:-1] - velocity[:-3] - velocity[3:]) / 16.0
     before = np.concatenate([velocity[:1], middle])
     after = np.concatenate([middle, velocity[-1:]])
-    return np.asarray(0.5 * (_sign_between(before, velocity) + _sign_between(velocity, after)))
+    return np.asarray(
+        0.5 * (_mean_sign_between(before, velocity) + _mean_sign_between(velocity, after))
+    )
 
 
-def _sign_between(first: np.ndarray, last: np.ndarray) -> np.ndarray:
+def _mean_sign_between(first: np.ndarray, last: np.ndarray) -> np.ndarray:
     """Mean of the smooth sign while a speed goes evenly from one value to another."""
     change = last - first
-    steady = np.abs(change) < _STEADY * SIGN_SPEED
+    steady = np.abs(change) < _MIN_SPEED_CHANGE * SIGN_SPEED
 
     def integral(velocity: np.ndarray) -> np.ndarray:
         size = np.abs(velocity)

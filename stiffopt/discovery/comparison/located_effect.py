@@ -47,8 +47,8 @@ class Contribution:
         self, run: PreparedRun, robot: RobotModel
     ) -> tuple[np.ndarray | None, np.ndarray | None]:
         """Change of drive torque and of motor minus link angle, (K, n) each or None."""
-        torque, deflection = run.answer(robot, self.link_torque, self.deflection)
-        return _sum(self.torque, torque), _sum(self.reading, deflection)
+        torque, deflection = run.respond(robot, self.link_torque, self.deflection)
+        return _add_optional(self.torque, torque), _add_optional(self.reading, deflection)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,11 +89,11 @@ class LocatedEffect:
         return (self.effect.name, self.joint, self.link, self.run, self.shapes)
 
     @property
-    def by_run(self) -> bool:
+    def is_run_specific(self) -> bool:
         """Whether what it adds to a run says nothing of other runs."""
         return self.run is not None or self.effect.of_runs is not None
 
-    def near(self, other: LocatedEffect) -> bool:
+    def is_adjacent(self, other: LocatedEffect) -> bool:
         """Whether it could stand in the other's place: at its joint or next to it, or nowhere."""
         if self.joint is None or other.joint is None:
             return True
@@ -150,25 +150,27 @@ class LocatedEffect:
             seen = signals if self.link is None else replace(signals, link=self.link)
             term = self.effect.term(seen, amplitudes, self.shapes)
             return Contribution(
-                _whole(term.drive_torque, like),
-                _whole(term.link_torque, like),
-                _whole(term.deflection, like),
-                _whole(term.reading, like),
+                _as_robot_array(term.drive_torque, like),
+                _as_robot_array(term.link_torque, like),
+                _as_robot_array(term.deflection, like),
+                _as_robot_array(term.reading, like),
             )
         term = self.effect.term(run.of_joint(self.joint), amplitudes, self.shapes)
-        drive = _column(term.drive_torque, like, self.joint)
-        before = _column(term.previous_torque, like, self.joint - 1) if self.joint else None
+        drive = _as_joint_column(term.drive_torque, like, self.joint)
+        before = (
+            _as_joint_column(term.previous_torque, like, self.joint - 1) if self.joint else None
+        )
         return Contribution(
-            _sum(drive, before),
-            _column(term.link_torque, like, self.joint),
-            _column(term.deflection, like, self.joint),
-            _column(term.reading, like, self.joint),
+            _add_optional(drive, before),
+            _as_joint_column(term.link_torque, like, self.joint),
+            _as_joint_column(term.deflection, like, self.joint),
+            _as_joint_column(term.reading, like, self.joint),
         )
 
-    def directly(
+    def unit_changes(
         self, run: PreparedRun, robot: RobotModel
     ) -> tuple[list[ChannelChange], list[Push]]:
-        """Changes for a unit of each amplitude, and what sets links going where these swing."""
+        """Changes for a unit of each amplitude, and what sets links going where these vibration."""
         assert self.joint is not None
         if self.run is not None and run.name != self.run:
             return [], []
@@ -183,7 +185,7 @@ class LocatedEffect:
                 for x in (term.drive_torque, term.reading, term.link_torque, term.deflection)
             )
             loaded = link.any()
-            if run.swing is None:
+            if run.vibration is None:
                 torque, deflection = torque + link, wound + deflection
                 if loaded:
                     deflection = deflection + run.compliance(robot, self.joint) * link
@@ -209,21 +211,21 @@ class LocatedEffect:
             yield self.contribution(run, unit).channels(run, robot)
 
 
-def channels(
+def effect_channel_changes(
     effects: Sequence[LocatedEffect], run: PreparedRun, robot: RobotModel
 ) -> list[list[ChannelChange]]:
     """Changes of single channels for a unit of each amplitude, of effects of joints.
 
     Several of one channel add up. Links are set going by all of them beside each other.
     """
-    both = [each.directly(run, robot) for each in effects]
-    found, swing = [changes for changes, _ in both], run.swing
+    both = [each.unit_changes(run, robot) for each in effects]
+    found, vibration = [changes for changes, _ in both], run.vibration
     pushed = [(k, *push) for k, (_, pushes) in enumerate(both) for push in pushes]
-    if swing is None or not pushed:
+    if vibration is None or not pushed:
         return found
     owners, amplitudes, links, wounds = zip(*pushed, strict=True)
     joints = np.array([effects[k].joint for k in owners])
-    answers = swing.pushed(
+    answers = vibration.respond_at_joints(
         joints,
         *(np.stack([np.broadcast_to(x, run.time.shape) for x in each]) for each in (links, wounds)),
     )
@@ -234,7 +236,9 @@ def channels(
     return found
 
 
-def places(effect: Effect, robot: RobotConstants, runs: Sequence[str]) -> Iterator[LocatedEffect]:
+def effect_places(
+    effect: Effect, robot: RobotConstants, runs: Sequence[str]
+) -> Iterator[LocatedEffect]:
     """Every place that an effect can have, with every start of its shapes."""
     grids: list[LocatedEffect] = []
     n = len(robot.joints)
@@ -255,18 +259,18 @@ def places(effect: Effect, robot: RobotConstants, runs: Sequence[str]) -> Iterat
             yield replace(place, shapes=shapes)
 
 
-def _sum(a: np.ndarray | None, b: np.ndarray | None) -> np.ndarray | None:
+def _add_optional(a: np.ndarray | None, b: np.ndarray | None) -> np.ndarray | None:
     if a is None or b is None:
         return b if a is None else a
     return np.asarray(a + b)
 
 
-def _whole(values: object, like: np.ndarray) -> np.ndarray | None:
+def _as_robot_array(values: object, like: np.ndarray) -> np.ndarray | None:
     array = np.asarray(values, dtype=float)
     return np.broadcast_to(array, like.shape) if array.any() else None
 
 
-def _column(values: object, like: np.ndarray, joint: int) -> np.ndarray | None:
+def _as_joint_column(values: object, like: np.ndarray, joint: int) -> np.ndarray | None:
     array = np.asarray(values, dtype=float)
     if not array.any():
         return None

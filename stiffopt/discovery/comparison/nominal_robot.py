@@ -49,8 +49,8 @@ class RobotModel:
         self.rotor_inertia = self.arm.rotor_inertia[self.order]
         self.coulomb = self.arm.coulomb[self.order]
         self.viscous = self.arm.viscous[self.order]
-        self._balance = recordings.nominal.counterbalance
-        self.kept_torques: dict[tuple[object, int], np.ndarray] = {}
+        self._counterbalances = recordings.nominal.counterbalance
+        self.body_torque_cache: dict[tuple[object, int], np.ndarray] = {}
 
     # ---- constants
 
@@ -89,7 +89,7 @@ class RobotModel:
             tool_range=np.array([[-1.0] * 3, [1.0] * 3]),
         )
 
-    def ranged(
+    def constants_over(
         self, signals: Sequence[RobotSignals], measured: np.ndarray | None = None
     ) -> RobotConstants:
         """Constants with the ranges that some runs meet; unknown torques from what they carry.
@@ -134,7 +134,7 @@ class RobotModel:
         return any(joint.elastic for joint in self.constants.joints)
 
     @property
-    def swings(self) -> bool:
+    def vibrates(self) -> bool:
         """Whether every joint's spring and damping is known."""
         return self.recordings.swings
 
@@ -156,8 +156,8 @@ class RobotModel:
 
     def spring_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Torque in the springs, of rigid bodies and counterbalances [N m]."""
-        torque = self._bodies.torque(*(self._of_robot(x) for x in (q, v, a)))[:, self.order]
-        for balance in self._balance:
+        torque = self._bodies.torque(*(self._to_robot_order(x) for x in (q, v, a)))[:, self.order]
+        for balance in self._counterbalances:
             j = balance.joint
             torque[:, j] -= balance.at(q[:, j])
         return torque
@@ -165,19 +165,19 @@ class RobotModel:
     def gravity_torque(self, q: np.ndarray, gravity: np.ndarray) -> np.ndarray:
         """Torque (K, n) that holds the weight under another gravity (3,) [m/s^2]."""
         bodies = self._bodies.with_gravity(gravity)
-        return bodies.gravity_torque(self._of_robot(q))[:, self.order]
+        return bodies.gravity_torque(self._to_robot_order(q))[:, self.order]
 
     def torque_slopes(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Slopes of the bodies' torques along position, velocity, acceleration (K, n, n) each."""
-        slopes = self._bodies.torque_slopes(*(self._of_robot(x) for x in (q, v, a)))
+        slopes = self._bodies.torque_slopes(*(self._to_robot_order(x) for x in (q, v, a)))
         position, velocity, acceleration = (x[:, self.order][..., self.order] for x in slopes)
         return position, velocity, acceleration
 
     def body_torques(self, body: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Spring torques for the inertial parameters of one body (K, n, 10)."""
-        motion = (self._of_robot(x) for x in (q, v, a))
+        motion = (self._to_robot_order(x) for x in (q, v, a))
         torques = body_torques(self.arm.tree, int(self.order[body]), *motion)
         # No copy where the set has the robot's order: that is the largest array of a long run.
         return torques if np.all(self.order == np.arange(self.n)) else torques[:, self.order]
@@ -192,7 +192,7 @@ class RobotModel:
         """Spring torques (K, n) of changed inertial parameters (n, 10)."""
         by_body = np.empty_like(change)
         by_body[self.order] = change
-        motion = (self._of_robot(x) for x in (q, v, a))
+        motion = (self._to_robot_order(x) for x in (q, v, a))
         return self._bodies.changed_torque(by_body, *motion)[:, self.order]
 
     def tilt(self, q: np.ndarray) -> np.ndarray:
@@ -203,7 +203,7 @@ class RobotModel:
 
     def tool(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Tool position (K, 3) and its Jacobian (K, 3, n)."""
-        position, jacobian = tool_along(self.arm.tree, self.arm.tool, self._of_robot(q))
+        position, jacobian = tool_along(self.arm.tree, self.arm.tool, self._to_robot_order(q))
         return position, jacobian[..., self.order]
 
     def temperature_rise(self, run: RecordedRun, count: int) -> np.ndarray:
@@ -213,7 +213,7 @@ class RobotModel:
             return np.zeros((self.n, count)).T
         return np.tile(np.asarray(run.temperature, dtype=float) - reference, (count, 1))
 
-    def _of_robot(self, values: np.ndarray) -> np.ndarray:
+    def _to_robot_order(self, values: np.ndarray) -> np.ndarray:
         """Columns (K, n) in the robot's own order."""
         full = np.empty_like(values)
         full[:, self.order] = values

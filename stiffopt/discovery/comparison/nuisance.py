@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.bodies import A_BODY, body_names
+from stiffopt.discovery.comparison.bodies import A_BODY, all_body_parameter_names
 from stiffopt.discovery.comparison.located_effect import Contribution
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepare import PreparedRun
@@ -16,22 +16,22 @@ from stiffopt.robot.body_tree import Body
 
 # Relative standard deviation of the torques at which a reducer's slope changes, and the width over
 # which it does.
-_KNEE = 0.08
+_RELATIVE_KNEE_SD = 0.08
 # Values that move links, by the first word of their names.
-OF_SPRINGS = ("stiffness", "T1", "T2", "rounding")
-OF_BODIES = ("mass", "com", "body")
-MOVES_LINKS = (*OF_SPRINGS, "joint_damping", *OF_BODIES)
+SPRING_VALUES = ("stiffness", "T1", "T2", "rounding")
+BODY_VALUES = ("mass", "com", "body")
+LINK_MOVING_VALUES = (*SPRING_VALUES, "joint_damping", *BODY_VALUES)
 
 # Relative values that act on the drive torque.
-_OF_DRIVES = ("rotor_inertia", "coulomb", "viscous", "torque_constant")
+_DRIVE_VALUES = ("rotor_inertia", "coulomb", "viscous", "torque_constant")
 # Values that act in proportion to all that a drive does.
-OF_LOAD = "torque_constant"
+LOAD_VALUE = "torque_constant"
 
 # Whether a value is asked for, by its name.
 Asked = Callable[[str], bool]
 
 
-def every_value(_: str) -> bool:
+def accept_every_value(_: str) -> bool:
     """All are asked for."""
     return True
 
@@ -60,7 +60,7 @@ def nuisance_columns(
     robot: RobotModel,
     tolerance: Tolerance,
     bodies: np.ndarray | None = None,
-    asked: Asked = every_value,
+    asked: Asked = accept_every_value,
 ) -> Iterator[NuisanceColumn]:
     """Columns of nominal values along a run; the same order for every run.
 
@@ -76,9 +76,11 @@ def nuisance_columns(
     """
     signals = run.signals
     if bodies is None:
-        yield from _bodies(run, robot, tolerance, asked)
+        yield from _body_columns(run, robot, tolerance, asked)
     else:
-        for k, (name, sd) in enumerate(zip(body_names(robot), bodies.ravel(), strict=True)):
+        for k, (name, sd) in enumerate(
+            zip(all_body_parameter_names(robot), bodies.ravel(), strict=True)
+        ):
             if asked(name):
                 torque = signals.body_regressor[..., k]
                 yield NuisanceColumn(name, float(sd), Contribution(link_torque=torque))
@@ -90,18 +92,22 @@ def nuisance_columns(
         return np.asarray(column)
 
     for j in range(robot.n):
-        for name in _OF_DRIVES:
+        for name in _DRIVE_VALUES:
             sd = getattr(tolerance, name)
-            if sd and asked(f"{name} {j + 1}") and np.any(values := _of_drive(run, robot, name, j)):
+            if (
+                sd
+                and asked(f"{name} {j + 1}")
+                and np.any(values := _drive_torque_column(run, robot, name, j))
+            ):
                 yield NuisanceColumn(f"{name} {j + 1}", sd, Contribution(single(j, values)))
         if tolerance.stiffness:
-            yield from _of_spring(run, j, tolerance.stiffness, asked)
+            yield from _spring_columns(run, j, tolerance.stiffness, asked)
         name = f"joint_damping {j + 1}"
-        if tolerance.joint_damping and run.swing is not None and asked(name):
+        if tolerance.joint_damping and run.vibration is not None and asked(name):
             # Of a spring that takes more of the torque where its damping takes less.
             nominal = signals.constants.joints[j].joint_damping
             taken = nominal * (signals.motor_velocity - signals.link_velocity)[:, j]
-            added = Contribution(deflection=single(j, -taken / run.swing.stiffness[:, j]))
+            added = Contribution(deflection=single(j, -taken / run.vibration.stiffness[:, j]))
             yield NuisanceColumn(name, tolerance.joint_damping, added)
         name = f"encoder_zero {j + 1}"
         if tolerance.encoder_zero and asked(name):
@@ -110,7 +116,7 @@ def nuisance_columns(
             yield NuisanceColumn(name, tolerance.encoder_zero, added)
 
 
-def _of_drive(run: PreparedRun, robot: RobotModel, name: str, j: int) -> np.ndarray:
+def _drive_torque_column(run: PreparedRun, robot: RobotModel, name: str, j: int) -> np.ndarray:
     """Drive torque (K,) of one joint for a unit of a relative value."""
     signals = run.signals
     if name == "torque_constant":
@@ -122,16 +128,16 @@ def _of_drive(run: PreparedRun, robot: RobotModel, name: str, j: int) -> np.ndar
     return np.asarray(robot.coulomb[j] * signals.motor_direction[:, j])
 
 
-def _of_spring(run: PreparedRun, j: int, sd: float, asked: Asked) -> Iterator[NuisanceColumn]:
+def _spring_columns(run: PreparedRun, j: int, sd: float, asked: Asked) -> Iterator[NuisanceColumn]:
     signals = run.signals
     names = [f"{kind}{knee} {j + 1}" for knee in ("T1", "T2") for kind in ("", "rounding ")]
     if not any(asked(name) for name in (f"stiffness {j + 1}", *names)):
         return
     if not np.any(signals.windup[:, j]):
         return
-    # Relative to the joint as it is: of all its deflection where the links swing, but for a play.
+    # Relative to the joint as it is: of all its deflection where the links vibration, but for a play.
     values = signals.windup[:, j]
-    if run.swing is not None:
+    if run.vibration is not None:
         values = (signals.motor_position - signals.link_position - run.play)[:, j]
 
     def single(j: int, values: np.ndarray) -> np.ndarray:
@@ -141,10 +147,10 @@ def _of_spring(run: PreparedRun, j: int, sd: float, asked: Asked) -> Iterator[Nu
 
     if asked(f"stiffness {j + 1}"):
         yield NuisanceColumn(f"stiffness {j + 1}", sd, Contribution(deflection=single(j, values)))
-    yield from _knees(run, j, single, asked)
+    yield from _knee_columns(run, j, single, asked)
 
 
-def _knees(
+def _knee_columns(
     run: PreparedRun,
     j: int,
     single: Callable[[int, np.ndarray], np.ndarray],
@@ -161,29 +167,29 @@ def _knees(
     (k1, k2, k3), (t1, t2) = constants.slopes, constants.corners
     for name, knee, before, after in (("T1", t1, k1, k2), ("T2", t2, k2, k3)):
         fall = 1.0 / before - 1.0 / after
-        width = _KNEE * knee
+        width = _RELATIVE_KNEE_SD * knee
         beyond = np.sign(spring) * np.clip((np.abs(spring) - knee) / width, 0.0, 1.0)
         moved = Contribution(deflection=single(j, fall * knee * beyond))
-        yield NuisanceColumn(f"{name} {j + 1}", _KNEE, moved)
+        yield NuisanceColumn(f"{name} {j + 1}", _RELATIVE_KNEE_SD, moved)
         rounded = np.sign(spring) * fall * width * np.exp(-np.abs(np.abs(spring) - knee) / width)
         round_knee = Contribution(deflection=single(j, rounded))
         yield NuisanceColumn(f"rounding {name} {j + 1}", 1.0, round_knee)
 
 
-def _bodies(
+def _body_columns(
     run: PreparedRun, robot: RobotModel, tolerance: Tolerance, asked: Asked
 ) -> Iterator[NuisanceColumn]:
     """Mass and centre of mass of every body."""
     for position, joint in enumerate(robot.order):
         body = robot.arm.tree.bodies[joint]
-        for name, change in _slopes(position, body):
+        for name, change in _body_parameter_slopes(position, body):
             sd = getattr(tolerance, name.split()[0])
             if sd and asked(name):
                 torque = run.signals.body_regressor.of(position) @ change
                 yield NuisanceColumn(name, sd, Contribution(link_torque=torque))
 
 
-def _slopes(position: int, body: Body) -> Iterator[tuple[str, np.ndarray]]:
+def _body_parameter_slopes(position: int, body: Body) -> Iterator[tuple[str, np.ndarray]]:
     """Change (10,) of a body's parameters for a unit of its mass and its centre, by name."""
     now = body.inertial_parameters
     yield f"mass {position + 1}", now
@@ -194,17 +200,17 @@ def _slopes(position: int, body: Body) -> Iterator[tuple[str, np.ndarray]]:
         yield f"com {position + 1} {'xyz'[axis]}", (moved.inertial_parameters - now) / 1e-5
 
 
-def changed_bodies(robot: RobotModel, values: Mapping[str, float]) -> np.ndarray:
+def body_parameter_changes(robot: RobotModel, values: Mapping[str, float]) -> np.ndarray:
     """Changes of all inertial parameters (n, 10) that nominal values make, by their names."""
-    change = [values.get(name, 0.0) for name in body_names(robot)]
+    change = [values.get(name, 0.0) for name in all_body_parameter_names(robot)]
     found = np.array(change).reshape(robot.n, A_BODY)
     for position, joint in enumerate(robot.order):
-        for name, slope in _slopes(position, robot.arm.tree.bodies[joint]):
+        for name, slope in _body_parameter_slopes(position, robot.arm.tree.bodies[joint]):
             found[position] += values.get(name, 0.0) * slope
     return found
 
 
-def merged(tolerance: Tolerance, default: Tolerance) -> Tolerance:
+def merge_tolerances(tolerance: Tolerance, default: Tolerance) -> Tolerance:
     """Tolerances of the set, the defaults where it states none."""
     names = vars(default)
     return Tolerance(

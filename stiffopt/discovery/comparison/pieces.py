@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from stiffopt.discovery.comparison.evidence import AddedSums, Sums, in_blocks
+from stiffopt.discovery.comparison.evidence import AddedSums, Sums, sum_by_block
 from stiffopt.discovery.comparison.rows import ChannelRows
 
 
@@ -82,8 +82,8 @@ class Pieces:
         self._slices = [slice(first, last) for first, last in pairwise(ends)]
         # A piece is one stretch of the rows: of those by their first row, which they are.
         firsts = self._order[self._starts]
-        self._by_first = np.argsort(firsts)
-        self._firsts = firsts[self._by_first]
+        self._pieces_by_row = np.argsort(firsts)
+        self._first_rows = firsts[self._pieces_by_row]
 
     def split(self, columns: np.ndarray) -> PieceColumns:
         """Columns (m, k) by pieces."""
@@ -104,9 +104,9 @@ class Pieces:
         """
         found: dict[int, np.ndarray] = {}
         for begin, columns in parts:
-            low, high = np.searchsorted(self._firsts, (begin, begin + len(columns)))
-            pieces = self._by_first[low:high].tolist()
-            for q, first in zip(pieces, (self._firsts[low:high] - begin).tolist(), strict=True):
+            low, high = np.searchsorted(self._first_rows, (begin, begin + len(columns)))
+            pieces = self._pieces_by_row[low:high].tolist()
+            for q, first in zip(pieces, (self._first_rows[low:high] - begin).tolist(), strict=True):
                 own = self._slices[q]
                 part = columns[first : first + own.stop - own.start]
                 if part.any():
@@ -114,7 +114,7 @@ class Pieces:
         acted = sorted(found)
         return PieceColumns(np.array(acted, dtype=int), tuple(found[q] for q in acted), width)
 
-    def joined(self, columns: PieceColumns) -> np.ndarray:
+    def join(self, columns: PieceColumns) -> np.ndarray:
         """Columns (m, k) of all rows."""
         ordered = np.zeros((len(self._order), columns.width))
         for q, part in zip(columns.acted, columns.parts, strict=True):
@@ -179,11 +179,11 @@ class WeightedSums:
         self._sums, self._weight = sums, weight
         self._block = sums.pieces.block
         self._blocks = int(self._block.max()) + 1
-        self._here: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self._effect_columns: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         nominal, total = sums.gram.shape[1], sums.gram.shape[1]
         by_piece: dict[int, list[tuple[int, np.ndarray]]] = {}
         gram, moment, square = (
-            in_blocks((weight * x.T).T, self._block, self._blocks)
+            sum_by_block((weight * x.T).T, self._block, self._blocks)
             for x in (sums.gram, sums.moment, sums.square)
         )
         for each in effects:
@@ -192,14 +192,17 @@ class WeightedSums:
             total += each.columns.width
         for q, own in by_piece.items():
             places = np.concatenate([first + np.arange(part.shape[1]) for first, part in own])
-            self._here[q] = (places, np.concatenate([part for _, part in own], axis=1).T.copy())
+            self._effect_columns[q] = (
+                places,
+                np.concatenate([part for _, part in own], axis=1).T.copy(),
+            )
         self._size = total
         whole = np.zeros((self._blocks, total, total))
         moments = np.zeros((self._blocks, total))
         whole[:, :nominal, :nominal], moments[:, :nominal] = gram, moment
         first = nominal
         for each in effects:
-            cross, _, with_target = self.beside(each).by_block
+            cross, _, with_target = self.added_sums(each).by_block
             place = slice(first, first + each.columns.width)
             whole[:, :, place] = cross
             whole[:, place, :] = cross.swapaxes(1, 2)
@@ -207,15 +210,15 @@ class WeightedSums:
             first = place.stop
         self.own = Sums(whole, moments, square)
 
-    def beside(self, added: PieceProducts) -> AddedSums:
+    def added_sums(self, added: PieceProducts) -> AddedSums:
         """Sums that further columns make with those they were made of."""
         acted, parts = added.columns.acted, added.columns.parts
         weight = self._weight[acted]
         cross = np.zeros((len(acted), self._size, added.columns.width))
         cross[:, : added.cross.shape[1]] = added.cross
         for i, (q, part) in enumerate(zip(acted.tolist(), parts, strict=True)):
-            if q in self._here:
-                places, others = self._here[q]
+            if q in self._effect_columns:
+                places, others = self._effect_columns[q]
                 cross[i, places] = others @ part
         return AddedSums(
             weight[:, None, None] * cross,

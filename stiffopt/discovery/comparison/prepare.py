@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from stiffopt.discovery.comparison.arm_along import ArmAlong
+from stiffopt.discovery.comparison.arm_along import LazyArmSignals
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, derivative
-from stiffopt.discovery.comparison.followed import followed_to, mean_sign
+from stiffopt.discovery.comparison.followed import mean_sign, motor_cutoff
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.signals import (
     JointSignals,
@@ -20,17 +20,17 @@ from stiffopt.discovery.comparison.signals import (
 )
 from stiffopt.discovery.comparison.spring_law import SpringLaw
 from stiffopt.discovery.comparison.springs import Springs
-from stiffopt.discovery.comparison.swing import LinkMotion, Swing, slow_filter
+from stiffopt.discovery.comparison.swing import LinkMotion, Vibration, slow_filter
 from stiffopt.discovery.settings import Settings
 from stiffopt.recording.clock import GAP
 from stiffopt.recording.run import RecordedRun
 
 # Steps between samples up to which a motion is bridged along itself: two may be missing.
-_BRIDGED = 3.5
-# Of modes that a run may begin to swing in, over the filter's cutoff.
-_BEYOND_CUTOFF = 1.5
+_MAX_SPLINE_STEPS = 3.5
+# Of modes that a run may begin to vibration in, over the filter's cutoff.
+_MODE_BAND_OVER_CUTOFF = 1.5
 # Rounds of link motion = motor motion - wind-up; each shrinks the error by (f/resonance)^2.
-_ROUNDS = 3
+_WINDUP_ITERATIONS = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,16 +57,16 @@ class PreparedRun:
     followed : ZeroPhaseFilter
         That the motion has passed, and what the drives give with it: a motor's acceleration answers
         a jump of its friction, which would stay alone otherwise.
-    swing : Swing or None
+    vibration : Swing or None
         How links answer small changes; None where they follow at once, by the springs alone.
-    beside : array (K, n) or float
+    added_deflection : array (K, n) or float
         Deflection beside the nominal wind-up of the spring torque, of what an extension adds [rad].
     play : array (K, n) or float
         Of the deflection, what is free travel between flanks [rad].
-    begun : array (2 n,), optional
+    initial_state : array (2 n,), optional
         Displacement and speed by which links are known to begin beside their slow motion.
     swung : dict
-        This run as its links swing with extensions that were asked for last.
+        This run as its links vibration with extensions that were asked for last.
     """
 
     name: str
@@ -80,12 +80,12 @@ class PreparedRun:
     deflection_used: np.ndarray
     moving: np.ndarray
     low_pass: ZeroPhaseFilter
-    followed: ZeroPhaseFilter
-    swing: Swing | None = None
-    beside: np.ndarray | float = 0.0
+    motion_filter: ZeroPhaseFilter
+    vibration: Vibration | None = None
+    added_deflection: np.ndarray | float = 0.0
     play: np.ndarray | float = 0.0
-    begun: np.ndarray | None = None
-    swung: dict[tuple[object, ...], PreparedRun] = field(default_factory=dict, init=False)
+    initial_state: np.ndarray | None = None
+    extension_cache: dict[tuple[object, ...], PreparedRun] = field(default_factory=dict, init=False)
     _joints: dict[int, JointSignals] = field(default_factory=dict, init=False)
     _compliance: dict[int, np.ndarray] = field(default_factory=dict, init=False)
 
@@ -114,31 +114,33 @@ class PreparedRun:
             self._compliance[index] = np.asarray(robot.constants.joints[index].compliance(torque))
         return self._compliance[index]
 
-    def starts(self, band: float | None = None) -> np.ndarray:
+    def initial_states(self, band: float | None = None) -> np.ndarray:
         """Displacements and speeds (2 n, m) of swings it may begin with, modes up to a band [Hz].
 
         Default: those that a fit's filter lets pass in part.
         """
-        assert self.swing is not None
+        assert self.vibration is not None
         wound = self.signals.motor_position - self.signals.link_position
-        return self.swing.starts(wound, band or _BEYOND_CUTOFF * self.low_pass.cutoff)
+        return self.vibration.initial_states(
+            wound, band or _MODE_BAND_OVER_CUTOFF * self.low_pass.cutoff
+        )
 
-    def until(self, count: int) -> PreparedRun:
+    def head(self, count: int) -> PreparedRun:
         """Its first samples, for what is asked of the signals of each."""
-        beside, play = (
+        added, play = (
             each[:count] if isinstance(each, np.ndarray) else each
-            for each in (self.beside, self.play)
+            for each in (self.added_deflection, self.play)
         )
         return replace(
             self,
             time=self.time[:count],
-            signals=self.signals.until(count),
+            signals=self.signals.head(count),
             torque=self.torque[:count],
             deflection=self.deflection[:count],
             torque_used=self.torque_used[:count],
             deflection_used=self.deflection_used[:count],
             moving=self.moving[:count],
-            beside=beside,
+            added_deflection=added,
             play=play,
         )
 
@@ -152,7 +154,7 @@ class PreparedRun:
         s = self.signals
         return Springs(robot, s.motor_position, s.motor_velocity, s.dt, damping, laws)
 
-    def answer(
+    def respond(
         self, robot: RobotModel, link_torque: np.ndarray | None, deflection: np.ndarray | None
     ) -> tuple[np.ndarray | None, np.ndarray | None]:
         """Change of torque and deflection between motor and link, (K, n) each or None.
@@ -167,22 +169,22 @@ class PreparedRun:
         """
         if link_torque is None and deflection is None:
             return None, None
-        if self.swing is not None:
-            return self.swing.answer(link_torque, deflection)
+        if self.vibration is not None:
+            return self.vibration.respond(link_torque, deflection)
         if link_torque is None:
             return None, deflection
         wound = robot.compliance(self.signals.spring_torque) * link_torque
         return link_torque, wound if deflection is None else wound + deflection
 
 
-def prepare(
+def prepare_run(
     robot: RobotModel,
     run: RecordedRun,
     index: int,
     constants: RobotConstants | None,
     settings: Settings,
     *,
-    swinging: bool = True,
+    vibrating: bool = True,
 ) -> PreparedRun:
     """Filter a run and evaluate the nominal model along it.
 
@@ -194,28 +196,28 @@ def prepare(
     constants : RobotConstants or None
         Of the training runs; None takes the ranges met from this run alone.
     settings : Settings
-    swinging : bool
-        Links swing where the nominal model tells how; else they are in balance all the time.
+    vibrating : bool
+        Links vibration where the nominal model tells how; else they are in balance all the time.
     """
-    time, position, link, torque = uniform(run)
+    time, position, link, torque = resample_uniform(run)
     dt = float(time[1] - time[0])
     low_pass = ZeroPhaseFilter(1.0 / dt, min(settings.fit_band, 0.2 / dt))
-    followed = smoothly(time, position, time)
-    swinging = swinging and robot.swings
+    followed = interpolate_motion(time, position, time)
+    vibrating = vibrating and robot.vibrates
     wide = low_pass
-    if swinging:
+    if vibrating:
         # All that comes of the motion passes the fit's filter later: once, as the readings do.
-        cutoff = max(low_pass.cutoff, followed_to(robot, position, dt))
+        cutoff = max(low_pass.cutoff, motor_cutoff(robot, position, dt))
         wide = ZeroPhaseFilter(1.0 / dt, cutoff)
-    motor = wide.motion(followed)
+    motor = wide.filter_motion(followed)
     velocity = derivative(motor, dt)
     acceleration = derivative(velocity, dt)
-    slow = slow_filter(dt) if swinging else low_pass
-    followed = slow.motion(followed)
-    links, swing = link_motion(robot, followed, dt, slow), None
-    if swinging:
-        links, swing = _swinging(robot, motor, followed - links.position, links, slow)
-    if swing is None:
+    slow = slow_filter(dt) if vibrating else low_pass
+    followed = slow.filter_motion(followed)
+    links, vibration = quasi_static_links(robot, followed, dt, slow), None
+    if vibrating:
+        links, vibration = _vibrating_links(robot, motor, followed - links.position, links, slow)
+    if vibration is None:
         # Each joint in one piece of memory, of which no copy is made for its effects.
         links = LinkMotion(
             *(np.asfortranarray(getattr(links, part.name)) for part in fields(LinkMotion))
@@ -223,9 +225,9 @@ def prepare(
         motor, velocity, acceleration = map(np.asfortranarray, (motor, velocity, acceleration))
     q, v, a = links.position, links.velocity, links.acceleration
     windup = robot.windup(links.spring)
-    direction = smooth_sign(velocity) if swing is None else mean_sign(velocity)
+    direction = smooth_sign(velocity) if vibration is None else mean_sign(velocity)
     friction = robot.friction(velocity, direction)
-    if swing is not None:
+    if vibration is not None:
         friction = wide(friction)
     drive = robot.rotor_inertia * acceleration + links.torque + friction
     signals = RobotSignals(
@@ -246,7 +248,7 @@ def prepare(
         windup=windup,
         drive_torque=drive,
         drive_torque_rate=derivative(low_pass(drive), dt),
-        arm=ArmAlong(robot, q, v, a),
+        arm=LazyArmSignals(robot, q, v, a),
         last_link=robot.n - 1,
         link=robot.n - 1,
         constants=constants or robot.constants,
@@ -257,7 +259,7 @@ def prepare(
     gap = near_gaps(run.time, run.step, time, low_pass.settling)
     used = inside & ~gap
     deflection = position - link
-    standing = _widened(~moving, int(1.0 / (low_pass.cutoff * dt)))
+    standing = _dilate_flags(~moving, int(1.0 / (low_pass.cutoff * dt)))
     return PreparedRun(
         name=run.name,
         role=run.role,
@@ -270,8 +272,8 @@ def prepare(
         deflection_used=used[:, None] & np.isfinite(deflection),
         moving=moving,
         low_pass=low_pass,
-        followed=wide,
-        swing=swing,
+        motion_filter=wide,
+        vibration=vibration,
     )
 
 
@@ -291,7 +293,7 @@ def with_link_torque(prepared: PreparedRun, robot: RobotModel, added: np.ndarray
     )
 
 
-def uniform(run: RecordedRun) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def resample_uniform(run: RecordedRun) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Channels on an even clock: a motion smooth between the stamps, a torque linear."""
     step = run.step
     count = int(np.floor((run.time[-1] - run.time[0]) / step + 1e-6)) + 1
@@ -305,17 +307,17 @@ def uniform(run: RecordedRun) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nd
     if count == len(run.time) and np.allclose(time, run.time, rtol=0.0, atol=1e-3 * step):
         return (time, *(np.array(c, dtype=float) for c in channels))
     motor, link, torque = channels
-    motion = (smoothly(run.time, position, time) for position in (motor, link))
-    return (time, *motion, _resampled(run.time, torque, time))
+    motion = (interpolate_motion(run.time, position, time) for position in (motor, link))
+    return (time, *motion, _interpolate_linear(run.time, torque, time))
 
 
-def smoothly(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.ndarray:
+def interpolate_motion(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Positions (K, n) at other times (R, n) by cubic splines; nan where a column is empty.
 
     A straight line over one sample that is missing cuts a turn short by 20 um at 10 m/s^2, and
-    springs swing on from there. Longer gaps are mostly motors that stand still: straight.
+    springs vibration on from there. Longer gaps are mostly motors that stand still: straight.
     """
-    bridged = _resampled(stamps, samples, time)
+    bridged = _interpolate_linear(stamps, samples, time)
     for out, column in zip(bridged.T, samples.T, strict=True):
         known = np.isfinite(column)
         if np.count_nonzero(known) < 2:
@@ -323,12 +325,16 @@ def smoothly(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.nd
             continue
         told = stamps[known]
         apart = np.diff(told)[np.clip(np.searchsorted(told, time) - 1, 0, len(told) - 2)]
-        near = (apart < _BRIDGED * np.median(np.diff(told))) & (time > told[0]) & (time < told[-1])
+        near = (
+            (apart < _MAX_SPLINE_STEPS * np.median(np.diff(told)))
+            & (time > told[0])
+            & (time < told[-1])
+        )
         out[near] = CubicSpline(told, column[known])(time[near])
     return bridged
 
 
-def _resampled(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.ndarray:
+def _interpolate_linear(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.ndarray:
     columns = []
     for column in samples.T:
         known = np.isfinite(column)
@@ -339,7 +345,7 @@ def _resampled(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.
     return np.column_stack(columns)
 
 
-def whole(samples: np.ndarray) -> np.ndarray:
+def bridge_gaps(samples: np.ndarray) -> np.ndarray:
     """Single missing samples bridged, so that the filter can pass."""
     out = samples.copy()
     for column in out.T:
@@ -350,42 +356,42 @@ def whole(samples: np.ndarray) -> np.ndarray:
     return out
 
 
-def link_motion(
+def quasi_static_links(
     robot: RobotModel, motor: np.ndarray, dt: float, low_pass: ZeroPhaseFilter
 ) -> LinkMotion:
     """Link motion and spring torque that agree with each other and with the motors' motion."""
     q = motor
-    for _ in range(_ROUNDS if robot.elastic else 0):
+    for _ in range(_WINDUP_ITERATIONS if robot.elastic else 0):
         v = derivative(q, dt)
-        spring = low_pass.motion(robot.spring_torque(q, v, derivative(v, dt)))
-        q = low_pass.motion(motor - robot.windup(spring))
+        spring = low_pass.filter_motion(robot.spring_torque(q, v, derivative(v, dt)))
+        q = low_pass.filter_motion(motor - robot.windup(spring))
     v = derivative(q, dt)
     a = derivative(v, dt)
     torque = robot.spring_torque(q, v, a)
     return LinkMotion(q, v, a, torque, torque)
 
 
-def _swinging(
+def _vibrating_links(
     robot: RobotModel,
     motor: np.ndarray,
     deflection: np.ndarray,
     balanced: LinkMotion,
     slow: ZeroPhaseFilter,
-) -> tuple[LinkMotion, Swing | None]:
-    """Links that swing behind the motors; they begin as near to a slow deflection as can be."""
+) -> tuple[LinkMotion, Vibration | None]:
+    """Links that vibration behind the motors; they begin as near to a slow deflection as can be."""
     dt = 1.0 / slow.rate
     speed = derivative(motor, dt)
     rate = derivative(deflection, dt)
     springs = Springs(robot, motor, speed, dt)
-    begin = springs.motion(
+    begin = springs.with_torques(
         motor - deflection, speed - rate, derivative(speed, dt) - derivative(rate, dt)
     )
-    swing = springs.swing(begin)
-    links = springs.started(begin, swing)
-    return (balanced, None) if links is None else (links, swing)
+    vibration = springs.linearise(begin)
+    links = springs.solve_from_slow(begin, vibration)
+    return (balanced, None) if links is None else (links, vibration)
 
 
-def _widened(flags: np.ndarray, reach: int) -> np.ndarray:
+def _dilate_flags(flags: np.ndarray, reach: int) -> np.ndarray:
     """Flags (K, n) spread to `reach` samples on either side."""
     padded = np.cumsum(np.vstack([np.zeros((1, flags.shape[1])), flags.astype(float)]), axis=0)
     places = np.arange(len(flags))

@@ -45,19 +45,19 @@ class ChannelRows:
     def __init__(self, runs: Sequence[PreparedRun], noise: ChannelNoise, blocks: int = 1) -> None:
         self.runs, self.noise = tuple(runs), noise
         self.n = self.runs[0].torque.shape[1]
-        self._places = [self._of_run(run, blocks) for run in self.runs]
+        self._places = [self._locate_rows(run, blocks) for run in self.runs]
         self.channel = np.concatenate([p.channel for p in self._places])
         self.block = np.concatenate(
             [p.block + k * blocks for k, p in enumerate(self._places)]
         ).astype(int)
         self.size = len(self.channel)
         sizes = np.array([[len(where) for where in p.samples] for p in self._places])
-        self._begins = (np.cumsum(sizes) - sizes.ravel()).reshape(sizes.shape)
+        self._first_rows = (np.cumsum(sizes) - sizes.ravel()).reshape(sizes.shape)
         counts = np.bincount(self.channel, minlength=2 * self.n)
         self.channels = np.flatnonzero(counts > 0)
         self.counts = counts
 
-    def _of_run(self, run: PreparedRun, blocks: int) -> _Places:
+    def _locate_rows(self, run: PreparedRun, blocks: int) -> _RowPlaces:
         """Samples that become rows, channel by channel."""
         step = run.low_pass.step
         grid = np.arange(0, len(run.time), step)
@@ -78,8 +78,8 @@ class ChannelRows:
                 samples.append(grid[kept])
                 channels.append(np.full(sizes[-1], kind * self.n + j))
                 block_ids.append(own[kept])
-        first = run.low_pass.first_whole
-        return _Places(
+        first = run.low_pass.first_unpadded_row
+        return _RowPlaces(
             samples=tuple(samples),
             rows=tuple(where // step - first for where in samples),
             channel=np.concatenate(channels),
@@ -99,10 +99,10 @@ class ChannelRows:
         """
         out = np.zeros(self.size)
         for number, both in enumerate(zip(torque, deflection, strict=True)):
-            self.put(out, number, *both)
+            self.fill_run(out, number, *both)
         return out
 
-    def put(
+    def fill_run(
         self, out: np.ndarray, number: int, torque: np.ndarray | None, deflection: np.ndarray | None
     ) -> None:
         """Put what is added to the channels (K, n) of one run (from 0) into its rows of a column.
@@ -113,14 +113,14 @@ class ChannelRows:
         number : int
         torque, deflection : array (K, n) or None
         """
-        run, places, begins = self.runs[number], self._places[number], self._begins[number]
+        run, places, begins = self.runs[number], self._places[number], self._first_rows[number]
         for kind, values in enumerate((torque, deflection)):
             own = slice(kind * self.n, (kind + 1) * self.n)
             if values is None or not any(len(where) for where in places.samples[own]):
                 continue
             scale = (self.noise.torque, self.noise.deflection)[kind]
             acted = np.flatnonzero(np.any(values, axis=0))
-            passed = run.low_pass.thinned(np.ascontiguousarray(values[:, acted]))
+            passed = run.low_pass.decimate(np.ascontiguousarray(values[:, acted]))
             for j, column in zip(acted, passed.T, strict=True):
                 where = places.rows[kind * self.n + j]
                 begin = begins[kind * self.n + j]
@@ -128,7 +128,7 @@ class ChannelRows:
                     scale[j] * run.low_pass.noise_gain
                 )
 
-    def of_channels(
+    def channel_columns(
         self, number: int, own: Sequence[tuple[str, int, int, np.ndarray]], count: int
     ) -> Iterator[tuple[int, np.ndarray]]:
         """Columns of rows from what they add to single channels of one run (from 0).
@@ -147,8 +147,8 @@ class ChannelRows:
         """
         if not own:
             return
-        run, places, begins = self.runs[number], self._places[number], self._begins[number]
-        passed = run.low_pass.thinned(np.stack([values for *_, values in own], axis=1))
+        run, places, begins = self.runs[number], self._places[number], self._first_rows[number]
+        passed = run.low_pass.decimate(np.stack([values for *_, values in own], axis=1))
         found: dict[int, np.ndarray] = {}
         for (kind, joint, column, _), values in zip(own, passed.T, strict=True):
             of_kind = kind == "deflection"
@@ -160,7 +160,7 @@ class ChannelRows:
         for channel, columns in found.items():
             yield int(begins[channel]), columns
 
-    def sampled(self, signal: Callable[[PreparedRun], np.ndarray]) -> np.ndarray:
+    def sample_signal(self, signal: Callable[[PreparedRun], np.ndarray]) -> np.ndarray:
         """Values of a signal (K, ...) of each run at every row (m, ...)."""
         parts = []
         for run, places in zip(self.runs, self._places, strict=True):
@@ -170,7 +170,7 @@ class ChannelRows:
 
 
 @dataclass(frozen=True, eq=False)
-class _Places:
+class _RowPlaces:
     samples: tuple[np.ndarray, ...]
     rows: tuple[np.ndarray, ...]
     channel: np.ndarray

@@ -93,7 +93,7 @@ class JointConstants:
         return replace(self.chain, stages=stages)
 
     @cached_property
-    def _curve(self) -> tuple[Slopes, Corners] | None:
+    def _reducer_curve(self) -> tuple[Slopes, Corners] | None:
         if self._reducer is None:
             return None
         own, down, counts = self._reducer.element, self._reducer.reduction, self._reducer.counts
@@ -105,12 +105,12 @@ class JointConstants:
     @property
     def slopes(self) -> Slopes | None:
         """K1, K2, K3 of the reducer, seen from the joint [N m/rad]; None without one."""
-        return None if self._curve is None else self._curve[0]
+        return None if self._reducer_curve is None else self._reducer_curve[0]
 
     @property
     def corners(self) -> Corners | None:
         """T1, T2, where the reducer's slope changes, seen from the joint [N m]."""
-        return None if self._curve is None else self._curve[1]
+        return None if self._reducer_curve is None else self._reducer_curve[1]
 
     @cached_property
     def contact_stiffness(self) -> float:
@@ -125,12 +125,20 @@ class JointConstants:
         The three slopes of the reducer are the catalogue's own, unsmoothed.
         """
         angle = self._contacts.windup(torque)
-        return angle if self._curve is None else angle + reducer_windup(torque, *self._curve)
+        return (
+            angle
+            if self._reducer_curve is None
+            else angle + reducer_windup(torque, *self._reducer_curve)
+        )
 
     def compliance(self, torque: Quantity) -> Quantity:
         """Slope of the nominal wind-up [rad/(N m)]; takes symbols."""
         slope = self._contacts.tangent_compliance(torque)
-        return slope if self._curve is None else slope + reducer_compliance(torque, *self._curve)
+        return (
+            slope
+            if self._reducer_curve is None
+            else slope + reducer_compliance(torque, *self._reducer_curve)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -250,10 +258,10 @@ class ArmSignals(Protocol):
     def tilt(self) -> Quantity:
         """Change of the spring torques for a turn of the base about x and y (K, n, 2) [N m/rad]."""
 
-    def until(self, count: int) -> ArmSignals:
+    def head(self, count: int) -> ArmSignals:
         """The first samples."""
 
-    def thinned(self, every: int) -> ArmSignals:
+    def decimate(self, every: int) -> ArmSignals:
         """Every so many samples."""
 
     def with_bodies(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> ArmSignals:
@@ -303,15 +311,15 @@ class RobotSignals(MotionSignals):
         """As of the arm."""
         return self.arm.tilt
 
-    def until(self, count: int) -> RobotSignals:
+    def head(self, count: int) -> RobotSignals:
         """The first samples."""
-        return self._of_samples(slice(count), self.arm.until(count))
+        return self._select_samples(slice(count), self.arm.head(count))
 
-    def thinned(self, every: int) -> RobotSignals:
+    def decimate(self, every: int) -> RobotSignals:
         """Every so many samples; the clock stays."""
-        return self._of_samples(slice(None, None, every), self.arm.thinned(every))
+        return self._select_samples(slice(None, None, every), self.arm.decimate(every))
 
-    def _of_samples(self, samples: slice, arm: ArmSignals) -> RobotSignals:
+    def _select_samples(self, samples: slice, arm: ArmSignals) -> RobotSignals:
         fields = {name: value for name, value in vars(self).items() if np.ndim(value) > 0}
         kept: dict[str, Any] = {name: value[samples] for name, value in fields.items()}
         return replace(self, arm=arm, **kept)
@@ -338,12 +346,12 @@ class RobotSignals(MotionSignals):
             previous_velocity=before("motor_velocity"),
             previous_acceleration=before("motor_acceleration"),
             constants=self.constants.joints[index],
-            **{name: own(name) for name in OF_EACH_JOINT},
+            **{name: own(name) for name in JOINT_SIGNAL_NAMES},
         )
 
 
 # Signals that every joint has of its own.
-OF_EACH_JOINT = (
+JOINT_SIGNAL_NAMES = (
     "temperature_rise",
     "motor_position",
     "motor_velocity",

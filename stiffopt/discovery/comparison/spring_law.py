@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 # Of the largest torque, changes by less of which have no mean slope.
-_STILL = 1e-9
+_MIN_TORQUE_CHANGE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,13 +34,13 @@ class SpringLaw:
     windup: np.ndarray
 
     @cached_property
-    def steepest(self) -> float:
+    def max_stiffness(self) -> float:
         """Largest slope of its torque [N m/rad]."""
-        return float(1.0 / np.min(self._slopes))
+        return float(1.0 / np.min(self._interval_compliance))
 
     def share_of_play(self, deflection: np.ndarray) -> np.ndarray:
         """Of rates of deflections (k,), what share is free travel."""
-        cell = self._cell(self.deflection, deflection)
+        cell = self._interval(self.deflection, deflection)
         return np.asarray(1.0 - (np.diff(self.windup) / np.diff(self.deflection))[cell])
 
     def play(self, deflection: np.ndarray) -> np.ndarray:
@@ -49,9 +49,9 @@ class SpringLaw:
 
     def torque(self, deflection: np.ndarray) -> np.ndarray:
         """Torque [N m] of deflections (k,) [rad]."""
-        cell = self._cell(self.deflection, deflection)
+        cell = self._interval(self.deflection, deflection)
         along = deflection - self.deflection[cell]
-        return np.asarray(self.carried[cell] + along / self._slopes[cell])
+        return np.asarray(self.carried[cell] + along / self._interval_compliance[cell])
 
     def compliance(self, torque: np.ndarray) -> np.ndarray:
         """Mean slope of the deflection [rad/(N m)] over the time that each sample (k,) stands for.
@@ -63,14 +63,14 @@ class SpringLaw:
         before = np.concatenate([passed[:1], middle])
         after = np.concatenate([middle, passed[-1:]])
         change = self.torque(after) - self.torque(before)
-        still = np.abs(change) < _STILL * np.max(np.abs(torque))
-        here = self._slopes[self._cell(self.carried, torque)]
+        still = np.abs(change) < _MIN_TORQUE_CHANGE * np.max(np.abs(torque))
+        here = self._interval_compliance[self._interval(self.carried, torque)]
         return np.asarray(np.where(still, here, (after - before) / np.where(still, 1.0, change)))
 
     @cached_property
-    def _slopes(self) -> np.ndarray:
+    def _interval_compliance(self) -> np.ndarray:
         return np.diff(self.deflection) / np.diff(self.carried)
 
     @staticmethod
-    def _cell(entries: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def _interval(entries: np.ndarray, values: np.ndarray) -> np.ndarray:
         return np.clip(np.searchsorted(entries, values, "right") - 1, 0, len(entries) - 2)

@@ -1,4 +1,4 @@
-"""Links that swing on the springs of their joints as the motors' recorded motion makes them.
+"""Links that vibration on the springs of their joints as the motors' recorded motion makes them.
 
 Motor motion in, link motion and spring torque out: a mode within the band of the recordings is then
 part of what the model explains. Small changes (of masses, springs, damping) move the links along
@@ -14,17 +14,17 @@ import numpy as np
 from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter
 from stiffopt.elastic.response import SwingResponse
 
-# Of the wind-up that links are taken to have at first, without swing [Hz].
+# Of the wind-up that links are taken to have at first, without vibration [Hz].
 SLOW_CUTOFF = 20.0
 # Modes that ring longer than that filter takes to settle [Hz].
-_RINGING = 80.0
-# Of a swing, by which positions and velocities are compared [rad/s].
-_RATE = 60.0
+_MAX_RINGING_FREQUENCY = 80.0
+# Of a vibration, by which positions and velocities are compared [rad/s].
+_POSITION_WEIGHT = 60.0
 # Rounds of weights in which a sum of distances becomes least, and the distance, of a usual one,
 # below which all count alike.
-_WEIGHINGS, _ALIKE = 8, 1e-2
+_REWEIGHTING_ROUNDS, _MIN_RELATIVE_DISTANCE = 8, 1e-2
 # Of its largest stiffness, which a spring has that carries.
-_CARRIES = 0.1
+_MIN_CARRYING_SHARE = 0.1
 
 
 def slow_filter(dt: float) -> ZeroPhaseFilter:
@@ -52,7 +52,7 @@ class LinkMotion:
     torque: np.ndarray
     spring: np.ndarray
 
-    def until(self, count: int) -> LinkMotion:
+    def head(self, count: int) -> LinkMotion:
         """Its first samples."""
         return LinkMotion(*(part[:count] for part in vars(self).values()))
 
@@ -61,20 +61,20 @@ class LinkMotion:
         """Position and velocity (n,) of the first sample."""
         return self.position[0], self.velocity[0]
 
-    def less(self, other: LinkMotion) -> LinkMotion:
+    def minus(self, other: LinkMotion) -> LinkMotion:
         """The motion relative to another one; torques stay."""
-        return self.moved(-other.position, -other.velocity, -other.acceleration)
+        return self.shifted(-other.position, -other.velocity, -other.acceleration)
 
-    def apart(self, other: LinkMotion, window: slice) -> np.ndarray:
+    def difference(self, other: LinkMotion, window: slice) -> np.ndarray:
         """Differences to another motion in a window (k, 2 n), as velocities [rad/s]."""
         position, velocity = self.position - other.position, self.velocity - other.velocity
-        return np.concatenate([_RATE * position[window], velocity[window]], axis=1)
+        return np.concatenate([_POSITION_WEIGHT * position[window], velocity[window]], axis=1)
 
     def distance(self, other: LinkMotion, window: slice) -> float:
         """Sum of the distances from another motion in a window [rad/s]."""
-        return float(np.sum(np.linalg.norm(self.apart(other, window), axis=1)))
+        return float(np.sum(np.linalg.norm(self.difference(other, window), axis=1)))
 
-    def moved(self, z: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> LinkMotion:
+    def shifted(self, z: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> LinkMotion:
         """The motion with a change; torques stay."""
         return replace(
             self,
@@ -85,7 +85,7 @@ class LinkMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class Swing:
+class Vibration:
     """Small changes about a link motion.
 
     Parameters
@@ -97,11 +97,11 @@ class Swing:
         Of the joints [N m s/rad].
     bodies : tuple of array (K, n, n)
         Slopes of the torques of the nominal bodies along position, velocity and acceleration.
-    begin : LinkMotion
+    reference : LinkMotion
         Motion that it is about.
-    softer : array (K, n) or float
+    compliance_ratio : array (K, n) or float
         Compliance over the nominal one.
-    heavier : array (K, n, n) or float
+    added_inertia : array (K, n, n) or float
         Added to the nominal inertia [kg m^2].
     """
 
@@ -109,11 +109,11 @@ class Swing:
     stiffness: np.ndarray
     damping: np.ndarray
     bodies: tuple[np.ndarray, np.ndarray, np.ndarray]
-    begin: LinkMotion
-    softer: np.ndarray | float
-    heavier: np.ndarray | float
+    reference: LinkMotion
+    compliance_ratio: np.ndarray | float
+    added_inertia: np.ndarray | float
 
-    def copy(self) -> Swing:
+    def copy(self) -> Vibration:
         """One whose springs may be changed."""
         return replace(self, response=self.response.copy(), stiffness=self.stiffness.copy())
 
@@ -131,7 +131,7 @@ class Swing:
         self.response.change_springs(samples, self.bodies[0][samples] + springs)
 
     @property
-    def possible(self) -> bool:
+    def has_positive_inertia(self) -> bool:
         """Whether its masses can be, along the whole motion: else what swings grows without end."""
         mobility = self.response.mobility
         try:
@@ -141,21 +141,23 @@ class Swing:
         return True
 
     @property
-    def fading(self) -> float:
+    def decay_time(self) -> float:
         """Time in which the mode that rings longest falls to 1/e, as the run begins [s]."""
         frequencies, shapes = self.modes(0)
-        told = shapes[:, (frequencies > 0.0) & (frequencies < _RINGING)]
+        told = shapes[:, (frequencies > 0.0) & (frequencies < _MAX_RINGING_FREQUENCY)]
         rates = 0.5 * np.sum(self.damping[:, None] * told**2, axis=0)
         return float(1.0 / np.min(rates, initial=np.inf)) if np.all(rates > 0.0) else np.inf
 
     @property
-    def carrying(self) -> np.ndarray:
+    def carrying_stiffness(self) -> np.ndarray:
         """Stiffness of the springs (K, n) but for plays that they are within [N m/rad]."""
-        return np.asarray(np.maximum(self.stiffness, _CARRIES * np.max(self.stiffness, axis=0)))
+        return np.asarray(
+            np.maximum(self.stiffness, _MIN_CARRYING_SHARE * np.max(self.stiffness, axis=0))
+        )
 
     def modes(self, sample: int) -> tuple[np.ndarray, np.ndarray]:
         """As of the response, at the sample nearest by in which no spring is within its play."""
-        carried = np.flatnonzero(np.all(self.stiffness >= self.carrying, axis=1))
+        carried = np.flatnonzero(np.all(self.stiffness >= self.carrying_stiffness, axis=1))
         near = carried[np.argmin(np.abs(carried - sample))] if carried.size else sample
         return self.response.modes(int(near))
 
@@ -164,14 +166,14 @@ class Swing:
         weight, rate, inertia = self.bodies
         springs, dampers = self.stiffness * away.position, self.damping * away.velocity
         parts = (
-            (inertia + self.heavier, away.acceleration),
+            (inertia + self.added_inertia, away.acceleration),
             (rate, away.velocity),
             (weight, away.position),
         )
         needed = sum((matrix @ moved[..., None])[..., 0] for matrix, moved in parts)
         return np.asarray(needed + springs + dampers)
 
-    def answer(
+    def respond(
         self, link_torque: np.ndarray | None, deflection: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Change of torque and deflection (K, n) between motor and link.
@@ -188,7 +190,7 @@ class Swing:
         z, velocity = self.response.moved(-np.asarray(needed))
         return -self.stiffness * z - pushed - self.damping * velocity, -z
 
-    def pushed(
+    def respond_at_joints(
         self, joints: np.ndarray, link_torque: np.ndarray, deflection: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Changes as `answer` gives them, (m, K, n) each, of m pushes (m, K), each at one joint."""
@@ -198,31 +200,31 @@ class Swing:
         torque[np.arange(len(joints)), :, joints] -= wound
         return torque, -z
 
-    def begun_near(self, links: LinkMotion, near: LinkMotion, window: slice) -> LinkMotion:
+    def with_nearest_start(self, links: LinkMotion, near: LinkMotion, window: slice) -> LinkMotion:
         """Link motion that begins otherwise, so that it is nearest to another one in a window.
 
         In modes that have not fallen off before it. The sum of distances counts, not of their
         squares: a corner of the motion swings links aside and passes, what a run began with rings
         on.
         """
-        states = self._states(_RINGING)
+        states = self._mode_states(_MAX_RINGING_FREQUENCY)
         if not states.size:
             return links
         free = self.response.free(states)
-        basis = np.concatenate([_RATE * free[0][window], free[1][window]], axis=1)
-        away = near.apart(links, window)
+        basis = np.concatenate([_POSITION_WEIGHT * free[0][window], free[1][window]], axis=1)
+        away = near.difference(links, window)
         weight = np.ones(len(away))
-        for _ in range(_WEIGHINGS):
+        for _ in range(_REWEIGHTING_ROUNDS):
             weighted = (basis * weight[:, None, None]).reshape(away.size, -1)
             state = np.linalg.lstsq(weighted, (away * weight[:, None]).ravel())[0]
             distance = np.linalg.norm(away - basis @ state, axis=1)
             usual = float(np.sqrt(np.mean(distance**2)))
             if not usual:
                 break
-            weight = 1.0 / np.sqrt(np.maximum(distance / usual, _ALIKE))
-        return links.moved(*(part @ state for part in free))
+            weight = 1.0 / np.sqrt(np.maximum(distance / usual, _MIN_RELATIVE_DISTANCE))
+        return links.shifted(*(part @ state for part in free))
 
-    def starts(self, deflection: np.ndarray, band: float) -> np.ndarray:
+    def initial_states(self, deflection: np.ndarray, band: float) -> np.ndarray:
         """Displacements and speeds (2 n, m) of the swings that a run may begin with.
 
         Each as large as the run's own motion of its springs.
@@ -234,16 +236,16 @@ class Swing:
         band : float
             Modes up to this frequency are told [Hz].
         """
-        states = self._states(band)
+        states = self._mode_states(band)
         n = self.response.n
         energy = float(np.sum(self.stiffness[0] * np.var(deflection, axis=0)))
         own = np.sum(self.stiffness[0] * states[:n, ::2].T ** 2, axis=1)
         return np.asarray(states * np.repeat(np.sqrt(energy / own), 2))
 
-    def _states(self, band: float) -> np.ndarray:
+    def _mode_states(self, band: float) -> np.ndarray:
         """Displacement and velocity (2 n, m) of every mode up to a frequency [Hz], in pairs.
 
-        None of masses that cannot be, as a fit on its way may have them: their swing would grow.
+        None of masses that cannot be, as a fit on its way may have them: their vibration would grow.
         """
         frequencies, shapes = self.modes(0)
         still = np.zeros(self.response.n)
@@ -256,7 +258,7 @@ class Swing:
                 states.append(np.column_stack([np.append(shape, still), moving]))
         return np.hstack(states)
 
-    def left_alone(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def free_vibration(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Torque and deflection (K, n, m) of swings from displacements and speeds (2 n, m)."""
         z, velocity, _ = self.response.free(state)
         return -self.stiffness[..., None] * z - self.damping[:, None] * velocity, -z

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import PreparedRun, prepare
+from stiffopt.discovery.comparison.prepare import PreparedRun, prepare_run
 from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import Training
@@ -171,4 +171,4 @@ def prepared_motion(
         torque=np.where(has_torque, np.zeros_like(position), np.nan),
         faults=(),
     )
-    return prepare(training.robot, run, 0, constants, settings, swinging=False)
+    return prepare_run(training.robot, run, 0, constants, settings, vibrating=False)

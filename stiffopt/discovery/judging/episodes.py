@@ -132,8 +132,8 @@ def training_tracks(comparison: Comparison, fit: Fit) -> list[Track]:
     def place(run: PreparedRun) -> np.ndarray:
         return np.arange(len(run.time))
 
-    number = rows.sampled(lambda run: np.full(len(run.time), comparison.runs.index(run)))
-    places = rows.sampled(place)
+    number = rows.sample_signal(lambda run: np.full(len(run.time), comparison.runs.index(run)))
+    places = rows.sample_signal(place)
     tracks = []
     for index, run in enumerate(comparison.runs):
         own = number == index

@@ -17,7 +17,7 @@ import numpy as np
 
 from stiffopt.discovery.comparison.bodies import A_BODY, body_units, nominal_bodies
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.located_effect import LocatedEffect, places
+from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer
 from stiffopt.discovery.search.left_out import LeftOut
@@ -177,7 +177,7 @@ def _widths(
     n = comparison.robot.n
     free = comparison.with_bodies(_deviations(comparison, (WIDTHS[-1],) * n))
     for _ in range(_ROUNDS):
-        free = free.about(free.fit(effects))
+        free = free.linearised_at(free.fit(effects))
     left_out = LeftOut(free, effects)
     widths = [OF_A_BODY[0]] * n
     least = left_out.squares(_deviations(comparison, widths).ravel())
@@ -217,7 +217,7 @@ def _counterweights(
             LeftOut(free, [*effects, located]).squares(held)
             for entry in catalogue
             if entry.twin
-            for located in places(entry, free.constants, ())
+            for located in effect_places(entry, free.constants, ())
             if located.joint == body
         ]
         gain = squares - min(instead, default=math.inf)
@@ -240,7 +240,7 @@ def _best_single(
     for entry in catalogue:
         if entry.family != "inertial" or entry.scope not in ("link", "robot"):
             continue
-        for located in places(entry, scorer.comparison.constants, ()):
+        for located in effect_places(entry, scorer.comparison.constants, ()):
             if any(located.same_place(other) for other in scorer.base):
                 continue
             tell(f"re-identify the rigid model: {located.label} in place of all")
