@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.real_peers import Motion
-from stiffopt.discovery.comparison.prepare import prepare_run
+from stiffopt.discovery.comparison.prepared_run import prepare_run
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.proof.predict import Prediction
 from stiffopt.recording.run import RecordedRun

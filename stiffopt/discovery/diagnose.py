@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from stiffopt.discovery.catalogue import CATALOGUE, effects_of_runs
-from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.conclusions import findings_of, next_experiment, verdict_of
 from stiffopt.discovery.diagnosis import (
     Diagnosis,

@@ -11,16 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from stiffopt.symbolic import Quantity
 
 if TYPE_CHECKING:
-    from stiffopt.discovery.comparison.extension import EstimatedEffect
-    from stiffopt.discovery.comparison.signals import JointConstants, RobotConstants
+    from stiffopt.discovery.signals import JointConstants, RobotConstants
     from stiffopt.robot.robot import Robot
 
-    # Of a joint for an effect of a joint, else of the robot; ranges that the runs meet among them.
+    # Constants of the joint for an effect of a joint, else of the robot.
     Constants = JointConstants | RobotConstants
 
 Scope = Literal["joint", "robot", "link", "run"]
@@ -163,10 +162,26 @@ class RobotChange:
     sentence: str
 
 
-# (robot, finding, joint of the robot from 0, constants that the finding was fitted with) -> the
-# changed robot; None where a planner computes with nothing of it. The joint is that of the finding,
-# the one that moves its link, or the last.
-ChangeRobot = Callable[["Robot", "EstimatedEffect", int, "JointConstants"], RobotChange | None]
+class FittedEffect(Protocol):
+    """An effect of the catalogue with fitted amplitudes and shapes, at a joint, link or run."""
+
+    @property
+    def effect(self) -> Effect:
+        """Entry of the catalogue."""
+
+    @property
+    def amplitudes(self) -> tuple[float, ...]:
+        """Fitted amplitudes in their own units."""
+
+    @property
+    def shapes(self) -> tuple[float, ...]:
+        """Fitted shapes in their own units."""
+
+
+# (robot, finding, joint of the robot from 0, constants at the fit) -> the changed robot; None where
+# a planner's model has no such effect. The joint is that of the finding, the one that moves its
+# link, or the last.
+ChangeRobot = Callable[["Robot", FittedEffect, int, "JointConstants"], RobotChange | None]
 
 
 @dataclass(frozen=True, kw_only=True)

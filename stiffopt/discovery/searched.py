@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.model import ExtendedModel
 from stiffopt.discovery.judging.episodes import (

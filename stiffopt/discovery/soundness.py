@@ -10,14 +10,14 @@ from typing import get_args
 import casadi as ca
 import numpy as np
 
-from stiffopt.discovery.comparison.signals import (
+from stiffopt.discovery.effect import Effect, Need, Scope, Term
+from stiffopt.discovery.signals import (
     JointConstants,
     JointSignals,
     RobotConstants,
     RobotSignals,
     smooth_sign,
 )
-from stiffopt.discovery.effect import Effect, Need, Scope, Term
 from stiffopt.recording.nominal_files import joint_chain
 from stiffopt.symbolic import Quantity, is_symbolic
 

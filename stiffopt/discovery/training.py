@@ -8,18 +8,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.bands import choose_bands
-from stiffopt.discovery.comparison.begun import estimate_initial_states
-from stiffopt.discovery.comparison.channel_noise import KnownNoise, known_noise
-from stiffopt.discovery.comparison.columns import MIN_RUNS_AS_BLOCKS, fill_missing
+from stiffopt.discovery.comparison.channel_rows import KnownNoise, known_noise
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
+from stiffopt.discovery.comparison.filtering import fill_missing
+from stiffopt.discovery.comparison.initial_states import estimate_initial_states
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import merge_tolerances
-from stiffopt.discovery.comparison.prepare import PreparedRun, prepare_run
-from stiffopt.discovery.comparison.signals import RobotConstants
+from stiffopt.discovery.comparison.prepared_run import PreparedRun, prepare_run
 from stiffopt.discovery.extended.left_open import assumed, least_factors, with_bands
 from stiffopt.discovery.extended.model import ExtendedModel, check_extended
 from stiffopt.discovery.settings import FIXED, PREDICTED_CUTOFF, Settings
+from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.thresholds import MOST_EFFECTS, MOST_EFFECTS_FREE
 from stiffopt.errors import InputFileError
 from stiffopt.recording.assumptions import NO_RATIO

@@ -10,9 +10,8 @@ from benchmarks.simulator import simulate, write_case
 from stiffopt import load_recordings
 from stiffopt.discovery.catalogue.elastic import BACKLASH
 from stiffopt.discovery.comparison.extended_run import linearise_run
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.extension_change import spring_laws
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import train
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from swivel_sets import recorded, swivel_model
 
-from stiffopt.discovery.comparison import arm_along
-from stiffopt.discovery.comparison.arm_along import LazyArmSignals
-from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison import nominal_robot
+from stiffopt.discovery.comparison.nominal_robot import LazyArmSignals, RobotModel
 from stiffopt.recording.recording_set import load_recordings
 
 COUNT = 50
@@ -26,7 +25,7 @@ def arms(robot):
 
 def test_those_asked_for_last_are_kept(robot, arms, monkeypatch):
     size = arms[0].body_regressor.of(0).nbytes
-    monkeypatch.setattr(arm_along, "_BODY_TORQUE_CACHE_BYTES", 2 * size)
+    monkeypatch.setattr(nominal_robot, "_BODY_TORQUE_CACHE_BYTES", 2 * size)
     first = arms[0].body_regressor.of(0)
     assert arms[0].body_regressor.of(0) is first
     for arm in arms:

@@ -10,7 +10,7 @@ import pytest
 from simulated_sets import COULOMB, simulated
 
 from benchmarks.simulator import write_case
-from stiffopt.discovery.comparison.begun import estimate_initial_states, with_initial_state
+from stiffopt.discovery.comparison.initial_states import estimate_initial_states, with_initial_state
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.thresholds import BURST_RATIO

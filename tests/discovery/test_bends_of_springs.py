@@ -8,10 +8,9 @@ from simulated_sets import COULOMB, simulated
 
 from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.comparison import swung_run
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
+from stiffopt.discovery.comparison import extended_run
 from stiffopt.discovery.comparison.extension_change import relative_compliance
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import train
 from stiffopt.recording.recording_set import load_recordings
@@ -73,14 +72,14 @@ def test_a_belt_is_as_soft_as_it_is_at_once(creeping):
 def test_links_are_followed_with_a_belt_that_creeps_in_a_few_rounds(creeping, monkeypatch):
     """With the slope of a belt that has settled it took hundreds, and some found no motion."""
     run, robot, extension = creeping
-    rounds, change_of = [], swung_run.change_of
+    rounds, whole_change = [], extended_run.extension_change
 
     def counted(*given):
         rounds.append(1)
-        return change_of(*given)
+        return whole_change(*given)
 
-    monkeypatch.setattr(swung_run, "change_of", counted)
-    found = swung_run.simulate_links(run, robot, extension)
+    monkeypatch.setattr(extended_run, "extension_change", counted)
+    found = extended_run.simulate_links(run, robot, extension)
     (added,) = (e.located.contribution(found, e.amplitudes) for e in extension.effects)
     assert np.max(np.abs(added.deflection)) > 1e-4
     np.testing.assert_allclose(found.added_deflection, added.deflection, atol=1e-6)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stiffopt.discovery.comparison.bodies import (
+from stiffopt.discovery.comparison.evidence import AddedColumnsPosterior, BlockSums, posterior
+from stiffopt.discovery.comparison.inertial_parameters import (
     inertial_parameters,
     is_consistent,
+    likeliest_consistent_bodies,
     pseudo_inertia,
 )
-from stiffopt.discovery.comparison.evidence import AddedColumnsPosterior, BlockSums, posterior
-from stiffopt.discovery.comparison.nearest_bodies import likeliest_consistent_bodies
 
 # A rod of 2 kg along x from its joint's origin: 0.4 m long, its inertia about the origin.
 ROD = np.array([[2.0, 0.4, 0.0, 0.0, 0.002, 0.0, 0.11, 0.0, 0.0, 0.11]])

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from stiffopt.discovery.catalogue import CATALOGUE, confused_with, effect
 from stiffopt.discovery.catalogue.common import WEIGHT
-from stiffopt.discovery.comparison.signals import JointConstants
+from stiffopt.discovery.signals import JointConstants
 from stiffopt.discovery.soundness import (
     PARTS,
     faults,

@@ -9,9 +9,8 @@ from simulated_sets import COULOMB, simulated
 
 from benchmarks.simulator import write_case
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.comparison.columns import DesignMatrix
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.design_matrix import DesignMatrix
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import train
 from stiffopt.recording.recording_set import load_recordings

@@ -14,8 +14,7 @@ from benchmarks.simulator import ROBOTS, CaseSpec, simulate
 from benchmarks.simulator import integrator as simulator
 from stiffopt.cli import run
 from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.comparison.extension import EstimatedEffect
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, LocatedEffect
 from stiffopt.discovery.soundness import sample_signals
 from stiffopt.discovery.training import _check_damping
 from stiffopt.errors import InputFileError

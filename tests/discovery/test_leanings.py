@@ -9,8 +9,7 @@ import pytest
 from shipped_set import SHIPPED
 
 from stiffopt.discovery.catalogue import effect
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.judging.left_open import doubted_by_left_open, open_section
 from stiffopt.discovery.search.uncertainty import estimate
 from stiffopt.discovery.settings import Settings

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from stiffopt.discovery.comparison.signals import JointConstants
+from stiffopt.discovery.signals import JointConstants
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.exact.chain import exact_compliance, exact_windup
 from stiffopt.recording.nominal_files import joint_chain

@@ -15,8 +15,7 @@ import pytest
 from stiffopt.cli import run as command
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.catalogue.robot_change import ADDED_SPRING_NAME
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.extended.made_for import made_for
 from stiffopt.discovery.extended.model import ExtendedModel, load_extended
 from stiffopt.discovery.extended.planner_model import joint_constants, planner_model

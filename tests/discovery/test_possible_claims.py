@@ -9,10 +9,10 @@ import pytest
 
 from stiffopt.discovery.catalogue import effect
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.signals import JointConstants, RobotConstants
 from stiffopt.discovery.identifiable import EffectCheck
 from stiffopt.discovery.judging.unexplained import _period
 from stiffopt.discovery.search.identifiable_effects import identifiable_effects
+from stiffopt.discovery.signals import JointConstants, RobotConstants
 
 JOINT = JointConstants(
     joint=1,

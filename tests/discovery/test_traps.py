@@ -16,7 +16,7 @@ from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.comparison.located_effect import effect_places
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import prepare_run
+from stiffopt.discovery.comparison.prepared_run import prepare_run
 from stiffopt.discovery.diagnosis import Diagnosis
 from stiffopt.discovery.settings import Settings
 from stiffopt.discovery.training import train

@@ -5,11 +5,11 @@ import pytest
 from simulated_sets import simulated
 
 from benchmarks.simulator import CaseSpec, write_case
-from stiffopt.discovery.comparison.followed import mean_sign, motor_cutoff
-from stiffopt.discovery.comparison.prepare import interpolate_motion
-from stiffopt.discovery.comparison.signals import smooth_sign
+from stiffopt.discovery.comparison.filtering import interpolate_motion
+from stiffopt.discovery.comparison.prepared_run import mean_sign, motor_cutoff
 from stiffopt.discovery.judging.bursts import bursts
 from stiffopt.discovery.settings import SIGN_SPEED, Settings
+from stiffopt.discovery.signals import smooth_sign
 from stiffopt.discovery.thresholds import BURST_RATIO
 from stiffopt.discovery.training import train
 from stiffopt.recording.recording_set import load_recordings

@@ -11,11 +11,10 @@ from simulated_sets import simulated
 
 from benchmarks.simulator import CaseSpec, write_case
 from stiffopt.discovery.catalogue import CATALOGUE
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
 from stiffopt.discovery.comparison.extension_change import added_inertia
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import prepare_run
+from stiffopt.discovery.comparison.prepared_run import prepare_run
 from stiffopt.discovery.proof.predict import Predictor
 from stiffopt.discovery.settings import Settings
 from stiffopt.recording.recording_set import load_recordings

@@ -7,16 +7,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import Constants, winds_up, working_compliance
-from stiffopt.discovery.catalogue.history import first_order_lag
+from stiffopt.discovery.catalogue.recurrence import first_order_lag
 from stiffopt.discovery.catalogue.robot_change import (
     TORQUE_SHARES,
     chain_of,
     with_chain,
     with_series_spring,
 )
-from stiffopt.discovery.comparison.extension import EstimatedEffect
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
-from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
 
@@ -42,7 +41,7 @@ def _may_have_belt(constants: JointConstants) -> bool:
 
 
 def put_belt_in_series(
-    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange | None:
     """A spring in series as soft as the belt is once it has settled."""
     compliance = float(sum(found.amplitudes))

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from stiffopt.discovery.comparison.signals import JointConstants
 from stiffopt.discovery.effect import Amplitude
+from stiffopt.discovery.signals import JointConstants
 from stiffopt.symbolic import Quantity, is_symbolic
 
 # A term that no parameter enters linearly is scaled as a whole by this one. It is 1 where the

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import component
-from stiffopt.discovery.comparison.signals import (
+from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import (
     JointConstants,
     JointSignals,
     RobotConstants,
     RobotSignals,
 )
-from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.symbolic import Quantity, is_symbolic, smooth_abs
 
 _CONTACT_ROUNDING = 1e-4  # [m], over which a touch begins

@@ -14,8 +14,8 @@ from stiffopt.discovery.catalogue.common import (
     motor_inertia,
     viscous_friction,
 )
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals, smooth_sign
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals, smooth_sign
 from stiffopt.symbolic import Quantity
 
 # Share of the joint before from which a motor turns with two joints; gears of wrists have 1.

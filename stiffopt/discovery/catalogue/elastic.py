@@ -12,9 +12,9 @@ import casadi as ca
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import carried_share, winds_up
-from stiffopt.discovery.catalogue.history import linear_recurrence, recurrence_output
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
+from stiffopt.discovery.catalogue.recurrence import linear_recurrence, recurrence_output
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity, is_symbolic
 
 # Exponents nearer to one than this are taken as a series; of the limit, what counts as reached.

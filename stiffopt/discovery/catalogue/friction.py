@@ -18,9 +18,9 @@ from stiffopt.discovery.catalogue.common import (
     viscous_friction,
 )
 from stiffopt.discovery.catalogue.robot_change import add_to_nominal_value
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.settings import SIGN_SPEED
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity, smooth_abs
 
 # Share of the rated torque below which a carried load has no definite side.

@@ -16,8 +16,8 @@ import numpy as np
 
 from stiffopt.discovery.catalogue.common import dry_friction, viscous_friction
 from stiffopt.discovery.catalogue.friction import rounded_load
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity, smooth_abs
 
 # Before a name of a run, in the names of amplitudes.

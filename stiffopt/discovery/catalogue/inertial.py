@@ -14,14 +14,13 @@ from stiffopt.discovery.catalogue.common import (
     ratio_or_zero,
 )
 from stiffopt.discovery.catalogue.robot_change import add_to_body, add_to_nominal_value
-from stiffopt.discovery.comparison.extension import EstimatedEffect
-from stiffopt.discovery.comparison.signals import (
+from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Term
+from stiffopt.discovery.signals import (
     JointConstants,
     JointSignals,
     RobotConstants,
     RobotSignals,
 )
-from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Term
 from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity, is_symbolic
 
@@ -74,14 +73,14 @@ def base_tilt_term(
 
 
 def change_payload(
-    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange:
     """The last link with what is fixed to it."""
     return add_to_body(robot, found, joint, "Payload")
 
 
 def change_body(
-    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange:
     """The link with the masses that were found."""
     return add_to_body(robot, found, joint, "Masses")

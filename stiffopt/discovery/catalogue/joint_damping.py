@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import EstimatedEffect
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
-from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Term
+from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
 
@@ -33,7 +32,7 @@ def _has_known_damping(constants: JointConstants) -> bool:
 
 
 def change_damping(
-    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange:
     """Put the damping that was found into the robot."""
     damping = np.full(robot.n, np.nan) if robot.damping is None else robot.damping.copy()

@@ -21,8 +21,8 @@ from stiffopt.discovery.catalogue.friction import (
     rounded_speed,
     start_slow_speeds,
 )
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity
 
 # Of the speed, as measured there.

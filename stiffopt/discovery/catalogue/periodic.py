@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from stiffopt.discovery.catalogue.common import CHANGED_SCALE_RATIO, Constants
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Report, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity
 
 _GEAR_ORDERS = (1, 2, 4)

@@ -19,9 +19,8 @@ from stiffopt.discovery.catalogue.robot_change import (
     with_chain,
     with_series_spring,
 )
-from stiffopt.discovery.comparison.extension import EstimatedEffect
-from stiffopt.discovery.comparison.signals import JOINT_SIGNAL_NAMES, JointConstants, JointSignals
-from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Shape, Term
+from stiffopt.discovery.signals import JOINT_SIGNAL_NAMES, JointConstants, JointSignals
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.exact.chain import windup_shares
 from stiffopt.robot.robot import Robot
@@ -54,7 +53,7 @@ def _report_pressure(
 
 
 def lose_preload(
-    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange:
     """Loosen the weakest preloaded connection until the joint winds up as found."""
     chain, torques = chain_of(robot, joint), TORQUE_SHARES * constants.torque_rated
@@ -113,7 +112,7 @@ def _find_weakest_connection(chain: Chain, torque: float) -> int | None:
     return max(candidates, key=lambda i: shares[chain.stages[i].element.name])
 
 
-def _added_windup(found: EstimatedEffect, constants: JointConstants, torques: np.ndarray) -> float:
+def _added_windup(found: FittedEffect, constants: JointConstants, torques: np.ndarray) -> float:
     """Mean of the wind-up that a loss of preload adds [rad]."""
     still = dict.fromkeys(JOINT_SIGNAL_NAMES, np.zeros_like(torques))
     loaded = {
@@ -131,7 +130,7 @@ def _added_windup(found: EstimatedEffect, constants: JointConstants, torques: np
         constants=constants,
         **(still | loaded),
     )
-    term = preload_loss_term(signals, found.amplitudes, found.located.shapes)
+    term = preload_loss_term(signals, found.amplitudes, found.shapes)
     return float(np.mean(np.asarray(term.deflection)))
 
 

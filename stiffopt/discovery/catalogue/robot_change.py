@@ -9,9 +9,8 @@ import numpy as np
 
 from stiffopt.connection.connection import Connection
 from stiffopt.connection.constant import Constant
-from stiffopt.discovery.comparison.extension import EstimatedEffect
-from stiffopt.discovery.comparison.signals import JointConstants
-from stiffopt.discovery.effect import RobotChange
+from stiffopt.discovery.effect import FittedEffect, RobotChange
+from stiffopt.discovery.signals import JointConstants
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.drivetrain.stage import Stage
 from stiffopt.exact.chain import exact_windup
@@ -23,10 +22,10 @@ ADDED_SPRING_NAME = "found_compliance"
 
 
 def add_to_nominal_value(
-    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange:
     """Add the first amplitude to the value of the robot that the effect names."""
-    effect = found.located.effect
+    effect = found.effect
     values = np.array(getattr(robot, effect.nominal), dtype=float)
     before = float(values[joint])
     # A drive neither pushes itself nor has a rotor of negative inertia.
@@ -39,7 +38,7 @@ def add_to_nominal_value(
     )
 
 
-def add_to_body(robot: Robot, found: EstimatedEffect, joint: int, what: str) -> RobotChange:
+def add_to_body(robot: Robot, found: FittedEffect, joint: int, what: str) -> RobotChange:
     """Add inertial parameters to the body behind a joint (from 0)."""
     before = robot.tree.bodies[joint]
     values = before.inertial_parameters + np.asarray(found.amplitudes)

@@ -15,8 +15,8 @@ from stiffopt.discovery.catalogue.common import (
     dry_friction,
     viscous_friction,
 )
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals, RobotSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals, RobotSignals
 from stiffopt.symbolic import Quantity, is_symbolic, softplus
 
 # Share of the highest torque over which a drive rounds its limit off.

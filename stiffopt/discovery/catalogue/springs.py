@@ -13,8 +13,8 @@ from stiffopt.discovery.catalogue.common import (
     on_wrist,
     ratio_or_zero,
 )
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
 from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity, softplus
 
 # Angle over which a stop begins to press [rad].

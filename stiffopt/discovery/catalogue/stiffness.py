@@ -19,9 +19,8 @@ from stiffopt.discovery.catalogue.robot_change import (
     with_element,
     with_series_spring,
 )
-from stiffopt.discovery.comparison.extension import EstimatedEffect
-from stiffopt.discovery.comparison.signals import JointConstants, JointSignals
-from stiffopt.discovery.effect import Amplitude, Effect, RobotChange, Shape, Term
+from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Shape, Term
+from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.exact.connection import reducer_windup
 from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
@@ -41,7 +40,7 @@ def _report_factor(
 
 
 def scale_stiffness(
-    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange | None:
     """Scale the reducer so that the joint's mean wind-up changes by the factor."""
     chain = chain_of(robot, joint)
@@ -108,10 +107,10 @@ def _has_reducer_corners(constants: JointConstants) -> bool:
 
 
 def wear_reducer(
-    robot: Robot, found: EstimatedEffect, joint: int, constants: JointConstants
+    robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange | None:
     """Another first slope and corner of the reducer."""
-    values = _report_corners(found.amplitudes, found.located.shapes, constants)
+    values = _report_corners(found.amplitudes, found.shapes, constants)
     chain = chain_of(robot, joint)
     for position, stage in enumerate(chain.stages):
         element = stage.element

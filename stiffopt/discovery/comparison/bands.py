@@ -13,15 +13,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.discovery.comparison.filtering import ROWS_PER_CYCLE, ZeroPhaseFilter, derivative
-from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import (
+from stiffopt.discovery.comparison.filtering import (
+    ROWS_PER_CYCLE,
+    ZeroPhaseFilter,
     bridge_gaps,
+    derivative,
     near_gaps,
-    quasi_static_links,
     resample_uniform,
 )
-from stiffopt.discovery.comparison.signals import smooth_sign
+from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.comparison.prepared_run import quasi_static_links
+from stiffopt.discovery.signals import smooth_sign
 from stiffopt.recording.run import RecordedRun
 
 # Bands that are tried [Hz], as far as the sampling rate bears them.

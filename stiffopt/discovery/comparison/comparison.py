@@ -11,12 +11,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from stiffopt.discovery.comparison.bodies import (
-    body_units,
-    is_consistent,
-    nominal_bodies,
-)
-from stiffopt.discovery.comparison.columns import (
+from stiffopt.discovery.comparison.channel_rows import ChannelNoise
+from stiffopt.discovery.comparison.design_matrix import (
     MAX_LINEARISATION_ERROR,
     MIN_RUNS_AS_BLOCKS,
     DesignMatrix,
@@ -28,13 +24,16 @@ from stiffopt.discovery.comparison.evidence import (
     Sums,
     posterior,
 )
-from stiffopt.discovery.comparison.extension import Extension, with_amplitudes
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.nearest_bodies import likeliest_consistent_bodies
+from stiffopt.discovery.comparison.inertial_parameters import (
+    body_units,
+    is_consistent,
+    likeliest_consistent_bodies,
+    nominal_bodies,
+)
+from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffect, with_amplitudes
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.pieces import WeightedSums
-from stiffopt.discovery.comparison.prepare import PreparedRun
-from stiffopt.discovery.comparison.rows import ChannelNoise
+from stiffopt.discovery.comparison.piece_sums import WeightedSums
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.recording.nominal import Tolerance
 
 # Of a nominal model that nobody has compared yet.

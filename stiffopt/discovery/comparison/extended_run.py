@@ -1,4 +1,4 @@
-"""A run with extensions in what is predicted of it."""
+"""Runs predicted by an extended nominal model."""
 
 from __future__ import annotations
 
@@ -6,18 +6,200 @@ from dataclasses import replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.extension_change import (
     added_inertia_along,
     extended_damping,
     extension_change,
+    is_damping,
+    moves_links,
     relative_compliance,
+    select_calibration,
     spring_laws,
 )
 from stiffopt.discovery.comparison.filtering import derivative
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import PreparedRun, with_link_torque
-from stiffopt.discovery.comparison.swung_run import simulate_links
+from stiffopt.discovery.comparison.nuisance import (
+    BODY_VALUES,
+    LINK_MOVING_VALUES,
+    SPRING_VALUES,
+)
+from stiffopt.discovery.comparison.prepared_run import PreparedRun, with_link_torque
+from stiffopt.discovery.comparison.vibration import LinkMotion, Vibration, slow_filter
+
+# Times that the links' motion is found with all that was found, nominal values about it.
+_EFFECT_PASSES = 2
+
+# Such motions that are kept with a run, since the next extension often differs in drives alone.
+_MAX_CACHED_RUNS = 2
+
+
+def simulate_links(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun:
+    """Run whose links vibration with an extension: what it does to drives and readings is left out.
+
+    Parameters
+    ----------
+    run : PreparedRun
+        With the nominal model and its vibration.
+    robot : RobotModel
+    extension : Extension
+
+    Notes
+    -----
+    Where no such motion is found, nominal values stand in for what is missing yet, further than
+    springs can follow: they count to first order then, and effects too where that is not enough.
+    """
+    moving = _link_moving_part(run, extension)
+    if moving.empty:
+        return run
+    key = _cache_key(moving)
+    if key not in run.extension_cache:
+        while len(run.extension_cache) >= _MAX_CACHED_RUNS:
+            run.extension_cache.pop(next(iter(run.extension_cache)))
+        run.extension_cache[key] = _simulate_with_fallback(run, robot, moving)
+    return run.extension_cache[key]
+
+
+def _link_moving_part(run: PreparedRun, extension: Extension) -> Extension:
+    values = extension.calibration.items()
+    return Extension(
+        calibration={n: v for n, v in values if v and n.split()[0] in LINK_MOVING_VALUES},
+        effects=tuple(e for e in extension.effects if moves_links(run, e)),
+    )
+
+
+def _cache_key(extension: Extension) -> tuple[object, ...]:
+    effects = ((e.located.key, e.amplitudes) for e in extension.effects)
+    return (*extension.calibration.items(), *effects)
+
+
+def _simulate_with_fallback(
+    run: PreparedRun, robot: RobotModel, extension: Extension
+) -> PreparedRun:
+    found = _solve_links(run, robot, extension)
+    if found is not None:
+        return found
+    values = replace(extension, effects=())
+    if extension.effects and not values.empty:
+        found = _solve_links(run, robot, replace(extension, calibration={}))
+        if found is not None:
+            return _extend_to_first_order(found, robot, values)
+    return _extend_to_first_order(run, robot, extension)
+
+
+def _solve_links(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun | None:
+    """Run whose links vibration with an extension; None where no motion of such an arm is found.
+
+    Springs and damping are those of the motion that is looked for; regressors are taken about the
+    one before, what else the bodies need goes with their inertia. The vibration of the result is one
+    near by.
+    """
+    assert run.vibration is not None
+    laws, rest = spring_laws(run, extension)
+    springs = run.springs(robot, extended_damping(robot, extension), laws)
+    bodies = select_calibration(extension, BODY_VALUES)
+    sprung = replace(
+        extension,
+        calibration=select_calibration(extension, SPRING_VALUES).calibration,
+        effects=tuple(e for e in rest.effects if not is_damping(e)),
+    )
+    effects = replace(sprung, calibration={})
+    added_inertia = added_inertia_along(run, robot, effects)
+    nominal = relative_compliance(run, robot, replace(sprung, effects=()))
+    vibration = springs.linearise(
+        run.links, nominal * relative_compliance(run, robot, effects), added_inertia, run.vibration
+    )
+    begin = _slow_link_motion(run, robot, extension, vibration)
+    moved = run
+    for again in range(_EFFECT_PASSES if effects.effects else 1):
+        weight = extension_change(moved, robot, bodies).link_torque
+
+        def compliance_ratio(links: LinkMotion, moved: PreparedRun = moved) -> np.ndarray:
+            now = relative_compliance(with_link_motion(moved, robot, links), robot, effects)
+            return np.asarray(nominal[: len(now)] * now)
+
+        def added(
+            links: LinkMotion, moved: PreparedRun = moved, weight: np.ndarray = weight
+        ) -> tuple[np.ndarray, np.ndarray]:
+            here = replace(with_link_motion(moved, robot, links), play=springs.play(links))
+            change = extension_change(here, robot, sprung)
+            known = len(links.position)
+            if isinstance(added_inertia, np.ndarray):
+                away = links.acceleration - moved.signals.link_acceleration[:known]
+                change.link_torque[:] += (added_inertia[:known] @ away[..., None])[..., 0]
+            return change.link_torque + weight[:known], change.deflection
+
+        links = (
+            springs.solve(moved.links, vibration, begin, added, compliance_ratio)
+            if again
+            else springs.solve_from_slow(
+                begin, vibration, added, compliance_ratio, run.initial_state
+            )
+        )
+        if links is None:
+            return None
+        moved = with_link_motion(moved, robot, links)
+        if isinstance(added_inertia, np.ndarray):
+            moved = _with_own_regressor(moved, robot)
+    return replace(
+        moved,
+        vibration=vibration,
+        added_deflection=springs.motor - moved.signals.link_position - moved.signals.windup,
+    )
+
+
+def _slow_link_motion(
+    run: PreparedRun, robot: RobotModel, extension: Extension, vibration: Vibration
+) -> LinkMotion:
+    """Slow motion of the links with an extension."""
+    assert run.vibration is not None
+    slow = run.vibration.reference
+    here = with_link_motion(run, robot, slow)
+    if any(e.located.effect.family == "inertial" for e in extension.effects):
+        here = _with_own_regressor(here, robot)
+    change = extension_change(here, robot, extension)
+    low_pass = slow_filter(run.signals.dt)
+    wound = low_pass(change.link_torque / vibration.carrying_stiffness + change.deflection)
+    rate = derivative(wound, run.signals.dt)
+    return slow.shifted(-wound, -rate, -derivative(rate, run.signals.dt))
+
+
+def _extend_to_first_order(
+    run: PreparedRun, robot: RobotModel, extension: Extension
+) -> PreparedRun:
+    """The run with an extension to first order."""
+    assert run.vibration is not None
+    change = extension_change(run, robot, extension)
+    torque, deflection = run.vibration.respond(change.link_torque, change.deflection)
+    signals = replace(run.signals, drive_torque=run.signals.drive_torque + torque)
+    return replace(run, signals=signals, added_deflection=run.added_deflection + deflection)
+
+
+def _with_own_regressor(run: PreparedRun, robot: RobotModel) -> PreparedRun:
+    """The run with the regressor of its links' motion."""
+    s = run.signals
+    arm = s.arm.with_bodies(s.link_position, s.link_velocity, s.link_acceleration)
+    return replace(run, signals=replace(s, arm=arm))
+
+
+def with_link_motion(run: PreparedRun, robot: RobotModel, links: LinkMotion) -> PreparedRun:
+    """The run, or its first samples, with another motion of its links."""
+    if len(links.position) < len(run.time):
+        run = run.head(len(links.position))
+    signals = run.signals
+    return replace(
+        run,
+        signals=replace(
+            signals,
+            link_position=links.position,
+            link_velocity=links.velocity,
+            link_acceleration=links.acceleration,
+            transmitted_torque=links.torque,
+            spring_torque=links.spring,
+            windup=robot.windup(links.spring),
+            drive_torque=signals.drive_torque - signals.transmitted_torque + links.torque,
+        ),
+    )
 
 
 def extend_run(run: PreparedRun, robot: RobotModel, *extensions: Extension) -> PreparedRun:

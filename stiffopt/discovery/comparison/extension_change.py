@@ -7,18 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
-from stiffopt.discovery.comparison.located_effect import Contribution
+from stiffopt.discovery.comparison.located_effect import Contribution, EstimatedEffect, Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import (
     BODY_VALUES,
     body_parameter_changes,
     nuisance_columns,
 )
-from stiffopt.discovery.comparison.prepare import PreparedRun, with_link_torque
-from stiffopt.discovery.comparison.signals import JointSignals
-from stiffopt.discovery.comparison.spring_law import SpringLaw
-from stiffopt.discovery.comparison.springs import nominal_damping
+from stiffopt.discovery.comparison.prepared_run import PreparedRun, with_link_torque
+from stiffopt.discovery.comparison.springs import SpringLaw, nominal_damping
+from stiffopt.discovery.signals import JointSignals
 from stiffopt.recording.nominal import Tolerance
 
 # Of the slope of a spring's law, over the rated torque.

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.bodies import A_BODY, all_body_parameter_names
+from stiffopt.discovery.comparison.inertial_parameters import A_BODY, all_body_parameter_names
 from stiffopt.discovery.comparison.located_effect import Contribution
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.recording.nominal import Tolerance
 from stiffopt.robot.body_tree import Body
 

@@ -52,9 +52,7 @@ import numpy as np
 from stiffopt.discovery.catalogue import CATALOGUE
 from stiffopt.discovery.catalogue.friction_drift import RUN_PREFIX
 from stiffopt.discovery.catalogue.periodic import ROTOR_RIPPLE
-from stiffopt.discovery.comparison.extension import EstimatedEffect, Extension
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.signals import RobotConstants
+from stiffopt.discovery.comparison.located_effect import EstimatedEffect, Extension, LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.made_for import require_same_robot
 from stiffopt.discovery.extended.schema import (
@@ -63,6 +61,7 @@ from stiffopt.discovery.extended.schema import (
     LeftOpenSection,
     MadeForSection,
 )
+from stiffopt.discovery.signals import RobotConstants
 from stiffopt.drivetrain.chain import Chain
 from stiffopt.errors import InputFileError, nearest
 from stiffopt.files import read_document

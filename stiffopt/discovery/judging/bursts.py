@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.comparison.extended_run import extend_run
-from stiffopt.discovery.comparison.extension import Extension
-from stiffopt.discovery.comparison.filtering import derivative
-from stiffopt.discovery.comparison.prepare import PreparedRun, bridge_gaps, near_gaps
+from stiffopt.discovery.comparison.filtering import bridge_gaps, derivative, near_gaps
+from stiffopt.discovery.comparison.located_effect import Extension
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.judging.unexplained import Unexplained
 from stiffopt.discovery.thresholds import BURST_RATIO, BURSTING_RATIO
 from stiffopt.discovery.training import Training

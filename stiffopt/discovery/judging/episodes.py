@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from stiffopt.discovery.comparison.channel_rows import ChannelNoise
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
-from stiffopt.discovery.comparison.prepare import PreparedRun
-from stiffopt.discovery.comparison.rows import ChannelNoise
-from stiffopt.discovery.comparison.signals import RobotConstants, RobotSignals
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.proof.predict import Prediction, Predictor
 from stiffopt.discovery.proof.proof import used_samples
+from stiffopt.discovery.signals import RobotConstants, RobotSignals
 from stiffopt.recording.channel import MAD
 from stiffopt.recording.run import RecordedRun
 

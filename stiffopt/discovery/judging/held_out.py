@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.judging.black_box import BlackBox, MeasuringRod
 from stiffopt.discovery.judging.episodes import (
     Episode,

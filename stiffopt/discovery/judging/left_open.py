@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from stiffopt.discovery.comparison.evidence import AddedPosterior
-from stiffopt.discovery.comparison.extension import Extension
-from stiffopt.discovery.comparison.located_effect import effect_places
+from stiffopt.discovery.comparison.located_effect import Extension, effect_places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.extended.left_open import left_open
 from stiffopt.discovery.extended.schema import LeftOpenSection

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
-from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 
 # Postures that modes are judged in, evenly over every training run.
 _POSTURES = 6

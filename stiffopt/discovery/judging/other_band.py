@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.prepare import prepare_run
+from stiffopt.discovery.comparison.prepared_run import prepare_run
 from stiffopt.discovery.search.uncertainty import Estimate, estimate
 from stiffopt.discovery.training import Training
 

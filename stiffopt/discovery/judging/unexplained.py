@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BSpline
 
-from stiffopt.discovery.comparison.channel_noise import noise_above_cutoff
+from stiffopt.discovery.comparison.channel_rows import noise_above_cutoff
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.judging.modes import is_mode
 from stiffopt.discovery.search.rivals import Selected

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stiffopt.discovery.comparison.extended_run import extend_run
-from stiffopt.discovery.comparison.extension import Extension
+from stiffopt.discovery.comparison.located_effect import Extension
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.prepare import PreparedRun, prepare_run
-from stiffopt.discovery.comparison.signals import RobotConstants
+from stiffopt.discovery.comparison.prepared_run import PreparedRun, prepare_run
 from stiffopt.discovery.settings import PREDICTED_CUTOFF, Settings
+from stiffopt.discovery.signals import RobotConstants
 from stiffopt.recording.run import RecordedRun
 
 

@@ -7,8 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, derivative
-from stiffopt.discovery.comparison.prepare import bridge_gaps, near_gaps, resample_uniform
+from stiffopt.discovery.comparison.filtering import (
+    ZeroPhaseFilter,
+    bridge_gaps,
+    derivative,
+    near_gaps,
+    resample_uniform,
+)
 from stiffopt.recording.run import RecordedRun
 
 # Instants of all runs together: enough for a dozen columns, few enough to try many descriptions.

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.columns import MIN_RUNS_AS_BLOCKS
 from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.discovery.thresholds import (
     BALANCING_RATIO,
     CHANGE_SEEN_SELDOM,

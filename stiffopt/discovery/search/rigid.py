@@ -15,8 +15,8 @@ from itertools import product
 
 import numpy as np
 
-from stiffopt.discovery.comparison.bodies import A_BODY, body_units, nominal_bodies
 from stiffopt.discovery.comparison.comparison import Comparison
+from stiffopt.discovery.comparison.inertial_parameters import A_BODY, body_units, nominal_bodies
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer

@@ -10,10 +10,10 @@ from scipy.special import softmax
 
 from stiffopt.discovery.comparison.comparison import Comparison
 from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.signals import RobotConstants
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
 from stiffopt.discovery.search.uncertainty import significance
+from stiffopt.discovery.signals import RobotConstants
 from stiffopt.discovery.thresholds import (
     CHANGES_ALIKE,
     DETERMINED_DEVIATIONS,

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison, Fit
-from stiffopt.discovery.comparison.extension import Extension
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
+from stiffopt.discovery.comparison.located_effect import Extension, LocatedEffect
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer, scan
 from stiffopt.discovery.search.changes import changes

@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import special
 
-from stiffopt.discovery.comparison.columns import MIN_RUNS_AS_BLOCKS
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.extension import EstimatedEffect, with_amplitudes
-from stiffopt.discovery.comparison.located_effect import LocatedEffect
-from stiffopt.discovery.comparison.prepare import PreparedRun
+from stiffopt.discovery.comparison.design_matrix import MIN_RUNS_AS_BLOCKS
+from stiffopt.discovery.comparison.located_effect import (
+    EstimatedEffect,
+    LocatedEffect,
+    with_amplitudes,
+)
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 
 if TYPE_CHECKING:
     from stiffopt.discovery.effect import Constants

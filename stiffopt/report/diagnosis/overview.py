@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stiffopt.discovery.comparison.bodies import INERTIAL_PARAMETER_NAMES
+from stiffopt.discovery.comparison.inertial_parameters import INERTIAL_PARAMETER_NAMES
 from stiffopt.report.common.text import percent
 
 if TYPE_CHECKING:

@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.columns import MAX_LINEARISATION_ERROR
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.prepare import PreparedRun
-from stiffopt.discovery.comparison.swung_run import with_link_motion
+from stiffopt.discovery.comparison.design_matrix import MAX_LINEARISATION_ERROR
+from stiffopt.discovery.comparison.extended_run import with_link_motion
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 
 # Times that starts are told anew: springs bend. And squares that a vibration takes away over those of
 # one row that stay, by which it is more than what chance gives beside all that is missing.

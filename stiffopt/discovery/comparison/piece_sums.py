@@ -12,8 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from stiffopt.discovery.comparison.channel_rows import ChannelRows
 from stiffopt.discovery.comparison.evidence import AddedSums, Sums, sum_by_block
-from stiffopt.discovery.comparison.rows import ChannelRows
 
 
 @dataclass(frozen=True, eq=False)

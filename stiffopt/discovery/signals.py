@@ -15,10 +15,50 @@ from stiffopt.drivetrain.stage import Stage
 from stiffopt.exact.connection import Corners, Slopes, reducer_compliance, reducer_windup
 from stiffopt.symbolic import Quantity
 
+# Changes of speed below this share of SIGN_SPEED leave the sign constant [-].
+_MIN_SPEED_CHANGE = 1e-3
+
 
 def smooth_sign(velocity: Quantity) -> Quantity:
     """Direction of motion: -1 to 1, even where the joint reverses [rad/s] -> [-]."""
     return np.tanh(velocity / SIGN_SPEED)
+
+
+def mean_sign(velocity: np.ndarray) -> np.ndarray:
+    """Mean of the smooth sign (K, n) over the time that every sample stands for [-].
+
+    A light joint turns between two samples: there the sign of a sample is that of half of its time
+    at most, and a jump of friction comes up to half a sample too early or too late. Speeds run
+    straight between the samples and the middles between them, which a cubic through four samples
+    gives.
+
+    Parameters
+    ----------
+    velocity : array (K, n)
+        At even times, in their order [rad/s].
+    """
+    if len(velocity) < 4:
+        return np.asarray(smooth_sign(velocity))
+    middle = 0.5 * (velocity[1:] + velocity[:-1])
+    middle[1:-1] += (velocity[1:-2] + velocity[2:-1] - velocity[:-3] - velocity[3:]) / 16.0
+    before = np.concatenate([velocity[:1], middle])
+    after = np.concatenate([middle, velocity[-1:]])
+    return np.asarray(
+        0.5 * (_mean_sign_between(before, velocity) + _mean_sign_between(velocity, after))
+    )
+
+
+def _mean_sign_between(first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Mean of the smooth sign while a speed goes evenly from one value to another."""
+    change = last - first
+    steady = np.abs(change) < _MIN_SPEED_CHANGE * SIGN_SPEED
+
+    def integral(velocity: np.ndarray) -> np.ndarray:
+        size = np.abs(velocity)
+        return np.asarray(size + SIGN_SPEED * np.log1p(np.exp(-2.0 * size / SIGN_SPEED)))
+
+    mean = (integral(last) - integral(first)) / np.where(steady, 1.0, change)
+    return np.asarray(np.where(steady, smooth_sign(0.5 * (first + last)), mean))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,15 +9,19 @@ from functools import cached_property
 
 import numpy as np
 
+from stiffopt.discovery.comparison.channel_rows import ChannelNoise, ChannelRows
 from stiffopt.discovery.comparison.extended_run import linearise_run
-from stiffopt.discovery.comparison.extension import Extension
 from stiffopt.discovery.comparison.extension_change import moves_links
-from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_channel_changes
+from stiffopt.discovery.comparison.filtering import fill_missing
+from stiffopt.discovery.comparison.located_effect import (
+    Extension,
+    LocatedEffect,
+    effect_channel_changes,
+)
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.nuisance import LINK_MOVING_VALUES, LOAD_VALUE, nuisance_columns
-from stiffopt.discovery.comparison.pieces import PieceColumns, PieceProducts, Pieces, PieceSums
-from stiffopt.discovery.comparison.prepare import PreparedRun
-from stiffopt.discovery.comparison.rows import ChannelNoise, ChannelRows
+from stiffopt.discovery.comparison.piece_sums import PieceColumns, PieceProducts, Pieces, PieceSums
+from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.recording.nominal import Tolerance
 
 # Blocks a run is cut into where there are too few runs to leave one out.
@@ -352,14 +356,3 @@ class DesignMatrix:
                 e for e in found.effects if any(moves_links(run, e) for run in self.runs)
             ),
         )
-
-
-def fill_missing(samples: np.ndarray) -> np.ndarray:
-    """Single missing samples bridged for the filter; whole missing channels are zero."""
-    out = np.where(np.isfinite(samples), samples, 0.0)
-    for j in range(samples.shape[1]):
-        missing = ~np.isfinite(samples[:, j])
-        if missing.any() and not missing.all():
-            places = np.arange(len(samples))
-            out[missing, j] = np.interp(places[missing], places[~missing], samples[~missing, j])
-    return out

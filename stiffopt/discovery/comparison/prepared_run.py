@@ -4,33 +4,84 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from math import comb
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
-from stiffopt.discovery.comparison.arm_along import LazyArmSignals
-from stiffopt.discovery.comparison.filtering import ZeroPhaseFilter, derivative
-from stiffopt.discovery.comparison.followed import mean_sign, motor_cutoff
-from stiffopt.discovery.comparison.nominal_robot import RobotModel
-from stiffopt.discovery.comparison.signals import (
+from stiffopt.discovery.comparison.filtering import (
+    ZeroPhaseFilter,
+    derivative,
+    interpolate_motion,
+    near_gaps,
+    resample_uniform,
+)
+from stiffopt.discovery.comparison.nominal_robot import LazyArmSignals, RobotModel
+from stiffopt.discovery.comparison.springs import SpringLaw, Springs
+from stiffopt.discovery.comparison.vibration import LinkMotion, Vibration, slow_filter
+from stiffopt.discovery.settings import Settings
+from stiffopt.discovery.signals import (
     JointSignals,
     RobotConstants,
     RobotSignals,
+    mean_sign,
     smooth_sign,
 )
-from stiffopt.discovery.comparison.spring_law import SpringLaw
-from stiffopt.discovery.comparison.springs import Springs
-from stiffopt.discovery.comparison.swing import LinkMotion, Vibration, slow_filter
-from stiffopt.discovery.settings import Settings
-from stiffopt.recording.clock import GAP
+from stiffopt.recording.channel import MAD
 from stiffopt.recording.run import RecordedRun
 
-# Steps between samples up to which a motion is bridged along itself: two may be missing.
-_MAX_SPLINE_STEPS = 3.5
+# Of the motors' motion that is followed [Hz], at least and at most: wider than a fit's filter,
+# which all that comes of it passes later.
+MIN_MOTOR_CUTOFF, MAX_MOTOR_CUTOFF = 60.0, 150.0
+# Share of the rated torque that the noise of a motor's acceleration may come to, and of the rate of
+# the samples, how high a motion they show.
+_MAX_NOISE_TORQUE_SHARE, _MAX_CUTOFF_OVER_RATE = 1e-3, 0.36
+# Times that samples are subtracted from their neighbours, of which noise is left alone.
+_NOISE_DIFFERENCES = 5
 # Of modes that a run may begin to vibration in, over the filter's cutoff.
 _MODE_BAND_OVER_CUTOFF = 1.5
 # Rounds of link motion = motor motion - wind-up; each shrinks the error by (f/resonance)^2.
 _WINDUP_ITERATIONS = 3
+
+
+def motor_cutoff(robot: RobotModel, position: np.ndarray, dt: float) -> float:
+    """Cutoff of the motors' motion [Hz], as high as encoders bear.
+
+    Where friction turns, torque and acceleration jump against each other within milliseconds: what
+    is not followed of one stays of the other. The noise of an encoder sets the limit, which
+    accelerations multiply by the square of the frequency.
+
+    Parameters
+    ----------
+    robot : RobotModel
+    position : array (K, n)
+        Of the motors, as read [rad].
+    dt : float
+        [s]
+    """
+    # Of white noise at the samples' rate, after two derivatives and a filter [N m/Hz^2.5].
+    noise = (2.0 * np.pi) ** 2 * np.sqrt(0.4 * dt) * robot.rotor_inertia * _sample_noise(position)
+    borne = np.array(
+        [_MAX_NOISE_TORQUE_SHARE * joint.torque_rated for joint in robot.constants.joints]
+    )
+    if not np.all(np.isfinite(borne) & np.isfinite(noise)):
+        return min(MIN_MOTOR_CUTOFF, _MAX_CUTOFF_OVER_RATE / dt)
+    with np.errstate(divide="ignore"):
+        bears = float(np.min(borne / noise)) ** 0.4
+    return min(
+        float(np.clip(bears, MIN_MOTOR_CUTOFF, MAX_MOTOR_CUTOFF)), _MAX_CUTOFF_OVER_RATE / dt
+    )
+
+
+def _sample_noise(samples: np.ndarray) -> np.ndarray:
+    """Standard deviations of what changes from sample to sample (n,), if it were white noise."""
+    apart = np.diff(samples, _NOISE_DIFFERENCES, axis=0)
+    size = [
+        np.median(np.abs(moved)) if (moved := own[np.isfinite(own) & (own != 0.0)]).size else 0.0
+        for own in apart.T
+    ]
+    return np.asarray(
+        MAD * np.array(size) / np.sqrt(comb(2 * _NOISE_DIFFERENCES, _NOISE_DIFFERENCES))
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -293,69 +344,6 @@ def with_link_torque(prepared: PreparedRun, robot: RobotModel, added: np.ndarray
     )
 
 
-def resample_uniform(run: RecordedRun) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Channels on an even clock: a motion smooth between the stamps, a torque linear."""
-    step = run.step
-    count = int(np.floor((run.time[-1] - run.time[0]) / step + 1e-6)) + 1
-    time = run.time[0] + step * np.arange(count)
-    empty = np.full_like(run.position, np.nan)
-    channels = (
-        run.position,
-        empty if run.link_position is None else run.link_position,
-        run.torque,
-    )
-    if count == len(run.time) and np.allclose(time, run.time, rtol=0.0, atol=1e-3 * step):
-        return (time, *(np.array(c, dtype=float) for c in channels))
-    motor, link, torque = channels
-    motion = (interpolate_motion(run.time, position, time) for position in (motor, link))
-    return (time, *motion, _interpolate_linear(run.time, torque, time))
-
-
-def interpolate_motion(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Positions (K, n) at other times (R, n) by cubic splines; nan where a column is empty.
-
-    A straight line over one sample that is missing cuts a turn short by 20 um at 10 m/s^2, and
-    springs vibration on from there. Longer gaps are mostly motors that stand still: straight.
-    """
-    bridged = _interpolate_linear(stamps, samples, time)
-    for out, column in zip(bridged.T, samples.T, strict=True):
-        known = np.isfinite(column)
-        if np.count_nonzero(known) < 2:
-            out[:] = np.nan
-            continue
-        told = stamps[known]
-        apart = np.diff(told)[np.clip(np.searchsorted(told, time) - 1, 0, len(told) - 2)]
-        near = (
-            (apart < _MAX_SPLINE_STEPS * np.median(np.diff(told)))
-            & (time > told[0])
-            & (time < told[-1])
-        )
-        out[near] = CubicSpline(told, column[known])(time[near])
-    return bridged
-
-
-def _interpolate_linear(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.ndarray:
-    columns = []
-    for column in samples.T:
-        known = np.isfinite(column)
-        if not known.any():
-            columns.append(np.full(len(time), np.nan))
-            continue
-        columns.append(np.interp(time, stamps[known], column[known]))
-    return np.column_stack(columns)
-
-
-def bridge_gaps(samples: np.ndarray) -> np.ndarray:
-    """Single missing samples bridged, so that the filter can pass."""
-    out = samples.copy()
-    for column in out.T:
-        missing = ~np.isfinite(column)
-        if missing.any() and not missing.all():
-            places = np.arange(len(column))
-            column[missing] = np.interp(places[missing], places[~missing], column[~missing])
-    return out
-
-
 def quasi_static_links(
     robot: RobotModel, motor: np.ndarray, dt: float, low_pass: ZeroPhaseFilter
 ) -> LinkMotion:
@@ -397,12 +385,3 @@ def _dilate_flags(flags: np.ndarray, reach: int) -> np.ndarray:
     places = np.arange(len(flags))
     low, high = np.maximum(places - reach, 0), np.minimum(places + reach + 1, len(flags))
     return np.asarray(padded[high] - padded[low] > 0.0)
-
-
-def near_gaps(stamps: np.ndarray, step: float, time: np.ndarray, reach: int) -> np.ndarray:
-    """Whether instants (K,) lie between stamps far apart, or within `reach` steps of these."""
-    near = np.zeros(len(time), dtype=bool)
-    margin = reach * step
-    for k in np.flatnonzero(np.diff(stamps) > GAP * step):
-        near |= (time > stamps[k] - margin) & (time < stamps[k + 1] + margin)
-    return near
