@@ -1,4 +1,4 @@
-"""What the terms of effects see: motion and nominal torques of a joint or of the whole robot."""
+"""Signals and constants that effects depend on: motion and nominal torques."""
 
 from __future__ import annotations
 
@@ -15,27 +15,28 @@ from stiffopt.drivetrain.stage import Stage
 from stiffopt.exact.connection import Corners, Slopes, reducer_compliance, reducer_windup
 from stiffopt.symbolic import Quantity
 
-# Changes of speed below this share of SIGN_SPEED leave the sign constant [-].
+# Inertial parameters of a body: mass, three first moments, six of the inertia.
+PARAMETERS_PER_BODY = 10
+# Share of SIGN_SPEED; the sign is taken as constant over smaller changes of speed [-].
 _MIN_SPEED_CHANGE = 1e-3
 
 
 def smooth_sign(velocity: Quantity) -> Quantity:
-    """Direction of motion: -1 to 1, even where the joint reverses [rad/s] -> [-]."""
+    """Return the direction of motion, -1 to 1, smooth where the joint reverses [rad/s] -> [-]."""
     return np.tanh(velocity / SIGN_SPEED)
 
 
 def mean_sign(velocity: np.ndarray) -> np.ndarray:
-    """Mean of the smooth sign (K, n) over the time that every sample stands for [-].
+    """Return the mean of the smooth sign (K, n) over the time of every sample [-].
 
-    A light joint turns between two samples: there the sign of a sample is that of half of its time
-    at most, and a jump of friction comes up to half a sample too early or too late. Speeds run
-    straight between the samples and the middles between them, which a cubic through four samples
-    gives.
+    A light joint reverses between two samples: sampled, the sign holds for half a sample period at
+    most, and a jump of friction comes up to half a sample early or late. Speeds are linear between
+    the samples and the midpoints, which a cubic through four samples gives.
 
     Parameters
     ----------
     velocity : array (K, n)
-        At even times, in their order [rad/s].
+        At equal time steps [rad/s].
     """
     if len(velocity) < 4:
         return np.asarray(smooth_sign(velocity))
@@ -49,7 +50,7 @@ def mean_sign(velocity: np.ndarray) -> np.ndarray:
 
 
 def _mean_sign_between(first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Mean of the smooth sign while a speed goes evenly from one value to another."""
+    """Return the mean of the smooth sign while the speed changes linearly between two values."""
     change = last - first
     steady = np.abs(change) < _MIN_SPEED_CHANGE * SIGN_SPEED
 
@@ -63,36 +64,36 @@ def _mean_sign_between(first: np.ndarray, last: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class JointConstants:
-    """Numbers of one joint that terms and bounds need.
+    """Constants of one joint for terms and bounds.
 
     Parameters
     ----------
     joint : int
         1-based, in the order of the recording set.
     ratio : float
-        Turns of the motor for one of the joint.
+        Turns of the motor per turn of the joint.
     coulomb, viscous : float
         Nominal friction [N m], [N m s/rad].
     torque_rated, torque_max : float
         [N m]
     rotor_inertia : float
-        At the output side [kg m^2].
+        Reflected to the joint [kg m^2].
     joint_damping : float
-        Between motor and link [N m s/rad]; 0 where unknown.
+        Viscous damping between motor and link [N m s/rad]; 0 where unknown.
     chain : Chain or None
         Nominal drivetrain; None where rigid or unknown.
     pole_pairs : float or None
     stroke : (lowest, highest)
-        Motor angle met in the recordings [rad].
+        Range of the motor angle in the recordings [rad].
     fastest : float
-        Largest motor speed met [rad/s].
+        Largest motor speed in the recordings [rad/s].
     largest_torque : float
-        Largest nominal spring torque met [N m].
+        Largest nominal spring torque in the recordings [N m].
     measured_torque : float
-        Largest measured drive torque of the training runs, filtered; 0 where none is [N m].
+        Largest filtered drive torque measured in the training runs; 0 without measurement [N m].
     prismatic : bool
     belt : bool or None
-        Whether a belt is among the connections; None where they are unknown.
+        True where a belt is among the connections; None where they are unknown.
     """
 
     joint: int
@@ -114,29 +115,33 @@ class JointConstants:
 
     @property
     def elastic(self) -> bool:
-        """Whether the nominal joint winds up at all."""
+        """True where the nominal joint winds up."""
         return self.chain is not None and bool(self.chain.stages)
 
     @cached_property
-    def _reducer(self) -> Stage | None:
-        """The first reducer that is in series with all the rest."""
+    def _series_reducer(self) -> Stage | None:
+        """First reducer in series with all other connections."""
         groups = [] if self.chain is None else self.chain.groups()
         alone = (group[0] for group in groups if len(group) == 1)
         return next((stage for stage in alone if isinstance(stage.element, Reducer)), None)
 
     @cached_property
-    def _contacts(self) -> Chain:
-        """The drivetrain without that reducer."""
+    def _other_connections(self) -> Chain:
+        """Drivetrain without that reducer."""
         if self.chain is None:
             return Chain(())
-        stages = tuple(stage for stage in self.chain.stages if stage is not self._reducer)
+        stages = tuple(stage for stage in self.chain.stages if stage is not self._series_reducer)
         return replace(self.chain, stages=stages)
 
     @cached_property
     def _reducer_curve(self) -> tuple[Slopes, Corners] | None:
-        if self._reducer is None:
+        if self._series_reducer is None:
             return None
-        own, down, counts = self._reducer.element, self._reducer.reduction, self._reducer.counts
+        own, down, counts = (
+            self._series_reducer.element,
+            self._series_reducer.reduction,
+            self._series_reducer.counts,
+        )
         assert isinstance(own, Reducer)
         slopes = (own.K1, own.K2, own.K3)
         k1, k2, k3 = (stiffness * down / counts for stiffness in slopes)
@@ -144,27 +149,27 @@ class JointConstants:
 
     @property
     def slopes(self) -> Slopes | None:
-        """K1, K2, K3 of the reducer, seen from the joint [N m/rad]; None without one."""
+        """Stiffnesses K1, K2, K3 of the reducer at the joint [N m/rad]; None without a reducer."""
         return None if self._reducer_curve is None else self._reducer_curve[0]
 
     @property
     def corners(self) -> Corners | None:
-        """T1, T2, where the reducer's slope changes, seen from the joint [N m]."""
+        """Torques T1, T2 of the reducer's slope changes at the joint [N m]."""
         return None if self._reducer_curve is None else self._reducer_curve[1]
 
     @cached_property
     def contact_stiffness(self) -> float:
-        """Of all but the reducer, secant at the rated torque [N m/rad]; inf where rigid."""
-        if not self._contacts.stages:
+        """Secant stiffness without the reducer at the rated torque [N m/rad]; inf if rigid."""
+        if not self._other_connections.stages:
             return np.inf
-        return float(self._contacts.secant_stiffness(self.torque_rated))
+        return float(self._other_connections.secant_stiffness(self.torque_rated))
 
     def windup(self, torque: Quantity) -> Quantity:
-        """Nominal wind-up [rad] under a spring torque [N m]; takes symbols.
+        """Return the nominal wind-up [rad] under a spring torque [N m]; takes symbols.
 
-        The three slopes of the reducer are the catalogue's own, unsmoothed.
+        The three slopes of the reducer are the catalogue's own, without smoothing.
         """
-        angle = self._contacts.windup(torque)
+        angle = self._other_connections.windup(torque)
         return (
             angle
             if self._reducer_curve is None
@@ -172,8 +177,8 @@ class JointConstants:
         )
 
     def compliance(self, torque: Quantity) -> Quantity:
-        """Slope of the nominal wind-up [rad/(N m)]; takes symbols."""
-        slope = self._contacts.tangent_compliance(torque)
+        """Return the tangent compliance of the nominal wind-up [rad/(N m)]; takes symbols."""
+        slope = self._other_connections.tangent_compliance(torque)
         return (
             slope
             if self._reducer_curve is None
@@ -188,25 +193,25 @@ class MotionSignals:
     Parameters
     ----------
     time, session_time
-        Since the run's begin, since switching on [s]; (K,) always.
+        Since the begin of the run, since power-on [s]; (K,) always.
     run : str
         Name of the run.
     dt : float
-        Of the clock, which is uniform [s].
+        Uniform time step [s].
     temperature_rise
-        Of the housing above that at which friction was identified [K]; 0 where unknown.
+        Housing temperature above that at which friction was identified [K]; 0 where unknown.
     motor_position, motor_velocity, motor_acceleration
-        Through the ratio [rad], [rad/s], [rad/s^2].
+        Reflected to the joint by the ratio [rad], [rad/s], [rad/s^2].
     motor_direction
-        Smooth sign of that velocity, where links swing its mean over each sample's time [-].
+        Smooth sign of the motor velocity; its mean over each sample period where links vibrate [-].
     link_position, link_velocity, link_acceleration
-        By the nominal wind-up.
+        From the motor motion and the nominal wind-up.
     transmitted_torque
-        Nominal, of the rigid bodies: what motor and link give each other [N m].
+        Nominal torque between motor and link, of the rigid bodies [N m].
     spring_torque
-        The same without the damping of the joint, where it is known [N m].
+        Transmitted torque less that of the joint damping, where this is known [N m].
     windup
-        Nominal, under the spring torque [rad].
+        Nominal wind-up under the spring torque [rad].
     drive_torque, drive_torque_rate
         Nominal prediction [N m], [N m/s].
     """
@@ -237,7 +242,7 @@ class JointSignals(MotionSignals):
     Parameters
     ----------
     previous_position, previous_velocity, previous_acceleration
-        Motor of the joint before; 0 for the first [rad], [rad/s], [rad/s^2].
+        Motor motion of the previous joint; 0 for the first [rad], [rad/s], [rad/s^2].
     constants : JointConstants
     """
 
@@ -249,19 +254,19 @@ class JointSignals(MotionSignals):
 
 @dataclass(frozen=True, kw_only=True)
 class RobotConstants:
-    """Numbers of the robot as a whole.
+    """Constants of the robot as a whole.
 
     Parameters
     ----------
     joints : tuple of JointConstants
     links : tuple of str
-        Moving link behind each joint of the model.
+        Name of the moving link of each joint.
     masses : array (n,)
-        Nominal [kg].
+        Nominal masses of the links [kg].
     centres : array (n, 3)
         Nominal centres of mass in the joints' frames [m].
     tool_range : array (2, 3)
-        Lowest and highest tool position met, base frame [m].
+        Lowest and highest tool position in the recordings, base frame [m].
     """
 
     joints: tuple[JointConstants, ...]
@@ -272,40 +277,40 @@ class RobotConstants:
 
 
 class ArmSignals(Protocol):
-    """Signals of the arm as a whole, beside those of its joints."""
+    """Signals of the arm as a whole, in addition to those of its joints."""
 
     @property
     def tool_position(self) -> Quantity:
-        """Of the tool in the base frame (K, 3) [m]."""
+        """Tool position in the base frame (K, 3) [m]."""
 
     @property
     def tool_velocity(self) -> Quantity:
-        """Of the tool in the base frame (K, 3) [m/s]."""
+        """Tool velocity in the base frame (K, 3) [m/s]."""
 
     @property
     def tool_jacobian(self) -> Quantity:
-        """Of its position (K, 3, n)."""
+        """Jacobian of the tool position (K, 3, n)."""
 
     @property
     def body_regressor(self) -> Any:
-        """Joint torques for the inertial parameters of every body (K, n, 10 n) [N m per unit].
+        """Joint torques per inertial parameter of every body (K, n, 10 n) [N m per unit].
 
-        (m, m c, I) of the moving bodies, one after another; where it is worked out on demand,
-        entries [..., k].
+        Parameters (m, m c, I) of the moving bodies, one body after another; entries [..., k] where
+        it is evaluated on demand.
         """
 
     @property
     def tilt(self) -> Quantity:
-        """Change of the spring torques for a turn of the base about x and y (K, n, 2) [N m/rad]."""
+        """Change of spring torque per rotation of the base about x and y (K, n, 2) [N m/rad]."""
 
     def head(self, count: int) -> ArmSignals:
-        """The first samples."""
+        """Return the first samples."""
 
     def decimate(self, every: int) -> ArmSignals:
-        """Every so many samples."""
+        """Return every k-th sample."""
 
     def with_bodies(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> ArmSignals:
-        """The same with the bodies' torques along another motion (K, n)."""
+        """Return the signals with the regressor along another link motion (K, n)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -315,9 +320,9 @@ class RobotSignals(MotionSignals):
     Parameters
     ----------
     arm : ArmSignals
-        Whose signals are this one's, too.
+        Signals of the arm, which this class passes on.
     last_link, link : int
-        Index of the last link, and of the one that an effect is about.
+        Index of the last link, and of the link that an effect is located at.
     constants : RobotConstants
     """
 
@@ -328,35 +333,35 @@ class RobotSignals(MotionSignals):
 
     @property
     def tool_position(self) -> Quantity:
-        """As of the arm."""
+        """Tool position in the base frame (K, 3) [m]."""
         return self.arm.tool_position
 
     @property
     def tool_velocity(self) -> Quantity:
-        """As of the arm."""
+        """Tool velocity in the base frame (K, 3) [m/s]."""
         return self.arm.tool_velocity
 
     @property
     def tool_jacobian(self) -> Quantity:
-        """As of the arm."""
+        """Jacobian of the tool position (K, 3, n)."""
         return self.arm.tool_jacobian
 
     @property
     def body_regressor(self) -> Any:
-        """As of the arm."""
+        """Joint torques per inertial parameter of every body (K, n, 10 n) [N m per unit]."""
         return self.arm.body_regressor
 
     @property
     def tilt(self) -> Quantity:
-        """As of the arm."""
+        """Change of spring torque per rotation of the base about x and y (K, n, 2) [N m/rad]."""
         return self.arm.tilt
 
     def head(self, count: int) -> RobotSignals:
-        """The first samples."""
+        """Return the first samples."""
         return self._select_samples(slice(count), self.arm.head(count))
 
     def decimate(self, every: int) -> RobotSignals:
-        """Every so many samples; the clock stays."""
+        """Return every k-th sample; `dt` is unchanged."""
         return self._select_samples(slice(None, None, every), self.arm.decimate(every))
 
     def _select_samples(self, samples: slice, arm: ArmSignals) -> RobotSignals:
@@ -365,7 +370,7 @@ class RobotSignals(MotionSignals):
         return replace(self, arm=arm, **kept)
 
     def of_joint(self, index: int) -> JointSignals:
-        """Signals of one joint (0-based)."""
+        """Return the signals of one joint (0-based)."""
 
         def of(name: str, joint: int) -> Quantity:
             column = getattr(self, name)[:, joint]
@@ -390,7 +395,7 @@ class RobotSignals(MotionSignals):
         )
 
 
-# Signals that every joint has of its own.
+# Fields of `MotionSignals` with one column per joint.
 JOINT_SIGNAL_NAMES = (
     "temperature_rise",
     "motor_position",

@@ -88,7 +88,7 @@ def test_a_damping_above_critical_is_told_in_the_unit_of_its_joint() -> None:
         stiffness=np.full((2, 1), 1e4),
         damping=np.array([300.0]),
     )
-    probe: Any = SimpleNamespace(swing=swing)
+    probe: Any = SimpleNamespace(vibration=swing)
     robot: Any = SimpleNamespace(recordings=told)
     with pytest.raises(InputFileError, match="300 N s/m at 'lift' is above the critical 200"):
         _check_damping(robot, probe)

@@ -1,7 +1,7 @@
-"""The catalogue: physics that a nominal model of a robot may lack, an effect or a family a file.
+"""Catalogue of physics that a nominal robot model may lack, one effect or family per file.
 
-Signs: terms add to the drive torque, to the torque in the spring, or to motor angle minus link
-angle, as `stiffopt.discovery.effect.Term` says.
+Signs: terms add to the drive torque, to the spring torque, or to motor angle minus link angle, as
+in `stiffopt.discovery.effect.Term`.
 """
 
 from __future__ import annotations
@@ -44,12 +44,15 @@ CATALOGUE: tuple[Effect, ...] = (
     *CONTACTS,
 )
 
-# Runs of which each can have an amplitude.
+# Largest number of runs with one amplitude each.
 _MAX_RUNS = 20
 
 
 def confused_with(entry: Effect, effects: Sequence[Effect] = CATALOGUE) -> tuple[str, ...]:
-    """Names of the effects that ordinary motions separate poorly from one, whichever says so."""
+    """Return the names of effects that ordinary motions separate poorly from one.
+
+    Either side may declare it.
+    """
     return tuple(
         other.name
         for other in effects
@@ -58,7 +61,9 @@ def confused_with(entry: Effect, effects: Sequence[Effect] = CATALOGUE) -> tuple
 
 
 def effects_of_runs(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Effect, ...]:
-    """Effects with amplitudes for each of some runs, where they have such; too many are left out.
+    """Return effects with one amplitude per run where they have such.
+
+    Effects of runs are left out where there are too many runs.
 
     Parameters
     ----------
@@ -74,12 +79,12 @@ def effects_of_runs(effects: Sequence[Effect], runs: Sequence[str]) -> tuple[Eff
 
 
 def effect(name: str) -> Effect:
-    """Entry of the catalogue by its name.
+    """Return the entry of a name.
 
     Raises
     ------
     InputError
-        No entry has this name; the message lists those there are.
+        No entry has this name; the message lists the names.
     """
     for entry in CATALOGUE:
         if entry.name == name:

@@ -1,4 +1,4 @@
-"""A belt that creeps under load: the standard linear solid in series with the joint."""
+"""Creep of a belt under load: the standard linear solid in series with the joint."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from stiffopt.symbolic import Quantity
 def belt_creep_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Wind-up C_now s + C_creep y, dy/dt = (s - y)/tau_r."""
+    """Return the wind-up C_now s + C_creep y, dy/dt = (s - y)/tau_r."""
     s = signals.spring_torque
-    # A belt has settled under the load that the run begins with.
+    # A belt has settled under the load at the begin of the run.
     slow = first_order_lag(s, np.exp(-signals.dt / shapes[0]))
     return Term(deflection=amplitudes[0] * s + amplitudes[1] * slow)
 
@@ -43,7 +43,7 @@ def _may_have_belt(constants: JointConstants) -> bool:
 def put_belt_in_series(
     robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange | None:
-    """A spring in series as soft as the belt is once it has settled."""
+    """Return the robot with a spring in series as soft as the settled belt."""
     compliance = float(sum(found.amplitudes))
     if compliance <= 0.0:
         return None

@@ -1,4 +1,4 @@
-"""Loads that come in from elsewhere: the joint before, or something that the tool touches."""
+"""External loads: coupling with the previous joint, and contact of the tool."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from stiffopt.discovery.signals import (
 )
 from stiffopt.symbolic import Quantity, is_symbolic, smooth_abs
 
-_CONTACT_ROUNDING = 1e-4  # [m], over which a touch begins
+# Height over which the contact force sets in [m].
+_CONTACT_ROUNDING = 1e-4
 
 
 def wrist_coupling_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Link angle th + c th_before; by virtual work the joint before carries c s."""
+    """Return link angle th + c th_before; by virtual work the previous joint carries c s."""
     return Term(
         deflection=-amplitudes[0] * signals.previous_position,
         previous_torque=amplitudes[0] * signals.spring_torque,
@@ -32,7 +33,7 @@ def wrist_coupling_term(
 def external_contact_term(
     signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """-J^T n k max(z - tool height, 0): a level surface holds the tool up."""
+    """Return -J^T n k max(z - tool height, 0) of a level surface under the tool."""
     depth = shapes[0] - component(signals.tool_position, 2)
     pressed = 0.5 * (depth + smooth_abs(depth, _CONTACT_ROUNDING))
     jacobian = signals.tool_jacobian
@@ -41,7 +42,7 @@ def external_contact_term(
 
 
 def _joint_torques(force: Quantity, lever: Quantity) -> Quantity:
-    """Product of a force (K,) and levers (K, n), whichever is a symbol."""
+    """Return the product of a force (K,) and levers (K, n), arrays or symbols."""
     if is_symbolic(lever) or not is_symbolic(force):
         return lever * (force if is_symbolic(lever) else force[:, None])
     return lever * (force @ np.ones((1, lever.shape[1])))

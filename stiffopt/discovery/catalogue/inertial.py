@@ -1,4 +1,4 @@
-"""Masses that the nominal bodies lack, and a base that stands askew."""
+"""Inertia and gravity errors: rotor inertia, payload, link masses, tilt of the base."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from stiffopt.discovery.catalogue.common import (
 from stiffopt.discovery.catalogue.robot_change import add_to_body, add_to_nominal_value
 from stiffopt.discovery.effect import Amplitude, Effect, FittedEffect, RobotChange, Term
 from stiffopt.discovery.signals import (
+    PARAMETERS_PER_BODY,
     JointConstants,
     JointSignals,
     RobotConstants,
@@ -24,48 +25,49 @@ from stiffopt.discovery.signals import (
 from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity, is_symbolic
 
-# Inertial parameters of a body in a regressor: mass, three first moments, six of the inertia.
-_A_BODY = 10
-_TYPICAL_DISTANCE = 0.1  # [m], how far off a centre of mass typically is
-# How much farther out what is added to a body lies.
+# Typical error of a centre of mass [m].
+_TYPICAL_DISTANCE = 0.1
+# Distance of a mass added since a model was made over that of a modelling error.
 _CHANGED_DISTANCE_RATIO = 3.0
 
 
 def rotor_inertia_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Torque dJ dw/dt."""
+    """Return the torque dJ dw/dt."""
     return Term(drive_torque=amplitudes[0] * signals.motor_acceleration)
 
 
 def body_term(signals: RobotSignals, amplitudes: Sequence[Quantity], body: int) -> Term:
-    """Torques of changed inertial parameters of one body."""
+    """Return the torques of changed inertial parameters of one body."""
     torque: Quantity = 0.0
     for k, amplitude in enumerate(amplitudes):
-        # Columns are asked for one by one.
+        # Columns are evaluated on demand: skip those of zero amplitude.
         if is_symbolic(amplitude) or amplitude:
-            torque = torque + amplitude * component(signals.body_regressor, _A_BODY * body + k)
+            torque = torque + amplitude * component(
+                signals.body_regressor, PARAMETERS_PER_BODY * body + k
+            )
     return Term(link_torque=torque)
 
 
 def payload_term(
     signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Mass dm at the place c of the last link, with its inertia about that link's joint."""
+    """Return the torques of a mass dm at c of the last link, with inertia about its joint."""
     return body_term(signals, amplitudes, signals.last_link)
 
 
 def inertial_error_term(
     signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Mass, first moment and inertia of the link in question."""
+    """Return the torques of mass, first moment and inertia of the located link."""
     return body_term(signals, amplitudes, signals.link)
 
 
 def base_tilt_term(
     signals: RobotSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Gravity turned against the base by small angles about x and y."""
+    """Return the torques of gravity rotated against the base by small angles about x and y."""
     return Term(
         link_torque=amplitudes[0] * component(signals.tilt, 0)
         + amplitudes[1] * component(signals.tilt, 1)
@@ -75,14 +77,14 @@ def base_tilt_term(
 def change_payload(
     robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange:
-    """The last link with what is fixed to it."""
+    """Return the robot with another payload in its last link."""
     return add_to_body(robot, found, joint, "Payload")
 
 
 def change_body(
     robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange:
-    """The link with the masses that were found."""
+    """Return the robot with other inertial parameters of the link."""
     return add_to_body(robot, found, joint, "Masses")
 
 
@@ -135,7 +137,7 @@ def _typical_inertia(constants: RobotConstants) -> float:
     return _TYPICAL_DISTANCE * _typical_moment(constants)
 
 
-# Of the body about the origin of its joint, in the regressor's order.
+# Inertia about the origin of the body's joint, in the order of the regressor.
 _INERTIA_AMPLITUDES = tuple(
     Amplitude(
         name=name,

@@ -1,9 +1,10 @@
-"""Friction of a lubricated joint: of load, speed and temperature together.
+"""Friction of a lubricated joint, as a function of load, speed and temperature together.
 
-Bittencourt and Axelsson (2014) measured what none of the separate laws has: a load rubs more at low
-speed, where the film is thin, and a warm film is thin up to higher speeds. Their law, as a change
-from dry and viscous friction at the temperature where those were identified, with the speed below
-which the film is thin growing as viscosity falls (one exponent for both) in place of a line.
+Bittencourt and Axelsson (2014) measured interactions that the separate laws lack: load friction
+increases at low speed, where the film is thin, and a warm film is thin up to higher speeds. Their
+law, as a change from dry and viscous friction at the temperature of their identification, with the
+speed below which the film is thin growing as viscosity falls (one exponent for both) in place of a
+linear dependence.
 """
 
 from __future__ import annotations
@@ -25,16 +26,16 @@ from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity
 
-# Of the speed, as measured there.
+# Exponent of the speed, as measured there.
 _SPEED_EXPONENT = 1.3
-# Range of temperatures over which the low-speed part typically grows by its own size [K].
+# Temperature range over which the low-speed part typically doubles [K].
 _TEMPERATURE_RANGE = 20.0
 
 
 def lubricated_friction_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Friction of the load, more of it where the film is thin, and viscous friction that falls."""
+    """Return load friction, increased where the film is thin, and falling viscous friction."""
     of_load, of_load_slow, slow, slow_by_kelvin, weight = amplitudes
     speed, exponent, rounding = shapes
     w, rise = signals.motor_velocity, signals.temperature_rise

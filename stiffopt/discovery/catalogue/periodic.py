@@ -1,4 +1,4 @@
-"""What repeats with the turns of the rotor: kinematic error of the gear, ripple of the torque."""
+"""Effects periodic in the rotor angle: kinematic error of the gear, torque ripple."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from stiffopt.symbolic import Quantity
 
 _GEAR_ORDERS = (1, 2, 4)
 _RIPPLE_ORDERS = (1, 6)
-# Waves at this share of the samples' rate are half taken, faster ones hardly: sampled, they look
-# like slow ones, and the motor's inertia carries them, which its recorded motion does not show.
+# Frequency over the sampling rate at which half of a wave is included, and exponent of the
+# roll-off: faster waves alias to slow ones, and the motor's inertia carries them, which its
+# recorded motion does not show.
 _HALF_SHARE_RATE, _ROLL_OFF_EXPONENT = 0.24, 8
 
 
 def _sampled_share(signals: JointSignals, order: Quantity) -> Quantity:
-    """Share of a wave of this order of the joint's angle that samples can show."""
+    """Return the included share of a wave of this order of the joint angle."""
     rate = order * signals.motor_velocity / (2.0 * np.pi)
     return 1.0 / (1.0 + (rate * signals.dt / _HALF_SHARE_RATE) ** _ROLL_OFF_EXPONENT)
 
@@ -27,9 +28,9 @@ def _sampled_share(signals: JointSignals, order: Quantity) -> Quantity:
 def transmission_error_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Error of the ratio at 1, 2 and 4 times the rotor angle.
+    """Return the error of the ratio at 1, 2 and 4 times the rotor angle.
 
-    The drive carries the load through the ratio of the moment, 1 - TE'(th), by virtual work.
+    The drive carries the load through the instantaneous ratio 1 - TE'(th), by virtual work.
     """
     ratio = signals.constants.ratio
     error: Quantity = 0.0
@@ -46,7 +47,7 @@ def transmission_error_term(
 def torque_ripple_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Ripple of the motor at 1 and 6 times the electrical angle."""
+    """Return ripple at 1 and 6 times the electrical angle."""
     constants = signals.constants
     turns = (constants.pole_pairs or 1.0) * constants.ratio
     ripple: Quantity = 0.0
@@ -60,7 +61,7 @@ def torque_ripple_term(
 def rotor_ripple_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Waves of the torque over the turn of the rotor, as many as the shape says."""
+    """Return torque waves over the rotor turn, as many as the shape gives."""
     turns = shapes[0] * signals.constants.ratio
     turn = turns * signals.motor_position
     wave = amplitudes[0] * np.sin(turn) + amplitudes[1] * np.cos(turn)
@@ -90,7 +91,7 @@ def _typical_ripple(constants: JointConstants) -> float:
 
 
 def _wave_amplitude(name: str) -> Amplitude:
-    """One wave of the motor torque."""
+    """Return the amplitude of one wave of the motor torque."""
     return Amplitude(
         name=name,
         unit="N m",

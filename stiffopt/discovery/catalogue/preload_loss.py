@@ -1,4 +1,4 @@
-"""A connection that lost preload: contact stiffness that grows with a power of pressure."""
+"""Lost preload of a connection: contact stiffness that grows with a power of pressure."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from stiffopt.exact.chain import windup_shares
 from stiffopt.robot.robot import Robot
 from stiffopt.symbolic import Quantity
 
-# Slip torque that a loosened connection keeps, over the largest torque of the joint.
+# Smallest slip torque of a loosened connection over the largest torque of the joint.
 _SLIP_MARGIN = 1.1
-# Of a share of preload that is as good as none lost.
+# Share of the preload above which none counts as lost.
 _MAX_LOST_SHARE = 0.999
-# Of the rated torque, at which pressure that is left equals that of the load, at least.
+# Smallest torque, over the rated one, whose contact pressure equals the remaining preload.
 _MIN_PRESSURE_RATIO = 5e-4
 
 
 def preload_loss_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Wind-up c ((|s| + tp)^b - tp^b) sgn(s) of contacts that load presses together."""
+    """Return the wind-up c ((|s| + tp)^b - tp^b) sgn(s) of contacts that load presses together."""
     constants, s = signals.constants, signals.spring_torque
     rated = constants.torque_rated
     left, power = shapes
@@ -55,7 +55,7 @@ def _report_pressure(
 def lose_preload(
     robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange:
-    """Loosen the weakest preloaded connection until the joint winds up as found."""
+    """Loosen the weakest preloaded connection until the joint winds up as estimated."""
     chain, torques = chain_of(robot, joint), TORQUE_SHARES * constants.torque_rated
     wanted = _added_windup(found, constants, torques)
     position = _find_weakest_connection(chain, constants.torque_rated)
@@ -92,17 +92,17 @@ def lose_preload(
 
 
 def _solve_preload_share(added: Callable[[float], float], wanted: float, least: float) -> float:
-    """Share of the preload at which the added wind-up is as wanted, or the least allowed."""
+    """Return the share of preload with the wanted added wind-up, or the least allowed."""
     from scipy.optimize import brentq
 
     if added(least) <= wanted:
         return least
-    # The looser, the more it winds up.
+    # The added wind-up decreases monotonically with preload.
     return float(brentq(lambda share: added(share) - wanted, least, 1.0, xtol=1e-6))
 
 
 def _find_weakest_connection(chain: Chain, torque: float) -> int | None:
-    """Preloaded connection with the largest share of the wind-up, bolts before all others."""
+    """Return the preloaded connection with the largest share of wind-up, bolted ones first."""
     candidates = [i for i, s in enumerate(chain.stages) if s.element.preload is not None]
     bolted = [i for i in candidates if chain.stages[i].element.kind == "bolted_flange"]
     candidates = bolted or candidates
@@ -113,7 +113,7 @@ def _find_weakest_connection(chain: Chain, torque: float) -> int | None:
 
 
 def _added_windup(found: FittedEffect, constants: JointConstants, torques: np.ndarray) -> float:
-    """Mean of the wind-up that a loss of preload adds [rad]."""
+    """Return the mean wind-up that a loss of preload adds [rad]."""
     still = dict.fromkeys(JOINT_SIGNAL_NAMES, np.zeros_like(torques))
     loaded = {
         "spring_torque": torques,

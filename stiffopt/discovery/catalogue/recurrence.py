@@ -1,4 +1,4 @@
-"""Effects with a memory: recurrences over samples that CasADi can differentiate."""
+"""Recurrences over samples, differentiable by CasADi, for effects with memory."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ def recurrence_output(
     state: Sequence[Quantity],
     parameters: Sequence[Quantity] = (),
 ) -> Quantity:
-    """Output of a recurrence at every sample, in the shape of a term.
+    """Return the output of a recurrence at every sample, in the shape of a term.
 
     Parameters
     ----------
     step : callable
-        As of `scan`.
+        As in `scan`.
     inputs : sequence of array (K,) or SX (K, 1)
-        Symbols are written out sample after sample, which suits short stretches.
+        Symbols are unrolled sample by sample, which suits short stretches.
     state : sequence of float or SX
         Before the first sample.
     parameters : sequence of float or SX or MX
@@ -45,7 +45,7 @@ def recurrence_output(
 
 
 def first_order_lag(values: Quantity, kept: Quantity) -> Quantity:
-    """First-order lag of a signal (K,) whose step keeps a share of the distance, from its begin."""
+    """Return the first-order lag of a signal (K,); a step keeps the share `kept`."""
     if is_symbolic(values) or is_symbolic(kept):
         return recurrence_output(_lag_step, [values], [values[0]], [kept])
     added = (1.0 - kept) * values
@@ -54,7 +54,7 @@ def first_order_lag(values: Quantity, kept: Quantity) -> Quantity:
 
 
 def linear_recurrence(kept: np.ndarray, added: np.ndarray) -> np.ndarray:
-    """Values (K,) of x_k = kept_k x_k-1 + added_k from added_0 on: bidiagonal equations."""
+    """Return x_k = kept_k x_k-1 + added_k (K,) from added_0 on, by bidiagonal equations."""
     band = np.ones((2, len(kept)))
     band[1, :-1] = -kept[1:]
     return np.asarray(dtbtrs(band, added, uplo="L", diag="U")[0])
@@ -83,13 +83,13 @@ def scan(
     state: Sequence[float],
     parameters: Sequence[Quantity] = (),
 ) -> Quantity:
-    """Output of a recurrence for every sample.
+    """Return the output of a recurrence for every sample.
 
     Parameters
     ----------
     step : callable
         (state (m,), inputs, parameters) -> (next state (m,), output); works on CasADi symbols. A
-        module-level function, so that its compiled form is kept.
+        module-level function, so that its compiled form is cached.
     inputs : sequence of array (K,)
     state : sequence of float
         At the first sample (m,).

@@ -1,4 +1,4 @@
-"""How findings change the robot that a planner computes with: values, bodies, drivetrains."""
+"""Changes of the robot that a planner computes with: values, bodies, drivetrains."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from stiffopt.drivetrain.stage import Stage
 from stiffopt.exact.chain import exact_windup
 from stiffopt.robot.robot import Robot
 
-# Torques up to the rated one at which wind-ups are matched, as shares of it.
+# Torques over the rated one at which wind-ups are matched.
 TORQUE_SHARES = np.linspace(0.05, 1.0, 20)
 ADDED_SPRING_NAME = "found_compliance"
 
@@ -24,11 +24,11 @@ ADDED_SPRING_NAME = "found_compliance"
 def add_to_nominal_value(
     robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange:
-    """Add the first amplitude to the value of the robot that the effect names."""
+    """Add the first amplitude to the robot's value that the effect names."""
     effect = found.effect
     values = np.array(getattr(robot, effect.nominal), dtype=float)
     before = float(values[joint])
-    # A drive neither pushes itself nor has a rotor of negative inertia.
+    # Friction and rotor inertia are not negative.
     values[joint] = max(before + found.amplitudes[0], 0.0)
     changed: dict[str, Any] = {effect.nominal: values}
     return RobotChange(
@@ -38,8 +38,8 @@ def add_to_nominal_value(
     )
 
 
-def add_to_body(robot: Robot, found: FittedEffect, joint: int, what: str) -> RobotChange:
-    """Add inertial parameters to the body behind a joint (from 0)."""
+def add_to_body(robot: Robot, found: FittedEffect, joint: int, subject: str) -> RobotChange:
+    """Add inertial parameters to the body of a joint (from 0)."""
     before = robot.tree.bodies[joint]
     values = before.inertial_parameters + np.asarray(found.amplitudes)
     if values[0] <= 0.0:
@@ -51,36 +51,36 @@ def add_to_body(robot: Robot, found: FittedEffect, joint: int, what: str) -> Rob
     if f"{before.mass:.4g}" == f"{body.mass:.4g}":
         mass = f"{body.mass:.4g} kg as before"
     return RobotChange(
-        changed, f"{what} of link {joint + 1}: {mass}, centre from {old} to {new} mm."
+        changed, f"{subject} of link {joint + 1}: {mass}, centre from {old} to {new} mm."
     )
 
 
 def chain_of(robot: Robot, joint: int) -> Chain:
-    """Drivetrain of a joint; one without stages where the joint is rigid."""
+    """Return the drivetrain of a joint, empty where the joint is rigid."""
     return robot.chains[joint] or Chain(())
 
 
 def with_chain(robot: Robot, joint: int, chain: Chain, sentence: str) -> RobotChange:
-    """The robot with another drivetrain in one joint."""
+    """Return the robot with another drivetrain in one joint."""
     chains: list[Chain | None] = list(robot.chains)
     chains[joint] = chain
     return RobotChange(replace(robot, chains=tuple(chains)), f"Joint {joint + 1}: {sentence}")
 
 
 def mean_windup(chain: Chain, torques: np.ndarray) -> float:
-    """Mean wind-up [rad] of a drivetrain, by its exact law, over some torques [N m]."""
+    """Return the mean exact wind-up [rad] of a drivetrain over torques [N m]."""
     return float(np.mean(exact_windup(chain, torques))) if chain.stages else 0.0
 
 
 def with_element(chain: Chain, position: int, element: Connection) -> Chain:
-    """The drivetrain with another element in the place of one."""
+    """Return the drivetrain with one element replaced."""
     stages = list(chain.stages)
     stages[position] = replace(stages[position], element=element)
     return replace(chain, stages=tuple(stages))
 
 
 def with_series_spring(chain: Chain, added: float, constants: JointConstants) -> tuple[Chain, str]:
-    """The drivetrain with a spring in series that adds a mean wind-up [rad], and a sentence."""
+    """Return the drivetrain with a spring in series of a mean wind-up [rad], and a sentence."""
     stiffness = float(np.mean(TORQUE_SHARES)) * constants.torque_rated / added
     names = chain.elements
     name = next(

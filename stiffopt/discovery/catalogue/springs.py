@@ -1,4 +1,4 @@
-"""Springs beside a joint: balancers of the arm, cables along it, and stops at its ends."""
+"""Springs parallel to a joint: balancers, cables along the arm, end stops."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from stiffopt.discovery.effect import Amplitude, Effect, Shape, Term
 from stiffopt.discovery.signals import JointConstants, JointSignals
 from stiffopt.symbolic import Quantity, softplus
 
-# Angle over which a stop begins to press [rad].
+# Angle over which a stop sets in [rad].
 _STOP_ROUNDING = 2e-3
 
 
 def gravity_spring_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Torque k m sin((q - q1)/m) + B of a spring that turns over; sine and cosine apart."""
+    """Return k m sin((q - q1)/m) + B of a balancer spring, sine and cosine separate."""
     sine, cosine, constant = amplitudes
     bend = shapes[0]
     turned = signals.link_position / bend
@@ -34,7 +34,7 @@ def gravity_spring_term(
 def cable_spring_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Torque k1 (q - q0) + k3 (q - q0)^3."""
+    """Return the torque k1 (q - q0) + k3 (q - q0)^3."""
     bent = signals.link_position - shapes[0]
     return Term(link_torque=amplitudes[0] * bent + amplitudes[1] * bent**3)
 
@@ -42,7 +42,7 @@ def cable_spring_term(
 def end_stop_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Torque k (q - q0) beyond an angle, on the side that the second shape points to."""
+    """Return the torque k (q - q0) beyond an angle, on the side of the second shape's sign."""
     place, side = shapes
     inwards = np.sign(side)
     pressed = softplus(inwards * (signals.link_position - place) / _STOP_ROUNDING)
@@ -52,9 +52,9 @@ def end_stop_term(
 def _report_rest_angle(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
-    """Stiffness where the spring carries nothing, of all such angles the one nearest the stroke.
+    """Return the stiffness at the torque-free angle nearest to the stroke.
 
-    Where it carries torque all round, the angle of the wave alone.
+    Without a torque-free angle, that of the wave alone.
     """
     sine, cosine, constant = amplitudes
     bend, middle = shapes[0], float(np.mean(constants.stroke))
@@ -107,7 +107,7 @@ GRAVITY_SPRING = Effect(
         Amplitude(name="k_cos", unit="N m/rad", scale=_typical_stiffness, lower=-20.0, upper=20.0),
         Amplitude(name="B", unit="N m", scale=_typical_stiffness, lower=-40.0, upper=40.0),
     ),
-    # From a crank drawn by a spring of no free length to a plain torsion spring.
+    # From a crank with a spring of zero free length to a plain torsion spring.
     shapes=(Shape(name="m", unit="rad", starts=(1.0, 1.5, 5.0), lower=0.5, upper=10.0),),
     report=_report_rest_angle,
     units={"k": "N m/rad", "offset": "rad"},

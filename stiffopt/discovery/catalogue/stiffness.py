@@ -1,4 +1,4 @@
-"""Springs of another stiffness than nominal: the whole joint, or the reducer's first slope."""
+"""Stiffness other than nominal: of the whole joint, or the first slope of the reducer."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from stiffopt.symbolic import Quantity
 def stiffness_linear_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Wind-up x D(s)."""
+    """Return the wind-up x D(s)."""
     return Term(deflection=amplitudes[0] * signals.windup)
 
 
@@ -80,14 +80,14 @@ def _scale_element(element: Reducer | Constant, factor: float) -> Connection:
 def k1_softening_term(
     signals: JointSignals, amplitudes: Sequence[Quantity], shapes: Sequence[Quantity]
 ) -> Term:
-    """Wind-up of a reducer with another first slope and corner, less the nominal one."""
+    """Return the wind-up of a reducer with another first slope and corner, less the nominal one."""
     constants, s = signals.constants, signals.spring_torque
     if constants.slopes is None or constants.corners is None:
         return Term(deflection=0.0 * s)
     (k1, k2, k3), (t1, t2) = constants.slopes, constants.corners
     k1_factor, t1_factor = shapes
     first = t1 * t1_factor
-    # The second corner moves on only when the first passes it.
+    # The second corner moves only when the first passes it.
     worn = reducer_windup(s, (k1 * k1_factor, k2, k3), (first, np.fmax(t2, first)))
     added = worn - reducer_windup(s, constants.slopes, constants.corners)
     return Term(deflection=amplitudes[0] * added)
@@ -96,7 +96,7 @@ def k1_softening_term(
 def _report_corners(
     amplitudes: Sequence[float], shapes: Sequence[float], constants: Constants
 ) -> Mapping[str, float]:
-    # The slope at zero torque holds exactly, also where the weight is not 1.
+    # The slope at zero torque is exact, also where the weight is not 1.
     softer = 1.0 + amplitudes[0] * (1.0 / shapes[0] - 1.0)
     return {"k1_factor": 1.0 / softer, "t1_factor": shapes[1]}
 
@@ -109,7 +109,7 @@ def _has_reducer_corners(constants: JointConstants) -> bool:
 def wear_reducer(
     robot: Robot, found: FittedEffect, joint: int, constants: JointConstants
 ) -> RobotChange | None:
-    """Another first slope and corner of the reducer."""
+    """Change the first slope and corner of the reducer."""
     values = _report_corners(found.amplitudes, found.shapes, constants)
     chain = chain_of(robot, joint)
     for position, stage in enumerate(chain.stages):

@@ -1,9 +1,9 @@
-"""How fast a motion fits and predictions follow, chosen for every set and channel.
+"""Bandwidths of fit and prediction, selected by cross-validation for every set and channel.
 
-A wide band follows what happens at reversals and in pulses; a narrow one keeps the noise of twice
-derived encoders out of the torque. Which is better is a fact of the recordings: of every band a
-small linear model (bodies, rotor, dry and viscous friction, offset) is fitted to some stretches of
-the measured torque and predicts the others, unfiltered.
+A wide band follows reversals and pulses; a narrow one keeps the noise of twice differentiated
+encoders out of the torque. Which is better depends on the recordings: for every band a small linear
+model (bodies, rotor, dry and viscous friction, offset) is fitted to some stretches of the measured
+torque and predicts the others, unfiltered.
 """
 
 from __future__ import annotations
@@ -26,39 +26,39 @@ from stiffopt.discovery.comparison.prepared_run import quasi_static_links
 from stiffopt.discovery.signals import smooth_sign
 from stiffopt.recording.run import RecordedRun
 
-# Bands that are tried [Hz], as far as the sampling rate bears them.
+# Candidate bands [Hz], as far as the sampling rate admits.
 BANDS = (4.0, 6.0, 8.0, 12.0, 20.0, 35.0, 60.0, 100.0, 150.0)
-# Of a fit at most and at least: rows of wider ones are too many, narrower ones too few.
+# Range of the fit's band [Hz]: wider ones have too many rows, narrower ones too few.
 _MIN_FIT_BAND, _MAX_FIT_BAND = 8.0, 100.0
 # Highest band over the sampling rate.
 _MAX_BAND_OVER_RATE = 0.2
-# Samples of all runs that a band is tried with; stretches of all runs, and parts that they make.
+# Samples of all runs per band; stretches of all runs, and folds that these form.
 _MAX_SAMPLES, _STRETCH_COUNT, _FOLD_COUNT = 2000, 40, 5
-# Length of a stretch, at least and at most [s].
+# Range of the length of a stretch [s].
 _MIN_STRETCH, _MAX_STRETCH = 0.2, 2.0
-# Of columns scaled to one, a share of the samples.
+# Ridge penalty of columns scaled to unit mean square, over the number of samples.
 _RELATIVE_RIDGE = 1e-3
-# Less is no reason to leave the usual band, of the mean square.
+# Smallest gain in the mean log mean square for which the default band of the fit is left.
 _MIN_LOG_GAIN = 0.02
-# Share of the least mean square that a wider band may cost: what encoders' noise does is seen in
-# the training runs, what a faster motion needs is not.
+# Share of the least mean square that a wider band may cost: encoder noise is visible in the
+# training runs, the needs of a faster motion are not.
 _MAX_WIDER_BAND_COST = 0.1
-# Rows of a fit at most: wider bands have more.
+# Largest number of rows of a fit.
 _MAX_FIT_ROWS = 60_000
-# A joint with fewer moving samples chooses nothing.
+# Joints with fewer moving samples keep the default band.
 _MIN_MOVING_SAMPLES = 100
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bands:
-    """Bands of one set.
+    """Bandwidths of one recording set.
 
     Parameters
     ----------
     fit : float
-        Of the rows of a fit [Hz].
+        Band of the rows of a fit [Hz].
     predict : tuple of float (n,)
-        Of the motion that the torque of each joint is predicted from [Hz].
+        Band of the motion from which the torque of each joint is predicted [Hz].
     """
 
     fit: float
@@ -73,7 +73,7 @@ def choose_bands(
     fit: float,
     predict: float,
 ) -> Bands:
-    """Bands that predict stretches left out best.
+    """Return the bands that best predict stretches left out.
 
     Parameters
     ----------
@@ -81,16 +81,16 @@ def choose_bands(
     runs : sequence of RecordedRun
         Training runs.
     slow : float
-        Joints slower than this stand [rad/s].
+        Joints slower than this are at rest [rad/s].
     fit, predict : float
-        Where too little moves to choose [Hz].
+        Defaults where too little moves to select [Hz].
     """
     rate = 1.0 / max(run.step for run in runs)
     highest = _MAX_BAND_OVER_RATE * rate
     tried = sorted({*(b for b in BANDS if b <= highest), min(predict, highest)})
     errors = np.array([_cross_validation_errors(robot, runs, band, slow) for band in tried])
     usable = np.isfinite(errors).all(axis=0)
-    # Link motion by a nominal wind-up can be had below a joint's resonance alone.
+    # The link motion of an elastic joint is computable only below its resonance.
     slower = int(np.searchsorted(tried, predict, side="right"))
     counts = [slower if joint.elastic else len(tried) for joint in robot.constants.joints]
     bands = [
@@ -125,7 +125,7 @@ def _widest_adequate_band(tried: Sequence[float], errors: np.ndarray) -> float:
 def _cross_validation_errors(
     robot: RobotModel, runs: Sequence[RecordedRun], band: float, slow: float
 ) -> np.ndarray:
-    """Mean square of the unfiltered torque in stretches left out (n,); nan where none can be."""
+    """Return the mean square error of unfiltered torque in stretches left out (n,), or nan."""
     length = float(
         np.clip(sum(run.duration for run in runs) / _STRETCH_COUNT, _MIN_STRETCH, _MAX_STRETCH)
     )
@@ -148,7 +148,7 @@ def _cross_validation_errors(
 
 @dataclass(frozen=True, eq=False)
 class _RunSamples:
-    """Some samples of a run, its motion filtered and its torque not."""
+    """Samples of a run with filtered motion and unfiltered torque."""
 
     velocity: np.ndarray
     acceleration: np.ndarray
@@ -157,10 +157,10 @@ class _RunSamples:
     stretch: np.ndarray
 
     def columns(self, j: int) -> np.ndarray:
-        """What the torque of a joint may be made of (m, k).
+        """Return the regressors of the torque of a joint (m, k).
 
-        Where links are followed through springs, too fast a band makes accelerations that are none,
-        which free bodies would take away again: nominal ones show what it does.
+        Elastic joints have no free bodies: too wide a band makes spurious link accelerations, which
+        free bodies would cancel; nominal ones expose them.
         """
         speed = self.velocity[:, j]
         own = (np.ones_like(speed), smooth_sign(speed), speed, self.acceleration[:, j])
@@ -176,7 +176,7 @@ def _sample_run(
     motor = low_pass.filter_motion(bridge_gaps(position))
     velocity = derivative(motor, dt)
     acceleration = derivative(velocity, dt)
-    # The same samples for every band, clear of the ends of the narrowest.
+    # Same samples for every band, clear of the ends of the narrowest.
     margin = min(ZeroPhaseFilter(1.0 / dt, BANDS[0]).settling, len(time) // 4)
     every = max(1, (len(time) - 2 * margin) * runs // _MAX_SAMPLES)
     kept = np.arange(margin, len(time) - margin, every)

@@ -1,4 +1,4 @@
-"""Noise of the measured channels, and rows of a fit."""
+"""Rows of a fit and noise of the channels, stated by the set or estimated from recordings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stiffopt.recording.nominal import Noise
 
 @dataclass(frozen=True, eq=False)
 class ChannelNoise:
-    """One standard deviation of each unfiltered channel.
+    """Standard deviation of each unfiltered channel.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class ChannelNoise:
 
 
 class ChannelRows:
-    """Rows of one or more runs.
+    """Rows of runs in a fit: filtered, decimated, masked, divided by noise, assigned to blocks.
 
     Channels are numbered: torque of joint 1 to n, then deflection of joint 1 to n.
 
@@ -36,12 +36,12 @@ class ChannelRows:
     runs : sequence of PreparedRun
     noise : ChannelNoise
     blocks : int
-        Blocks that a run is cut into for cross-validation; 1 takes each run as a whole.
+        Cross-validation blocks per run; 1 takes each run as a whole.
 
     Attributes
     ----------
     channel, block : array (m,) of int
-        Of every row.
+        Channel and block of every row.
     """
 
     def __init__(self, runs: Sequence[PreparedRun], noise: ChannelNoise, blocks: int = 1) -> None:
@@ -60,11 +60,11 @@ class ChannelRows:
         self.counts = counts
 
     def _locate_rows(self, run: PreparedRun, blocks: int) -> _RowPlaces:
-        """Samples that become rows, channel by channel."""
+        """Return the samples that become rows, channel by channel."""
         step = run.low_pass.step
         grid = np.arange(0, len(run.time), step)
         sizes, samples, channels, block_ids = [], [], [], []
-        # Samples about a border belong to no block, so that none leaks into another.
+        # Rows whose filter spans a border belong to no block: blocks must not share samples.
         edges = np.linspace(0, len(run.time), blocks + 1)
         own = np.clip(np.searchsorted(edges, grid, "right") - 1, 0, blocks - 1)
         inner = edges[1:-1]
@@ -93,7 +93,7 @@ class ChannelRows:
         torque: Sequence[np.ndarray | None],
         deflection: Sequence[np.ndarray | None],
     ) -> np.ndarray:
-        """One column of rows from what it adds to the channels of every run.
+        """Return one column of rows from additions to the channels of every run.
 
         Parameters
         ----------
@@ -107,7 +107,7 @@ class ChannelRows:
     def fill_run(
         self, out: np.ndarray, number: int, torque: np.ndarray | None, deflection: np.ndarray | None
     ) -> None:
-        """Put what is added to the channels (K, n) of one run (from 0) into its rows of a column.
+        """Write additions to the channels (K, n) of one run (from 0) into its rows of a column.
 
         Parameters
         ----------
@@ -133,7 +133,7 @@ class ChannelRows:
     def channel_columns(
         self, number: int, own: Sequence[tuple[str, int, int, np.ndarray]], count: int
     ) -> Iterator[tuple[int, np.ndarray]]:
-        """Columns of rows from what they add to single channels of one run (from 0).
+        """Yield columns of rows from additions to single channels of one run (from 0).
 
         Parameters
         ----------
@@ -145,7 +145,7 @@ class ChannelRows:
         Yields
         ------
         (int, array (rows, count))
-            First row, and the columns from there on, of each channel that anything is added to.
+            First row, and the columns from there on, of each affected channel.
         """
         if not own:
             return
@@ -163,7 +163,7 @@ class ChannelRows:
             yield int(begins[channel]), columns
 
     def sample_signal(self, signal: Callable[[PreparedRun], np.ndarray]) -> np.ndarray:
-        """Values of a signal (K, ...) of each run at every row (m, ...)."""
+        """Return a signal (K, ...) of each run at every row (m, ...)."""
         parts = []
         for run, places in zip(self.runs, self._places, strict=True):
             values = np.asarray(signal(run))
@@ -179,23 +179,23 @@ class _RowPlaces:
     block: np.ndarray
 
 
-# Standard deviation of what rounding to one count leaves.
+# Standard deviation of rounding to one count.
 _QUANTISATION_SD = 12.0**-0.5
-# Least noise that is estimated, of a channel's own range: recordings that were smoothed hold less,
-# and no model of a robot is better.
+# Smallest estimated noise over a channel's range: smoothed recordings hold less, and no robot model
+# is more exact.
 _MIN_NOISE_SHARE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KnownNoise:
-    """Noise that a diagnosis works with, and where it comes from.
+    """Noise of the channels and its origin.
 
     Parameters
     ----------
     channels : ChannelNoise
-        Torque [N m] and deflection [rad], one standard deviation each (n,).
+        Standard deviations of torque [N m] and deflection [rad] (n,).
     torque_stated, deflection_stated : array (n,) of bool
-        Taken from the set; otherwise estimated.
+        True where the set states it; otherwise estimated.
     """
 
     channels: ChannelNoise
@@ -203,7 +203,7 @@ class KnownNoise:
     deflection_stated: np.ndarray
 
     def assumptions(self) -> list[str]:
-        """Sentences about what was estimated."""
+        """Return sentences about estimated noise."""
         found = []
         for name, values, stated, unit in (
             ("Torque", self.channels.torque, self.torque_stated, "N m"),
@@ -213,26 +213,26 @@ class KnownNoise:
             if guessed.size:
                 each = ", ".join(f"{j + 1}: {values[j]:.3g} {unit}" for j in guessed)
                 found.append(
-                    f"{name} noise is what the training runs hold above the filter's cutoff"
+                    f"{name} noise is estimated from the training runs above the filter's cutoff"
                     f" (joint {each})."
                 )
         return found
 
 
 def known_noise(stated: Noise, runs: Sequence[PreparedRun]) -> KnownNoise:
-    """Noise of unfiltered channels.
+    """Return the noise of the unfiltered channels.
 
     Parameters
     ----------
     stated : Noise
     runs : sequence of PreparedRun
-        Training runs, for what is not stated.
+        Training runs, for channels without stated noise.
 
     Notes
     -----
-    An estimate is the spread of what the zero-phase low-pass takes away, for white noise of that
-    spread; by medians, so that jerks at reversals hardly count. What moves above the cutoff counts
-    as noise. A channel that no run has is nan. Rounding to a count is the least there is.
+    An estimate is the spread of the samples above the cutoff of the zero-phase low-pass, scaled to
+    white noise; by medians, so that jerks at reversals hardly count. Motion above the cutoff counts
+    as noise. A channel that no run has is nan. Rounding to one count is the lower limit.
     """
     torque, torque_stated = _channel_noise(
         stated.torque, None, [run.torque for run in runs], runs, (None,)
@@ -252,7 +252,10 @@ def known_noise(stated: Noise, runs: Sequence[PreparedRun]) -> KnownNoise:
 
 
 def noise_above_cutoff(runs: Sequence[PreparedRun]) -> np.ndarray:
-    """Noise (2 n,) that runs hold above the filter's cutoff, torques first; nan without samples."""
+    """Return the noise (2 n,) of runs above the filter's cutoff, torques first.
+
+    Channels without samples are nan.
+    """
     n = runs[0].torque.shape[1]
     kinds = ([run.torque for run in runs], [run.deflection for run in runs])
     return np.array(

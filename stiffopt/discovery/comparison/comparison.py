@@ -1,4 +1,4 @@
-"""The comparison of training runs with the nominal model: rows, nuisance, residual."""
+"""Comparison of training runs with the nominal model: nuisance values, residual, fits."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ from stiffopt.discovery.comparison.piece_sums import WeightedSums
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.recording.nominal import Tolerance
 
-# Of a nominal model that nobody has compared yet.
+# Default of a nominal model without an earlier diagnosis.
 _NO_SUSPECTS: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Rows fitted by nominal values within tolerance and by effects.
+    """Least-squares fit of nominal values within tolerance and of effects.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Fit:
     posterior : Posterior
         Of the nuisance values, then the amplitudes over their sizes.
     residual : array (m,)
-        Whitened by the stated noise.
+        Over the stated noise.
     """
 
     effects: tuple[LocatedEffect, ...]
@@ -59,9 +59,9 @@ class Fit:
     nuisance: int
 
     def evidence_losses(self) -> np.ndarray:
-        """Log evidence that is lost without each effect, the others kept.
+        """Return the log evidence lost without each effect, the others kept.
 
-        The density that prior and posterior give to the amplitude zero, one over the other.
+        Savage-Dickey ratio: posterior over prior density at amplitude zero.
         """
         lost, begin = [], self.nuisance
         for located in self.effects:
@@ -73,20 +73,20 @@ class Fit:
         return np.array(lost)
 
     def amplitudes(self) -> np.ndarray:
-        """Amplitudes of all effects over their sizes, one after another."""
+        """Return the amplitudes of all effects over their sizes, concatenated."""
         return self.posterior.mean[self.nuisance :]
 
 
 @dataclass(frozen=True, eq=False)
 class ModelSums:
-    """Sums of squares of a model's columns.
+    """Sums of products of a model's columns.
 
     Parameters
     ----------
     own : Sums
         Of the nominal values, then the amplitudes over their sizes.
     added_sums : callable
-        -> sums of an effect's columns beside those.
+        -> sums of an effect's columns with those.
     """
 
     own: Sums
@@ -100,23 +100,23 @@ class Comparison:
     ----------
     robot : RobotModel
     runs : sequence of PreparedRun
-        With the nominal model.
+        Runs with the nominal model.
     noise : ChannelNoise
     tolerance : Tolerance
     start : Extension, optional
-        What the model that is compared has beyond the nominal one.
+        Extension of the compared model beyond the nominal one.
     inflation : array (2 n,), optional
-        Factor on the noise of every channel, for what the model leaves unexplained there.
+        Factor on the noise of every channel for its unexplained residual.
     box : float
-        Nominal values stay within so many standard deviations.
+        Bound on nominal values in standard deviations.
     least : array (2 n,), optional
-        Least of these factors: what the model that is started from left of its own recordings;
-        nan where it has seen none.
+        Smallest of these factors: the residual of the starting model in its own recordings; nan for
+        unseen channels.
     suspects : mapping of str to float
-        Effects by their labels that this hints at by itself, with log evidence for a row: of them
-        as much is no evidence.
+        Log evidence per row of effects, by label, that the starting model left unexplained: so much
+        does not count as evidence of a change.
     columns : Columns, optional
-        Of these runs, about what was found already.
+        Design matrix of these runs, linearised about known findings.
     """
 
     def __init__(
@@ -149,23 +149,23 @@ class Comparison:
 
     @cached_property
     def _row_weight(self) -> np.ndarray:
-        """Weight of every row beside the stated noise."""
+        """Weight of every row over the stated noise."""
         return np.asarray(1.0 / self.inflation[self.rows.channel])
 
     def linearised_at(self, fit: Fit, near: float = MAX_LINEARISATION_ERROR) -> Comparison:
-        """The comparison about a fit: links that move as found, the noise left in each channel.
+        """Return the comparison linearised at a fit, with its residual noise in each channel.
 
         Parameters
         ----------
         fit : Fit
         near : float
-            Rms over that noise of what links may do otherwise before they are followed anew.
+            Largest linearisation error of the links, rms over that noise.
         """
         left = np.nan_to_num(self.channel_ratio(fit.residual), nan=1.0)
         return self.with_extension(self.extension_of(fit), np.maximum(self.least, left), near)
 
     def extension_of(self, fit: Fit) -> Extension:
-        """Values and effects of a fit."""
+        """Return nominal values and effects of a fit."""
         names = self.nuisance[0]
         sizes = [located.sizes(self.constants) for located in fit.effects]
         return Extension(
@@ -179,7 +179,7 @@ class Comparison:
         inflation: np.ndarray | None = None,
         near: float = MAX_LINEARISATION_ERROR,
     ) -> Comparison:
-        """The comparison about an extension, with another factor on the noise (2 n,)."""
+        """Return the comparison about an extension, with other noise factors (2 n,)."""
         return Comparison(
             self.robot,
             self.nominal_runs,
@@ -196,7 +196,7 @@ class Comparison:
         )
 
     def with_runs(self, runs: Sequence[PreparedRun]) -> Comparison:
-        """The comparison of other runs with the same model."""
+        """Return the comparison of other runs with the same model."""
         return Comparison(
             self.robot,
             runs,
@@ -210,7 +210,7 @@ class Comparison:
 
     @property
     def blocks_are_runs(self) -> bool:
-        """Whether blocks are whole runs."""
+        """True where blocks are whole runs."""
         return len(self.runs) >= MIN_RUNS_AS_BLOCKS
 
     @property
@@ -219,7 +219,10 @@ class Comparison:
         return self.columns.bodies
 
     def with_bodies(self, bodies: np.ndarray | None) -> Comparison:
-        """The comparison with inertial parameters free (n, 10), in place of masses and centres."""
+        """Return the comparison with free inertial parameters (n, 10) of all bodies.
+
+        In place of masses and centres of mass.
+        """
         return Comparison(
             self.robot,
             self.nominal_runs,
@@ -234,35 +237,35 @@ class Comparison:
         )
 
     def inherited_evidence(self, located: LocatedEffect) -> float:
-        """Log evidence for an effect that the model which was started from left behind."""
+        """Return the log evidence for an effect that the starting model left unexplained."""
         return self.suspects.get(located.label, 0.0) * self.rows.size
 
     @property
     def max_inherited_evidence(self) -> float:
-        """The largest of these."""
+        """Largest inherited log evidence of all effects."""
         return max(self.suspects.values(), default=0.0) * self.rows.size
 
-    # ---- columns, weighted
+    # ---- weighted columns
 
     @cached_property
     def nuisance(self) -> tuple[list[str], np.ndarray, np.ndarray]:
-        """Names, priors and columns (m, p) of the nominal values."""
+        """Names, priors and weighted columns (m, p) of the nominal values."""
         names, sd, columns = self.columns.nuisance
-        return names, sd, self._whiten(columns)
+        return names, sd, self._whiten_rows(columns)
 
     @cached_property
     def target(self) -> np.ndarray:
-        """What the nominal model leaves of the measured channels (m,), weighted."""
-        return self._whiten(self.columns.target)
+        """Weighted residual of the nominal model in the measured channels (m,)."""
+        return self._whiten_rows(self.columns.target)
 
     def effect_columns(self, located: LocatedEffect) -> np.ndarray:
-        """Columns (m, k) of an effect's amplitudes over their sizes."""
-        return self._whiten(self.columns.effect_columns(located))
+        """Return the weighted columns (m, k) of an effect's amplitudes over their sizes."""
+        return self._whiten_rows(self.columns.effect_columns(located))
 
     def sums(self, effects: Sequence[LocatedEffect] = ()) -> ModelSums:
-        """Sums of nominal values and effects together, and of what is put beside them."""
+        """Return the sums of nominal values and effects, and a function for further effects."""
         if self.columns.initial_state_columns.size:
-            # What may be the swing of a start mixes the rows of a run.
+            # Initial vibration couples all rows of a run.
             _, _, nuisance = self.nuisance
             columns = np.column_stack([nuisance, *(self.effect_columns(e) for e in effects)])
             rows = BlockSums(columns, self.target, self.rows.block, self.blocks)
@@ -275,8 +278,8 @@ class Comparison:
             weighted.own, lambda each: weighted.added_sums(self.columns.products(each))
         )
 
-    def _whiten(self, columns: np.ndarray) -> np.ndarray:
-        """Rows over the noise; what may be the swing that a run began with counts as noise."""
+    def _whiten_rows(self, columns: np.ndarray) -> np.ndarray:
+        """Return rows over the noise; initial vibration counts as noise."""
         weighted = (columns.T * self._row_weight).T
         along, kept = self._initial_state_directions
         if along.size:
@@ -285,7 +288,7 @@ class Comparison:
 
     @cached_property
     def _initial_state_directions(self) -> tuple[np.ndarray, np.ndarray]:
-        """Directions (m, r) of the rows that the unknown start of runs has, the share kept."""
+        """Directions (m, r) of initial vibration in the rows, and the shares kept."""
         columns = self.columns.initial_state_columns * self._row_weight[:, None]
         along, sizes, _ = np.linalg.svd(columns, full_matrices=False)
         return along, 1.0 / np.sqrt(1.0 + sizes**2)
@@ -293,7 +296,7 @@ class Comparison:
     # ---- fits
 
     def fit(self, effects: Sequence[LocatedEffect] = (), *, boxed: bool = True) -> Fit:
-        """Fit nuisance values, in their box unless told otherwise, and effects together."""
+        """Fit nuisance values and effects together; `boxed` bounds the nuisance values."""
         _, sd, nuisance = self.nuisance
         parts = [nuisance, *(self.effect_columns(e) for e in effects)]
         columns = np.column_stack(parts)
@@ -314,7 +317,7 @@ class Comparison:
     def _make_consistent(
         self, mean: np.ndarray, sums: Sums, prior: np.ndarray, limits: np.ndarray
     ) -> np.ndarray:
-        """Likeliest values (p,) whose bodies can exist; as they are where they can."""
+        """Return the likeliest values (p,) with physically consistent bodies."""
         nominal, units = nominal_bodies(self.robot), body_units(self.robot)
         place = slice(0, nominal.size)
         if is_consistent(nominal + mean[place].reshape(nominal.shape), units):
@@ -324,14 +327,14 @@ class Comparison:
         return likeliest_consistent_bodies(gram, moment, place, nominal, units, limits * prior)
 
     def channel_ratio(self, residual: np.ndarray) -> np.ndarray:
-        """Root mean square of whitened residuals in every channel (2 n,); nan without rows."""
+        """Return the rms of whitened residuals per channel (2 n,); nan without rows."""
         square = np.bincount(self.rows.channel, residual**2, minlength=2 * self.robot.n)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(np.sqrt(square / self.rows.counts))
 
 
 def _solve_boxed(sums: Sums, prior: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Likeliest values (p,) within so many standard deviations of their priors."""
+    """Return the likeliest values (p,) within bounds in standard deviations of the priors."""
     scaled = sums.gram.sum(axis=0) * np.outer(prior, prior) + np.eye(len(prior))
     root = np.linalg.cholesky(scaled)
     goal = solve_triangular(root, prior * sums.moment.sum(axis=0), lower=True)

@@ -1,4 +1,4 @@
-"""Columns of a comparison over the stated noise: what each value adds, about what was found."""
+"""Design matrix of a comparison over the stated noise: columns of nominal values and effects."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ from stiffopt.discovery.comparison.piece_sums import PieceColumns, PieceProducts
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.recording.nominal import Tolerance
 
-# Blocks a run is cut into where there are too few runs to leave one out.
+# Fewer runs are cut into blocks for cross-validation, of at least this length [s] where a run has
+# as many, and at most so many per run.
 MIN_RUNS_AS_BLOCKS = 3
 _BLOCK_SECONDS = 2.0
 _MAX_BLOCKS = 8
-# Columns that are kept for the next time they are asked for: those of shapes that every search
-# starts from as far as memory goes [bytes], and the latest of others.
+# Cache of columns: of initial shapes, which every search asks for, up to a memory limit [bytes],
+# and a number of the latest others.
 _START_CACHE_BYTES, _RECENT_CACHE_SIZE = 2**27, 64
-# Motions of all links that are worked out beside each other [bytes].
+# Memory of link motions that are computed together [bytes].
 _BATCH_BYTES = 2**22
-# Earlier extensions that columns are kept about.
+# Earlier linearisations that are kept.
 _MAX_EARLIER = 4
-# Root mean square, over the noise that is left, of what links may do otherwise before they are
-# followed anew.
+# Largest linearisation error of the links before a new linearisation, rms over the residual noise.
 MAX_LINEARISATION_ERROR = 0.3
 
 
 @dataclass(eq=False)
 class _NominalColumns:
-    """Names, priors and columns (m, p) of the nominal values, and what products they have."""
+    """Names, priors and columns (m, p) of the nominal values, and their products with others."""
 
     names: list[str]
     sd: np.ndarray
@@ -52,19 +52,19 @@ class _NominalColumns:
 
 
 class DesignMatrix:
-    """Training runs about what was found, and what small changes add to their rows.
+    """Training runs linearised about an extension, and columns of small changes to them.
 
     Parameters
     ----------
     robot : RobotModel
     runs : tuple of PreparedRun
-        With the nominal model.
+        Runs with the nominal model.
     noise : ChannelNoise
     tolerance : Tolerance
     start : Extension
-        Of the model that is compared.
+        Extension of the compared model.
     found : Extension
-        What links move with besides; laws that bend are taken about it.
+        Further extension by which the links move; nonlinear effects are linearised about it.
     """
 
     def __init__(
@@ -102,18 +102,19 @@ class DesignMatrix:
         inflation: np.ndarray | None = None,
         near: float = MAX_LINEARISATION_ERROR,
     ) -> DesignMatrix:
-        """Columns about another extension; earlier ones where they are near enough.
+        """Return the design matrix about another extension, or an earlier one near it.
 
-        These again about masses that cannot be, whose swing would grow without end.
+        Returns itself where masses are not positive definite, whose vibration would grow without
+        bound.
 
         Parameters
         ----------
         found : Extension
         inflation : array (2 n,), optional
-            Noise that is left in every channel over the stated one; default as stated. Where links
-            vibration, what is left may be of links that were not followed yet: the stated one counts.
+            Residual noise of every channel over the stated one; default as stated. With vibrating
+            links the residual may stem from the linearisation: the stated one counts.
         near : float
-            Rms over that noise of what links may do otherwise.
+            Largest linearisation error of the links, rms over that noise.
         """
         found = self._link_moving_part(found)
         if any(run.vibration is not None for run in self.runs):
@@ -136,48 +137,48 @@ class DesignMatrix:
 
     @property
     def _is_stable(self) -> bool:
-        """Whether what swings in the runs has masses that can be."""
+        """True where the masses of all vibrating links are positive definite."""
         return all(run.vibration is None or run.vibration.has_positive_inertia for run in self.runs)
 
     def with_bodies(self, bodies: np.ndarray | None) -> DesignMatrix:
-        """The same runs with inertial parameters free: their standard deviations (n, 10)."""
+        """Return the matrix with inertial parameters free: their standard deviations (n, 10)."""
         new = copy(self)
         new.bodies, new._earlier = bodies, [new]
         return new
 
     def _clear_effect_columns(self) -> None:
-        """Leave out columns of effects, which are made again where they are asked for."""
+        """Free the memory of effect columns, which are recomputed when needed."""
         self._start_cache.clear()
         self._cached_bytes = 0
         for nominal in self._nominal_by_freedom.values():
             nominal.products.clear()
 
     def release_memory(self) -> None:
-        """Make room once a search is over: what was tried last is not asked for any more."""
+        """Free the memory of columns that are not needed after a search."""
         self._recent_cache.clear()
         self.robot.body_torque_cache.clear()
 
     @property
     def nuisance(self) -> tuple[list[str], np.ndarray, np.ndarray]:
         """Names, priors and columns (m, p) of the nominal values."""
-        nominal = self._nominal
+        nominal = self._cached_nominal
         sd = nominal.sd.copy()
         if self.bodies is not None:
             sd[: self.bodies.size] = self.bodies.ravel()
         return nominal.names, sd, nominal.matrix
 
     @property
-    def _nominal(self) -> _NominalColumns:
-        """Columns of the nominal values, the same whatever the width of free bodies is."""
+    def _cached_nominal(self) -> _NominalColumns:
+        """Columns of the nominal values, independent of the priors of free bodies."""
         free = self.bodies is not None
         if free not in self._nominal_by_freedom:
-            self._nominal_by_freedom[free] = self._nominal_columns()
+            self._nominal_by_freedom[free] = self._build_nominal_columns()
         return self._nominal_by_freedom[free]
 
-    def _nominal_columns(self) -> _NominalColumns:
+    def _build_nominal_columns(self) -> _NominalColumns:
         sd, columns, known = self._unchanged_columns()
-        # A joint at rest in one run, or links that could not be followed there, have no column.
-        # One after another: a long run has no room for all of them before they are thinned.
+        # A joint at rest, or links without a solution, have no column in a run. One column after
+        # another: a long run has no memory for all of them before decimation.
         for number, run in enumerate(self.runs):
             new = nuisance_columns(
                 run, self.robot, self.tolerance, self.bodies, lambda name: name not in known
@@ -190,9 +191,9 @@ class DesignMatrix:
         return _NominalColumns(list(sd), np.array(list(sd.values())), matrix)
 
     def _unchanged_columns(self) -> tuple[dict[str, float], dict[str, np.ndarray], set[str]]:
-        """Priors and columns of nominal values by name, and those that are as they were at first.
+        """Return priors and columns of nominal values by name, and the names of unchanged ones.
 
-        Where no joint winds up, links move as they did, and only the load may be another.
+        With rigid joints links move as in the first linearisation, and only the load may differ.
         """
         first = self._earlier[0]._nominal_by_freedom.get(self.bodies is not None)
         if first is None or self.robot.elastic:
@@ -206,11 +207,12 @@ class DesignMatrix:
 
     @cached_property
     def target(self) -> np.ndarray:
-        """What the model leaves of the measured channels (m,)."""
+        """Residual of the measured channels (m,)."""
         torque, deflection = [], []
         for run, (back, back_wound) in zip(self.runs, self._own_share, strict=True):
             signals = run.signals
-            # Amplitudes stay whole: what their own share moves the links by comes back.
+            # Add the contribution of the linearisation point: fitted amplitudes are then total
+            # ones.
             torque.append(fill_missing(run.torque) - signals.drive_torque + back)
             deflection.append(
                 fill_missing(run.deflection) - signals.windup - run.added_deflection + back_wound
@@ -219,7 +221,7 @@ class DesignMatrix:
 
     @cached_property
     def initial_state_columns(self) -> np.ndarray:
-        """Rows (m, r) of the swings that runs may have begun with, each of its likely size."""
+        """Columns (m, r) of likely initial vibrations, each of its expected size."""
         nothing: list[np.ndarray | None] = [None] * len(self.runs)
         columns = []
         for k, run in enumerate(self.runs):
@@ -233,26 +235,26 @@ class DesignMatrix:
         return np.column_stack(columns) if columns else np.zeros((self.rows.size, 0))
 
     def effect_columns(self, located: LocatedEffect) -> np.ndarray:
-        """Columns (m, k) of an effect's amplitudes over their sizes."""
+        """Return columns (m, k) of an effect's amplitudes over their sizes."""
         return self.pieces.join(self._effect_pieces(located))
 
     @cached_property
     def pieces(self) -> Pieces:
-        """Pieces of the rows."""
+        """Pieces of the rows, one per channel and block."""
         return Pieces(self.rows)
 
     @property
     def sums(self) -> PieceSums:
-        """Sums that the columns of the nominal values make."""
-        nominal = self._nominal
+        """Sums of products of the columns of nominal values."""
+        nominal = self._cached_nominal
         if nominal.sums is None:
             nominal.sums = PieceSums(self.pieces, nominal.matrix, self.target)
         return nominal.sums
 
     def products(self, located: LocatedEffect) -> PieceProducts:
-        """Columns of an effect with their products."""
+        """Return the columns of an effect with their products."""
         columns = self._effect_pieces(located)
-        known = self._nominal.products
+        known = self._cached_nominal.products
         if located.key not in known:
             if located.key not in self._start_cache:
                 return self.sums.products(columns)
@@ -269,7 +271,7 @@ class DesignMatrix:
         return self._cache_columns(located, self._joint_effect_pieces([located])[0])
 
     def prepare_effects(self, effects: Sequence[LocatedEffect]) -> None:
-        """Make columns that will be asked for next; together that is less where links vibration."""
+        """Compute columns of effects in advance; together is faster where links vibrate."""
         if any(run.vibration is None for run in self.runs):
             return
         asked = [
@@ -286,7 +288,7 @@ class DesignMatrix:
                 self._cache_columns(each, columns)
 
     def _cache_columns(self, located: LocatedEffect, columns: PieceColumns) -> PieceColumns:
-        """Keep columns for the next time they are asked for."""
+        """Store columns in the cache of initial shapes or of recent ones."""
         key = located.key
         self._cached_bytes += columns.nbytes
         place = located.key[:-1]
@@ -303,7 +305,7 @@ class DesignMatrix:
         return columns
 
     def _robot_effect_pieces(self, located: LocatedEffect) -> PieceColumns:
-        """Columns of an effect that is of no single joint."""
+        """Return the columns of an effect of the robot or a link."""
         per_run = [list(located.columns(run, self.robot)) for run in self.runs]
         rows = [
             self.rows.flatten([c[0] for c in each], [c[1] for c in each])
@@ -312,10 +314,10 @@ class DesignMatrix:
         return self.pieces.split(np.column_stack(rows) * self._amplitude_sizes(located))
 
     def _joint_effect_pieces(self, effects: Sequence[LocatedEffect]) -> list[PieceColumns]:
-        """Columns of effects of joints, made together."""
+        """Return the columns of effects of joints, computed together."""
         sizes = [self._amplitude_sizes(each) for each in effects]
         parts: list[list[tuple[int, np.ndarray]]] = [[] for _ in effects]
-        # One run after another: where links vibration, all channels of it are moved.
+        # Run by run: vibrating links respond in all channels, which takes memory.
         for number, run in enumerate(self.runs):
             for own, size, of_run in zip(
                 parts, sizes, effect_channel_changes(effects, run, self.robot), strict=True
@@ -326,11 +328,11 @@ class DesignMatrix:
         return [self.pieces.from_stretches(own, len(size)) for own, size in both]
 
     def _amplitude_sizes(self, located: LocatedEffect) -> np.ndarray:
-        """Typical size of every amplitude (k,)."""
+        """Return the typical size of every amplitude (k,)."""
         return located.sizes(self.runs[0].signals.constants)
 
     def _linearisation_error(self, found: Extension, inflation: np.ndarray | None) -> float:
-        """Rms over the noise that is left of what links would do otherwise than here."""
+        """Return the rms over residual noise of link motion not included here."""
         names, _, matrix = self.nuisance
         change = found.minus(self.found)
         values = np.array([change.calibration.get(name, 0.0) for name in names])
@@ -343,7 +345,7 @@ class DesignMatrix:
         return float(np.sqrt(np.mean(rows**2)))
 
     def _link_moving_part(self, found: Extension) -> Extension:
-        """The part of an extension that moves the links, or bends them where they do not vibration."""
+        """Return the part of an extension that moves the links or loads their springs."""
         swings = self.runs[0].vibration is not None
         calibration = {
             name: value

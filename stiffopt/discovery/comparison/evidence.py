@@ -1,7 +1,7 @@
-"""Linear Gaussian model of the rows: evidence, cross-validated density, posterior.
+"""Linear Gaussian model of the rows: log evidence, cross-validated density, posterior.
 
-The predictive density of a block given the others is the ratio of two evidences, so that
-cross-validation over whole recordings needs no fit beyond the sums of squares of each block.
+The predictive density of a block given the others is the ratio of two evidences: cross-validation
+over recordings needs only the sums of products of each block.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Posterior:
     log_evidence : float
         Of all rows, up to a constant of the data.
     by_block : array (b,)
-        Log density of every block given the other blocks, same constant; empty if not asked for.
+        Log density of every block given the other blocks, same constant; empty if not computed.
     """
 
     mean: np.ndarray
@@ -41,7 +41,7 @@ class Posterior:
 
 
 class BlockSums:
-    """Sums of squares of every block of rows.
+    """Sums of products of every block of rows.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class BlockSums:
         self.square = np.array([float(y @ y) for y in self._target])
 
     def added_sums(self, added: np.ndarray) -> AddedSums:
-        """Sums that further columns (m, k) make with those they were made of."""
+        """Return the sums of further columns (m, k) with these."""
         ordered = added[self._order]
         new = [ordered[part] for part in self._parts]
         return AddedSums(
@@ -91,7 +91,7 @@ class BlockSums:
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Sums of squares of blocks: gram (b, p, p), moment (b, p), square (b,)."""
+    """Sums of products by block: gram (b, p, p), moment (b, p), square (b,)."""
 
     gram: np.ndarray
     moment: np.ndarray
@@ -99,17 +99,17 @@ class Sums:
 
 
 class AddedSums:
-    """Sums of squares of further columns, by the parts of the rows on which they act.
+    """Sums of products of further columns, by parts of the rows on which they act.
 
     Parameters
     ----------
     cross : array (a, p, k)
-        With the columns that they stand beside.
+        With the columns that they are added to.
     inner : array (a, k, k)
     moment : array (a, k)
         With the target.
     block : array (a,) of int
-        That each part belongs to.
+        Block of each part.
     blocks : int
     """
 
@@ -131,15 +131,15 @@ class AddedSums:
 
     @cached_property
     def by_block(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same of every block, (b, ...) each."""
+        """Cross, inner and moment of every block, (b, ...) each."""
         cross, inner, moment = (sum_by_block(x, self._block, self._blocks) for x in self._parts)
         return cross, inner, moment
 
 
 def sum_by_block(parts: np.ndarray, block: np.ndarray, blocks: int) -> np.ndarray:
-    """Sums (b, ...) of parts (a, ...) that belong to blocks (a,)."""
+    """Return sums (b, ...) of parts (a, ...) by their blocks (a,)."""
     found = np.zeros((blocks, *parts.shape[1:]))
-    # Parts are large and few: one sum a part is faster than one loop over all their numbers.
+    # Parts are large and few: one addition per part is faster than a scatter of all entries.
     for part, own in zip(parts, block.tolist(), strict=True):
         found[own] += part
     return found
@@ -154,9 +154,9 @@ class AddedPosterior:
     mean : array (k,)
     covariance, precision : array (k, k)
     log_evidence : float
-        As of a `Posterior` of all of them.
+        Log evidence with all parameters, as of a `Posterior`.
     base : callable
-        -> mean (p,) of the parameters that they were added to.
+        -> posterior mean (p,) of the other parameters.
     """
 
     mean: np.ndarray
@@ -172,7 +172,7 @@ class AddedColumnsPosterior:
     Parameters
     ----------
     sums : Sums
-        Without them.
+        Sums without them.
     prior_sd : array (p,)
     """
 
@@ -184,20 +184,20 @@ class AddedColumnsPosterior:
 
     @cached_property
     def _factored_without_block(self) -> _FactoredSums:
-        """The whole without each block."""
+        """Factored sums of all blocks but each one."""
         own = self._sums
         gram, moment, square = (_sum_blocks(x) - x for x in (own.gram, own.moment, own.square))
         return _FactoredSums(gram, moment, square, self._prior)
 
     def added(self, sums: AddedSums, kept: np.ndarray) -> AddedPosterior:
-        """Posterior with some of the further columns."""
+        """Return the posterior with some of the further columns."""
         cross, inner, moment = sums.total
         if len(kept) < len(moment):
             cross, inner, moment = cross[:, kept], inner[kept][:, kept], moment[kept]
         return self._factored_whole.with_few(cross, inner, moment)
 
     def log_predictive(self, sums: AddedSums, kept: np.ndarray) -> float:
-        """Log density of all blocks, each given the others, as of a `Posterior` of all columns."""
+        """Return the log density of all blocks, each given the others, as of a `Posterior`."""
         all_cross, all_inner, all_moment = sums.by_block
         parts = (all_cross[:, :, kept], all_inner[:, kept][:, :, kept], all_moment[:, kept])
         cross, inner, moment = (_sum_blocks(x) - x for x in parts)
@@ -206,7 +206,7 @@ class AddedColumnsPosterior:
 
 
 class _FactoredSums:
-    """Sums of several sets of blocks, factored: gram (c, p, p), moment (c, p), square (c,)."""
+    """Factored sums of several sets of blocks: gram (c, p, p), moment (c, p), square (c,)."""
 
     def __init__(
         self, gram: np.ndarray, moment: np.ndarray, square: np.ndarray, prior_sd: np.ndarray
@@ -222,7 +222,7 @@ class _FactoredSums:
         )
 
     def with_few(self, cross: np.ndarray, inner: np.ndarray, moment: np.ndarray) -> AddedPosterior:
-        """Posterior of further columns (p, k), (k, k), (k,) beside the first set of sums."""
+        """Return the posterior of further columns (p, k), (k, k), (k,) with the first set."""
         half = self._inverse[0] @ (cross * self._prior[:, None])
         precision = inner - half.T @ half
         precision.flat[:: len(moment) + 1] += 1.0
@@ -245,7 +245,7 @@ class _FactoredSums:
         return AddedPosterior(mean, covariance, precision, evidence, base)
 
     def with_columns(self, cross: np.ndarray, inner: np.ndarray, moment: np.ndarray) -> np.ndarray:
-        """Log evidence (c,) with further columns."""
+        """Return the log evidence (c,) with further columns."""
         half = self._inverse @ (cross * self._prior[:, None])
         left = inner + np.eye(inner.shape[1]) - half.swapaxes(1, 2) @ half
         goal = moment - np.einsum("bpk,bp->bk", half, self._half_mean)
@@ -255,17 +255,17 @@ class _FactoredSums:
 
 
 def _sum_blocks(parts: np.ndarray) -> np.ndarray:
-    """Sum of all blocks, one in place of many."""
+    """Return the sum of all blocks with a leading axis of one."""
     return np.asarray(parts.sum(axis=0, keepdims=True))
 
 
 def posterior(sums: Sums, prior_sd: np.ndarray, *, cross_validate: bool = True) -> Posterior:
-    """Posterior under independent zero-mean priors.
+    """Return the posterior under independent zero-mean priors.
 
     Parameters
     ----------
     sums : Sums
-        Of rows with unit noise.
+        Sums of rows with unit noise.
     prior_sd : array (p,)
     """
     gram, moment = sums.gram.sum(axis=0), sums.moment.sum(axis=0)
@@ -282,7 +282,7 @@ def posterior(sums: Sums, prior_sd: np.ndarray, *, cross_validate: bool = True) 
 def _log_evidence_and_moments(
     gram: np.ndarray, moment: np.ndarray, square: float, prior_sd: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Log evidence, mean and covariance; in units of the priors, where all is well scaled."""
+    """Return log evidence, mean and covariance, scaled by the priors."""
     scaled = gram * np.outer(prior_sd, prior_sd) + np.eye(len(prior_sd))
     factor = np.linalg.cholesky(scaled)
     inverse = np.linalg.inv(factor)

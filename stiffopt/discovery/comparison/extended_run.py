@@ -1,4 +1,4 @@
-"""Runs predicted by an extended nominal model."""
+"""Runs predicted by an extended nominal model, with vibrating or quasi-static links."""
 
 from __future__ import annotations
 
@@ -27,27 +27,29 @@ from stiffopt.discovery.comparison.nuisance import (
 from stiffopt.discovery.comparison.prepared_run import PreparedRun, with_link_torque
 from stiffopt.discovery.comparison.vibration import LinkMotion, Vibration, slow_filter
 
-# Times that the links' motion is found with all that was found, nominal values about it.
+# Passes of the link motion over effects, whose signals depend on it; nominal values need one.
 _EFFECT_PASSES = 2
 
-# Such motions that are kept with a run, since the next extension often differs in drives alone.
+# Cached extensions per run: the next one often differs in drive values alone.
 _MAX_CACHED_RUNS = 2
 
 
 def simulate_links(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun:
-    """Run whose links vibration with an extension: what it does to drives and readings is left out.
+    """Return a run whose links vibrate with an extension, without its drive torques.
+
+    Contributions to readings are left out too.
 
     Parameters
     ----------
     run : PreparedRun
-        With the nominal model and its vibration.
+        Run with the nominal model and its vibration.
     robot : RobotModel
     extension : Extension
 
     Notes
     -----
-    Where no such motion is found, nominal values stand in for what is missing yet, further than
-    springs can follow: they count to first order then, and effects too where that is not enough.
+    Where no such motion is found, as in a fit far from the solution, nominal values are applied to
+    first order, and effects too where that does not suffice.
     """
     moving = _link_moving_part(run, extension)
     if moving.empty:
@@ -88,11 +90,11 @@ def _simulate_with_fallback(
 
 
 def _solve_links(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun | None:
-    """Run whose links vibration with an extension; None where no motion of such an arm is found.
+    """Return the run whose links vibrate with an extension; None where no motion is found.
 
-    Springs and damping are those of the motion that is looked for; regressors are taken about the
-    one before, what else the bodies need goes with their inertia. The vibration of the result is one
-    near by.
+    Springs and damping are those of the new motion; regressors are taken about the previous one,
+    and the rest of the body torques by the added inertia. The vibration response of the result is a
+    nearby one.
     """
     assert run.vibration is not None
     laws, rest = spring_laws(run, extension)
@@ -151,7 +153,7 @@ def _solve_links(run: PreparedRun, robot: RobotModel, extension: Extension) -> P
 def _slow_link_motion(
     run: PreparedRun, robot: RobotModel, extension: Extension, vibration: Vibration
 ) -> LinkMotion:
-    """Slow motion of the links with an extension."""
+    """Return the slow motion of the links with an extension."""
     assert run.vibration is not None
     slow = run.vibration.reference
     here = with_link_motion(run, robot, slow)
@@ -167,7 +169,7 @@ def _slow_link_motion(
 def _extend_to_first_order(
     run: PreparedRun, robot: RobotModel, extension: Extension
 ) -> PreparedRun:
-    """The run with an extension to first order."""
+    """Return the run with an extension to first order."""
     assert run.vibration is not None
     change = extension_change(run, robot, extension)
     torque, deflection = run.vibration.respond(change.link_torque, change.deflection)
@@ -176,14 +178,14 @@ def _extend_to_first_order(
 
 
 def _with_own_regressor(run: PreparedRun, robot: RobotModel) -> PreparedRun:
-    """The run with the regressor of its links' motion."""
+    """Return the run with the body regressor of its own link motion."""
     s = run.signals
     arm = s.arm.with_bodies(s.link_position, s.link_velocity, s.link_acceleration)
     return replace(run, signals=replace(s, arm=arm))
 
 
 def with_link_motion(run: PreparedRun, robot: RobotModel, links: LinkMotion) -> PreparedRun:
-    """The run, or its first samples, with another motion of its links."""
+    """Return the run, or its first samples, with another link motion."""
     if len(links.position) < len(run.time):
         run = run.head(len(links.position))
     signals = run.signals
@@ -203,21 +205,21 @@ def with_link_motion(run: PreparedRun, robot: RobotModel, links: LinkMotion) -> 
 
 
 def extend_run(run: PreparedRun, robot: RobotModel, *extensions: Extension) -> PreparedRun:
-    """Run whose nominal torques and wind-up have extensions in them.
+    """Return a run whose nominal torques and wind-up include extensions.
 
     Parameters
     ----------
     run : PreparedRun
-        With the nominal model.
+        Run with the nominal model.
     robot : RobotModel
     extensions : Extension
         Each on top of those before it.
 
     Notes
     -----
-    Where links vibration, they do so with all that was found: on springs as soft, and as heavy. Else
-    terms are evaluated with the link torque that was found in the springs, as they were when they
-    were fitted; the joints wind up by the exact law under it.
+    Where links vibrate, they do so with all changes of stiffness and inertia. Otherwise terms are
+    evaluated with the extended spring torque, as in the fit; the joints wind up by the exact law
+    under it.
     """
     if run.vibration is None:
         for extension in extensions:
@@ -242,24 +244,24 @@ def extend_run(run: PreparedRun, robot: RobotModel, *extensions: Extension) -> P
 def linearise_run(
     run: PreparedRun, robot: RobotModel, start: Extension, found: Extension
 ) -> tuple[PreparedRun, np.ndarray | float, np.ndarray | float]:
-    """Run about what was found, for laws that bend and modes that move.
+    """Return a run about an extension, for nonlinear springs and changed modes.
 
     Parameters
     ----------
     run : PreparedRun
-        With the nominal model.
+        Run with the nominal model.
     robot : RobotModel
     start : Extension
-        Whole in the prediction of the run.
+        Extension that is included in the prediction as a whole.
     found : Extension
-        In it by what moves the links.
+        Extension of which only link motions are included.
 
     Returns
     -------
     run : PreparedRun
     torque, deflection : array (K, n) or float
-        What the amplitudes of the found extension add by the columns about this run, which is in
-        its prediction already [N m], [rad].
+        Contribution of the found amplitudes by the columns about this run, which its prediction
+        contains already [N m], [rad].
     """
     if start.empty and found.empty:
         return run, 0.0, 0.0
@@ -295,7 +297,7 @@ def linearise_run(
 
 
 def _extend_static_run(run: PreparedRun, robot: RobotModel, extension: Extension) -> PreparedRun:
-    """The run with an extension, its links in balance."""
+    """Return the run with an extension, links quasi-static."""
     bent = with_link_torque(run, robot, extension_change(run, robot, extension).link_torque)
     change = extension_change(bent, robot, extension)
     wound = with_link_torque(run, robot, change.link_torque).signals

@@ -1,4 +1,4 @@
-"""What an extension adds to a run: to its channels, its springs, its masses and its damping."""
+"""Change of a run by an extension: channels, spring compliance, inertia and damping."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from stiffopt.discovery.comparison.springs import SpringLaw, nominal_damping
 from stiffopt.discovery.signals import JointSignals
 from stiffopt.recording.nominal import Tolerance
 
-# Of the slope of a spring's law, over the rated torque.
+# Step of the spring torque for tangent compliances over the rated torque.
 _SLOPE_STEP = 0.01
-# Of that step: a first one to which what lags has settled, and which is forgotten soon.
+# Share of the first step: it sets the state of lagging effects, which they forget soon.
 _FIRST_STEP_SHARE = 1e-3
 
-# Torques of a spring's table over the largest one met, the least above zero and the largest, and
-# how many a decade: between them a wind-up is straight to far below any encoder's noise.
+# Range of the tabulated torques over the largest one in the recordings, and entries per decade:
+# interpolation errors are far below any encoder's noise.
 _MIN_TABLE_TORQUE, _MAX_TABLE_TORQUE, _ENTRIES_PER_DECADE = 1e-6, 1e2, 200
 
-# Between inertia matrices, which change with posture only [s].
+# Interval of inertia matrices, which depend on posture only [s].
 _INERTIA_INTERVAL = 0.02
 
-# Any tolerance above zero makes a column; its size does not matter here.
+# Tolerances above zero select columns; their size is not used here.
 _ALL_TOLERANCES = Tolerance(
     mass=1.0,
     com=1.0,
@@ -47,7 +47,7 @@ _ALL_TOLERANCES = Tolerance(
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """Sum of what changes the channels, (K, n) each; as `Contribution`."""
+    """Sum of contributions to the channels, (K, n) each; fields as of `Contribution`."""
 
     torque: np.ndarray
     link_torque: np.ndarray
@@ -63,7 +63,7 @@ class Change:
 
 
 def extension_change(run: PreparedRun, robot: RobotModel, extension: Extension) -> Change:
-    """What an extension adds to the channels of a run."""
+    """Return the contributions of an extension to the channels of a run."""
     change = Change(*(np.zeros_like(run.signals.spring_torque) for _ in range(4)))
     values = {name: value for name, value in extension.calibration.items() if value}
     bodies = {name for name in values if name.split()[0] in BODY_VALUES}
@@ -73,7 +73,7 @@ def extension_change(run: PreparedRun, robot: RobotModel, extension: Extension) 
     others = values.keys() - bodies
     if others:
         for column in nuisance_columns(run, robot, _ALL_TOLERANCES, asked=others.__contains__):
-            # What knees share is asked for by one of them.
+            # Knee columns come in groups, also for values that are not asked for.
             change.add(column.added, values.get(column.name, 0.0))
     for each in extension.effects:
         change.add(each.located.contribution(run, each.amplitudes))
@@ -81,25 +81,25 @@ def extension_change(run: PreparedRun, robot: RobotModel, extension: Extension) 
 
 
 def moves_links(run: PreparedRun, each: EstimatedEffect) -> bool:
-    """Whether an effect moves the links of a run, or bends them where they do not vibration."""
+    """Return True where an effect moves the links of a run."""
     added = each.located.contribution(run, each.amplitudes)
     swung = run.vibration is not None and added.deflection is not None
     return swung or added.link_torque is not None
 
 
 def select_calibration(extension: Extension, words: tuple[str, ...]) -> Extension:
-    """Those nominal values whose names begin with some words."""
+    """Return the nominal values whose names begin with some words."""
     values = extension.calibration.items()
     return Extension(calibration={n: v for n, v in values if n.split()[0] in words})
 
 
 def is_damping(each: EstimatedEffect) -> bool:
-    """Whether an effect is more or less damping of a joint."""
+    """Return True where an effect changes the damping of a joint."""
     return each.located.effect.nominal == "joint_damping"
 
 
 def extended_damping(robot: RobotModel, extension: Extension) -> np.ndarray:
-    """Damping of the joints (n,) with an extension, none of it below zero [N m s/rad]."""
+    """Return the damping of the joints (n,) with an extension, at least zero [N m s/rad]."""
     damping = nominal_damping(robot)
     factors = [extension.calibration.get(f"joint_damping {j + 1}", 0.0) for j in range(robot.n)]
     added = np.zeros(robot.n)
@@ -110,7 +110,7 @@ def extended_damping(robot: RobotModel, extension: Extension) -> np.ndarray:
 
 
 def relative_compliance(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.ndarray:
-    """Compliance of the springs (K, n) with an extension over the nominal one."""
+    """Return the tangent compliance (K, n) with an extension over the nominal one."""
     effects = tuple(e for e in extension.effects if not is_damping(e))
     if not any(e.located.effect.family == "elastic" for e in effects):
         effects = ()
@@ -120,7 +120,7 @@ def relative_compliance(run: PreparedRun, robot: RobotModel, extension: Extensio
     softer = 1.0 + _added_compliance(run, robot, at_once, steps)
     lagging = tuple(e for e in effects if e.located.effect.lags)
     if lagging:
-        # To and fro from sample to sample: what lags does not follow, but for where it begins.
+        # Alternate the step between samples, which lagging effects do not follow.
         sign = np.where(np.arange(len(steps)) % 2, -1.0, 1.0)
         sign[0] = _FIRST_STEP_SHARE
         softer += _added_compliance(run, robot, Extension(effects=lagging), sign[:, None] * steps)
@@ -130,7 +130,7 @@ def relative_compliance(run: PreparedRun, robot: RobotModel, extension: Extensio
 def _added_compliance(
     run: PreparedRun, robot: RobotModel, extension: Extension, steps: np.ndarray
 ) -> np.ndarray:
-    """Compliance that an extension adds over the nominal one, by steps of the load (K, n)."""
+    """Return the relative compliance of an extension by steps of the load (K, n)."""
     loaded = with_link_torque(run, robot, steps)
     ends = [extension_change(each, robot, extension).deflection for each in (run, loaded)]
     nominal = loaded.signals.windup - run.signals.windup
@@ -138,7 +138,7 @@ def _added_compliance(
 
 
 def spring_laws(run: PreparedRun, extension: Extension) -> tuple[dict[int, SpringLaw], Extension]:
-    """Springs with a play by their joints (from 0), and what of an extension is not in them."""
+    """Return springs with play by joint (from 0), and the rest of an extension."""
     by_joint: dict[int, list[EstimatedEffect]] = {}
     others = []
     for each in extension.effects:
@@ -152,7 +152,7 @@ def spring_laws(run: PreparedRun, extension: Extension) -> tuple[dict[int, Sprin
 
 
 def _tabulate_spring(signals: JointSignals, own: Sequence[EstimatedEffect]) -> SpringLaw:
-    """Nominal spring of a joint with effects in it."""
+    """Return the nominal spring of a joint with effects in series."""
     constants = signals.constants
     decades = np.log10(_MAX_TABLE_TORQUE / _MIN_TABLE_TORQUE)
     above = constants.largest_torque * np.geomspace(
@@ -166,7 +166,7 @@ def _tabulate_spring(signals: JointSignals, own: Sequence[EstimatedEffect]) -> S
     for each in own:
         term = each.located.effect.term(along, each.amplitudes, each.located.shapes)
         deflection += np.asarray(term.deflection)
-    # A play below zero, as a fit on its way may have it, is none.
+    # A negative play, as during a fit, counts as none.
     kept = np.flatnonzero(deflection > np.maximum.accumulate(np.append(-np.inf, deflection[:-1])))
     return SpringLaw(carried[kept], deflection[kept], windup[kept])
 
@@ -174,7 +174,7 @@ def _tabulate_spring(signals: JointSignals, own: Sequence[EstimatedEffect]) -> S
 def added_inertia_along(
     run: PreparedRun, robot: RobotModel, extension: Extension
 ) -> np.ndarray | float:
-    """What an extension adds to the inertia matrices of the links (K, n, n) [kg m^2]."""
+    """Return the inertia (K, n, n) that an extension adds to the links [kg m^2]."""
     effects = tuple(e for e in extension.effects if e.located.effect.family == "inertial")
     if not effects:
         return 0.0
@@ -186,21 +186,21 @@ def added_inertia_along(
 def added_inertia(
     run: PreparedRun, robot: RobotModel, extensions: Sequence[Extension], every: int
 ) -> np.ndarray:
-    """What extensions add to the inertia matrices of the links.
+    """Return the inertia that extensions add to the links, by the bodies' regressor.
 
     Parameters
     ----------
     run : PreparedRun
-        With the nominal model.
+        Run with the nominal model.
     robot : RobotModel
     extensions : sequence of Extension
     every : int
-        Samples from one matrix to the next.
+        Samples between matrices.
 
     Returns
     -------
     array (K / every, n, n)
-        [kg m^2]; of effects that act through the bodies' regressor.
+        Added inertia [kg m^2].
     """
     few = replace(run, signals=run.signals.decimate(every))
     q = few.signals.link_position

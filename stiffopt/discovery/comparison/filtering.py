@@ -1,4 +1,4 @@
-"""One zero-phase filter for every measured channel and every model term."""
+"""Zero-phase low-pass of all measured channels and model terms, decimation, resampling, gaps."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from scipy.interpolate import CubicSpline
 from stiffopt.recording.clock import GAP
 from stiffopt.recording.run import RecordedRun
 
-# Half the length of the kernel over rate / cutoff: short enough to lose little at the ends.
+# Half length of the kernel in cycles of the cutoff; short, to lose few samples at the ends.
 _HALF_LENGTH_CYCLES = 1.5
-# Rows of a fit a second and Hz of the cutoff.
+# Rows of a fit per second and Hz of the cutoff.
 ROWS_PER_CYCLE = 2.5
-# Steps between samples up to which a motion is bridged along itself: two may be missing.
+# Largest step between samples that a spline bridges, over the median step: two may be missing.
 _MAX_SPLINE_STEPS = 3.5
-# Of the polynomial that a motion goes on with beyond its ends.
+# Degree of the polynomial that extrapolates a motion beyond its ends.
 _EXTRAPOLATION_DEGREE = 5
 # Fourth-order differences at the first two of five samples, times 12.
 _END_DIFFERENCES = np.array([[-25.0, 48.0, -36.0, 16.0, -3.0], [-3.0, -10.0, 18.0, -6.0, 1.0]])
@@ -26,21 +26,21 @@ _END_DIFFERENCES = np.array([[-25.0, 48.0, -36.0, 16.0, -3.0], [-3.0, -10.0, 18.
 
 @dataclass(frozen=True)
 class ZeroPhaseFilter:
-    """Symmetric low-pass of finite length: rows of a fit depend on few samples about them.
+    """Symmetric FIR low-pass: rows of a fit depend on few neighbouring samples.
 
     Parameters
     ----------
     rate : float
-        Of the samples [Hz].
+        Sampling rate [Hz].
     cutoff : float
-        [Hz], below half the rate.
+        Cutoff frequency [Hz], below half the rate.
     """
 
     rate: float
     cutoff: float
 
     def __call__(self, samples: np.ndarray) -> np.ndarray:
-        """Filter along the first axis; beyond the ends the samples go on point-symmetrically."""
+        """Filter along the first axis, with point-symmetric extension at the ends."""
         samples = np.asarray(samples, dtype=float)
         half = self.settling
         if len(samples) <= half + 1:
@@ -50,9 +50,9 @@ class ZeroPhaseFilter:
         return self._convolve_padded(np.concatenate([before, samples, after]))
 
     def filter_motion(self, samples: np.ndarray) -> np.ndarray:
-        """Filter what is smooth along the first axis: beyond the ends it goes on as a polynomial.
+        """Filter a smooth motion along the first axis, extrapolated at the ends.
 
-        Recordings begin and end in motion; a point-symmetric end has no acceleration.
+        Recordings begin and end in motion; a point-symmetric extension has no acceleration there.
         """
         samples = np.asarray(samples, dtype=float)
         half = self.settling
@@ -76,16 +76,17 @@ class ZeroPhaseFilter:
         return np.asarray(whole[len(kernel) - 1 : len(padded)])
 
     def decimate(self, samples: np.ndarray) -> np.ndarray:
-        """Filtered values (g, c) of channels (K, c) at every `step`-th sample, without the ends.
+        """Return filtered channels (g, c) at every `step`-th sample, unpadded.
 
-        The first is that of sample `step * first_whole`.
+        The first row is that of sample `step * first_unpadded_row`.
         """
         step, length = self.step, len(self._kernel)
         begin = step * self.first_unpadded_row - self.settling
         samples = np.ascontiguousarray(samples, dtype=float)
         count = max(0, -(-(len(samples) - length + 1 - begin) // step))
         along, across = samples.strides
-        # Windows of the same memory; numpy's own view of them takes longer than a short product.
+        # Overlapping windows without a copy; numpy's sliding_window_view takes longer than the
+        # product.
         windows = np.ndarray(
             (count, samples.shape[1], length),
             buffer=samples,
@@ -96,28 +97,27 @@ class ZeroPhaseFilter:
 
     @property
     def first_unpadded_row(self) -> int:
-        """Number of the first of every `step`-th samples that the filter has not made up."""
+        """Index of the first decimated row that depends on recorded samples only."""
         return -(-self.settling // self.step)
 
     @cached_property
     def noise_gain(self) -> float:
-        """Standard deviation that white noise of unit standard deviation keeps."""
+        """Standard deviation of filtered white noise of unit standard deviation."""
         return float(np.sqrt(np.sum(self._kernel**2)))
 
     @property
     def step(self) -> int:
-        """Samples between rows of a fit: closer ones say nothing new after the filter."""
+        """Decimation factor of rows: closer rows carry no further information."""
         return max(1, int(self.rate / (ROWS_PER_CYCLE * self.cutoff)))
 
     @cached_property
     def settling(self) -> int:
-        """Samples at either end that the filter makes up in part."""
+        """Half length of the kernel in samples: rows nearer to an end depend on padding."""
         return int(np.ceil(_HALF_LENGTH_CYCLES * self.rate / self.cutoff))
 
     @cached_property
     def _kernel(self) -> np.ndarray:
-        # Weights of the sharp low-pass under Hamming's window; scipy.signal, which has both, takes
-        # half a second to import.
+        # Windowed sinc with Hamming window; importing scipy.signal for it takes half a second.
         length = 2 * self.settling + 1
         kernel = np.sinc(
             2.0 * self.cutoff / self.rate * np.arange(-self.settling, self.settling + 1)
@@ -127,7 +127,7 @@ class ZeroPhaseFilter:
 
 
 def derivative(samples: np.ndarray, dt: float) -> np.ndarray:
-    """Difference of fourth order along the first axis, one-sided at the ends."""
+    """Return the fourth-order difference along the first axis, one-sided at the ends."""
     if len(samples) < 5:
         return np.asarray(np.gradient(samples, dt, axis=0))
     slope = np.empty_like(samples, dtype=float)
@@ -138,7 +138,7 @@ def derivative(samples: np.ndarray, dt: float) -> np.ndarray:
 
 
 def resample_uniform(run: RecordedRun) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Channels on an even clock: a motion smooth between the stamps, a torque linear."""
+    """Return time, motor, link and torque on a uniform clock: motions by splines, torque linear."""
     step = run.step
     count = int(np.floor((run.time[-1] - run.time[0]) / step + 1e-6)) + 1
     time = run.time[0] + step * np.arange(count)
@@ -156,10 +156,10 @@ def resample_uniform(run: RecordedRun) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def interpolate_motion(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Positions (K, n) at other times (R, n) by cubic splines; nan where a column is empty.
+    """Return positions (K, n) at other times (R, n) by splines; nan in empty columns.
 
-    A straight line over one sample that is missing cuts a turn short by 20 um at 10 m/s^2, and
-    springs vibration on from there. Longer gaps are mostly motors that stand still: straight.
+    A straight line over one missing sample cuts a turn short by 20 um at 10 m/s^2, which excites
+    the joint springs. Longer gaps are mostly motors at rest: linear.
     """
     bridged = _interpolate_linear(stamps, samples, time)
     for out, column in zip(bridged.T, samples.T, strict=True):
@@ -190,7 +190,7 @@ def _interpolate_linear(stamps: np.ndarray, samples: np.ndarray, time: np.ndarra
 
 
 def bridge_gaps(samples: np.ndarray) -> np.ndarray:
-    """Single missing samples bridged, so that the filter can pass."""
+    """Return samples with missing ones interpolated; empty channels stay nan."""
     out = samples.copy()
     for column in out.T:
         missing = ~np.isfinite(column)
@@ -201,13 +201,13 @@ def bridge_gaps(samples: np.ndarray) -> np.ndarray:
 
 
 def fill_missing(samples: np.ndarray) -> np.ndarray:
-    """Return channels (K, n) with missing samples interpolated; empty channels are zero."""
+    """Return samples with missing ones interpolated; empty channels are zero."""
     filled = bridge_gaps(samples)
     return np.where(np.isfinite(filled), filled, 0.0)
 
 
 def near_gaps(stamps: np.ndarray, step: float, time: np.ndarray, reach: int) -> np.ndarray:
-    """Whether instants (K,) lie between stamps far apart, or within `reach` steps of these."""
+    """Return True for instants (K,) within gaps between stamps or within `reach` steps of these."""
     near = np.zeros(len(time), dtype=bool)
     margin = reach * step
     for k in np.flatnonzero(np.diff(stamps) > GAP * step):

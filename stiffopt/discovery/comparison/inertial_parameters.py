@@ -1,4 +1,12 @@
-"""Inertial parameters of all bodies, and the likeliest ones that are physically consistent."""
+"""Inertial parameters of all bodies, and the likeliest physically consistent ones.
+
+A body has ten: mass m, first moments m c and inertia about the origin of its joint, in the order of
+the regressor. The prior keeps combinations that a motion does not show (all but the base
+parameters) at the nominal model. Physically consistent bodies have a positive semidefinite
+pseudo-inertia (Wensing, Kim, Slotine 2018); the likeliest ones are a convex programme over it,
+solved by Newton steps along the central path of its logarithmic barrier, each in local coordinates
+(Nesterov, Nemirovskii 1994), in which bodies near the border are as well scaled as any.
+"""
 
 from __future__ import annotations
 
@@ -6,32 +14,32 @@ import numpy as np
 from scipy.linalg.lapack import dposv
 
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
+from stiffopt.discovery.signals import PARAMETERS_PER_BODY
 
 INERTIAL_PARAMETER_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
-A_BODY = len(INERTIAL_PARAMETER_NAMES)
-# Least length [m] and share of the arm's mass that a body's parameters are measured against.
+# Smallest radius of gyration [m] and share of the arm's mass in the units of a body's parameters.
 _MIN_GYRATION_RADIUS, _MIN_MASS_SHARE = 0.05, 0.02
-# Where (row, column) of the pseudo-inertia each product of inertia stands, Ixy, Ixz, Iyz.
+# Entries (row, column) of the pseudo-inertia for the products of inertia Ixy, Ixz, Iyz.
 _PRODUCT_ENTRIES = {5: (0, 1), 7: (0, 2), 8: (1, 2)}
 _MOMENT_ENTRIES = (4, 6, 9)
-# Of the unit of a body, by which rounding may make of it what cannot exist.
+# Smallest scaled eigenvalue of a consistent pseudo-inertia, for rounding errors.
 _CONSISTENCY_TOLERANCE = 1e-6
-# Of the largest of a body's second moments, what others have at least where a fit begins.
+# Smallest eigenvalue over the largest one in the initial guess of a fit.
 _MIN_EIGENVALUE_RATIO = 1e-3
 
 
 def body_parameter_names(body: int) -> list[str]:
-    """Names of the ten parameters of a body (from 0): "body 2 mx"."""
+    """Return the names of the ten parameters of a body (from 0): "body 2 mx"."""
     return [f"body {body + 1} {name}" for name in INERTIAL_PARAMETER_NAMES]
 
 
 def all_body_parameter_names(robot: RobotModel) -> list[str]:
-    """Names of all parameters in the regressor's order."""
+    """Return the names of all parameters in the order of the regressor."""
     return [name for body in range(robot.n) for name in body_parameter_names(body)]
 
 
 def body_units(robot: RobotModel) -> np.ndarray:
-    """Typical size of every parameter (n, 10) [kg], [kg m], [kg m^2]."""
+    """Return the typical size of every parameter (n, 10) [kg], [kg m], [kg m^2]."""
     nominal = nominal_bodies(robot)
     mass = np.maximum(nominal[:, 0], _MIN_MASS_SHARE * nominal[:, 0].sum())
     gyration = np.sqrt(nominal[:, _MOMENT_ENTRIES].sum(axis=1) / (2.0 * mass))
@@ -41,12 +49,12 @@ def body_units(robot: RobotModel) -> np.ndarray:
 
 
 def nominal_bodies(robot: RobotModel) -> np.ndarray:
-    """Nominal inertial parameters (n, 10)."""
+    """Return the nominal inertial parameters (n, 10)."""
     return np.array([robot.arm.tree.bodies[j].inertial_parameters for j in robot.order])
 
 
 def pseudo_inertia(parameters: np.ndarray) -> np.ndarray:
-    """Second moments of the mass about the joint's origin (..., 4, 4), mass last.
+    """Return the second moments of mass about the joint's origin (..., 4, 4), mass last.
 
     Parameters
     ----------
@@ -64,8 +72,8 @@ def pseudo_inertia(parameters: np.ndarray) -> np.ndarray:
 
 
 def inertial_parameters(pseudo: np.ndarray) -> np.ndarray:
-    """The ten parameters (..., 10) of pseudo-inertias."""
-    out = np.empty((*pseudo.shape[:-2], A_BODY))
+    """Return the ten parameters (..., 10) of pseudo-inertias."""
+    out = np.empty((*pseudo.shape[:-2], PARAMETERS_PER_BODY))
     out[..., 0] = pseudo[..., 3, 3]
     out[..., 1:4] = pseudo[..., :3, 3]
     trace = np.trace(pseudo[..., :3, :3], axis1=-2, axis2=-1)
@@ -77,7 +85,7 @@ def inertial_parameters(pseudo: np.ndarray) -> np.ndarray:
 
 
 def is_consistent(parameters: np.ndarray, units: np.ndarray) -> bool:
-    """Whether bodies (n, 10) can be made of matter, up to rounding in their units."""
+    """Return True where bodies (n, 10) are physically consistent up to rounding."""
     return bool(
         np.linalg.eigvalsh(scaled_pseudo_inertia(parameters, units)).min()
         >= -_CONSISTENCY_TOLERANCE
@@ -85,7 +93,7 @@ def is_consistent(parameters: np.ndarray, units: np.ndarray) -> bool:
 
 
 def make_consistent(bodies: np.ndarray, units: np.ndarray) -> np.ndarray:
-    """Bodies (n, 10) made such that they exist, off the border by a little of their size."""
+    """Return bodies (n, 10) with eigenvalues lifted to strict physical consistency."""
     size, vectors = np.linalg.eigh(scaled_pseudo_inertia(bodies, units))
     size = np.maximum(size, _MIN_EIGENVALUE_RATIO * np.maximum(size[:, -1:], _MIN_EIGENVALUE_RATIO))
     lifted = (vectors * size[:, None, :]) @ vectors.swapaxes(1, 2)
@@ -94,29 +102,29 @@ def make_consistent(bodies: np.ndarray, units: np.ndarray) -> np.ndarray:
 
 
 def pseudo_inertia_scales(units: np.ndarray) -> np.ndarray:
-    """What rows of the pseudo-inertia are measured in (n, 4)."""
+    """Return the scales (n, 4) of the rows of the pseudo-inertias."""
     root = np.sqrt(units[:, 0])
     length = units[:, 1] / units[:, 0]
     return np.column_stack([*(root * length,) * 3, root])
 
 
 def scaled_pseudo_inertia(bodies: np.ndarray, units: np.ndarray) -> np.ndarray:
-    """Pseudo-inertias (n, 4, 4) of bodies (n, 10) over their scales."""
+    """Return pseudo-inertias (n, 4, 4) of bodies (n, 10) over their scales."""
     scales = pseudo_inertia_scales(units)
     return np.asarray(pseudo_inertia(bodies) / (scales[:, :, None] * scales[:, None, :]))
 
 
-# Of the objective, a log density: what is left to gain at the end.
+# Largest duality gap at the end, of a log density.
 _MAX_DUALITY_GAP = 1e-6
-# By which the barrier's weight falls where a step has come near enough to the path.
+# Factor on the barrier's weight once a step is near the central path.
 _BARRIER_DECREASE = 0.1
-# Of the way to the border that a step goes at most.
+# Longest step over the distance to the border.
 _MAX_STEP_TO_BORDER = 0.95
 _MAX_NEWTON_STEPS = 400
-# Symmetric matrices (10, 4, 4) of unit size, and the trace of each.
+# Orthonormal basis of symmetric matrices (10, 4, 4), and their traces.
 _LOWER_ROWS, _LOWER_COLUMNS = np.tril_indices(4)
-_SYMMETRIC_BASIS = np.zeros((A_BODY, 4, 4))
-_SYMMETRIC_BASIS[np.arange(A_BODY), _LOWER_ROWS, _LOWER_COLUMNS] = np.where(
+_SYMMETRIC_BASIS = np.zeros((PARAMETERS_PER_BODY, 4, 4))
+_SYMMETRIC_BASIS[np.arange(PARAMETERS_PER_BODY), _LOWER_ROWS, _LOWER_COLUMNS] = np.where(
     _LOWER_ROWS == _LOWER_COLUMNS, 1.0, np.sqrt(0.5)
 )
 _SYMMETRIC_BASIS = np.maximum(_SYMMETRIC_BASIS, _SYMMETRIC_BASIS.swapaxes(1, 2))
@@ -131,7 +139,7 @@ def likeliest_consistent_bodies(
     units: np.ndarray,
     limits: np.ndarray,
 ) -> np.ndarray:
-    """Least of x' gram x / 2 - moment' x over values whose bodies exist, the others in limits.
+    """Minimise x' gram x / 2 - moment' x over consistent bodies, other values within limits.
 
     Parameters
     ----------
@@ -139,10 +147,10 @@ def likeliest_consistent_bodies(
         Positive definite.
     moment : array (p,)
     place : slice
-        Of the changes of the bodies' parameters among the values, body after body.
+        Slice of the bodies' parameter changes among the values, body after body.
     nominal, units : array (n, 10)
     limits : array (p,)
-        Largest size of the other values.
+        Largest magnitude of the other values.
 
     Returns
     -------
@@ -173,7 +181,7 @@ def likeliest_consistent_bodies(
         slope[boxed] += weight * (above - below) * size[boxed]
         half = _to_local_coordinates(own, size, place, gram)
         curved = _to_local_coordinates(own, size, place, np.ascontiguousarray(half.T))
-        curved[place, place] += weight * np.eye(own.shape[0] * A_BODY)
+        curved[place, place] += weight * np.eye(own.shape[0] * PARAMETERS_PER_BODY)
         curved[boxed, boxed] += weight
         local = _solve_scaled(curved, -slope)
         step = size * local
@@ -192,26 +200,26 @@ def likeliest_consistent_bodies(
 def _to_local_coordinates(
     own: np.ndarray, size: np.ndarray, place: slice, rows: np.ndarray
 ) -> np.ndarray:
-    """Slopes (p, c) by steps in the point's own coordinates, from those by the values.
+    """Return derivatives (p, c) by local coordinates from those by the values.
 
     Parameters
     ----------
     own : array (n, 10, 10)
-        Values of each body for a unit of its own coordinates, by rows.
+        Values of each body per unit of its local coordinates, by rows.
     size : array (p,)
-        Of the other values.
+        Scale of the other values.
     place : slice
-        Of the bodies' values.
+        Slice of the bodies' values.
     rows : array (p, c)
     """
     out = size[:, None] * rows
-    bodies = rows[place].reshape(len(own), A_BODY, -1)
+    bodies = rows[place].reshape(len(own), PARAMETERS_PER_BODY, -1)
     out[place] = (own @ bodies).reshape(-1, rows.shape[1])
     return np.asarray(out)
 
 
 def _solve_scaled(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solution with a positive definite matrix, in units that make its diagonal one."""
+    """Solve with a positive definite matrix, scaled to unit diagonal."""
     unit = 1.0 / np.sqrt(np.diag(matrix))
     _, found, failed = dposv(matrix * (unit[:, None] * unit), unit * right)
     if failed:

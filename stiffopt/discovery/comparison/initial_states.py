@@ -1,9 +1,9 @@
-"""In which vibration training runs begin, as what the nominal model leaves of them tells.
+"""Initial vibration of training runs, estimated from the residual of the nominal model.
 
-Links are taken to begin near their slow motion, which is all that the motors tell. Of light damping
-and sharp motions that is off by several times the noise in some run; springs bend, so that what it
-makes is no free vibration of the model, and damping moves to meet it. Free swings count as noise in a
-fit anyway: nothing is hidden by beginning with them.
+Links are assumed to begin near their slow motion, which is all that the motors determine. With
+light damping and sharp motions that is wrong by several times the noise in some run; springs are
+nonlinear, so the resulting error is no free vibration of the model, and the damping is biased. Free
+vibration counts as noise in a fit anyway: initial states hide no effect.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from stiffopt.discovery.comparison.design_matrix import MAX_LINEARISATION_ERROR
 from stiffopt.discovery.comparison.extended_run import with_link_motion
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 
-# Times that starts are told anew: springs bend. And squares that a vibration takes away over those of
-# one row that stay, by which it is more than what chance gives beside all that is missing.
+# Rounds of the estimate, since springs are nonlinear; and the squares explained per initial state
+# over the residual mean square, above which they are significant in spite of missing effects.
 _MAX_ROUNDS, _MIN_SIGNIFICANT_GAIN = 2, 3.0
 
 
 def estimate_initial_states(comparison: Comparison) -> tuple[PreparedRun, ...]:
-    """The runs, their links begun so that less is left of them; as they are where nothing is won.
+    """Return the runs with initial states that reduce the residual, or unchanged.
 
     Parameters
     ----------
     comparison : Comparison
-        With the nominal model.
+        Comparison with the nominal model.
     """
     left = _residual_square(comparison)
     for _ in range(_MAX_ROUNDS):
@@ -49,14 +49,14 @@ def estimate_initial_states(comparison: Comparison) -> tuple[PreparedRun, ...]:
 
 
 def _residual_square(comparison: Comparison) -> float:
-    """Squares over noise that neither nominal values nor free swings take away."""
+    """Return the squares over noise that nuisance values and free vibration leave."""
     return float(np.sum(comparison.fit().residual ** 2))
 
 
 def _initial_state_changes(comparison: Comparison) -> list[np.ndarray | None]:
-    """Likeliest displacement and speed (2 n,) by which each run begins otherwise.
+    """Return the likeliest change of displacement and velocity (2 n,) of each run.
 
-    None where links would move by less than is let be.
+    None where the links would move by less than the linearisation error allowed.
     """
     columns = comparison.columns
     names, _, nuisance = columns.nuisance
@@ -77,7 +77,7 @@ def _initial_state_changes(comparison: Comparison) -> list[np.ndarray | None]:
 
 
 def with_initial_state(run: PreparedRun, comparison: Comparison, state: np.ndarray) -> PreparedRun:
-    """The run with links that begin by a state (2 n,) beside where they did."""
+    """Return the run with links that begin at an added state (2 n,)."""
     assert run.vibration is not None
     state = state if run.initial_state is None else run.initial_state + state
     springs = run.springs(comparison.robot)

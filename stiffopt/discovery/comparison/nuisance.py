@@ -1,4 +1,4 @@
-"""Nominal values within their tolerances: moved before any effect counts."""
+"""Nuisance values: nominal values within their tolerances, fitted before any effect counts."""
 
 from __future__ import annotations
 
@@ -7,47 +7,47 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stiffopt.discovery.comparison.inertial_parameters import A_BODY, all_body_parameter_names
+from stiffopt.discovery.comparison.inertial_parameters import all_body_parameter_names
 from stiffopt.discovery.comparison.located_effect import Contribution
 from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
+from stiffopt.discovery.signals import PARAMETERS_PER_BODY
 from stiffopt.recording.nominal import Tolerance
 from stiffopt.robot.body_tree import Body
 
-# Relative standard deviation of the torques at which a reducer's slope changes, and the width over
-# which it does.
+# Relative standard deviation and width of the slope changes of a reducer over the torque.
 _RELATIVE_KNEE_SD = 0.08
-# Values that move links, by the first word of their names.
+# Values that move the links, by the first word of their names.
 SPRING_VALUES = ("stiffness", "T1", "T2", "rounding")
 BODY_VALUES = ("mass", "com", "body")
 LINK_MOVING_VALUES = (*SPRING_VALUES, "joint_damping", *BODY_VALUES)
 
-# Relative values that act on the drive torque.
+# Relative values that act on the drive torque alone.
 _DRIVE_VALUES = ("rotor_inertia", "coulomb", "viscous", "torque_constant")
-# Values that act in proportion to all that a drive does.
+# Value in proportion to the whole drive torque.
 LOAD_VALUE = "torque_constant"
 
-# Whether a value is asked for, by its name.
+# Selects values by name.
 Asked = Callable[[str], bool]
 
 
 def accept_every_value(_: str) -> bool:
-    """All are asked for."""
+    """Select all values."""
     return True
 
 
 @dataclass(frozen=True)
 class NuisanceColumn:
-    """How one nominal value moves the channels.
+    """Contribution of one nominal value to the channels.
 
     Parameters
     ----------
     name : str
-        Such as "coulomb 3".
+        Name such as "coulomb 3".
     sd : float
-        Its tolerance.
+        Tolerance of the value, one standard deviation.
     added : Contribution
-        For a unit of the value.
+        Per unit of the value.
     """
 
     name: str
@@ -62,7 +62,7 @@ def nuisance_columns(
     bodies: np.ndarray | None = None,
     asked: Asked = accept_every_value,
 ) -> Iterator[NuisanceColumn]:
-    """Columns of nominal values along a run; the same order for every run.
+    """Yield columns of nominal values along a run, in the same order for every run.
 
     Parameters
     ----------
@@ -70,9 +70,9 @@ def nuisance_columns(
     robot : RobotModel
     tolerance : Tolerance
     bodies : array (n, 10), optional
-        Standard deviations of every inertial parameter, in place of those of mass and centre.
+        Standard deviations of all inertial parameters, in place of mass and centre of mass.
     asked : callable
-        Whether a value is asked for, by its name.
+        Selects values by name.
     """
     signals = run.signals
     if bodies is None:
@@ -104,7 +104,7 @@ def nuisance_columns(
             yield from _spring_columns(run, j, tolerance.stiffness, asked)
         name = f"joint_damping {j + 1}"
         if tolerance.joint_damping and run.vibration is not None and asked(name):
-            # Of a spring that takes more of the torque where its damping takes less.
+            # Damping torque relieves the spring, which deflects less by it.
             nominal = signals.constants.joints[j].joint_damping
             taken = nominal * (signals.motor_velocity - signals.link_velocity)[:, j]
             added = Contribution(deflection=single(j, -taken / run.vibration.stiffness[:, j]))
@@ -117,7 +117,7 @@ def nuisance_columns(
 
 
 def _drive_torque_column(run: PreparedRun, robot: RobotModel, name: str, j: int) -> np.ndarray:
-    """Drive torque (K,) of one joint for a unit of a relative value."""
+    """Return the drive torque (K,) of one joint per unit of a relative value."""
     signals = run.signals
     if name == "torque_constant":
         return np.asarray(signals.drive_torque[:, j])
@@ -135,7 +135,7 @@ def _spring_columns(run: PreparedRun, j: int, sd: float, asked: Asked) -> Iterat
         return
     if not np.any(signals.windup[:, j]):
         return
-    # Relative to the joint as it is: of all its deflection where the links vibration, but for a play.
+    # A relative compliance scales the whole elastic deflection of vibrating links, without play.
     values = signals.windup[:, j]
     if run.vibration is not None:
         values = (signals.motor_position - signals.link_position - run.play)[:, j]
@@ -156,7 +156,7 @@ def _knee_columns(
     single: Callable[[int, np.ndarray], np.ndarray],
     asked: Asked,
 ) -> Iterator[NuisanceColumn]:
-    """Where the reducer's slope changes, and how roundly: catalogues idealise it as kinks."""
+    """Yield columns for torque and roundness of a reducer's slope changes."""
     constants = run.signals.constants.joints[j]
     if constants.slopes is None or constants.corners is None:
         return
@@ -179,7 +179,7 @@ def _knee_columns(
 def _body_columns(
     run: PreparedRun, robot: RobotModel, tolerance: Tolerance, asked: Asked
 ) -> Iterator[NuisanceColumn]:
-    """Mass and centre of mass of every body."""
+    """Yield columns for mass and centre of mass of every body."""
     for position, joint in enumerate(robot.order):
         body = robot.arm.tree.bodies[joint]
         for name, change in _body_parameter_slopes(position, body):
@@ -190,7 +190,7 @@ def _body_columns(
 
 
 def _body_parameter_slopes(position: int, body: Body) -> Iterator[tuple[str, np.ndarray]]:
-    """Change (10,) of a body's parameters for a unit of its mass and its centre, by name."""
+    """Yield changes (10,) of a body's parameters per unit of mass and centre, by name."""
     now = body.inertial_parameters
     yield f"mass {position + 1}", now
     for axis in range(3):
@@ -201,9 +201,9 @@ def _body_parameter_slopes(position: int, body: Body) -> Iterator[tuple[str, np.
 
 
 def body_parameter_changes(robot: RobotModel, values: Mapping[str, float]) -> np.ndarray:
-    """Changes of all inertial parameters (n, 10) that nominal values make, by their names."""
+    """Return changes of all inertial parameters (n, 10) by nominal values of given names."""
     change = [values.get(name, 0.0) for name in all_body_parameter_names(robot)]
-    found = np.array(change).reshape(robot.n, A_BODY)
+    found = np.array(change).reshape(robot.n, PARAMETERS_PER_BODY)
     for position, joint in enumerate(robot.order):
         for name, slope in _body_parameter_slopes(position, robot.arm.tree.bodies[joint]):
             found[position] += values.get(name, 0.0) * slope
@@ -211,7 +211,7 @@ def body_parameter_changes(robot: RobotModel, values: Mapping[str, float]) -> np
 
 
 def merge_tolerances(tolerance: Tolerance, default: Tolerance) -> Tolerance:
-    """Tolerances of the set, the defaults where it states none."""
+    """Return the tolerances of the set, with defaults where it states none."""
     names = vars(default)
     return Tolerance(
         **{

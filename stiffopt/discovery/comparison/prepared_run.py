@@ -1,4 +1,4 @@
-"""From a recorded run to filtered signals, nominal predictions and what is left of the channels."""
+"""Recorded runs with filtered signals, nominal predictions and samples for the fit."""
 
 from __future__ import annotations
 
@@ -29,36 +29,36 @@ from stiffopt.discovery.signals import (
 from stiffopt.recording.channel import MAD
 from stiffopt.recording.run import RecordedRun
 
-# Of the motors' motion that is followed [Hz], at least and at most: wider than a fit's filter,
-# which all that comes of it passes later.
+# Range of the cutoff of the motors' motion [Hz]: wider than the fit's filter, which all derived
+# signals pass later.
 MIN_MOTOR_CUTOFF, MAX_MOTOR_CUTOFF = 60.0, 150.0
-# Share of the rated torque that the noise of a motor's acceleration may come to, and of the rate of
-# the samples, how high a motion they show.
+# Largest share of the rated torque that noise of the motor acceleration may reach; largest cutoff
+# over the sampling rate.
 _MAX_NOISE_TORQUE_SHARE, _MAX_CUTOFF_OVER_RATE = 1e-3, 0.36
-# Times that samples are subtracted from their neighbours, of which noise is left alone.
+# Order of the difference of samples in which only noise remains.
 _NOISE_DIFFERENCES = 5
-# Of modes that a run may begin to vibration in, over the filter's cutoff.
+# Highest mode of an initial vibration over the cutoff of the fit's filter.
 _MODE_BAND_OVER_CUTOFF = 1.5
-# Rounds of link motion = motor motion - wind-up; each shrinks the error by (f/resonance)^2.
+# Iterations of link motion = motor motion - wind-up; each reduces the error by (f/resonance)^2.
 _WINDUP_ITERATIONS = 3
 
 
 def motor_cutoff(robot: RobotModel, position: np.ndarray, dt: float) -> float:
-    """Cutoff of the motors' motion [Hz], as high as encoders bear.
+    """Return the cutoff of the motors' motion [Hz], as high as encoder noise allows.
 
-    Where friction turns, torque and acceleration jump against each other within milliseconds: what
-    is not followed of one stays of the other. The noise of an encoder sets the limit, which
-    accelerations multiply by the square of the frequency.
+    At reversals friction and acceleration torque jump against each other within milliseconds:
+    filtering one and not the other leaves a residual. Encoder noise limits the cutoff, since
+    accelerations multiply it by the square of the frequency.
 
     Parameters
     ----------
     robot : RobotModel
     position : array (K, n)
-        Of the motors, as read [rad].
+        Recorded motor positions [rad].
     dt : float
         [s]
     """
-    # Of white noise at the samples' rate, after two derivatives and a filter [N m/Hz^2.5].
+    # Torque of white encoder noise after two derivatives and a filter [N m/Hz^2.5].
     noise = (2.0 * np.pi) ** 2 * np.sqrt(0.4 * dt) * robot.rotor_inertia * _sample_noise(position)
     borne = np.array(
         [_MAX_NOISE_TORQUE_SHARE * joint.torque_rated for joint in robot.constants.joints]
@@ -73,7 +73,7 @@ def motor_cutoff(robot: RobotModel, position: np.ndarray, dt: float) -> float:
 
 
 def _sample_noise(samples: np.ndarray) -> np.ndarray:
-    """Standard deviations of what changes from sample to sample (n,), if it were white noise."""
+    """Return the standard deviations (n,) of white noise estimated from high-order differences."""
     apart = np.diff(samples, _NOISE_DIFFERENCES, axis=0)
     size = [
         np.median(np.abs(moved)) if (moved := own[np.isfinite(own) & (own != 0.0)]).size else 0.0
@@ -86,38 +86,38 @@ def _sample_noise(samples: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PreparedRun:
-    """One run, ready to be compared.
+    """Run with filtered signals and the nominal prediction.
 
     Parameters
     ----------
     name, role : str
     index : int
-        Among the runs that are compared.
+        Index among the compared runs.
     time : array (K,)
         Uniform clock [s].
     signals : RobotSignals
-        Motion, filtered, and nominal torques.
+        Filtered motion and nominal torques.
     torque, deflection : array (K, n)
         Measured drive torque, and motor minus link angle; not filtered; nan where missing.
     torque_used, deflection_used : array (K, n) of bool
         Samples that a fit uses.
     moving : array (K, n) of bool
-        The joint is faster than `settings.slow`.
+        True where the joint is faster than `settings.slow`.
     low_pass : ZeroPhaseFilter
-        Of a fit.
-    followed : ZeroPhaseFilter
-        That the motion has passed, and what the drives give with it: a motor's acceleration answers
-        a jump of its friction, which would stay alone otherwise.
+        Filter of the fit.
+    motion_filter : ZeroPhaseFilter
+        Filter of the motion and of friction torques: the motor acceleration at a jump of friction
+        would otherwise leave a residual.
     vibration : Swing or None
-        How links answer small changes; None where they follow at once, by the springs alone.
+        Linear vibration response of the links; None where they follow quasi-statically.
     added_deflection : array (K, n) or float
-        Deflection beside the nominal wind-up of the spring torque, of what an extension adds [rad].
+        Deflection from extensions in addition to the nominal wind-up of the spring torque [rad].
     play : array (K, n) or float
-        Of the deflection, what is free travel between flanks [rad].
+        Share of the deflection that is free travel between flanks [rad].
     initial_state : array (2 n,), optional
-        Displacement and speed by which links are known to begin beside their slow motion.
-    swung : dict
-        This run as its links vibration with extensions that were asked for last.
+        Initial displacement and velocity of the links relative to their slow motion, where known.
+    extension_cache : dict
+        This run with the extensions that were simulated last.
     """
 
     name: str
@@ -142,7 +142,7 @@ class PreparedRun:
 
     @property
     def links(self) -> LinkMotion:
-        """Motion of the links with the torques that belong to it."""
+        """Motion of the links and its torques."""
         s = self.signals
         return LinkMotion(
             s.link_position,
@@ -153,22 +153,23 @@ class PreparedRun:
         )
 
     def of_joint(self, index: int) -> JointSignals:
-        """Signals of one joint (0-based), each in one piece of memory."""
+        """Return the signals of one joint (0-based), contiguous in memory."""
         if index not in self._joints:
             self._joints[index] = self.signals.of_joint(index)
         return self._joints[index]
 
     def compliance(self, robot: RobotModel, index: int) -> np.ndarray:
-        """Slope of the nominal wind-up of one joint (0-based) (K,) [rad/(N m)]."""
+        """Return the nominal tangent compliance of one joint (0-based) (K,) [rad/(N m)]."""
         if index not in self._compliance:
             torque = self.of_joint(index).spring_torque
             self._compliance[index] = np.asarray(robot.constants.joints[index].compliance(torque))
         return self._compliance[index]
 
     def initial_states(self, band: float | None = None) -> np.ndarray:
-        """Displacements and speeds (2 n, m) of swings it may begin with, modes up to a band [Hz].
+        """Return initial states (2 n, m) of likely vibrations up to a band [Hz].
 
-        Default: those that a fit's filter lets pass in part.
+        Displacements, then velocities. Default band: modes that the filter of the fit passes in
+        part.
         """
         assert self.vibration is not None
         wound = self.signals.motor_position - self.signals.link_position
@@ -177,7 +178,7 @@ class PreparedRun:
         )
 
     def head(self, count: int) -> PreparedRun:
-        """Its first samples, for what is asked of the signals of each."""
+        """Return the run up to a sample."""
         added, play = (
             each[:count] if isinstance(each, np.ndarray) else each
             for each in (self.added_deflection, self.play)
@@ -201,22 +202,22 @@ class PreparedRun:
         damping: np.ndarray | None = None,
         laws: Mapping[int, SpringLaw] | None = None,
     ) -> Springs:
-        """Springs between the motors and the links of this run, with damping and laws as given."""
+        """Return the springs of this run, with other damping and laws if given."""
         s = self.signals
         return Springs(robot, s.motor_position, s.motor_velocity, s.dt, damping, laws)
 
     def respond(
         self, robot: RobotModel, link_torque: np.ndarray | None, deflection: np.ndarray | None
     ) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """Change of torque and deflection between motor and link, (K, n) each or None.
+        """Return changes of torque and deflection between motor and link (K, n), or None.
 
         Parameters
         ----------
         robot : RobotModel
         link_torque : array (K, n) or None
-            That the links need in addition [N m].
+            Added torque on the links [N m].
         deflection : array (K, n) or None
-            By which the springs' ends are displaced [rad].
+            Displacement of the springs' ends [rad].
         """
         if link_torque is None and deflection is None:
             return None, None
@@ -245,10 +246,10 @@ def prepare_run(
     run : RecordedRun
     index : int
     constants : RobotConstants or None
-        Of the training runs; None takes the ranges met from this run alone.
+        Constants of the training runs; None takes the ranges of this run alone.
     settings : Settings
     vibrating : bool
-        Links vibration where the nominal model tells how; else they are in balance all the time.
+        Let links vibrate where the nominal model determines how; else they follow quasi-statically.
     """
     time, position, link, torque = resample_uniform(run)
     dt = float(time[1] - time[0])
@@ -257,7 +258,7 @@ def prepare_run(
     vibrating = vibrating and robot.vibrates
     wide = low_pass
     if vibrating:
-        # All that comes of the motion passes the fit's filter later: once, as the readings do.
+        # All derived signals pass the fit's filter later: once, as the readings do.
         cutoff = max(low_pass.cutoff, motor_cutoff(robot, position, dt))
         wide = ZeroPhaseFilter(1.0 / dt, cutoff)
     motor = wide.filter_motion(followed)
@@ -269,7 +270,7 @@ def prepare_run(
     if vibrating:
         links, vibration = _vibrating_links(robot, motor, followed - links.position, links, slow)
     if vibration is None:
-        # Each joint in one piece of memory, of which no copy is made for its effects.
+        # Contiguous columns spare a copy for the effects of each joint.
         links = LinkMotion(
             *(np.asfortranarray(getattr(links, part.name)) for part in fields(LinkMotion))
         )
@@ -329,7 +330,7 @@ def prepare_run(
 
 
 def with_link_torque(prepared: PreparedRun, robot: RobotModel, added: np.ndarray) -> PreparedRun:
-    """Prepared run whose nominal spring torque has a found link torque (K, n) added."""
+    """Return the run with a link torque (K, n) added to its nominal spring torque."""
     signals = prepared.signals
     spring = signals.spring_torque + added
     return replace(
@@ -347,7 +348,7 @@ def with_link_torque(prepared: PreparedRun, robot: RobotModel, added: np.ndarray
 def quasi_static_links(
     robot: RobotModel, motor: np.ndarray, dt: float, low_pass: ZeroPhaseFilter
 ) -> LinkMotion:
-    """Link motion and spring torque that agree with each other and with the motors' motion."""
+    """Return link motion and torque consistent with the motors, without vibration."""
     q = motor
     for _ in range(_WINDUP_ITERATIONS if robot.elastic else 0):
         v = derivative(q, dt)
@@ -366,7 +367,7 @@ def _vibrating_links(
     balanced: LinkMotion,
     slow: ZeroPhaseFilter,
 ) -> tuple[LinkMotion, Vibration | None]:
-    """Links that vibration behind the motors; they begin as near to a slow deflection as can be."""
+    """Return links that vibrate behind the motors, starting nearest to a slow deflection."""
     dt = 1.0 / slow.rate
     speed = derivative(motor, dt)
     rate = derivative(deflection, dt)
@@ -380,7 +381,7 @@ def _vibrating_links(
 
 
 def _dilate_flags(flags: np.ndarray, reach: int) -> np.ndarray:
-    """Flags (K, n) spread to `reach` samples on either side."""
+    """Return flags (K, n) extended by `reach` samples on either side."""
     padded = np.cumsum(np.vstack([np.zeros((1, flags.shape[1])), flags.astype(float)]), axis=0)
     places = np.arange(len(flags))
     low, high = np.maximum(places - reach, 0), np.minimum(places + reach + 1, len(flags))

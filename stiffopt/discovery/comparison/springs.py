@@ -1,4 +1,8 @@
-"""Joint springs between motors that move as recorded and links that follow."""
+"""Joint springs between motors that move as recorded and links that follow.
+
+A link motion that is consistent with the springs at every sample is solved by steps linear about a
+motion nearby.
+"""
 
 from __future__ import annotations
 
@@ -12,22 +16,25 @@ from stiffopt.discovery.comparison.nominal_robot import RobotModel
 from stiffopt.discovery.comparison.vibration import LinkMotion, Vibration, slow_filter
 from stiffopt.elastic.response import SwingResponse
 
-# Of the largest torque, changes by less of which have no mean slope.
+# Share of the largest torque; smaller changes have no mean slope.
 _MIN_TORQUE_CHANGE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class SpringLaw:
-    """A spring with a play by a table, straight between its entries and beyond them.
+    """Tabulated torque over deflection of a spring with play, piecewise linear.
+
+    A link that crosses a play carries no torque: deflection over torque jumps there, while torque
+    over deflection is continuous.
 
     Parameters
     ----------
     carried : array (m,)
-        Torques, rising [N m].
+        Torques, increasing [N m].
     deflection : array (m,)
-        Under them, rising [rad].
+        Deflections under them, increasing [rad].
     windup : array (m,)
-        Of that, the spring's own [rad].
+        Elastic part of the deflections [rad].
     """
 
     carried: np.ndarray
@@ -36,28 +43,28 @@ class SpringLaw:
 
     @cached_property
     def max_stiffness(self) -> float:
-        """Largest slope of its torque [N m/rad]."""
+        """Largest tangent stiffness [N m/rad]."""
         return float(1.0 / np.min(self._interval_compliance))
 
     def share_of_play(self, deflection: np.ndarray) -> np.ndarray:
-        """Of rates of deflections (k,), what share is free travel."""
-        cell = self._interval(self.deflection, deflection)
+        """Return the share of free travel in the rates of deflections (k,)."""
+        cell = self._locate_interval(self.deflection, deflection)
         return np.asarray(1.0 - (np.diff(self.windup) / np.diff(self.deflection))[cell])
 
     def play(self, deflection: np.ndarray) -> np.ndarray:
-        """Of deflections (k,), what is free travel [rad]."""
+        """Return the free travel within deflections (k,) [rad]."""
         return np.asarray(np.interp(deflection, self.deflection, self.deflection - self.windup))
 
     def torque(self, deflection: np.ndarray) -> np.ndarray:
-        """Torque [N m] of deflections (k,) [rad]."""
-        cell = self._interval(self.deflection, deflection)
+        """Return the torque [N m] at deflections (k,) [rad]."""
+        cell = self._locate_interval(self.deflection, deflection)
         along = deflection - self.deflection[cell]
         return np.asarray(self.carried[cell] + along / self._interval_compliance[cell])
 
     def compliance(self, torque: np.ndarray) -> np.ndarray:
-        """Mean slope of the deflection [rad/(N m)] over the time that each sample (k,) stands for.
+        """Return the mean compliance [rad/(N m)] over the time of each sample (k,).
 
-        At the edge of a play the slope is another one a moment later.
+        At the edge of a play the compliance changes within a sample period.
         """
         passed = np.interp(torque, self.carried, self.deflection)
         middle = 0.5 * (passed[1:] + passed[:-1])
@@ -65,7 +72,7 @@ class SpringLaw:
         after = np.concatenate([middle, passed[-1:]])
         change = self.torque(after) - self.torque(before)
         still = np.abs(change) < _MIN_TORQUE_CHANGE * np.max(np.abs(torque))
-        here = self._interval_compliance[self._interval(self.carried, torque)]
+        here = self._interval_compliance[self._locate_interval(self.carried, torque)]
         return np.asarray(np.where(still, here, (after - before) / np.where(still, 1.0, change)))
 
     @cached_property
@@ -73,40 +80,39 @@ class SpringLaw:
         return np.diff(self.deflection) / np.diff(self.carried)
 
     @staticmethod
-    def _interval(entries: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def _locate_interval(entries: np.ndarray, values: np.ndarray) -> np.ndarray:
         return np.clip(np.searchsorted(entries, values, "right") - 1, 0, len(entries) - 2)
 
 
-# Spring and link motion agree within this [rad]; far below any encoder's noise.
+# Largest mismatch of spring and link motion [rad]; far below any encoder's noise.
 _GAP_TOLERANCE = 3e-8
-# Within so many rounds it must agree further,
+# Rounds without progress of the first unsettled sample,
 _MAX_STALLED_ROUNDS = 16
-# or where it stands still agree to this, as at a step in what was found [rad].
+# after which this mismatch is accepted there, as at a step of an effect [rad].
 _STALLED_GAP_TOLERANCE = 1e-6
-# No link accelerates like this [rad/s^2].
+# Acceleration beyond which the solution diverges [rad/s^2].
 _MAX_ACCELERATION = 1e9
-# Samples that are followed at once, at least.
+# Smallest number of samples solved at a time.
 _MIN_STRETCH_SAMPLES = 25
-# Rounds in which the gap grows in spite of all of these: there is no such motion then.
+# Rounds with growing mismatch at the shortest stretch before the solve fails.
 _MAX_GROWING_ROUNDS = 4
-# Gap of a round over that of the round before from which springs are taken anew.
+# Ratio of successive mismatches above which the springs are linearised again.
 _MAX_GAP_RATIO = 0.4
-# Times that springs are taken anew as they are; from then on half of the way, since about a bend
-# they go to and fro.
+# Full updates of the springs; later updates are damped, since near a bend they oscillate.
 _MAX_FULL_UPDATES = 3
-# Behind the settling of the filter, over which links begin without vibration as far as can be [s], at
-# least: longer than most corners of a motion. Besides, as long as a vibration takes to fade.
+# Shortest window after the settling of the filter over which the initial state is fitted [s]:
+# longer than most acceleration phases; extended to the decay time of vibration.
 _MIN_START_WINDOW = 0.6
-# Times that links are begun anew.
+# Rounds of fitting the initial state.
 _START_ROUNDS = 2
-# Slope of a wind-up with what was found over the nominal one; beyond, a wave or a gap is no
-# spring's. And that of a play, in which a link flies free but for this.
+# Range of the tangent compliance with effects over the nominal one: beyond it a periodic error or a
+# play, no spring; and largest compliance within a play.
 _COMPLIANCE_RATIO_RANGE, _MAX_PLAY_COMPLIANCE_RATIO = (0.3, 10.0), 100.0
 
-# From link motion, or its first samples, to what is added: torque on the links, displacement of the
-# springs' ends.
+# (link motion or its first samples) -> added torque on the links, displacement of the springs'
+# ends.
 AddedLoad = Callable[[LinkMotion], tuple[np.ndarray, np.ndarray]]
-# From the same to the compliance of the springs (K, n) over the nominal one.
+# (link motion or its first samples) -> compliance of the springs (K, n) over the nominal one.
 ComplianceRatio = Callable[[LinkMotion], np.ndarray]
 
 
@@ -116,15 +122,15 @@ class Springs:
     Parameters
     ----------
     robot : RobotModel
-        That swings.
+        Robot with known stiffness and damping.
     motor, speed : array (K, n)
-        Position and speed of the motors [rad], [rad/s].
+        Position and velocity of the motors [rad], [rad/s].
     dt : float
         [s]
     damping : array (n,), optional
-        Of the joints, in place of the nominal one [N m s/rad].
+        Damping of the joints in place of the nominal one [N m s/rad].
     laws : mapping of int to SpringLaw, optional
-        Springs with a play, by their joints (from 0).
+        Springs with play by joint (from 0).
     """
 
     def __init__(
@@ -141,7 +147,7 @@ class Springs:
         self.laws = laws or {}
 
     def play(self, links: LinkMotion) -> np.ndarray | float:
-        """Of the deflections along a motion, or its first samples, what is free travel [rad]."""
+        """Return the free travel within the deflections of a motion or its first samples [rad]."""
         if not self.laws:
             return 0.0
         deflection = self.motor[: len(links.position)] - links.position
@@ -153,7 +159,7 @@ class Springs:
     def with_torques(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, link_torque: np.ndarray | float = 0.0
     ) -> LinkMotion:
-        """The torques that belong to a motion of the links, or to the first samples of one."""
+        """Return a motion of the links, or its first samples, with its torques."""
         torque = self.robot.spring_torque(q, v, a) + link_torque
         spring = torque - self.damping * (self.speed[: len(v)] - v)
         return LinkMotion(q, v, a, torque, spring)
@@ -165,7 +171,7 @@ class Springs:
         added_inertia: np.ndarray | float = 0.0,
         near: Vibration | None = None,
     ) -> Vibration:
-        """Linear response about a link motion.
+        """Return the linear vibration response about a link motion.
 
         Parameters
         ----------
@@ -175,7 +181,7 @@ class Springs:
         added_inertia : array (K, n, n)
             Added to the nominal inertia [kg m^2].
         near : Swing, optional
-            Of a motion in the same postures.
+            Response of a motion in the same postures, whose body terms are reused.
         """
         bodies = (
             self.robot.torque_slopes(links.position, links.velocity, links.acceleration)
@@ -202,7 +208,7 @@ class Springs:
     def _spring_stiffness(
         self, links: LinkMotion, compliance_ratio: np.ndarray | float
     ) -> np.ndarray:
-        """Stiffness of the springs (K, n) along a motion [N m/rad]."""
+        """Return the stiffness of the springs (K, n) along a motion [N m/rad]."""
         nominal = self.robot.compliance(links.spring)
         compliance = nominal * np.clip(compliance_ratio, *_COMPLIANCE_RATIO_RANGE)
         for j, law in self.laws.items():
@@ -220,20 +226,20 @@ class Springs:
         compliance_ratio: ComplianceRatio | None = None,
         aside: np.ndarray | None = None,
     ) -> LinkMotion | None:
-        """Link motion that begins as near to a slow one as can be; None where none is found.
+        """Return the link motion that begins nearest to a slow one; None if none is found.
 
         Parameters
         ----------
         begin : LinkMotion
-            Slow; near its ends its filter makes up some of it.
+            Slow motion; near its ends the filter pads it.
         vibration : Swing
-            Response near it.
+            Linear response near it.
         added : callable, optional
-            What acts beside the nominal robot.
+            Loads in addition to the nominal robot.
         compliance_ratio : callable, optional
-            What it makes of the springs.
+            Change of the springs by these.
         aside : array (2 n,), optional
-            Displacement and speed by which links are known to begin beside that [rad], [rad/s].
+            Known initial displacement and velocity relative to the slow motion [rad], [rad/s].
         """
         found = self._solve_nearest_start(begin, vibration, added, compliance_ratio)
         if found is None or aside is None:
@@ -250,7 +256,7 @@ class Springs:
         added: AddedLoad | None,
         compliance_ratio: ComplianceRatio | None,
     ) -> LinkMotion | None:
-        """Link motion that begins as near to a slow one as can be."""
+        """Return the link motion whose initial state is nearest to a slow motion."""
         first = slow_filter(self.dt).settling
         at_first = self.solve(begin, vibration, begin, added, compliance_ratio)
         if at_first is None or len(self.motor) <= first + 2:
@@ -266,7 +272,7 @@ class Springs:
             for _ in range(_START_ROUNDS):
                 if near is None:
                     break
-                # Springs bend: about the motion as it is by now.
+                # Springs are nonlinear: linearise about the current motion.
                 ratio = (
                     vibration.compliance_ratio
                     if compliance_ratio is None
@@ -277,7 +283,7 @@ class Springs:
                 near = self.solve(begun, about, begin, added, compliance_ratio)
                 if near is not None:
                     found.append(near)
-        # From afar, or through a play, any may lead to a vibration that springs do not let go on so.
+        # A distant start or a play may converge to a vibration that the springs do not sustain.
         return min(found, key=lambda each: each.distance(begin, windows[1]))
 
     def solve(
@@ -288,20 +294,20 @@ class Springs:
         added: AddedLoad | None = None,
         compliance_ratio: ComplianceRatio | None = None,
     ) -> LinkMotion | None:
-        """Link motion that agrees with springs and motors; None where none is found.
+        """Return the link motion consistent with springs and motors; None if none is found.
 
         Parameters
         ----------
         links : LinkMotion
-            To start from; at the first sample it stays.
+            Initial guess, whose first sample is kept.
         vibration : Swing
-            Response near that motion.
+            Linear response near that motion.
         slow : LinkMotion
-            Near by, without vibration: steps are exact of it, linear of what is beside it.
+            Motion nearby without vibration: steps are exact for it, linear for the difference.
         added : callable, optional
-            What acts beside the nominal robot.
+            Loads in addition to the nominal robot.
         compliance_ratio : callable, optional
-            What it makes of the springs.
+            Change of the springs by these.
         """
         before, growing, changed, vibration = np.inf, 0, 0, vibration.copy()
         end = len(self.motor)
@@ -311,11 +317,11 @@ class Springs:
         away = links.minus(slow)
         force = vibration.force(away)
         while True:
-            # From the first sample on with the springs as they are by now, so that it does not
-            # matter which they were on the way.
+            # Integrate from the first sample with the current springs: the result must not depend
+            # on earlier linearisations.
             within = self._torque_within_steps(vibration, links.position - slow.position)
             links = slow.shifted(*vibration.response.driven(force, *away.state, within))
-            # None of it counts where it runs away.
+            # A diverged solution has no usable part.
             if not np.all(np.abs(links.acceleration) < _MAX_ACCELERATION):
                 return None
             own, gaps = self._residuals_until(end, links, torque, added, settled)
@@ -329,15 +335,14 @@ class Springs:
                     return None
                 settled[first] = _STALLED_GAP_TOLERANCE
             onward = first >= end
-            # Behind a play what comes later may be far off, as long as more and more is settled.
+            # Behind a play later samples may be far off as long as more and more samples settle.
             if onward or (self.laws and first > max(reached[:-1])):
                 growing = changed = 0
             if onward:
                 before, end = np.inf, min(len(sizes), 2 * end)
             worst = float(np.max(sizes[:end]))
             if worst > _MAX_GAP_RATIO * before:
-                # Springs bend where the motion was taken to be: anew about where it is, as far as
-                # it is followed.
+                # Linearise the springs again about the current motion, as far as it is solved.
                 stiffness = self._updated_stiffness(
                     own, vibration, compliance_ratio, 1.0 / max(changed - _MAX_FULL_UPDATES + 1, 1)
                 )
@@ -346,17 +351,17 @@ class Springs:
                 )
                 changed += 1
             if worst > before:
-                # About a bend it goes to and fro by less than what is let be in the end.
+                # Near a bend the mismatch oscillates below the accepted one.
                 growing += end - first <= _MIN_STRETCH_SAMPLES and worst > _STALLED_GAP_TOLERANCE
                 if growing > _MAX_GROWING_ROUNDS:
                     return None
-                # What comes late hangs on all before it: so far, then further.
+                # Late samples depend on all before them: solve a shorter stretch first.
                 end = first + max(_MIN_STRETCH_SAMPLES, (end - first) // 4)
             before = worst
             force[:end] += self._gap_stiffness(vibration)[:end] * gaps[:end]
 
     def _gap_stiffness(self, vibration: Vibration) -> np.ndarray:
-        """Torque (K, n) by which a gap is closed [N m/rad]."""
+        """Return the torque (K, n) per mismatch that closes it [N m/rad]."""
         if not self.laws:
             return vibration.stiffness
         pulls = vibration.stiffness.copy()
@@ -365,9 +370,10 @@ class Springs:
         return pulls
 
     def _torque_within_steps(self, vibration: Vibration, away: np.ndarray) -> np.ndarray | None:
-        """Torques (K - 1, 2, n) at both ends of every step that its mean springs do not have.
+        """Return the torque (K - 1, 2, n) at both ends of each step beyond its mean stiffness.
 
-        Of positions `away` (K, n), where springs enter a play or leave it; else they bend little.
+        For positions `away` (K, n), where springs enter or leave a play; elsewhere the change is
+        small.
         """
         if not self.laws:
             return None
@@ -381,10 +387,7 @@ class Springs:
         compliance_ratio: ComplianceRatio | None,
         share: float,
     ) -> np.ndarray:
-        """Stiffness of the springs (k, n) along the first samples of a motion, or part way to it.
-
-        [N m/rad]
-        """
+        """Return a damped update of the stiffness (k, n) along the first samples [N m/rad]."""
         k = len(links.position)
         ratio = np.broadcast_to(vibration.compliance_ratio, self.motor.shape)[:k]
         stiffness = self._spring_stiffness(
@@ -400,24 +403,26 @@ class Springs:
         added: AddedLoad | None,
         settled: np.ndarray,
     ) -> tuple[LinkMotion, np.ndarray]:
-        """As `_gaps`, not much beyond `end` before all until then is below `settled` (K,) [rad]."""
+        """Return residuals [rad] up to `end`, of all samples once those are `settled`."""
         count = len(self.motor)
         known = min(end + _MIN_STRETCH_SAMPLES, count)
-        found = self._residuals(links.head(known), torque[:known], added)
+        found = self._deflection_residuals(links.head(known), torque[:known], added)
         if known == count or np.any(np.max(np.abs(found[1][:end]), axis=1) >= settled[:end]):
             return found
-        return self._residuals(links, torque, added)
+        return self._deflection_residuals(links, torque, added)
 
-    def _residuals(
+    def _deflection_residuals(
         self, links: LinkMotion, torque: np.ndarray, added: AddedLoad | None
     ) -> tuple[LinkMotion, np.ndarray]:
-        """The first samples of a motion with its torques, and what springs and motors lack to it.
+        """Return the first samples of a motion with torques, and deflection residuals.
+
+        Residuals are in rad.
 
         Parameters
         ----------
         links : LinkMotion
         torque : array (k, n)
-            That is added on the links, as known before; as of now afterwards [N m].
+            Added torque on the links at the last call, updated in place [N m].
         added : callable or None
         """
         k = len(links.position)
@@ -431,7 +436,7 @@ class Springs:
         deflection = self.motor[:k] - links.position - displaced
         gaps = deflection - self.robot.windup(links.spring)
         for j, law in self.laws.items():
-            # By the torque that the deflection makes; dampers have what the spring has of its rate.
+            # The residual is a torque here; the damper carries no torque of the free travel.
             free = law.share_of_play(deflection[:, j]) * (self.speed[:k] - links.velocity)[:, j]
             carried = law.torque(deflection[:, j])
             gaps[:, j] = carried - links.spring[:, j] - self.damping[j] * free
@@ -441,7 +446,7 @@ class Springs:
 
 
 def nominal_damping(robot: RobotModel) -> np.ndarray:
-    """Damping of the joints (n,) [N m s/rad]."""
+    """Return the nominal damping of the joints (n,) [N m s/rad]."""
     damping = robot.recordings.nominal.joint_damping
     assert damping is not None
     return damping

@@ -16,11 +16,12 @@ from itertools import product
 import numpy as np
 
 from stiffopt.discovery.comparison.comparison import Comparison
-from stiffopt.discovery.comparison.inertial_parameters import A_BODY, body_units, nominal_bodies
+from stiffopt.discovery.comparison.inertial_parameters import body_units, nominal_bodies
 from stiffopt.discovery.comparison.located_effect import LocatedEffect, effect_places
 from stiffopt.discovery.effect import Effect
 from stiffopt.discovery.search.candidates import Candidate, Scorer
 from stiffopt.discovery.search.left_out import LeftOut
+from stiffopt.discovery.signals import PARAMETERS_PER_BODY
 from stiffopt.discovery.thresholds import NAMED_EVIDENCE, NEAR_CENTRE, SPARSE_SHARE
 
 # Standard deviations of inertial parameters that are tried, over their typical sizes.
@@ -206,7 +207,11 @@ def _counterweights(
     By what a description is off, no centre of mass goes to the other side of its joint.
     """
     own = free.with_bodies(_deviations(free, widths))
-    moved = own.fit(effects).posterior.mean[: A_BODY * free.robot.n].reshape(-1, A_BODY)
+    moved = (
+        own.fit(effects)
+        .posterior.mean[: PARAMETERS_PER_BODY * free.robot.n]
+        .reshape(-1, PARAMETERS_PER_BODY)
+    )
     bodies = nominal_bodies(free.robot)
     nominal = np.linalg.norm(bodies[:, 1:4], axis=1)
     change = np.linalg.norm(moved[:, 1:4], axis=1)
