@@ -59,7 +59,7 @@ class Fit:
     nuisance: int
 
     def evidence_losses(self) -> np.ndarray:
-        """Return the log evidence lost without each effect, the others kept.
+        """Return the log evidence lost without each effect, with the others.
 
         Savage-Dickey ratio: posterior over prior density at amplitude zero.
         """
@@ -115,7 +115,7 @@ class Comparison:
     suspects : mapping of str to float
         Log evidence per row of effects, by label, that the starting model left unexplained: so much
         does not count as evidence of a change.
-    columns : Columns, optional
+    columns : DesignMatrix, optional
         Design matrix of these runs, linearised about known findings.
     """
 

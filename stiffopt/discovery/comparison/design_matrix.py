@@ -34,7 +34,7 @@ _MAX_BLOCKS = 8
 _START_CACHE_BYTES, _RECENT_CACHE_SIZE = 2**27, 64
 # Memory of link motions that are computed together [bytes].
 _BATCH_BYTES = 2**22
-# Earlier linearisations that are kept.
+# Number of earlier linearisations in memory.
 _MAX_EARLIER = 4
 # Largest linearisation error of the links before a new linearisation, rms over the residual noise.
 MAX_LINEARISATION_ERROR = 0.3

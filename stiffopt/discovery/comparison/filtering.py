@@ -167,14 +167,16 @@ def interpolate_motion(stamps: np.ndarray, samples: np.ndarray, time: np.ndarray
         if np.count_nonzero(known) < 2:
             out[:] = np.nan
             continue
-        told = stamps[known]
-        apart = np.diff(told)[np.clip(np.searchsorted(told, time) - 1, 0, len(told) - 2)]
+        stamps_known = stamps[known]
+        apart = np.diff(stamps_known)[
+            np.clip(np.searchsorted(stamps_known, time) - 1, 0, len(stamps_known) - 2)
+        ]
         near = (
-            (apart < _MAX_SPLINE_STEPS * np.median(np.diff(told)))
-            & (time > told[0])
-            & (time < told[-1])
+            (apart < _MAX_SPLINE_STEPS * np.median(np.diff(stamps_known)))
+            & (time > stamps_known[0])
+            & (time < stamps_known[-1])
         )
-        out[near] = CubicSpline(told, column[known])(time[near])
+        out[near] = CubicSpline(stamps_known, column[known])(time[near])
     return bridged
 
 

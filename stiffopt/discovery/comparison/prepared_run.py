@@ -108,7 +108,7 @@ class PreparedRun:
     motion_filter : ZeroPhaseFilter
         Filter of the motion and of friction torques: the motor acceleration at a jump of friction
         would otherwise leave a residual.
-    vibration : Swing or None
+    vibration : Vibration or None
         Linear vibration response of the links; None where they follow quasi-statically.
     added_deflection : array (K, n) or float
         Deflection from extensions in addition to the nominal wind-up of the spring torque [rad].

@@ -180,7 +180,7 @@ class Springs:
             Compliance over the nominal one.
         added_inertia : array (K, n, n)
             Added to the nominal inertia [kg m^2].
-        near : Swing, optional
+        near : Vibration, optional
             Response of a motion in the same postures, whose body terms are reused.
         """
         bodies = (
@@ -232,7 +232,7 @@ class Springs:
         ----------
         begin : LinkMotion
             Slow motion; near its ends the filter pads it.
-        vibration : Swing
+        vibration : Vibration
             Linear response near it.
         added : callable, optional
             Loads in addition to the nominal robot.
@@ -300,7 +300,7 @@ class Springs:
         ----------
         links : LinkMotion
             Initial guess, whose first sample is kept.
-        vibration : Swing
+        vibration : Vibration
             Linear response near that motion.
         slow : LinkMotion
             Motion nearby without vibration: steps are exact for it, linear for the difference.

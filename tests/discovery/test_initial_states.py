@@ -1,7 +1,4 @@
-"""A run that begins while its links swing is no drive with bursts; a swing out of nothing is.
-
-Unless the link encoders show it too.
-"""
+"""Initial vibration of runs, and bursts of drives that it must not be taken for."""
 
 from dataclasses import replace
 
@@ -58,22 +55,22 @@ def vibrating(training, begin, *, links=False):
     return replace(training, runs=(shaken, *training.runs[1:]))
 
 
-def test_a_swing_that_a_run_begins_with_is_no_burst(begun_moving):
+def test_bursts_exclude_initial_vibration(begun_moving):
     assert bursts(vibrating(begun_moving, BEGIN), ()) is None
 
 
-def test_a_swing_out_of_nothing_is_a_burst(begun_moving):
+def test_bursts_include_vibration_without_cause(begun_moving):
     found = bursts(vibrating(begun_moving, LATER), ())
     assert found is not None
     assert found.channels[0] in ("torque_1", "torque_2")
 
 
-def test_links_that_are_seen_to_swing_are_no_drive_with_bursts(begun_moving):
+def test_bursts_exclude_measured_link_vibration(begun_moving):
     """Their encoders show what the torque shows: the arm swings otherwise than modelled."""
     assert bursts(vibrating(begun_moving, LATER, links=True), ()) is None
 
 
-def test_bursts_that_a_model_left_of_its_own_recordings_are_nothing_new(begun_moving):
+def test_bursts_of_the_starting_model_are_not_reported(begun_moving):
     shaken = vibrating(begun_moving, LATER)
     ratio = bursts(shaken, ()).ratio
     least = np.full(4, 0.5 * ratio / BURST_RATIO)
@@ -100,7 +97,7 @@ def shown(training, run):
     return read, true
 
 
-def test_links_of_a_training_run_begin_in_the_swing_that_it_shows(heavy):
+def test_initial_states_recover_vibration_of_a_run(heavy):
     """Springs bend: what a start makes is no free swing of the model."""
     run, *others = heavy.runs
     read, true = shown(heavy, run)
@@ -109,11 +106,11 @@ def test_links_of_a_training_run_begin_in_the_swing_that_it_shows(heavy):
     assert np.std(found.signals.link_position - true.link_position) < 0.15 * np.std(off)
 
 
-def test_runs_stay_as_they_are_where_nothing_is_won(heavy):
+def test_initial_states_without_gain_leave_runs_unchanged(heavy):
     assert estimate_initial_states(heavy.comparison()) == heavy.runs
 
 
-def test_a_start_is_not_told_from_what_is_missing_otherwise(heavy):
+def test_initial_states_ignore_missing_effects(heavy):
     """Beside a friction that nobody told, a start explains a little of what is left."""
     run, *others = heavy.runs
     read, _ = shown(heavy, run)

@@ -1,4 +1,4 @@
-"""Free inertial parameters: bodies that exist, and the same evidence by a shorter way."""
+"""Free inertial parameters: physical consistency, and evidence of added columns."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ROD = np.array([[2.0, 0.4, 0.0, 0.0, 0.002, 0.0, 0.11, 0.0, 0.0, 0.11]])
 UNITS = np.array([[2.0, *[0.4] * 3, *[0.08] * 6]])
 
 
-def test_pseudo_inertia_holds_all_ten_parameters() -> None:
+def test_pseudo_inertia_round_trip() -> None:
     """There and back; the mass stands last, first moments beside it."""
     parameters = np.random.default_rng(1).standard_normal((3, 10))
     there = pseudo_inertia(parameters)
@@ -27,7 +27,7 @@ def test_pseudo_inertia_holds_all_ten_parameters() -> None:
     np.testing.assert_allclose(there[:, 3, 3], parameters[:, 0])
 
 
-def test_what_exists_and_what_does_not() -> None:
+def test_is_consistent_accepts_and_refuses_bodies() -> None:
     """A rod exists; with less inertia than its centre of mass alone needs it does not."""
     assert is_consistent(ROD, UNITS)
     light = ROD.copy()
@@ -35,7 +35,7 @@ def test_what_exists_and_what_does_not() -> None:
     assert not is_consistent(light, UNITS)
 
 
-def test_the_likeliest_bodies_exist() -> None:
+def test_likeliest_consistent_bodies_are_consistent_and_optimal() -> None:
     """Data that ask for a negative moment of inertia are followed as far as matter allows."""
     gram = np.diag([1.0, *[1e4] * 3, *[1e6] * 6, 1.0])
     wanted = np.zeros(11)
@@ -57,7 +57,7 @@ def test_the_likeliest_bodies_exist() -> None:
     assert cost(found) <= cost(least) + 1e-6
 
 
-def test_a_few_more_columns_cost_only_themselves() -> None:
+def test_added_columns_posterior_matches_full_posterior() -> None:
     """Posterior, evidence and density of blocks left out are those of a fit of all at once."""
     rng = np.random.default_rng(2)
     base, added = rng.standard_normal((120, 6)), rng.standard_normal((120, 3))

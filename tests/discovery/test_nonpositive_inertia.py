@@ -1,4 +1,4 @@
-"""Masses that cannot be, as a fit on its way may have them: swings about them are not taken."""
+"""Nonpositive inertia during a fit: no linearisation about it, no initial vibration."""
 
 from copy import copy
 from dataclasses import replace
@@ -31,7 +31,7 @@ def with_payload(mass):
     return Extension(effects=(EstimatedEffect(located=located, amplitudes=amplitudes),))
 
 
-def test_what_swings_is_not_taken_about_them(columns):
+def test_design_matrix_is_not_linearised_about_nonpositive_inertia(columns):
     possible = columns.linearised_at(with_payload(1.0))
     assert possible is not columns
     assert possible.initial_state_columns.shape[1] > 0
@@ -41,7 +41,7 @@ def test_what_swings_is_not_taken_about_them(columns):
 
 
 @pytest.mark.filterwarnings("ignore:.*encountered in:RuntimeWarning")
-def test_no_run_begins_in_a_swing_of_them(columns):
+def test_initial_states_exclude_nonpositive_inertia(columns):
     own = (columns.robot, columns.nominal_runs, columns.noise, columns.tolerance, columns.start)
     run = DesignMatrix(*own, with_payload(-5.0)).runs[0]
     frequencies, _ = run.vibration.response.modes(0)
@@ -53,7 +53,7 @@ def test_no_run_begins_in_a_swing_of_them(columns):
     assert torque.shape[2] == deflection.shape[2] == 0
 
 
-def test_masses_that_cannot_be_are_seen_wherever_they_are(columns):
+def test_nonpositive_inertia_is_detected_at_any_sample(columns):
     swing = columns.nominal_runs[0].vibration
     assert swing.has_positive_inertia
     mobility = swing.response.mobility.copy()

@@ -92,7 +92,7 @@ def folder(tmp_path_factory):
     return str(tmp_path_factory.mktemp("resonant"))
 
 
-def test_links_swing_as_the_simulated_ones_do(folder):
+def test_link_vibration_matches_simulator(folder):
     torque, link = _errors(HEALTHY, folder)
     slow_torque, slow_link = _errors(HEALTHY, folder, vibrating=False)
     assert torque < HALF
@@ -101,13 +101,13 @@ def test_links_swing_as_the_simulated_ones_do(folder):
     assert slow_link > 2.0 * link
 
 
-def test_links_begin_within_a_corner_of_the_motion(folder):
+def test_link_vibration_starts_within_acceleration_phase(folder):
     torque, link = _errors(SHARP, folder)
     assert torque < 0.46
     assert link < 0.22
 
 
-def test_springs_that_were_taken_on_the_way_do_not_matter(folder):
+def test_link_vibration_is_independent_of_initial_linearisation(folder):
     """However soft or stiff they were taken to be first, links end with the same motion."""
     _, robot, runs, _ = _opened(SHARP, folder)
     run = prepare_run(robot, next(iter(runs.values())), 0, None, Settings())
@@ -122,14 +122,14 @@ def test_springs_that_were_taken_on_the_way_do_not_matter(folder):
     assert np.sqrt(np.mean(np.ptp(found, axis=0) ** 2)) < SAME
 
 
-def test_a_payload_that_was_found_makes_them_swing_slower(folder):
+def test_link_vibration_with_payload_is_slower(folder):
     found = _found("payload", tuple(_block(LOADED).toDynamicParameters()))
     torque, link = _errors(LOADED, folder, found)
     assert torque < HALF
     assert link < 0.25
 
 
-def test_a_softer_spring_that_was_found_makes_them_swing_slower(folder):
+def test_link_vibration_with_softer_spring_is_slower(folder):
     (line,) = simulated(SOFTER).truth["effects"]
     found = _found("stiffness_linear", (1.0 / line["params"]["factor"] - 1.0,), joint=1)
     torque, link = _errors(SOFTER, folder, found)
@@ -137,7 +137,7 @@ def test_a_softer_spring_that_was_found_makes_them_swing_slower(folder):
     assert link < 0.25
 
 
-def test_inertia_that_is_added_is_that_of_the_body(folder):
+def test_added_inertia_matches_body(folder):
     _, robot, runs, ranged = _opened(LOADED, folder)
     run = prepare_run(robot, next(iter(runs.values())), 0, ranged, Settings())
     block = _block(LOADED)

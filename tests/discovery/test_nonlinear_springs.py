@@ -1,4 +1,4 @@
-"""Links are followed past a bend of their springs, and with springs that lag their load."""
+"""Link motion with nonlinear springs and with springs that lag their load."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from stiffopt.discovery.training import train
 from stiffopt.recording.recording_set import load_recordings
 
 
-def test_to_and_fro_by_less_than_is_let_be_is_a_motion(tmp_path):
+def test_simulate_links_accepts_oscillation_below_tolerance(tmp_path):
     """Joint 6 at a bend, by 0.2 urad: no motion was found, and links counted as in balance."""
     spec = CaseSpec(
         robot="arm7",
@@ -56,7 +56,7 @@ def creeping(tmp_path_factory):
     return run, training.robot, Extension(effects=(belt,))
 
 
-def test_a_belt_is_as_soft_as_it_is_at_once(creeping):
+def test_relative_compliance_of_belt_excludes_creep(creeping):
     run, robot, extension = creeping
     softer = relative_compliance(run, robot, extension)
     quick = 0.5 * (1.0 - np.exp(-run.signals.dt / 0.15))
@@ -69,7 +69,7 @@ def test_a_belt_is_as_soft_as_it_is_at_once(creeping):
     assert np.max(off) < 0.5
 
 
-def test_links_are_followed_with_a_belt_that_creeps_in_a_few_rounds(creeping, monkeypatch):
+def test_simulate_links_with_creeping_belt_converges_in_few_rounds(creeping, monkeypatch):
     """With the slope of a belt that has settled it took hundreds, and some found no motion."""
     run, robot, extension = creeping
     rounds, whole_change = [], extended_run.extension_change

@@ -1,4 +1,4 @@
-"""Torques of single bodies on demand: what is kept of them, and what changed bodies need."""
+"""Body torques on demand: cache and changed bodies."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def arms(robot):
     return [LazyArmSignals(robot, *rng.normal(0.0, 1.0, (3, COUNT, robot.n))) for _ in range(3)]
 
 
-def test_those_asked_for_last_are_kept(robot, arms, monkeypatch):
+def test_body_torques_recently_used_stay_cached(robot, arms, monkeypatch):
     size = arms[0].body_regressor.of(0).nbytes
     monkeypatch.setattr(nominal_robot, "_BODY_TORQUE_CACHE_BYTES", 2 * size)
     first = arms[0].body_regressor.of(0)
@@ -37,7 +37,7 @@ def test_those_asked_for_last_are_kept(robot, arms, monkeypatch):
     np.testing.assert_array_equal(arms[0].body_regressor.of(0), first)
 
 
-def test_columns_are_those_of_the_whole(robot, arms):
+def test_body_torques_match_columns_of_full_regressor(robot, arms):
     regressor = arms[0].body_regressor
     whole = np.asarray(regressor)
     assert whole.shape == (COUNT, robot.n, 10 * robot.n)
@@ -46,7 +46,7 @@ def test_columns_are_those_of_the_whole(robot, arms):
     np.testing.assert_array_equal(regressor[:, 0, :3], whole[:, 0, :3])
 
 
-def test_changed_bodies_along_a_motion_and_along_another_one(robot, arms):
+def test_changed_body_torques_match_regressor_on_two_motions(robot, arms):
     change = np.random.default_rng(5).normal(0.0, 1.0, (robot.n, 10))
     there = [LazyArmSignals(robot, *arm._motion) for arm in arms]
     moved = arms[0].with_bodies(*arms[1]._motion)
