@@ -136,14 +136,14 @@ class Shape:
     upper: float = float("inf")
     usual: float | None = None
 
-    def asked(self, ranges: Constants) -> tuple[float, ...]:
+    def start_values(self, ranges: Constants) -> tuple[float, ...]:
         """Return the initial values as the entry defines them."""
         values = self.starts(ranges) if callable(self.starts) else self.starts
         return tuple(float(v) for v in values)
 
     def grid(self, ranges: Constants) -> tuple[float, ...]:
         """Return the distinct initial values, clipped to the bounds."""
-        within = (min(max(v, self.lower), self.upper) for v in self.asked(ranges))
+        within = (min(max(v, self.lower), self.upper) for v in self.start_values(ranges))
         return tuple(dict.fromkeys(within))
 
 

@@ -184,7 +184,7 @@ def _faults_of_parameters(
             yield f"amplitude {amplitude.name!r} has its lower bound above its upper one."
     combinations = 1
     for shape in effect.shapes:
-        starts = shape.asked(constants)
+        starts = shape.start_values(constants)
         combinations *= len(starts)
         if not starts or not all(shape.lower <= v <= shape.upper for v in starts):
             yield (

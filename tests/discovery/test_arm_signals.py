@@ -24,17 +24,17 @@ def arms(robot):
 
 
 def test_body_torques_recently_used_stay_cached(robot, arms, monkeypatch):
-    size = arms[0].body_regressor.of(0).nbytes
+    size = arms[0].body_regressor.of_body(0).nbytes
     monkeypatch.setattr(nominal_robot, "_BODY_TORQUE_CACHE_BYTES", 2 * size)
-    first = arms[0].body_regressor.of(0)
-    assert arms[0].body_regressor.of(0) is first
+    first = arms[0].body_regressor.of_body(0)
+    assert arms[0].body_regressor.of_body(0) is first
     for arm in arms:
-        arm.body_regressor.of(0)
+        arm.body_regressor.of_body(0)
     assert [regressor for regressor, _ in robot.body_torque_cache] == [
         arm.body_regressor for arm in arms[1:]
     ]
     assert sum(each.nbytes for each in robot.body_torque_cache.values()) <= 2 * size
-    np.testing.assert_array_equal(arms[0].body_regressor.of(0), first)
+    np.testing.assert_array_equal(arms[0].body_regressor.of_body(0), first)
 
 
 def test_body_torques_match_columns_of_full_regressor(robot, arms):

@@ -1,4 +1,4 @@
-"""Friction reversal of a light drive between two samples, and bursts of a drive that is too slow."""
+"""Friction reversal of a light drive between two samples, and bursts of a slow drive."""
 
 import numpy as np
 import pytest

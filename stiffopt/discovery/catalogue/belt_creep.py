@@ -49,9 +49,7 @@ def put_belt_in_series(
         return None
     mean = compliance * float(np.mean(TORQUE_SHARES)) * constants.torque_rated
     chain, sentence = with_series_spring(chain_of(robot, joint), mean, constants)
-    return with_chain(
-        robot, joint, chain, f"{sentence[:-1]}, a belt that has settled under its load."
-    )
+    return with_chain(robot, joint, chain, f"{sentence[:-1]}, a belt that has settled under load.")
 
 
 BELT_CREEP = Effect(

@@ -130,7 +130,7 @@ HYSTERESIS = Effect(
     family="elastic",
     scope="joint",
     equation="d += -D'(s)*h*y, dy/dd = (1 - y*sgn(dd))^i/s",
-    signature="wind-up that takes another way under falling load than under rising load, whatever"
+    signature="wind-up that differs between falling and rising load at equal torque, whatever"
     " the speed",
     phrase="hysteresis of the wind-up",
     needs=("windup", "moves", "reverses"),

@@ -272,7 +272,7 @@ THERMAL_FRICTION = Effect(
     scope="joint",
     equation="tau += (exp(-b*(T - T0)) - 1)*(Fv*w + share*Fc*sg(w))",
     signature="motor torque against the motion that falls from run to run as the housing warms",
-    phrase="friction that falls with warmth",
+    phrase="friction that falls with temperature",
     needs=("torque", "moves", "warmer"),
     confused_with=("time_delay",),
     reference="BittencourtAxelsson2014",

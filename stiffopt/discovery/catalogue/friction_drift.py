@@ -161,8 +161,8 @@ def friction_drift(runs: Sequence[str], *, seen: bool = True) -> Effect:
         family="friction",
         scope="joint",
         equation="tau += a_run*(share of Fc*sg(w) + share of Fv*w), a_run ~ N(0, spread^2), sum 0",
-        signature="motor torque off against the motion by an amount that is another one in"
-        " every run, whatever the motion and the temperature",
+        signature="motor torque off against the motion by an amount that differs between"
+        " runs, whatever the motion and the temperature",
         title="friction drift between runs",
         phrase="friction that differs from run to run",
         needs=("torque", "moves", "reverses", "three_runs"),

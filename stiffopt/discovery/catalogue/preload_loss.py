@@ -85,8 +85,8 @@ def lose_preload(
     if rest > 1e-2 * wanted:
         changed, spring = with_series_spring(changed, rest, constants)
         sentence += (
-            f" That still holds the largest torque and explains"
-            f" {100.0 * (1.0 - rest / wanted):.0f} % of the added wind-up; the rest: {spring}"
+            f" This is the least preload that carries the largest torque; it explains"
+            f" {100.0 * (1.0 - rest / wanted):.0f} % of the added wind-up. The rest: {spring}"
         )
     return with_chain(robot, joint, changed, sentence)
 

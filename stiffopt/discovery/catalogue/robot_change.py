@@ -43,7 +43,7 @@ def add_to_body(robot: Robot, found: FittedEffect, joint: int, subject: str) -> 
     before = robot.tree.bodies[joint]
     values = before.inertial_parameters + np.asarray(found.amplitudes)
     if values[0] <= 0.0:
-        return RobotChange(None, "it would leave no mass")
+        return RobotChange(None, "the mass of the link would not be positive")
     changed = robot.with_inertial_parameters(joint + 1, values)
     body = changed.tree.bodies[joint]
     old, new = (f"({', '.join(f'{1e3 * x:.0f}' for x in each.centre)})" for each in (before, body))

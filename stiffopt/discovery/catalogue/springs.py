@@ -142,8 +142,8 @@ END_STOP = Effect(
     scope="joint",
     only_changed=True,
     equation="s += k*(q - q0) beyond q0",
-    signature="link torque of one joint that begins at one angle and grows beyond it, to one side",
-    phrase="something that the joint runs against",
+    signature="link torque of one joint that sets in at one angle and grows beyond it",
+    phrase="an end stop within the stroke",
     needs=("torque", "moves"),
     confused_with=("cable_spring",),
     term=end_stop_term,
@@ -156,7 +156,7 @@ END_STOP = Effect(
     ),
     report=lambda amplitudes, shapes, constants: {"k": amplitudes[0], "q0": shapes[0]},
     possible=_is_within_stroke,
-    separate="Go to that end of the stroke slowly, and stop short of it: a stop does nothing short"
+    separate="Go to that end of the stroke slowly, and stop short of it: a stop has no effect short"
     " of its angle, cables and weight pull everywhere.",
 )
 

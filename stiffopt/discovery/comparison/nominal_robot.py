@@ -245,7 +245,7 @@ class BodyRegressor:
         self._robot, self._motion = robot, (q, v, a)
         self._changes: dict[bytes, np.ndarray] = {}
 
-    def of(self, body: int) -> np.ndarray:
+    def of_body(self, body: int) -> np.ndarray:
         """Return the torques (K, n, 10) per parameter of one body (from 0)."""
         kept = self._robot.body_torque_cache
         found = kept.pop((self, body), None)
@@ -274,7 +274,7 @@ class BodyRegressor:
         """Return entries as of an array: [..., k] is the column of parameter k."""
         if isinstance(where, tuple) and where[0] is Ellipsis and isinstance(where[1], int):
             body, parameter = divmod(where[1], PARAMETERS_PER_BODY)
-            return np.asarray(self.of(body)[..., parameter])
+            return np.asarray(self.of_body(body)[..., parameter])
         return np.asarray(self.__array__()[where])
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
@@ -343,8 +343,8 @@ class _RegressorHead(BodyRegressor):
         super().__init__(whole._robot, *(x[:count] for x in whole._motion))
         self._whole, self._count = whole, count
 
-    def of(self, body: int) -> np.ndarray:
-        return self._whole.of(body)[: self._count]
+    def of_body(self, body: int) -> np.ndarray:
+        return self._whole.of_body(body)[: self._count]
 
     def torque(self, change: np.ndarray) -> np.ndarray:
         return self._whole.torque(change)[: self._count]

@@ -185,7 +185,7 @@ def _body_columns(
         for name, change in _body_parameter_slopes(position, body):
             sd = getattr(tolerance, name.split()[0])
             if sd and asked(name):
-                torque = run.signals.body_regressor.of(position) @ change
+                torque = run.signals.body_regressor.of_body(position) @ change
                 yield NuisanceColumn(name, sd, Contribution(link_torque=torque))
 
 
