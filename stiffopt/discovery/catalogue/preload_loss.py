@@ -28,8 +28,8 @@ from stiffopt.symbolic import Quantity
 
 # Smallest slip torque of a loosened connection over the largest torque of the joint.
 _SLIP_MARGIN = 1.1
-# Share of the preload above which none counts as lost.
-_MAX_LOST_SHARE = 0.999
+# Share of the preload above which a connection counts as intact.
+_MIN_INTACT_SHARE = 0.999
 # Smallest torque, over the rated one, whose contact pressure equals the remaining preload.
 _MIN_PRESSURE_RATIO = 5e-4
 
@@ -74,7 +74,7 @@ def lose_preload(
 
     holds = float(np.asarray(stage.element.slip_torque(tight))) * stage.reduction
     least = max(_SLIP_MARGIN * constants.torque_max / holds, 1e-3)
-    if least >= _MAX_LOST_SHARE:
+    if least >= _MIN_INTACT_SHARE:
         return with_chain(robot, joint, *with_series_spring(chain, wanted, constants))
     share = _solve_preload_share(added, wanted, least)
     changed, rest = loosened(share), wanted - added(share)

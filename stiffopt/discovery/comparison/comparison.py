@@ -180,9 +180,22 @@ class Comparison:
         near: float = MAX_LINEARISATION_ERROR,
     ) -> Comparison:
         """Return the comparison about an extension, with other noise factors (2 n,)."""
+        noise = self.least if inflation is None else inflation
+        return self._derive_comparison(inflation, self.columns.linearised_at(found, noise, near))
+
+    def with_runs(self, runs: Sequence[PreparedRun]) -> Comparison:
+        """Return the comparison of other runs with the same model."""
+        return self._derive_comparison(None, None, runs)
+
+    def _derive_comparison(
+        self,
+        inflation: np.ndarray | None,
+        columns: DesignMatrix | None,
+        runs: Sequence[PreparedRun] | None = None,
+    ) -> Comparison:
         return Comparison(
             self.robot,
-            self.nominal_runs,
+            self.nominal_runs if runs is None else runs,
             self.noise,
             self.tolerance,
             start=self.start,
@@ -190,22 +203,7 @@ class Comparison:
             box=self.box,
             least=self._least_known,
             suspects=self.suspects,
-            columns=self.columns.linearised_at(
-                found, self.least if inflation is None else inflation, near
-            ),
-        )
-
-    def with_runs(self, runs: Sequence[PreparedRun]) -> Comparison:
-        """Return the comparison of other runs with the same model."""
-        return Comparison(
-            self.robot,
-            runs,
-            self.noise,
-            self.tolerance,
-            start=self.start,
-            box=self.box,
-            least=self._least_known,
-            suspects=self.suspects,
+            columns=columns,
         )
 
     @property
@@ -223,18 +221,7 @@ class Comparison:
 
         In place of masses and centres of mass.
         """
-        return Comparison(
-            self.robot,
-            self.nominal_runs,
-            self.noise,
-            self.tolerance,
-            start=self.start,
-            inflation=self.inflation,
-            box=self.box,
-            least=self._least_known,
-            suspects=self.suspects,
-            columns=self.columns.with_bodies(bodies),
-        )
+        return self._derive_comparison(self.inflation, self.columns.with_bodies(bodies))
 
     def inherited_evidence(self, located: LocatedEffect) -> float:
         """Return the log evidence for an effect that the starting model left unexplained."""

@@ -24,11 +24,10 @@ from stiffopt.discovery.comparison.piece_sums import PieceColumns, PieceProducts
 from stiffopt.discovery.comparison.prepared_run import PreparedRun
 from stiffopt.recording.nominal import Tolerance
 
-# Fewer runs are cut into blocks for cross-validation, of at least this length [s] where a run has
-# as many, and at most so many per run.
+# Smallest number of runs of which each is a cross-validation block; fewer runs are cut into blocks.
 MIN_RUNS_AS_BLOCKS = 3
-_BLOCK_SECONDS = 2.0
-_MAX_BLOCKS = 8
+# Length of a block of a run [s], and largest number of blocks per run.
+_BLOCK_SECONDS, _MAX_BLOCKS = 2.0, 8
 # Cache of columns: of initial shapes, which every search asks for, up to a memory limit [bytes],
 # and a number of the latest others.
 _START_CACHE_BYTES, _RECENT_CACHE_SIZE = 2**27, 64

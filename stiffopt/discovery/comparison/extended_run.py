@@ -157,7 +157,7 @@ def _slow_link_motion(
     assert run.vibration is not None
     slow = run.vibration.reference
     here = with_link_motion(run, robot, slow)
-    if any(e.located.effect.family == "inertial" for e in extension.effects):
+    if any(e.effect.family == "inertial" for e in extension.effects):
         here = _with_own_regressor(here, robot)
     change = extension_change(here, robot, extension)
     low_pass = slow_filter(run.signals.dt)

@@ -72,8 +72,8 @@ def extension_change(run: PreparedRun, robot: RobotModel, extension: Extension) 
         change.link_torque[:] += run.signals.body_regressor.torque(parameters)
     others = values.keys() - bodies
     if others:
-        for column in nuisance_columns(run, robot, _ALL_TOLERANCES, asked=others.__contains__):
-            # Knee columns come in groups, also for values that are not asked for.
+        for column in nuisance_columns(run, robot, _ALL_TOLERANCES, selected=others.__contains__):
+            # Knee columns come in groups, also for values that were not selected.
             change.add(column.added, values.get(column.name, 0.0))
     for each in extension.effects:
         change.add(each.located.contribution(run, each.amplitudes))
@@ -83,8 +83,8 @@ def extension_change(run: PreparedRun, robot: RobotModel, extension: Extension) 
 def moves_links(run: PreparedRun, each: EstimatedEffect) -> bool:
     """Return True where an effect moves the links of a run."""
     added = each.located.contribution(run, each.amplitudes)
-    swung = run.vibration is not None and added.deflection is not None
-    return swung or added.link_torque is not None
+    displaces = run.vibration is not None and added.deflection is not None
+    return displaces or added.link_torque is not None
 
 
 def select_calibration(extension: Extension, words: tuple[str, ...]) -> Extension:
@@ -95,7 +95,7 @@ def select_calibration(extension: Extension, words: tuple[str, ...]) -> Extensio
 
 def is_damping(each: EstimatedEffect) -> bool:
     """Return True where an effect changes the damping of a joint."""
-    return each.located.effect.nominal == "joint_damping"
+    return each.effect.nominal == "joint_damping"
 
 
 def extended_damping(robot: RobotModel, extension: Extension) -> np.ndarray:
@@ -112,13 +112,13 @@ def extended_damping(robot: RobotModel, extension: Extension) -> np.ndarray:
 def relative_compliance(run: PreparedRun, robot: RobotModel, extension: Extension) -> np.ndarray:
     """Return the tangent compliance (K, n) with an extension over the nominal one."""
     effects = tuple(e for e in extension.effects if not is_damping(e))
-    if not any(e.located.effect.family == "elastic" for e in effects):
+    if not any(e.effect.family == "elastic" for e in effects):
         effects = ()
     step = _SLOPE_STEP * np.array([j.torque_rated for j in run.signals.constants.joints])
     steps = np.broadcast_to(step, run.torque.shape)
-    at_once = replace(extension, effects=tuple(e for e in effects if not e.located.effect.lags))
-    softer = 1.0 + _added_compliance(run, robot, at_once, steps)
-    lagging = tuple(e for e in effects if e.located.effect.lags)
+    instant = replace(extension, effects=tuple(e for e in effects if not e.effect.lags))
+    softer = 1.0 + _added_compliance(run, robot, instant, steps)
+    lagging = tuple(e for e in effects if e.effect.lags)
     if lagging:
         # Alternate the step between samples, which lagging effects do not follow.
         sign = np.where(np.arange(len(steps)) % 2, -1.0, 1.0)
@@ -143,7 +143,7 @@ def spring_laws(run: PreparedRun, extension: Extension) -> tuple[dict[int, Sprin
     others = []
     for each in extension.effects:
         joint = each.located.joint
-        if each.located.effect.is_play and joint is not None:
+        if each.effect.is_play and joint is not None:
             by_joint.setdefault(joint, []).append(each)
         else:
             others.append(each)
@@ -164,7 +164,7 @@ def _tabulate_spring(signals: JointSignals, own: Sequence[EstimatedEffect]) -> S
     along = replace(signals, spring_torque=carried, windup=windup)
     deflection = windup.copy()
     for each in own:
-        term = each.located.effect.term(along, each.amplitudes, each.located.shapes)
+        term = each.effect.term(along, each.amplitudes, each.shapes)
         deflection += np.asarray(term.deflection)
     # A negative play, as during a fit, counts as none.
     kept = np.flatnonzero(deflection > np.maximum.accumulate(np.append(-np.inf, deflection[:-1])))
@@ -175,7 +175,7 @@ def added_inertia_along(
     run: PreparedRun, robot: RobotModel, extension: Extension
 ) -> np.ndarray | float:
     """Return the inertia (K, n, n) that an extension adds to the links [kg m^2]."""
-    effects = tuple(e for e in extension.effects if e.located.effect.family == "inertial")
+    effects = tuple(e for e in extension.effects if e.effect.family == "inertial")
     if not effects:
         return 0.0
     every = max(1, round(_INERTIA_INTERVAL / run.signals.dt))

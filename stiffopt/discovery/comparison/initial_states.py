@@ -41,8 +41,8 @@ def estimate_initial_states(comparison: Comparison) -> tuple[PreparedRun, ...]:
         ]
         moved = comparison.with_runs(runs)
         now = _residual_square(moved)
-        rows, swings = comparison.columns.initial_state_columns.shape
-        if left - now <= _MIN_SIGNIFICANT_GAIN * swings * now / rows:
+        rows, modes = comparison.columns.initial_state_columns.shape
+        if left - now <= _MIN_SIGNIFICANT_GAIN * modes * now / rows:
             break
         comparison, left = moved, now
     return comparison.nominal_runs

@@ -19,7 +19,7 @@ Kind = Literal["torque", "deflection"]
 # Kind of channel, joint and amplitude (from 0), and the change (K,) per unit amplitude.
 ChannelChange = tuple[Kind, int, int, np.ndarray]
 # Amplitude (from 0), torque on the joint's link, and displacement of its spring's end.
-Push = tuple[int, np.ndarray, np.ndarray]
+LinkLoad = tuple[int, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,14 +169,14 @@ class LocatedEffect:
 
     def unit_changes(
         self, run: PreparedRun, robot: RobotModel
-    ) -> tuple[list[ChannelChange], list[Push]]:
+    ) -> tuple[list[ChannelChange], list[LinkLoad]]:
         """Return changes per unit of each amplitude, and loads on vibrating links."""
         assert self.joint is not None
         if self.run is not None and run.name != self.run:
             return [], []
         signals, count = run.of_joint(self.joint), len(self.effect.amplitudes)
         changes: list[ChannelChange] = []
-        pushes: list[Push] = []
+        loads: list[LinkLoad] = []
         for i in range(count):
             unit = [1.0 if k == i else 0.0 for k in range(count)]
             term = self.effect.term(signals, unit, self.shapes)
@@ -190,7 +190,7 @@ class LocatedEffect:
                 if loaded:
                     deflection = deflection + run.compliance(robot, self.joint) * link
             elif loaded or wound.any():
-                pushes.append((i, link, wound))
+                loads.append((i, link, wound))
             added: tuple[tuple[Kind, int, np.ndarray], ...] = (
                 ("torque", self.joint, torque),
                 ("deflection", self.joint, deflection),
@@ -199,7 +199,7 @@ class LocatedEffect:
             for kind, joint, values in added:
                 if joint >= 0 and values.any():
                     changes.append((kind, joint, i, np.broadcast_to(values, run.time.shape)))
-        return changes, pushes
+        return changes, loads
 
     def columns(
         self, run: PreparedRun, robot: RobotModel
@@ -221,10 +221,10 @@ def effect_channel_changes(
     """
     both = [each.unit_changes(run, robot) for each in effects]
     found, vibration = [changes for changes, _ in both], run.vibration
-    pushed = [(k, *push) for k, (_, pushes) in enumerate(both) for push in pushes]
-    if vibration is None or not pushed:
+    loaded_links = [(k, *load) for k, (_, loads) in enumerate(both) for load in loads]
+    if vibration is None or not loaded_links:
         return found
-    owners, amplitudes, links, wounds = zip(*pushed, strict=True)
+    owners, amplitudes, links, wounds = zip(*loaded_links, strict=True)
     joints = np.array([effects[k].joint for k in owners])
     answers = vibration.respond_at_joints(
         joints,

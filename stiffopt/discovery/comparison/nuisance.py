@@ -28,7 +28,7 @@ _DRIVE_VALUES = ("rotor_inertia", "coulomb", "viscous", "torque_constant")
 LOAD_VALUE = "torque_constant"
 
 # Selects values by name.
-Asked = Callable[[str], bool]
+NameFilter = Callable[[str], bool]
 
 
 def accept_every_value(_: str) -> bool:
@@ -60,7 +60,7 @@ def nuisance_columns(
     robot: RobotModel,
     tolerance: Tolerance,
     bodies: np.ndarray | None = None,
-    asked: Asked = accept_every_value,
+    selected: NameFilter = accept_every_value,
 ) -> Iterator[NuisanceColumn]:
     """Yield columns of nominal values along a run, in the same order for every run.
 
@@ -71,48 +71,43 @@ def nuisance_columns(
     tolerance : Tolerance
     bodies : array (n, 10), optional
         Standard deviations of all inertial parameters, in place of mass and centre of mass.
-    asked : callable
+    selected : callable
         Selects values by name.
     """
     signals = run.signals
     if bodies is None:
-        yield from _body_columns(run, robot, tolerance, asked)
+        yield from _body_columns(run, robot, tolerance, selected)
     else:
         for k, (name, sd) in enumerate(
             zip(all_body_parameter_names(robot), bodies.ravel(), strict=True)
         ):
-            if asked(name):
+            if selected(name):
                 torque = signals.body_regressor[..., k]
                 yield NuisanceColumn(name, float(sd), Contribution(link_torque=torque))
-    compliance_free = np.zeros_like(signals.spring_torque)
-
-    def single(j: int, values: np.ndarray) -> np.ndarray:
-        column = compliance_free.copy()
-        column[:, j] = values
-        return np.asarray(column)
-
     for j in range(robot.n):
         for name in _DRIVE_VALUES:
             sd = getattr(tolerance, name)
             if (
                 sd
-                and asked(f"{name} {j + 1}")
+                and selected(f"{name} {j + 1}")
                 and np.any(values := _drive_torque_column(run, robot, name, j))
             ):
-                yield NuisanceColumn(f"{name} {j + 1}", sd, Contribution(single(j, values)))
+                yield NuisanceColumn(f"{name} {j + 1}", sd, Contribution(_in_joint(run, j, values)))
         if tolerance.stiffness:
-            yield from _spring_columns(run, j, tolerance.stiffness, asked)
+            yield from _spring_columns(run, j, tolerance.stiffness, selected)
         name = f"joint_damping {j + 1}"
-        if tolerance.joint_damping and run.vibration is not None and asked(name):
+        if tolerance.joint_damping and run.vibration is not None and selected(name):
             # Damping torque relieves the spring, which deflects less by it.
             nominal = signals.constants.joints[j].joint_damping
             taken = nominal * (signals.motor_velocity - signals.link_velocity)[:, j]
-            added = Contribution(deflection=single(j, -taken / run.vibration.stiffness[:, j]))
+            added = Contribution(
+                deflection=_in_joint(run, j, -taken / run.vibration.stiffness[:, j])
+            )
             yield NuisanceColumn(name, tolerance.joint_damping, added)
         name = f"encoder_zero {j + 1}"
-        if tolerance.encoder_zero and asked(name):
+        if tolerance.encoder_zero and selected(name):
             values = np.ones(len(signals.time))
-            added = Contribution(reading=single(j, values))
+            added = Contribution(reading=_in_joint(run, j, values))
             yield NuisanceColumn(name, tolerance.encoder_zero, added)
 
 
@@ -128,10 +123,11 @@ def _drive_torque_column(run: PreparedRun, robot: RobotModel, name: str, j: int)
     return np.asarray(robot.coulomb[j] * signals.motor_direction[:, j])
 
 
-def _spring_columns(run: PreparedRun, j: int, sd: float, asked: Asked) -> Iterator[NuisanceColumn]:
+def _spring_columns(
+    run: PreparedRun, j: int, sd: float, selected: NameFilter
+) -> Iterator[NuisanceColumn]:
     signals = run.signals
-    names = [f"{kind}{knee} {j + 1}" for knee in ("T1", "T2") for kind in ("", "rounding ")]
-    if not any(asked(name) for name in (f"stiffness {j + 1}", *names)):
+    if not any(selected(name) for name in (f"stiffness {j + 1}", *_knee_names(j))):
         return
     if not np.any(signals.windup[:, j]):
         return
@@ -140,28 +136,30 @@ def _spring_columns(run: PreparedRun, j: int, sd: float, asked: Asked) -> Iterat
     if run.vibration is not None:
         values = (signals.motor_position - signals.link_position - run.play)[:, j]
 
-    def single(j: int, values: np.ndarray) -> np.ndarray:
-        column = np.zeros_like(signals.spring_torque)
-        column[:, j] = values
-        return np.asarray(column)
-
-    if asked(f"stiffness {j + 1}"):
-        yield NuisanceColumn(f"stiffness {j + 1}", sd, Contribution(deflection=single(j, values)))
-    yield from _knee_columns(run, j, single, asked)
+    if selected(f"stiffness {j + 1}"):
+        yield NuisanceColumn(
+            f"stiffness {j + 1}", sd, Contribution(deflection=_in_joint(run, j, values))
+        )
+    yield from _knee_columns(run, j, selected)
 
 
-def _knee_columns(
-    run: PreparedRun,
-    j: int,
-    single: Callable[[int, np.ndarray], np.ndarray],
-    asked: Asked,
-) -> Iterator[NuisanceColumn]:
+def _knee_names(j: int) -> list[str]:
+    return [f"{kind}{knee} {j + 1}" for knee in ("T1", "T2") for kind in ("", "rounding ")]
+
+
+def _in_joint(run: PreparedRun, j: int, values: np.ndarray) -> np.ndarray:
+    """Return a channel (K, n) with values in one joint and zeros in the others."""
+    column = np.zeros_like(run.signals.spring_torque)
+    column[:, j] = values
+    return np.asarray(column)
+
+
+def _knee_columns(run: PreparedRun, j: int, selected: NameFilter) -> Iterator[NuisanceColumn]:
     """Yield columns for torque and roundness of a reducer's slope changes."""
     constants = run.signals.constants.joints[j]
     if constants.slopes is None or constants.corners is None:
         return
-    names = [f"{kind}{knee} {j + 1}" for knee in ("T1", "T2") for kind in ("", "rounding ")]
-    if not any(asked(name) for name in names):
+    if not any(selected(name) for name in _knee_names(j)):
         return
     spring = run.signals.spring_torque[:, j]
     (k1, k2, k3), (t1, t2) = constants.slopes, constants.corners
@@ -169,22 +167,22 @@ def _knee_columns(
         fall = 1.0 / before - 1.0 / after
         width = _RELATIVE_KNEE_SD * knee
         beyond = np.sign(spring) * np.clip((np.abs(spring) - knee) / width, 0.0, 1.0)
-        moved = Contribution(deflection=single(j, fall * knee * beyond))
+        moved = Contribution(deflection=_in_joint(run, j, fall * knee * beyond))
         yield NuisanceColumn(f"{name} {j + 1}", _RELATIVE_KNEE_SD, moved)
         rounded = np.sign(spring) * fall * width * np.exp(-np.abs(np.abs(spring) - knee) / width)
-        round_knee = Contribution(deflection=single(j, rounded))
+        round_knee = Contribution(deflection=_in_joint(run, j, rounded))
         yield NuisanceColumn(f"rounding {name} {j + 1}", 1.0, round_knee)
 
 
 def _body_columns(
-    run: PreparedRun, robot: RobotModel, tolerance: Tolerance, asked: Asked
+    run: PreparedRun, robot: RobotModel, tolerance: Tolerance, selected: NameFilter
 ) -> Iterator[NuisanceColumn]:
     """Yield columns for mass and centre of mass of every body."""
     for position, joint in enumerate(robot.order):
         body = robot.arm.tree.bodies[joint]
         for name, change in _body_parameter_slopes(position, body):
             sd = getattr(tolerance, name.split()[0])
-            if sd and asked(name):
+            if sd and selected(name):
                 torque = run.signals.body_regressor.of_body(position) @ change
                 yield NuisanceColumn(name, sd, Contribution(link_torque=torque))
 
